@@ -1,0 +1,55 @@
+# `make demo` and `make test` are all a newcomer needs: each sets up .venv first.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+DEMO_OUT ?= demo-out
+
+.PHONY: setup demo test test-all lint format bench docs models lock clean
+
+setup: $(VENV)/.ready
+
+$(VENV)/.ready: pyproject.toml requirements.lock
+	$(PYTHON) -c 'import sys; v = sys.version_info; sys.exit(v < (3, 11) and f"tapetum needs Python 3.11 or newer, this is {v.major}.{v.minor}: set PYTHON=python3.11")'
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[dev]'
+	@touch $@
+
+demo: setup
+	$(BIN)/tapetum demo --out $(DEMO_OUT)
+
+test: setup
+	$(BIN)/python -m pytest
+
+test-all: setup
+	$(BIN)/python -m pytest -m 'slow or not slow'
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+	$(BIN)/lint-imports
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: setup
+	$(BIN)/python -m benchmarks
+
+docs: setup
+	$(BIN)/mkdocs build --strict
+
+# The bundled ResNet-18: films its training recordings and trains it (about an hour on 2 cores).
+models: setup
+	$(BIN)/python scripts/make_models.py
+
+# Rewrites requirements.lock; needs uv (a pip-installable tool). A local build's suffix (+cpu) must not be locked.
+lock:
+	echo 'torch==2.13.0' > .torch-pin
+	uv pip compile --quiet --all-extras --no-annotate --no-header --constraint .torch-pin pyproject.toml \
+		| sed 's/+cpu//' > requirements.lock.new
+	rm .torch-pin
+	mv requirements.lock.new requirements.lock
+
+clean:
+	rm -rf $(VENV) $(DEMO_OUT) site .pytest_cache .ruff_cache .hypothesis build dist

@@ -1,0 +1,66 @@
+"""How long work tells a person where it stands: one protocol that every room can take, one bar that the commands give.
+
+A function that works long takes `progress: Progress = quiet` and wraps its loop:
+`for x in progress(items, "filming", total=n)`.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+from typing import Protocol, TypeVar
+
+__all__ = ["Progress", "bar", "quiet"]
+
+T = TypeVar("T")
+
+
+class Progress(Protocol):
+    """Passes the items of an iterable on, unchanged, while it shows how far the loop is."""
+
+    def __call__(self, items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[T]: ...
+
+
+def quiet(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[T]:
+    """Show nothing."""
+    del what, total
+    yield from items
+
+
+def bar(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[T]:
+    """Show a bar with the time left on standard error; where that is no terminal, one line when the loop is done."""
+    # Rich is slow to import, and most uses of the library never show a bar.
+    from rich.console import Console
+    from rich.progress import (
+        BarColumn,
+        MofNCompleteColumn,
+        TextColumn,
+        TimeElapsedColumn,
+        TimeRemainingColumn,
+    )
+    from rich.progress import Progress as RichProgress
+
+    if total is None and hasattr(items, "__len__"):
+        total = len(items)  # type: ignore[arg-type]
+    console = Console(stderr=True)
+    if not console.is_terminal:
+        # A log wants no frames of a bar, and a loop that failed says why by its error.
+        start, done = time.monotonic(), 0
+        for item in items:
+            yield item
+            done += 1
+        console.print(f"{what}: {done} in {time.monotonic() - start:.1f} s", markup=False, soft_wrap=True)
+        return
+    columns = (
+        TextColumn("{task.description:<28}"),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+        TextColumn("left"),
+        TimeRemainingColumn(),
+    )
+    with RichProgress(*columns, console=console) as shown:
+        task = shown.add_task(what, total=total)
+        for item in items:
+            yield item
+            shown.advance(task)
