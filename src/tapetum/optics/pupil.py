@@ -1,0 +1,112 @@
+"""Quadrature over a round pupil whose edge costs no accuracy.
+
+A pupil sampled on square pixels has a ragged edge: even with every edge pixel weighted by the area it covers,
+the error of a Fourier integral over it falls only like the pixel's area. Here the rows lie at the nodes of
+Gauss-Chebyshev quadrature of the second kind, which absorbs the square root with which a chord shrinks at the top
+and the bottom of a disc, and along each row the trapezoidal rule carries an end correction of high order for a
+chord that ends between two samples. The nodes still form rows and columns, as matrix Fourier transforms need.
+"""
+
+# SciPy, NumPy and torch type these functions in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.special import bernoulli
+
+__all__ = ["END_ORDER", "Quadrature", "disc_quadrature"]
+
+# Degree of the polynomials that the end correction integrates exactly. Higher degrees gain nothing in practice:
+# their weights grow, and with them the rounding error and the demand on the smoothness of the integrand.
+END_ORDER = 5
+
+
+@dataclass(frozen=True)
+class Quadrature:
+    """Nodes and weights of a two-dimensional integral: ∫ g d²x ≈ Σ_ji weights[j, i] g(x[i], y[j]).
+
+    Parameters
+    ----------
+    x, y
+        Node coordinates in metres, shapes [columns] and [rows].
+    weights
+        In m², shape [rows, columns]; zero outside the pupil and its end correction's few samples.
+    """
+
+    x: torch.Tensor
+    y: torch.Tensor
+    weights: torch.Tensor
+
+    def rho_squared(self) -> torch.Tensor:
+        """Squared distance of every node from the axis, in m², shape [rows, columns]."""
+        return self.x[None, :] ** 2 + self.y[:, None] ** 2
+
+
+def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORDER) -> Quadrature:
+    """Quadrature of a smooth function over the disc of `radius` metres.
+
+    Parameters
+    ----------
+    radius
+        In metres.
+    columns
+        Samples along x; they are equally spaced over the diameter.
+    rows
+        Samples along y, at r cos(jπ/(rows+1)).
+    order
+        Degree of the end correction.
+
+    Returns
+    -------
+    Quadrature
+        float64 on the CPU.
+
+    Notes
+    -----
+    The integrand must be smooth a few samples beyond the edge too: the correction reads it there.
+    End correction: the Euler-Maclaurin formula with an end at the fraction τ of a step past the last sample m,
+    ∫^{m+τ} g = Σ_{i≤m} g_i + Σ_k b_k g_{m-k}, with b fixed by exactness for 1, x … x^order, the moments of the
+    infinite sums taken by zeta regularisation (Lyness and Ninham, Math. Comp. 21, 162 (1967)).
+    """
+    step = 2 * radius / columns
+    x = np.asarray((np.arange(columns) - (columns - 1) / 2) * step, np.float64)
+    angle = math.pi * np.arange(1, rows + 1) / (rows + 1)
+    y = radius * np.cos(angle)
+    row_weight = math.pi / (rows + 1) * radius * np.sin(angle)
+    up_to_end = _weights_up_to(radius * np.sin(angle), x, step, order)
+    # What is left of +c, plus what is right of -c, minus everything, is the chord.
+    weights = (up_to_end + up_to_end[:, ::-1] - 1.0) * step * row_weight[:, None]
+    return Quadrature(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (x, y, weights)))
+
+
+def _weights_up_to(
+    ends: npt.NDArray[np.float64], x: npt.NDArray[np.float64], step: float, order: int
+) -> npt.NDArray[np.float64]:
+    """Weights, in steps, of the integral from far left up to each of `ends` (positive), shape [ends, x]."""
+    place = (ends - x[0]) / step
+    last = np.clip(np.rint(place), order, len(x) - 1).astype(int)
+    tau = (place - last)[:, None]
+    power = np.arange(order + 1)
+    moments = tau ** (power + 1) / (power + 1) - (-1.0) ** power * _zeta_at_minus(order) - (power == 0)
+    vandermonde = (-power[None, :].astype(float)) ** power[:, None]
+    corrections: npt.NDArray[np.float64] = np.linalg.solve(vandermonde, moments.T).T
+    weights = (np.arange(len(x))[None, :] <= last[:, None]).astype(float)
+    for k in power:
+        weights[np.arange(len(ends)), last - k] += corrections[:, k]
+    return weights
+
+
+@cache
+def _zeta_at_minus(order: int) -> npt.NDArray[np.float64]:
+    """Riemann's ζ(-q) for q = 0 … order."""
+    numbers = np.asarray(bernoulli(order + 1), dtype=float)
+    # SciPy's B_1 is -1/2; ζ(0) = -1/2 needs B_1 = +1/2 in ζ(-q) = -B_{q+1}/(q+1).
+    numbers[1] = 0.5
+    return -numbers[1:] / np.arange(1, order + 2)

@@ -1,0 +1,276 @@
+"""Choose the grids of a double pass from the scene and a wanted accuracy, and say what error to expect.
+
+Three numbers decide the error (docs/conventions.md, "Sampling", shows how they were measured):
+
+- how many Airy rings m of the spot the sensor's window holds: what the window cuts off are the waves that carry
+  the sharp edge of the returning pupil;
+- how far the field turns between two pupil samples, in radians: π is the Nyquist limit;
+- how much wider than the returning and the accepting pupil together is the period λz/dv that the sensor's samples
+  impose on the returning field: light diffracted beyond it would be folded back in.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass, replace
+
+from tapetum.errors import InputError
+
+__all__ = [
+    "ACCURACIES",
+    "REFERENCE",
+    "DoublePassGeometry",
+    "Effort",
+    "SamplingPlan",
+    "disc_overlap",
+    "plan_double_pass",
+    "plan_with",
+]
+
+
+@dataclass(frozen=True)
+class Effort:
+    """How finely an accuracy is sampled: its error in fractions of the peak, Airy rings in the window, radians a pupil
+    step for the rays and for rays and diffracted tail together, and the period over the two pupils' width."""
+
+    error: float
+    rings: float
+    ray_radians: float
+    radians: float
+    widths: float
+
+
+# Measured on random scenes against the same computation at the reference's effort: tests/optics/test_sampling.py.
+_LADDER = (
+    Effort(1e-2, 30, 1.6, 2.5, 1.3),
+    Effort(3e-3, 46, 1.3, 2.2, 1.3),
+    Effort(1e-3, 80, 1.0, 2.0, 1.4),
+    Effort(3e-4, 128, 0.9, 1.8, 1.6),
+)
+REFERENCE = Effort(0.0, 160, 0.7, 1.5, 2.2)
+_LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0)
+ACCURACIES = tuple(step.error for step in _LADDER)
+# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones; the field turns
+# fastest where they are dense, so fewer than π/2 times as many do (measured).
+_ROWS_A_COLUMN = 1.45
+# Share of the diffracted tail that the sensor's window passes whole, before it falls off smoothly.
+_FLAT = 0.5
+# Share of returning light below which the error grows against the fading peak.
+_FADING = 0.3
+_MOST_BYTES = 4 << 30
+
+
+@dataclass(frozen=True)
+class DoublePassGeometry:
+    """The lengths that decide how a retro-reflection must be sampled. All in metres but for `sine`.
+
+    Parameters
+    ----------
+    wavelength, radius, focal_length, image_distance
+        Of the light, and of the target's lens: aperture radius, f, and z = f + x_i.
+    probe_focal_length
+        f_p.
+    window
+        Half-diagonal of the wanted image on the probe's sensor, seen from the middle of the RR.
+    sine
+        Largest sine of the tilt.
+    curvature
+        1/R of the illuminating wave at the target, in 1/m: 0 for collimated light, 1/distance from a point.
+    """
+
+    wavelength: float
+    radius: float
+    focal_length: float
+    image_distance: float
+    probe_focal_length: float
+    window: float
+    sine: float = 0.0
+    curvature: float = 0.0
+
+    @property
+    def spot_radius(self) -> float:
+        """Geometric radius of the light on the target's sensor."""
+        return self.radius * abs(1 - self.image_distance * (1 / self.focal_length - self.curvature))
+
+    @property
+    def airy_step(self) -> float:
+        """Ring spacing λz/2r of the Airy pattern on the target's sensor."""
+        return self.wavelength * self.image_distance / (2 * self.radius)
+
+    @property
+    def return_radius(self) -> float:
+        """Geometric radius of the returning light at the lens, before the aperture clips it."""
+        z, f = self.image_distance, self.focal_length
+        return self.radius * abs(1 - 2 * z * (1 / f - self.curvature))
+
+    @property
+    def returning(self) -> float:
+        """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
+        return disc_overlap(self.return_radius, self.radius, 2 * self.image_distance * self.sine)
+
+    @property
+    def exit_angle(self) -> float:
+        """Half-angle of the rays of the returning beam, geometric, in radians."""
+        z, f = self.image_distance, self.focal_length
+        slope_in = 1 / f - self.curvature
+        gain = 1 - 2 * z * slope_in
+        if gain == 0:
+            return 0.0
+        # A ray that entered at x comes back at gain·x with slope -slope_in·x, and is bent by the lens once more.
+        slope_out = -slope_in / gain - 1 / f
+        return min(self.radius, abs(gain) * self.radius) * abs(slope_out)
+
+
+@dataclass(frozen=True)
+class SamplingPlan:
+    """Grids of a double pass, and the error that they should give.
+
+    Parameters
+    ----------
+    columns, rows
+        Samples over the pupil's diameter.
+    sensor_count
+        Samples a side over the window on the target's sensor.
+    sensor_half_width
+        Half the window's side, in metres.
+    sensor_flat
+        Distance from the window's middle at which it begins to fall off, in metres.
+    expected_error
+        Largest error of the irradiance, in fractions of the image's peak; infinite where no claim is made: for grids
+        forced coarser than planned, and past the cut-off, where no ray returns.
+    """
+
+    columns: int
+    rows: int
+    sensor_count: int
+    sensor_half_width: float
+    sensor_flat: float
+    expected_error: float
+
+    def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
+        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
+        pupil, sensor = self.columns * self.rows, self.sensor_count**2
+        kernels = (self.columns + self.rows) * (self.sensor_count + 2 * math.isqrt(pixels))
+        return complex_size * (kernels + 3 * pupil + 2 * sensor + batch * (2 * pupil + 2 * sensor + 2 * pixels))
+
+    def as_dict(self) -> dict[str, float | int]:
+        """The plan's numbers by name, for metadata."""
+        return asdict(self)
+
+
+def plan_double_pass(
+    geometry: DoublePassGeometry,
+    accuracy: float = 1e-3,
+    *,
+    pupil_samples: int | None = None,
+    sensor_samples: int | None = None,
+    pixels: int = 1,
+) -> SamplingPlan:
+    """Choose the grids of a double pass.
+
+    Parameters
+    ----------
+    geometry
+        The scene's lengths.
+    accuracy
+        Wanted largest error of the irradiance, in fractions of the image's peak.
+    pupil_samples, sensor_samples
+        Force a grid by hand. It is refused where it cannot hold the field.
+    pixels
+        Pixels of the wanted image, for the memory it takes.
+
+    Raises
+    ------
+    InputError
+        For an accuracy out of reach, a forced grid that would alias, or a scene too large for the memory allowed.
+    """
+    if not accuracy >= ACCURACIES[-1]:
+        raise InputError(
+            f"{accuracy:g} of the peak is finer than the engine's {ACCURACIES[-1]:g}",
+            where="accuracy",
+            remedy=f"ask for {ACCURACIES[-1]:g} or more",
+        )
+    plan = plan_with(geometry, next(step for step in _LADDER if step.error <= accuracy))
+    plan = _forced(plan, geometry, pupil_samples, sensor_samples)
+    needed = plan.bytes_needed(1, pixels, 16)
+    if needed > _MOST_BYTES:
+        raise InputError(
+            f"the scene needs {plan.columns} x {plan.rows} pupil and {plan.sensor_count}² sensor samples, "
+            f"{needed / 2**30:.1f} GiB an image, above the {_MOST_BYTES / 2**30:.0f} GiB allowed",
+            where="sampling",
+            remedy="focus nearer to the probe, stop the target's aperture down, or ask for less accuracy",
+        )
+    return plan
+
+
+def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
+    """The grids that an effort makes of a scene, unchecked."""
+    g = geometry
+    wavenumber = 2 * math.pi / g.wavelength
+    half = g.spot_radius + effort.rings * g.airy_step
+    # The steepest slopes that the field has against the pupil, of rays and of the diffracted tail, in and out.
+    rays = max(
+        g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature),
+        g.exit_angle + g.window / g.probe_focal_length,
+    )
+    tail = effort.rings * g.wavelength / (2 * g.radius)
+    turns = max(rays / effort.ray_radians, (rays + tail) / effort.radians)
+    columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
+    step = g.wavelength * g.image_distance / (effort.widths * _width_on_return(g))
+    return SamplingPlan(
+        columns=columns,
+        rows=math.ceil(columns * _ROWS_A_COLUMN),
+        sensor_count=max(2 * math.ceil(half / step), 16),
+        sensor_half_width=half,
+        sensor_flat=g.spot_radius + _FLAT * effort.rings * g.airy_step,
+        # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
+        expected_error=effort.error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
+    )
+
+
+def disc_overlap(first: float, second: float, offset: float) -> float:
+    """Area that two discs of these radii share at this distance of centres, in fractions of the first's."""
+    if offset >= first + second:
+        return 0.0
+    small, large = sorted((first, second))
+    if offset <= large - small:
+        return min(1.0, (second / first) ** 2) if first > 0 else 1.0
+
+    def segment(radius: float, other: float) -> float:
+        cosine = (offset**2 + radius**2 - other**2) / (2 * offset * radius)
+        angle = math.acos(max(-1.0, min(1.0, cosine)))
+        return radius**2 * (angle - math.sin(2 * angle) / 2)
+
+    return (segment(first, second) + segment(second, first)) / (math.pi * first**2)
+
+
+def _width_on_return(g: DoublePassGeometry) -> float:
+    """Half-widths of the returning and of the accepting pupil and their offset: what one period must hold."""
+    return g.return_radius + g.radius + 2 * g.image_distance * g.sine
+
+
+def _forced(
+    plan: SamplingPlan, g: DoublePassGeometry, pupil_samples: int | None, sensor_samples: int | None
+) -> SamplingPlan:
+    wanted, least = plan, plan_with(g, _LEAST)
+    if pupil_samples is not None:
+        if pupil_samples < least.columns:
+            raise InputError(
+                f"{pupil_samples} samples over the pupil would alias",
+                where="sampling.pupil",
+                remedy=f"use at least {least.columns}, {plan.columns} for the accuracy asked for, or leave it out",
+            )
+        plan = replace(plan, columns=pupil_samples, rows=math.ceil(pupil_samples * _ROWS_A_COLUMN))
+    if sensor_samples is not None:
+        floor = math.ceil(2 * plan.sensor_half_width * _width_on_return(g) / (g.wavelength * g.image_distance))
+        if sensor_samples < floor:
+            raise InputError(
+                f"{sensor_samples} samples over the target's sensor would fold the returning pupil onto itself",
+                where="sampling.sensor",
+                remedy=f"use at least {floor}, {plan.sensor_count} for the accuracy asked for, or leave it out",
+            )
+        plan = replace(plan, sensor_count=sensor_samples)
+    if plan.columns < wanted.columns or plan.sensor_count < wanted.sensor_count:
+        # It does not alias, but nobody has measured how well it does.
+        plan = replace(plan, expected_error=math.inf)
+    return plan

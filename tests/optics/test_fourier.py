@@ -1,0 +1,48 @@
+"""The matrix Fourier transform against the sum it stands for."""
+
+from __future__ import annotations
+
+import torch
+
+from tapetum.optics.fourier import MatrixFourier, naive_fourier, phasor
+
+
+def _case(rows: int, columns: int, down: int, across: int) -> tuple[torch.Tensor, ...]:
+    generator = torch.Generator().manual_seed(3)
+    # Any order and spacing will do: the transform asks for no regular grid.
+    x, y = (torch.randn(n, generator=generator, dtype=torch.float64) for n in (columns, rows))
+    ux, uy = (torch.randn(n, generator=generator, dtype=torch.float64) for n in (across, down))
+    field = torch.randn(2, rows, columns, generator=generator, dtype=torch.complex128)
+    return field, x, y, ux, uy
+
+
+def test_equals_the_naive_sum_whichever_product_comes_first() -> None:
+    for shape in ((5, 40, 3, 4), (40, 5, 4, 3), (6, 6, 30, 30)):
+        field, *axes = _case(*shape)
+        fast, slow = MatrixFourier(*axes, 2.5)(field[0]), naive_fourier(field[0], *axes, 2.5)
+        assert torch.allclose(fast, slow, rtol=0, atol=1e-12)
+
+
+def test_adjoint_by_the_dot_product() -> None:
+    field, *axes = _case(7, 9, 5, 6)
+    transform = MatrixFourier(*axes, 1.7)
+    other = torch.randn(2, 5, 6, generator=torch.Generator().manual_seed(4), dtype=torch.complex128)
+    forward = torch.vdot(other.flatten(), transform(field).flatten())
+    back = torch.vdot(transform.adjoint(other).flatten(), field.flatten())
+    assert abs(forward - back) < 1e-12 * abs(forward)
+
+
+def test_single_precision_keeps_large_phases() -> None:
+    x = torch.linspace(-3e-3, 3e-3, 64, dtype=torch.float64)
+    u = torch.linspace(-7e-4, 7e-4, 32, dtype=torch.float64)
+    # 5e7 rad/m² as in a real scene: a phase of 100 radians at the corners, and 1e4 with an offset of both.
+    kappa, x, u = 5e7, x + 0.1, u + 2e-3
+    field = torch.ones(64, 64, dtype=torch.complex64)
+    exact = MatrixFourier(x, x, u, u, kappa, torch.complex128)(field.to(torch.complex128))
+    single = MatrixFourier(x, x, u, u, kappa, torch.complex64)(field)
+    assert float((single - exact).abs().max()) < 1e-5 * 64 * 64
+
+
+def test_phasor_matches_its_precision() -> None:
+    assert phasor(torch.zeros(2, dtype=torch.float64)).dtype == torch.complex128
+    assert phasor(torch.zeros(2, dtype=torch.float32)).dtype == torch.complex64

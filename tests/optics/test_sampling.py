@@ -1,0 +1,126 @@
+"""The planner keeps what it claims, and refuses what it cannot hold."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from tapetum.errors import InputError
+from tapetum.optics.grid import Grid, lens_numbers
+from tapetum.optics.sampling import (
+    ACCURACIES,
+    REFERENCE,
+    DoublePassGeometry,
+    disc_overlap,
+    plan_double_pass,
+    plan_with,
+)
+from tapetum.simulate.double_pass import DoublePass
+
+PAPER = DoublePassGeometry(640e-9, 3e-3, 0.1, lens_numbers(0.1, 1.0)[0], 0.2, 4e-4, math.sin(math.radians(1)))
+
+
+def random_geometry(rng: np.random.Generator) -> tuple[DoublePassGeometry, Grid, torch.Tensor]:
+    """Wavelength, lens, focus, illumination, tilt, probe and pixels drawn from what people use."""
+    focal = 10 ** rng.uniform(-2, math.log10(0.15))
+    radius = min(focal / rng.uniform(4, 20) / 2, 2.5e-3)
+    z, _ = lens_numbers(focal, 2 * focal + 10 ** rng.uniform(-0.3, 1.3))
+    sine = rng.choice([0.0, 1.0, 1.0]) * rng.uniform(0, 0.9) * radius / focal
+    pixels = Grid(48, 48, 10 ** rng.uniform(-6.0, -5.0))
+    geometry = DoublePassGeometry(
+        wavelength=rng.uniform(450e-9, 900e-9),
+        radius=radius,
+        focal_length=focal,
+        image_distance=z,
+        probe_focal_length=rng.uniform(0.1, 0.3),
+        window=pixels.width / math.sqrt(2),
+        sine=float(sine),
+        curvature=float(rng.choice([0.0, 1 / rng.uniform(1, 10)])),
+    )
+    angle = rng.uniform(0, 2 * math.pi)
+    tilt = torch.tensor([[sine * math.cos(angle), sine * math.sin(angle)]], dtype=torch.float64)
+    return geometry, pixels, tilt
+
+
+def worst_ratio(rng: np.random.Generator, largest: int = 600_000) -> float | None:
+    """Measured over claimed error, the largest of all accuracies; None where the reference is too large to make."""
+    geometry, pixels, tilt = random_geometry(rng)
+    best = plan_with(geometry, REFERENCE)
+    if best.columns * best.sensor_count > largest:
+        return None
+    reference = DoublePass(geometry, best, pixels, dtype=torch.complex128)(tilt)[0]
+    ratios = []
+    for accuracy in ACCURACIES:
+        plan = plan_double_pass(geometry, accuracy)
+        image = DoublePass(geometry, plan, pixels, dtype=torch.complex128)(tilt)[0]
+        ratios.append(float((image - reference).abs().max() / reference.max()) / plan.expected_error)
+    return max(ratios)
+
+
+def test_error_stays_below_twice_the_claim_on_random_scenes() -> None:
+    rng = np.random.default_rng(11)
+    ratios = [ratio for _ in range(16) if (ratio := worst_ratio(rng)) is not None]
+    assert len(ratios) >= 4
+    assert max(ratios) < 2
+
+
+@pytest.mark.slow
+def test_error_stays_below_twice_the_claim_on_many_random_scenes() -> None:
+    rng = np.random.default_rng(12)
+    ratios = [ratio for _ in range(900) if (ratio := worst_ratio(rng, largest=1_500_000)) is not None]
+    assert len(ratios) >= 200
+    assert max(ratios) < 2
+
+
+def test_finer_claims_cost_more_samples() -> None:
+    plans = [plan_double_pass(PAPER, accuracy) for accuracy in ACCURACIES]
+    assert [plan.expected_error for plan in plans] == sorted((p.expected_error for p in plans), reverse=True)
+    assert [plan.columns for plan in plans] == sorted(plan.columns for plan in plans)
+    assert [plan.sensor_count for plan in plans] == sorted(plan.sensor_count for plan in plans)
+
+
+@pytest.mark.parametrize("accuracy", [0.0, 1e-5, math.nan, -1.0])
+def test_accuracy_out_of_reach_is_refused(accuracy: float) -> None:
+    with pytest.raises(InputError, match="accuracy"):
+        plan_double_pass(PAPER, accuracy)
+
+
+def test_forced_grids_that_alias_are_refused() -> None:
+    with pytest.raises(InputError, match=r"sampling\.pupil: 40 samples .* use at least"):
+        plan_double_pass(PAPER, pupil_samples=40)
+    with pytest.raises(InputError, match=r"sampling\.sensor: 16 samples .* use at least"):
+        plan_double_pass(PAPER, sensor_samples=16)
+
+
+def test_forced_grids_finer_than_needed_keep_the_claim_coarser_ones_lose_it() -> None:
+    usual = plan_double_pass(PAPER)
+    finer = plan_double_pass(PAPER, pupil_samples=usual.columns + 50, sensor_samples=usual.sensor_count + 50)
+    assert finer.columns == usual.columns + 50
+    assert finer.expected_error == usual.expected_error
+    coarser = plan_double_pass(PAPER, pupil_samples=usual.columns - 20)
+    assert math.isinf(coarser.expected_error)
+
+
+def test_a_scene_too_large_is_refused_with_its_size() -> None:
+    huge = replace(PAPER, radius=0.05, image_distance=lens_numbers(0.1, 0.3)[0])
+    with pytest.raises(InputError, match="GiB"):
+        plan_double_pass(huge)
+
+
+def test_a_target_focused_on_the_source_sees_a_point() -> None:
+    z, _ = lens_numbers(0.1, 5.5)
+    assert replace(PAPER, image_distance=z, curvature=1 / 5.5).spot_radius == pytest.approx(0, abs=1e-9)
+    assert replace(PAPER, image_distance=z).spot_radius == pytest.approx(3e-3 * (z - 0.1) / 0.1)
+
+
+def test_disc_overlap() -> None:
+    assert disc_overlap(1, 1, 0) == 1
+    assert disc_overlap(1, 1, 2) == 0
+    assert disc_overlap(2, 1, 0) == pytest.approx(0.25)
+    assert disc_overlap(1, 2, 0.5) == 1
+    # Two unit discs one radius apart: 2π/3 - √3/2.
+    assert disc_overlap(1, 1, 1) == pytest.approx((2 * math.pi / 3 - math.sqrt(3) / 2) / math.pi)
