@@ -1,0 +1,92 @@
+"""What pydantic finds wrong with a scene, said as Tapetum says it: the field, its value, the remedy."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Sequence
+from typing import Any
+
+from pydantic import ValidationError
+
+from tapetum.errors import InputError
+
+__all__ = ["first_fault"]
+
+_BOUNDS = {
+    "greater_than": ("gt", "more than"),
+    "greater_than_equal": ("ge", "at least"),
+    "less_than": ("lt", "less than"),
+    "less_than_equal": ("le", "at most"),
+}
+
+
+def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, ...]]) -> InputError:
+    """Return the first of pydantic's findings as an InputError.
+
+    Parameters
+    ----------
+    error
+        What pydantic raised.
+    where
+        The file or argument that the scene came from.
+    paths
+        Every field of a scene, to guess what an unknown key meant.
+    """
+    first = error.errors(include_url=False)[0]
+    steps = [step for step in first["loc"] if not str(step).startswith(("function-", "tuple["))]
+    kind, given, context = first["type"], first.get("input"), first.get("ctx", {})
+    if kind in ("missing", "missing_argument") and steps and isinstance(steps[-1], int):
+        # A list that is too short: its own path helps, that of the absent item does not.
+        count = steps.pop()
+        what, remedy = f"has {count} of the values it needs, is {given!r}", "give all of them in brackets"
+    elif kind in ("missing", "missing_argument"):
+        what, remedy = "is missing", f"add '{steps[-1]}: ...'"
+    elif kind in ("unexpected_keyword_argument", "extra_forbidden", "invalid_key"):
+        what, remedy = "unknown key", _nearest(steps, paths)
+    else:
+        what, remedy = _value_fault(kind, str(first["msg"]), given, context)
+        if kind == "dataclass_type":
+            inner = sorted({path[len(steps)] for path in paths if len(path) > len(steps) and _at(path, steps)})
+            remedy = f"give it the fields {', '.join(inner)}"
+    return InputError(what, where=": ".join(filter(None, (where, ".".join(map(str, steps))))), remedy=remedy)
+
+
+def _value_fault(kind: str, message: str, given: object, context: dict[str, Any]) -> tuple[str, str]:
+    """What is wrong with a value, and the remedy."""
+    if kind == "value_error":
+        what, _, remedy = message.removeprefix("Value error, ").partition("; ")
+        return what, remedy or "correct it"
+    shown = "" if isinstance(given, dict) or dataclasses.is_dataclass(given) else f", is {given!r}"
+    if kind in _BOUNDS:
+        key, words = _BOUNDS[kind]
+        bound = f"{words} {context[key]:g}"
+        return f"{given!r} is out of range", f"give {bound}"
+    if kind == "literal_error":
+        return f"unknown value {given!r}", f"use {context['expected']}"
+    if kind == "dataclass_type":
+        return f"must be a mapping of fields{shown}", ""
+    if kind in ("tuple_type", "too_long"):
+        return f"must be a list of two values{shown}", "write it in brackets, for example [1, 2]"
+    if kind in ("int_from_float", "int_type", "int_parsing"):
+        return f"must be a whole number{shown}", "give it without a fraction or a unit"
+    if kind in ("float_type", "float_parsing"):
+        return f"must be a number{shown}", "give it without a unit"
+    if kind == "finite_number":
+        return f"must be finite{shown}", "give a finite number"
+    return message.replace("Input should", "must").replace("must be a valid", "must be a") + shown, "correct it"
+
+
+def _at(path: tuple[str, ...], steps: Sequence[object]) -> bool:
+    return all(one == other for one, other in zip(path, steps, strict=False))
+
+
+def _nearest(steps: Sequence[object], paths: Sequence[tuple[str, ...]]) -> str:
+    """Guess which field an unknown key meant: its neighbours first, then the same word anywhere."""
+    last = str(steps[-1])
+    beside = [path for path in paths if len(path) == len(steps) and _at(path, steps[:-1])]
+    near = difflib.get_close_matches(last, [path[-1] for path in beside], n=1, cutoff=0.5)
+    found = [path for path in beside if path[-1] in near] or [path for path in paths if path[-1] == last]
+    if found:
+        return f"did you mean {' or '.join('.'.join(path) for path in found)}?"
+    return f"use {', '.join(sorted(path[-1] for path in beside))}" if beside else "remove it"

@@ -1,0 +1,234 @@
+"""Scenes in and out of YAML, and one value of a scene changed by its name."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import functools
+import json
+import math
+import os
+import typing
+from collections.abc import Iterable, Mapping
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+import yaml
+from pydantic import TypeAdapter, ValidationError
+
+from tapetum.bench.faults import first_fault
+from tapetum.bench.scene import SCHEMA, Scene
+from tapetum.errors import InputError
+
+__all__ = [
+    "field_path",
+    "load_scene",
+    "scene_dict",
+    "scene_from_dict",
+    "scene_names",
+    "scene_schema",
+    "scene_yaml",
+    "with_values",
+]
+
+
+@functools.cache
+def _adapter() -> TypeAdapter[Scene]:
+    return TypeAdapter(Scene)
+
+
+def scene_names() -> list[str]:
+    """Names of the scenes that come with the package."""
+    folder = resources.files("tapetum.bench") / "scenes"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> Scene:
+    """Load a scene by the name of a bundled one or from a YAML file.
+
+    Parameters
+    ----------
+    source
+        `"thin-lens"`, or a path.
+    changes
+        Texts `key=value` as for `tapetum simulate --set`.
+
+    Raises
+    ------
+    InputError
+        Missing or unreadable file, unknown key, wrong unit or value: with the field's path and the remedy.
+    """
+    name = os.fspath(source)
+    if name in scene_names():
+        text = (resources.files("tapetum.bench") / "scenes" / f"{name}.yaml").read_text(encoding="utf-8")
+    else:
+        path = Path(name)
+        if not path.is_file():
+            remedy = f"give the path of a YAML file, or one of the bundled scenes: {', '.join(scene_names())}"
+            raise InputError("no such scene", where=name, remedy=remedy)
+        try:
+            text = path.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            raise InputError(f"cannot be read as text ({error})", where=name, remedy="give a YAML file") from error
+    try:
+        content = yaml.load(text, _Loader)
+    except yaml.YAMLError as error:
+        raise InputError(f"is no YAML ({error})", where=name, remedy="mend the line it names") from error
+    if not isinstance(content, dict):
+        raise InputError("holds no mapping", where=name, remedy=f"begin it with 'schema: {SCHEMA}'")
+    if content.get("schema") != SCHEMA:
+        what = f"has schema {content.get('schema')!r}"
+        raise InputError(what, where=name, remedy=f"begin it with 'schema: {SCHEMA}'")
+    scene = scene_from_dict(content, where=name)
+    values = _parsed(changes)
+    return with_values(scene, values, where=name) if values else scene
+
+
+def scene_from_dict(content: Mapping[str, Any], where: str = "scene") -> Scene:
+    """Build a scene from nested mappings, as read from YAML or a recording.
+
+    Raises
+    ------
+    InputError
+        Naming `where`, the field's path, its value and the remedy.
+    """
+    try:
+        return _adapter().validate_python(dict(content))
+    except ValidationError as error:
+        raise first_fault(error, where, _paths()) from error
+
+
+def scene_dict(scene: Scene) -> dict[str, Any]:
+    """Return the scene as nested plain values in SI units; `scene_from_dict` reads it back.
+
+    Infinity becomes the text `Infinity`, for JSON has no number for it.
+    """
+    return json.loads(_adapter().dump_json(scene, exclude_none=True))
+
+
+def scene_yaml(scene: Scene) -> str:
+    """The scene as YAML text in SI units."""
+    return yaml.safe_dump(scene_dict(scene), sort_keys=False)
+
+
+def scene_schema() -> dict[str, Any]:
+    """JSON Schema of a scene file, for editors; it ships as `scenes/scene.schema.json` beside the scenes."""
+    schema = _adapter().json_schema()
+    # In Python it has a default; a file must say it.
+    required = ["schema", *schema["required"]]
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": required}
+
+
+def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -> Scene:
+    """The scene with some of its values replaced and all of it checked again.
+
+    Parameters
+    ----------
+    scene
+        Stays as it is.
+    values
+        By field path, or the path's last words where they are unambiguous (`rotation`, `object_distance`). A single
+        angle for `target.rotation` tilts about x, as the paper does.
+    where
+        What an error names as the scene's origin.
+
+    Raises
+    ------
+    InputError
+        For a key that names no field or several, and as `scene_from_dict`.
+    """
+    content = scene_dict(scene)
+    for key, value in values.items():
+        path = field_path(key)
+        node = content
+        for step in path[:-1]:
+            node = node.setdefault(step, {})
+            if not isinstance(node, dict):
+                remedy = "change either the whole or its parts"
+                raise InputError(f"is inside of a value that is changed to {node!r}", where=key, remedy=remedy)
+        node[path[-1]] = _rotation(value) if path[-1] == "rotation" else value
+    return scene_from_dict(content, where)
+
+
+def field_path(key: str) -> tuple[str, ...]:
+    """Resolve a key to the path of a scene's field: `object_distance` to ("target", "object_distance").
+
+    Raises
+    ------
+    InputError
+        For an unknown key (with the nearest ones) or an ambiguous one (with its candidates).
+    """
+    words = tuple(key.strip().split("."))
+    if words in _paths():
+        return words
+    found = [path for path in _paths() if path[-len(words) :] == words]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        names = " or ".join(".".join(path) for path in found)
+        raise InputError("names more than one field", where=key, remedy=f"say {names}")
+    near = difflib.get_close_matches(words[-1], {path[-1] for path in _paths()}, n=3)
+    names = [".".join(p) for p in _paths() if p[-1] in near] or sorted({p[0] for p in _paths()})
+    raise InputError("a scene has no such field", where=key, remedy="did you mean " + " or ".join(names) + "?")
+
+
+@functools.cache
+def _paths() -> tuple[tuple[str, ...], ...]:
+    def walk(kind: type, at: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
+        for field in dataclasses.fields(kind):
+            here = (*at, field.name)
+            yield here
+            inner = [t for t in _types(kind, field.name) if dataclasses.is_dataclass(t)]
+            for one in inner:
+                yield from walk(one, here)
+
+    return tuple(walk(Scene, ()))
+
+
+def _types(kind: type, name: str) -> list[type]:
+    hint = typing.get_type_hints(kind)[name]
+    return [hint, *typing.get_args(hint)]
+
+
+def _parsed(changes: Iterable[str]) -> dict[str, Any]:
+    values: dict[str, Any] = {}
+    for change in changes:
+        key, sign, text = change.partition("=")
+        if not sign or not key:
+            raise InputError(f"{change!r} is no change", where="--set", remedy="write KEY=VALUE")
+        try:
+            values[key.strip()] = yaml.load(text, _Loader)
+        except yaml.YAMLError as error:
+            remedy = "write it as in a scene file: 5, '75 mm', [1, 2]"
+            raise InputError(f"{text!r} is no value", where=f"--set {key}", remedy=remedy) from error
+    return values
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML that refuses a key given twice: the first one would be lost without a word."""
+
+    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
+        seen: set[str] = set()
+        for key, _ in node.value:
+            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
+                if key.value in seen:
+                    raise yaml.MarkedYAMLError(problem=f"key {key.value!r} twice", problem_mark=key.start_mark)
+                seen.add(key.value)
+        return super().construct_mapping(node, deep)
+
+
+def _rotation(value: object) -> object:
+    """One angle is the paper's rotation, about x; numbers without a unit are in degrees."""
+    angles = [_angle(one) for one in value] if isinstance(value, list | tuple) else _angle(value)
+    return [0.0, angles] if isinstance(angles, float | str) else angles
+
+
+def _angle(value: object) -> object:
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        return value
+    try:
+        # Text too: YAML takes 1e-1, without a point, for text.
+        return math.radians(float(value))
+    except ValueError:
+        return value

@@ -1,0 +1,82 @@
+"""Physical quantities as people write them: `640 nm`, `1 mW`, `0.5 deg`; inside, SI numbers."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, WithJsonSchema
+
+__all__ = ["Angle", "Current", "FocusDistance", "Length", "Power", "Time", "to_si"]
+
+
+@cache
+def _registry() -> Any:
+    # Pint takes a third of a second to import and to read its units: only where a quantity carries a unit.
+    import pint
+
+    return pint.UnitRegistry()
+
+
+def to_si(value: object, unit: str) -> float:
+    """Read a quantity: a number is SI already, a text is a number with a unit of the dimension of `unit`.
+
+    Parameters
+    ----------
+    value
+        `0.1`, `"0.1"` or `"100 mm"`.
+    unit
+        The SI unit of the wanted dimension: "m", "rad", "W", "s", "1/s".
+
+    Raises
+    ------
+    ValueError
+        For text that is no quantity, another dimension, and anything not finite (`inf` is allowed for lengths).
+    """
+    if isinstance(value, bool) or not isinstance(value, int | float | str):
+        raise ValueError(f"{value!r} is no quantity; write a number in {unit} or, for example, '{_example(unit)}'")
+    try:
+        number = float(value)
+    except ValueError:
+        number = _with_unit(str(value), unit)
+    if math.isnan(number) or (math.isinf(number) and unit != "m"):
+        raise ValueError(f"{value!r} is not a finite number; give one, for example '{_example(unit)}'")
+    return number
+
+
+def _with_unit(text: str, unit: str) -> float:
+    registry = _registry()
+    import pint
+
+    try:
+        quantity = registry.Quantity(text)
+    except Exception as error:
+        raise ValueError(f"{text!r} is no quantity; write, for example, '{_example(unit)}'") from error
+    try:
+        return float(quantity.to(unit).magnitude)
+    except (pint.DimensionalityError, AttributeError, TypeError) as error:
+        raise ValueError(
+            f"{text!r} has the wrong dimension; give it in {unit}, for example '{_example(unit)}'"
+        ) from error
+
+
+def _example(unit: str) -> str:
+    return {"m": "5 mm", "rad": "0.5 deg", "W": "1 mW", "s": "10 us", "1/s": "100 1/s"}.get(unit, f"1 {unit}")
+
+
+def _quantity(unit: str) -> Any:
+    schema = {
+        "anyOf": [{"type": "number"}, {"type": "string"}],
+        "description": f"SI number in {unit}, or text such as '{_example(unit)}'",
+    }
+    return BeforeValidator(lambda value: to_si(value, unit)), WithJsonSchema(schema)
+
+
+# The one length that may be infinite. The constraint stands before the reader, for it belongs to the number.
+FocusDistance = Annotated[float, Field(gt=0, allow_inf_nan=True), *_quantity("m")]
+Length = Annotated[float, *_quantity("m")]
+Angle = Annotated[float, *_quantity("rad")]
+Power = Annotated[float, *_quantity("W"), Field(gt=0)]
+Time = Annotated[float, *_quantity("s"), Field(gt=0)]
+Current = Annotated[float, *_quantity("1/s"), Field(ge=0)]
