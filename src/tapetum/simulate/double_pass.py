@@ -1,0 +1,190 @@
+"""The double pass: through the target's lens, off its sensor and back, to the probe's focal plane.
+
+The quadratic phases of lens and free space are taken out before anything is sampled; what is left is the defocus
+and a tilt (paper, equations 1 to 6, in the form of docs/conventions.md, "The double pass"):
+
+    G(v)  = 1/(iλz) ∫ P(x) exp(iφ_in(x)) exp(-ik x·v/z) d²x            the spot, seen from its own centre u0 = z s
+    U3(x) = 1/(iλz) ∫ Arr G(v) exp(ik|v|²/z) exp(-ik (x - 2u0)·v/z) d²v
+    U5(q) = 1/(iλf_p) ∫ P(x) exp(iφ_out(x)) U3(x) exp(-ik x·Mq/f_p) d²x
+
+G does not depend on the gaze, so one instance serves a whole sweep. M foreshortens the probe's picture by the
+cosine of the tilt along the tilt.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from tapetum.optics.fourier import MatrixFourier, phasor
+from tapetum.optics.grid import Grid
+from tapetum.optics.pupil import disc_quadrature
+from tapetum.optics.sampling import DoublePassGeometry, SamplingPlan
+
+__all__ = ["DoublePass"]
+
+# Working memory of one batch of gazes, in bytes: past the processor's caches larger batches gain nothing.
+_BATCH_BYTES = 192 << 20
+
+
+class DoublePass:
+    """The retro-reflection of a thin lens before a plane mirror, for any number of gazes.
+
+    Holding the instance is the cache: the spot on the sensor and all fixed kernels are formed once.
+
+    Parameters
+    ----------
+    geometry
+        Lengths of the scene, as numbers.
+    plan
+        Its grids.
+    output
+        Pixels of the probe's sensor.
+    focal_length, image_distance
+        Of the target, in metres, as float64 scalars: gradients flow through them where they ask for it.
+    dtype
+        complex64 or complex128.
+    device
+        Where to compute.
+    """
+
+    def __init__(
+        self,
+        geometry: DoublePassGeometry,
+        plan: SamplingPlan,
+        output: Grid,
+        focal_length: torch.Tensor | float | None = None,
+        image_distance: torch.Tensor | float | None = None,
+        *,
+        dtype: torch.dtype = torch.complex64,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.geometry, self.plan, self.output, self.dtype = geometry, plan, output, dtype
+        self.device = torch.device(device)
+        f = _scalar(geometry.focal_length if focal_length is None else focal_length, device)
+        z = _scalar(geometry.image_distance if image_distance is None else image_distance, device)
+        self._z = z
+        self._k = 2 * math.pi / geometry.wavelength
+
+        disc = disc_quadrature(geometry.radius, plan.columns, plan.rows)
+        self._x, self._y = disc.x.to(device), disc.y.to(device)
+        rho_squared = disc.rho_squared().to(device)
+        weights = disc.weights.to(device)
+        defocus = self._k / 2 * (1 / z - 1 / f) * rho_squared
+        illumination = self._k / 2 * geometry.curvature * rho_squared
+
+        sensor = Grid(plan.sensor_count, plan.sensor_count, 2 * plan.sensor_half_width / plan.sensor_count)
+        self._v = sensor.x(device=device)
+        to_sensor = MatrixFourier(self._x, self._y, self._v, self._v, self._k / z, torch.complex128)
+        wave = 1j * geometry.wavelength * z
+        spot = to_sensor(weights * phasor(defocus + illumination)) / wave
+        v_squared = self._v[None, :] ** 2 + self._v[:, None] ** 2
+        spot = (
+            spot * phasor(self._k * v_squared / z) * _window(v_squared.sqrt(), plan.sensor_flat, plan.sensor_half_width)
+        )
+        # Constants ride along with the spot, so that the hot loop is products and phases alone.
+        to_image = 1j * geometry.wavelength * geometry.probe_focal_length
+        self._spot = (spot * (sensor.pitch**2 / wave / to_image)).to(dtype)
+        self._to_pupil = MatrixFourier(self._v, self._v, self._x, self._y, self._k / z, dtype)
+        self._exit = (weights * phasor(defocus)).to(dtype)
+        self._kappa = self._k / geometry.probe_focal_length
+        self._to_image = MatrixFourier(
+            self._x, self._y, output.x(device=device), output.y(device=device), self._kappa, dtype
+        )
+
+    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Irradiance on the probe's pixels for an illumination of 1 W/m² and a perfect mirror.
+
+        Parameters
+        ----------
+        sines
+            [B, 2] sines of the tilt along x and y.
+        centres
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+
+        Returns
+        -------
+        torch.Tensor
+            [B, H, W], W/m².
+        """
+        sines = sines.to(self.device, torch.float64)
+        size = self._batch(sines.requires_grad)
+        starts = range(0, len(sines), size)
+        images = [self.field(sines[i : i + size], None if centres is None else centres[i : i + size]) for i in starts]
+        return torch.cat([(u.real**2 + u.imag**2) for u in images])
+
+    def exit_pupil(self, sines: torch.Tensor) -> torch.Tensor:
+        """Field leaving the lens, tilt removed, times the pupil's quadrature weights: [B, rows, columns] complex."""
+        offset = 2 * self._k * self._twisted(sines.to(self.device, torch.float64))
+        column = phasor(offset[:, 0, None, None] * self._v[None, None, :]).to(self.dtype)
+        row = phasor(offset[:, 1, None, None] * self._v[None, :, None]).to(self.dtype)
+        return self._to_pupil(self._spot * column * row) * self._exit
+
+    def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
+        sines = sines.to(self.device, torch.float64)
+        pupil = self.exit_pupil(sines)
+        if centres is not None:
+            shift = self._kappa * centres.to(self.device, torch.float64)
+            column = phasor(shift[:, 0, None, None] * self._x[None, None, :]).to(self.dtype)
+            row = phasor(shift[:, 1, None, None] * self._y[None, :, None]).to(self.dtype)
+            pupil = pupil * column * row
+        if not self._foreshortens(sines):
+            return self._to_image(pupil)
+        return self._foreshortened(pupil, sines)
+
+    def _batch(self, gradients: bool) -> int:
+        size = 16 if self.dtype == torch.complex128 else 8
+        one = self.plan.bytes_needed(1, self.output.rows * self.output.columns, size)
+        # A graph for gradients keeps every intermediate result anyway.
+        return 1 << 20 if gradients else max(1, _BATCH_BYTES // one)
+
+    def _foreshortens(self, sines: torch.Tensor) -> bool:
+        """Whether the cosine of the tilt moves anything in the picture by more than the plan's error allows."""
+        if sines.requires_grad:
+            return True
+        tilt = float((sines.detach() ** 2).sum(-1).max()) if len(sines) else 0.0
+        g = self.geometry
+        reach = min(g.exit_angle + 2 * g.wavelength / g.radius, g.window / g.probe_focal_length)
+        # The edge of the pupil sees the picture's edge move by this phase; its share in a picture's error is smaller.
+        return self._k * g.radius * reach * tilt / 2 > 2 * min(self.plan.expected_error, 1e-2)
+
+    def _foreshortened(self, pupil: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
+        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation goes
+        # to the (round) pupil, see _twisted, and a triangular T costs one phase between the two products.
+        _, t = _foreshortening(sines)
+        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
+        row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * self._y[None, None, :])
+        mix = phasor(-self._kappa * t[:, 0, 1, None, None] * qy[None, :, None] * self._x[None, None, :])
+        column = phasor(-self._kappa * t[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :])
+        half = (row.to(self.dtype) @ pupil) * mix.to(self.dtype)
+        return half @ column.to(self.dtype)
+
+    def _twisted(self, sines: torch.Tensor) -> torch.Tensor:
+        if not self._foreshortens(sines):
+            return sines
+        rotation, _ = _foreshortening(sines)
+        return (rotation.mT @ sines[:, :, None])[:, :, 0]
+
+
+def _foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rotation R and upper triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
+    square = (sines**2).sum(-1)
+    # (1 - cosθ)/sin²θ = 1/(1 + cosθ): no division by zero at zero tilt.
+    scale = 1 / (1 + torch.sqrt(1 - square))
+    eye = torch.eye(2, dtype=sines.dtype, device=sines.device)
+    m = eye - scale[:, None, None] * sines[:, :, None] * sines[:, None, :]
+    length = torch.sqrt(m[:, 0, 0] ** 2 + m[:, 1, 0] ** 2)
+    c, s = m[:, 0, 0] / length, m[:, 1, 0] / length
+    rotation = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
+    return rotation, rotation.mT @ m
+
+
+def _window(radius: torch.Tensor, flat: float, end: float) -> torch.Tensor:
+    """1 up to `flat`, then a raised cosine to 0 at `end`."""
+    return torch.cos(((radius - flat) / (end - flat)).clamp(0, 1) * (math.pi / 2)) ** 2
+
+
+def _scalar(value: torch.Tensor | float, device: torch.device | str) -> torch.Tensor:
+    return torch.as_tensor(value, dtype=torch.float64, device=device)

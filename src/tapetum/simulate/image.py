@@ -1,0 +1,117 @@
+"""The irradiance a simulation puts on the probe's pixels, with where it came from."""
+
+# Matplotlib and Zarr type these functions in part only.
+# pyright: reportUnknownMemberType=false
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from tapetum.errors import InputError
+from tapetum.files import atomic_file, atomic_folder
+
+__all__ = ["IMAGE_SUFFIXES", "Image"]
+
+IMAGE_SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".zarr")
+
+
+@dataclass(frozen=True)
+class Image:
+    """One or many retro-reflections on the same pixels.
+
+    Parameters
+    ----------
+    irradiance
+        [B, H, W] in W/m² on the probe's sensor. It carries gradients where its scene's values do.
+    pitch
+        Pixel pitch in metres.
+    metadata
+        Plain values: the rotations in degrees, the wavelength, the sampling and the error it should give.
+    """
+
+    irradiance: torch.Tensor
+    pitch: float
+    metadata: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    def __len__(self) -> int:
+        return len(self.irradiance)
+
+    def __iter__(self) -> Iterator[torch.Tensor]:
+        return iter(self.irradiance)
+
+    def numpy(self) -> npt.NDArray[np.float64]:
+        """The irradiance as float64, [B, H, W]."""
+        return self.irradiance.detach().to("cpu", torch.float64).numpy()
+
+    def save(self, path: str | os.PathLike[str]) -> Path:
+        """Write the images to one file.
+
+        `.npy`: float64 irradiance, [H, W] for one image and [B, H, W] for several. `.tif`: a float32 page an image.
+        `.png`: all images beside each other, square root of the irradiance, each to its own peak: to look at, not to
+        measure. `.zarr`: irradiance with pitch and metadata.
+
+        Raises
+        ------
+        InputError
+            For another suffix, or a place that cannot be written.
+        """
+        path = Path(path)
+        if path.suffix.lower() not in IMAGE_SUFFIXES:
+            raise InputError(
+                f"unknown image type {path.suffix!r}", where=path, remedy=f"use {', '.join(IMAGE_SUFFIXES)}"
+            )
+        images = self.numpy()
+        if path.suffix == ".zarr":
+            import zarr
+
+            with atomic_folder(path, overwrite=True) as part:
+                group = zarr.open_group(part, mode="w")
+                group.create_array("irradiance", data=images)
+                group.attrs.update({"units": "W/m^2", "pitch_m": self.pitch, **_plain(self.metadata)})
+            return path
+        with atomic_file(path) as part:
+            if path.suffix == ".npy":
+                np.save(part, images[0] if len(images) == 1 else images)
+            elif path.suffix == ".png":
+                _write(part, [np.hstack([_stretched(image) for image in images])])
+            else:
+                _write(part, [image.astype(np.float32) for image in images])
+        return path
+
+    def show(self) -> None:
+        """Show the images in a Matplotlib window, square root of the irradiance, each to its own peak."""
+        from matplotlib import pyplot
+
+        _, axes = pyplot.subplots(1, len(self), squeeze=False, figsize=(3 * len(self), 3))
+        rotations = self.metadata.get("rotation_deg", [None] * len(self))
+        for axis, image, rotation in zip(axes[0], self.numpy(), rotations, strict=True):
+            axis.imshow(_stretched(image), cmap="inferno")
+            axis.set_axis_off()
+            if rotation is not None:
+                axis.set_title(f"{rotation[0]:g}°, {rotation[1]:g}°")
+        pyplot.show()
+
+
+def _stretched(image: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
+    peak = image.max()
+    return np.round(255 * np.sqrt(np.clip(image, 0, None) / (peak if peak > 0 else 1))).astype(np.uint8)
+
+
+def _write(path: Path, pages: list[npt.NDArray[Any]]) -> None:
+    import cv2
+
+    if not cv2.imwritemulti(str(path), pages):
+        raise InputError("could not be written", where=path, remedy="check the folder and the space left")
+
+
+def _plain(metadata: dict[str, Any]) -> dict[str, Any]:
+    return json.loads(json.dumps(metadata, default=float))
