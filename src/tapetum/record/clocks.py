@@ -1,0 +1,141 @@
+"""Two streams, two cameras, one clock: which frames of the one lie around each frame of the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from datetime import UTC, datetime
+
+import numpy as np
+
+from tapetum.errors import InputError
+from tapetum.record.recording import Recording
+
+__all__ = ["Joined", "join"]
+
+
+@dataclass(frozen=True, eq=False)
+class Joined:
+    """For each frame of one stream, the two frames of another that bracket it in time.
+
+    Attributes
+    ----------
+    before, after
+        Index of the frame of the other stream at or before, and after, each frame; -1 where there is none
+        near enough. [N] int64.
+    weight
+        How far the frame lies from `before` (0) to `after` (1); 0 where there is none. [N] float64.
+    gap
+        Time to the nearer of the two in seconds; infinite where there is none. [N] float64.
+    """
+
+    before: np.ndarray
+    after: np.ndarray
+    weight: np.ndarray
+    gap: np.ndarray
+
+    @property
+    def found(self) -> np.ndarray:
+        """Whether each frame has its two neighbours, [N] bool."""
+        return self.before >= 0
+
+    def __len__(self) -> int:
+        return len(self.before)
+
+    def interpolate(self, values: np.ndarray) -> np.ndarray:
+        """Carry values of the other stream's frames over, linearly in time.
+
+        Parameters
+        ----------
+        values
+            [M] or [M, K], a value for every frame of the other stream.
+
+        Returns
+        -------
+        numpy.ndarray
+            [N] or [N, K] float64; NaN where a frame has no neighbours, or one that counts has NaN.
+        """
+        given = np.asarray(values, np.float64)
+        out = np.full((len(self), *given.shape[1:]), np.nan)
+        there = self.found
+        low, high = given[self.before[there]], given[self.after[there]]
+        weight = self.weight[there].reshape(-1, *[1] * (given.ndim - 1))
+        # A neighbour of weight 0 does not count: its NaN must not spread.
+        out[there] = np.where(weight > 0, (1 - weight) * low + weight * high, low)
+        return out
+
+
+def span(times: np.ndarray) -> str:
+    """Return first and last moment (ns UTC) for a message."""
+    ends = (datetime.fromtimestamp(int(value) / 1e9, UTC) for value in (times[0], times[-1]))
+    return " to ".join(moment.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z" for moment in ends)
+
+
+def rising(recording: Recording, stream: str) -> np.ndarray:
+    """Return a stream's UTC in ns, [N] int64, checked to be usable."""
+    times = recording.utc_ns(stream)
+    if not len(times):
+        raise InputError(f"stream {stream} holds no frames", where=recording.path, remedy="record again")
+    back = np.flatnonzero(np.diff(times) <= 0)
+    if len(back):
+        raise InputError(
+            f"UTC of stream {stream} does not rise at frame {back[0] + 1} (its clock was set meanwhile)",
+            where=recording.path,
+            remedy="record again with the clock left alone",
+        )
+    return times
+
+
+def join(
+    recording: Recording,
+    onto: str = "probe",
+    other: str = "target",
+    tolerance: float | None = None,
+    *,
+    offset: float = 0.0,
+) -> Joined:
+    """Find, by UTC, the frames of one stream around each frame of another.
+
+    Parameters
+    ----------
+    recording
+        The recording with both streams.
+    onto
+        The stream whose every frame gets an answer.
+    other
+        The stream in which to look.
+    tolerance
+        Farthest that the nearer neighbour may be, in seconds; by default 0.75 of the other stream's median
+        frame interval, so that a lone lost frame is bridged except in the middle of its gap.
+    offset
+        Seconds to add to the other stream's UTC, where its clock is known to be wrong.
+
+    Raises
+    ------
+    InputError
+        When a stream is missing or empty, its UTC does not rise, or the two do not overlap at all.
+    """
+    wanted = rising(recording, onto)
+    there = rising(recording, other) + round(offset * 1e9)
+    if there[-1] < wanted[0] or there[0] > wanted[-1]:
+        raise InputError(
+            f"the clocks of {onto} and {other} do not overlap: {span(wanted)} and {span(there)}",
+            where=recording.path,
+            remedy="set both cameras by one clock and record again, or give the offset between them",
+        )
+    period = float(np.median(np.diff(there))) if len(there) > 1 else 1e9 / float(recording.streams[other].rate or 15)
+    limit = 0.75 * period if tolerance is None else tolerance * 1e9
+    after = np.searchsorted(there, wanted, side="right")
+    before = after - 1
+    exact = (before >= 0) & (there[np.maximum(before, 0)] == wanted)
+    after = np.where(exact, before, after)
+    inside = (before >= 0) & (after < len(there))
+    low, high = there[np.clip(before, 0, None)], there[np.clip(after, None, len(there) - 1)]
+    gap = np.where(inside, np.minimum(wanted - low, high - wanted), np.inf)
+    inside &= gap <= limit
+    weight = np.where(inside, (wanted - low) / np.maximum(high - low, 1), 0.0)
+    return Joined(
+        before=np.where(inside, before, -1),
+        after=np.where(inside, after, -1),
+        weight=weight,
+        gap=np.where(inside, gap, np.inf) / 1e9,
+    )

@@ -1,0 +1,197 @@
+"""Grey frames from image files: PNG, TIFF, PGM, BMP and JPEG, 8 or 16 bit, one file or a folder of them."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from tapetum.errors import InputError
+from tapetum.record.source import Frame, existing, full_scale_of
+
+__all__ = ["IMAGE_SUFFIXES", "ImageSource", "read_image"]
+
+IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".pnm", ".ppm", ".bmp", ".jpg", ".jpeg")
+TIFF_SUFFIXES = (".tif", ".tiff")
+DAMAGED = "copy or export it again"
+
+
+def natural_key(name: str) -> list[tuple[int, str]]:
+    """Return a sort key under which `frame10` follows `frame9`."""
+    return [(int(part), "") if part.isdecimal() else (-1, part.casefold()) for part in re.split(r"(\d+)", name)]
+
+
+@contextlib.contextmanager
+def hushed() -> Iterator[None]:
+    """Keep OpenCV from writing about broken files to standard error: the InputError says it."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+def cut_short(data: bytes) -> bool:
+    """Return whether a PNG, JPEG or BMP lacks its end.
+
+    Looked at before decoding: libpng and libjpeg print about it, and some versions of OpenCV fill the rest
+    with grey.
+    """
+    if data.startswith(b"\x89PNG\r\n\x1a\n"):
+        return b"IEND" not in data[-64:]
+    if data.startswith(b"\xff\xd8\xff"):
+        # Within coded data 0xff is never followed by 0xd9; some cameras append a little after the end.
+        return b"\xff\xd9" not in data[-4096:]
+    if data.startswith(b"BM") and len(data) >= 6:
+        return int.from_bytes(data[2:6], "little") > len(data)
+    return False
+
+
+def pnm_maximum(data: bytes) -> int | None:
+    """Return the maximum sample value that the header of a PGM or PPM states, None for any other file."""
+    if data[:2] not in (b"P2", b"P3", b"P5", b"P6"):
+        return None
+    header = re.sub(rb"#[^\n\r]*", b"", data[:4096])
+    match = re.match(rb"P\d\s+\d+\s+\d+\s+(\d+)\s", header)
+    return int(match.group(1)) if match else None
+
+
+def to_grey(image: np.ndarray) -> np.ndarray:
+    """Return [H, W] from OpenCV's [H, W], [H, W, 3] (BGR) or [H, W, 4] (BGRA), same type."""
+    if image.ndim == 2:
+        return image
+    if image.shape[2] == 1:
+        return np.ascontiguousarray(image[..., 0])
+    code = cv2.COLOR_BGRA2GRAY if image.shape[2] == 4 else cv2.COLOR_BGR2GRAY
+    return cv2.cvtColor(image, code)
+
+
+def read_image(path: str | os.PathLike[str], page: int = 0) -> tuple[np.ndarray, int]:
+    """Read one image file as grey.
+
+    Parameters
+    ----------
+    path
+        A file with one of `IMAGE_SUFFIXES`.
+    page
+        Which picture of a TIFF of several, from 0.
+
+    Returns
+    -------
+    image
+        [H, W], uint8 or uint16. Colour becomes luma; orientation tags are ignored: pixels are the sensor's.
+    full_scale
+        Digital number of saturation: what a PGM's header states, else 255 or 65535.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, is cut short or damaged, or holds other than 8 or 16 bit samples.
+    """
+    file = Path(path)
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror})", where=file, remedy="check the path") from error
+    if not data:
+        raise InputError("is empty", where=file, remedy=DAMAGED)
+    if cut_short(data):
+        raise InputError("the image is truncated", where=file, remedy=DAMAGED)
+    image = None
+    with hushed(), contextlib.suppress(cv2.error):
+        if page:
+            flags = cv2.IMREAD_UNCHANGED
+            _, pages = cv2.imreadmulti(str(file), start=page, count=1, flags=flags)  # type: ignore[call-overload]
+            image = pages[0] if len(pages) else None
+        else:
+            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise InputError("is truncated, or not an image that can be read", where=file, remedy=DAMAGED)
+    if image.dtype not in (np.uint8, np.uint16):
+        raise InputError(f"holds {image.dtype} samples", where=file, remedy="save it with 8 or 16 bit")
+    stated = pnm_maximum(data)
+    # Pictures of 1 bit and palettes are spread over the whole byte: the type's own range holds for them.
+    return to_grey(image), stated if stated else full_scale_of(image.dtype)
+
+
+def count_pages(file: Path) -> int:
+    """Return how many pictures a TIFF holds (1 for a damaged one: reading it tells what is wrong)."""
+    with hushed(), contextlib.suppress(cv2.error):
+        return max(1, cv2.imcount(str(file)))
+    return 1
+
+
+@dataclass(frozen=True)
+class ImageSource:
+    """Image files as a source of frames. It has no clock: frames are counted at `rate`.
+
+    Attributes
+    ----------
+    files
+        The image files, in order.
+    name
+        What to call the source in a message.
+    rate
+        Frames per second that `Frame.time` is counted with.
+    """
+
+    files: tuple[Path, ...]
+    name: str
+    rate: float = 15.0
+
+    def __post_init__(self) -> None:
+        pages = [
+            (file, page)
+            for file in self.files
+            for page in range(count_pages(file) if file.suffix.lower() in TIFF_SUFFIXES else 1)
+        ]
+        object.__setattr__(self, "_pages", pages)
+        object.__setattr__(self, "_full_scale", None)
+
+    @classmethod
+    def from_path(cls, path: str | os.PathLike[str], rate: float = 15.0) -> ImageSource:
+        """Make a source of one image file, or of all those in a folder, in natural order.
+
+        Raises
+        ------
+        InputError
+            When nothing is there, or the folder holds no image.
+        """
+        place = existing(path)
+        if not place.is_dir():
+            return cls((place,), str(place), rate)
+        found = [
+            file
+            for file in place.iterdir()
+            if file.suffix.lower() in IMAGE_SUFFIXES and not file.name.startswith(".") and file.is_file()
+        ]
+        if not found:
+            looked_for = ", ".join(suffix.lstrip(".") for suffix in IMAGE_SUFFIXES)
+            raise InputError("the folder holds no images", where=place, remedy=f"put frames in it ({looked_for})")
+        return cls(tuple(sorted(found, key=lambda file: natural_key(file.name))), str(place), rate)
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self._pages)  # type: ignore[attr-defined]
+
+    @property
+    def full_scale(self) -> int:
+        """Digital number at which the first frame saturates; `Frame.full_scale` is right for every one."""
+        return read_image(*self._pages[0])[1]  # type: ignore[attr-defined]
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[Frame]:
+        for index, (file, page) in enumerate(self._pages):  # type: ignore[attr-defined]
+            image, full_scale = read_image(file, page)
+            name = f"{file.name}[{page}]" if page else file.name
+            yield Frame(index, index / self.rate, image, name, full_scale)

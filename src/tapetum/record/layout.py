@@ -1,0 +1,164 @@
+"""The layout of a recording's folder: names, columns, and how each file of it is read and written."""
+
+from __future__ import annotations
+
+import json
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tapetum.errors import InputError
+from tapetum.files import atomic_file
+
+__all__ = [
+    "FORMAT",
+    "FRAMES",
+    "JOURNAL",
+    "LABELS",
+    "META",
+    "SCHEMA",
+    "TRUTH",
+    "VERSION",
+    "StreamInfo",
+    "is_recording",
+    "read_journal",
+    "read_meta",
+    "read_table",
+    "write_json",
+    "write_table",
+]
+
+FORMAT, VERSION = "tapetum-recording", 1
+META, JOURNAL, FRAMES, LABELS, TRUTH = (
+    "recording.json",
+    "frames.journal",
+    "frames.parquet",
+    "labels.parquet",
+    "truth.parquet",
+)
+SCHEMA = pa.schema(
+    [
+        ("stream", pa.string()),
+        ("index", pa.int64()),
+        ("monotonic_ns", pa.int64()),
+        ("utc", pa.timestamp("ns", "UTC")),
+        ("dropped_before", pa.int64()),
+    ]
+)
+
+
+@dataclass(frozen=True)
+class StreamInfo:
+    """What one stream of a recording holds.
+
+    Attributes
+    ----------
+    height, width
+        Size of a frame in pixels.
+    bits
+        Depth of the sensor's numbers, 1 to 16; up to 8 are kept as uint8, more as uint16.
+    full_scale
+        Digital number of saturation; by default 2^bits - 1.
+    rate
+        Nominal frames per second; by default the recording's.
+    """
+
+    height: int
+    width: int
+    bits: int = 8
+    full_scale: int | None = None
+    rate: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.height < 1 or self.width < 1:
+            raise InputError(f"size must be positive, is {self.height} x {self.width}", where="stream")
+        if not 1 <= self.bits <= 16:
+            raise InputError(f"must be 1 to 16, is {self.bits}", where="stream bits")
+        if self.full_scale is None:
+            object.__setattr__(self, "full_scale", 2**self.bits - 1)
+
+    @property
+    def dtype(self) -> np.dtype:
+        """Type of the stream's images."""
+        return np.dtype(np.uint8 if self.bits <= 8 else np.uint16)
+
+
+def is_recording(path: str | os.PathLike[str]) -> bool:
+    """Return whether `path` is a folder that is, or by its name claims to be, a recording."""
+    place = Path(path)
+    return place.is_dir() and ((place / META).exists() or place.suffix == ".rec")
+
+
+def write_json(path: Path, value: dict[str, Any]) -> None:
+    """Write a JSON file whole or not at all."""
+    with atomic_file(path) as part:
+        part.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
+
+
+def write_table(path: Path, table: pa.Table) -> None:
+    """Write a Parquet file whole or not at all."""
+    with atomic_file(path) as part:
+        pq.write_table(table, part, compression="zstd")
+
+
+def read_table(path: Path) -> pa.Table:
+    """Read a Parquet file, or raise an InputError."""
+    try:
+        return pq.read_table(path)
+    except (OSError, pa.ArrowException) as error:
+        raise InputError("is damaged or not a Parquet file", where=path, remedy="make it again") from error
+
+
+def read_journal(path: Path) -> pa.Table:
+    """Read the clocks that an unfinished recording left, without a last line that was torn.
+
+    Raises
+    ------
+    InputError
+        When the journal is missing or a line in its middle is damaged.
+    """
+    try:
+        text = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            f"neither {FRAMES} nor {JOURNAL} can be read", where=path.parent, remedy="record again"
+        ) from error
+    rows = []
+    for number, line in enumerate(text.split(b"\n")[:-1]):
+        try:
+            stream, index, monotonic, utc, dropped = line.decode("ascii").split()
+            rows.append((stream, int(index), int(monotonic), int(utc), int(dropped)))
+        except ValueError as error:
+            raise InputError(f"line {number + 1} is damaged", where=path, remedy="cut the journal before it") from error
+    columns = list(zip(*rows, strict=True)) or [()] * len(SCHEMA)
+    return pa.table(
+        [pa.array(column, field.type) for column, field in zip(columns, SCHEMA, strict=True)], schema=SCHEMA
+    )
+
+
+def read_meta(place: Path) -> dict[str, Any]:
+    """Read a recording's recording.json and check that it is one that this version can read."""
+    file = place / META
+    if not file.is_file():
+        raise InputError(f"holds no {META}", where=place, remedy="give a recording, a folder NAME.rec")
+    try:
+        meta = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise InputError("is damaged", where=file, remedy="restore it from a copy") from error
+    if not isinstance(meta, dict) or meta.get("format") != FORMAT:
+        raise InputError(f"is not a {FORMAT}", where=file, remedy="give a recording made by tapetum record")
+    version = meta.get("version")
+    if not isinstance(version, int) or version < 1:
+        raise InputError(f"has no usable version ({version!r})", where=file, remedy="restore it from a copy")
+    if version > VERSION:
+        raise InputError(
+            f"is of version {version}, this Tapetum reads up to {VERSION}",
+            where=file,
+            remedy="update Tapetum",
+        )
+    return meta

@@ -1,0 +1,241 @@
+"""Recordings on disk: a video for every stream, the clocks of every frame, and what is known of them.
+
+`NAME.rec/` holds `recording.json`, `<stream>.mkv`, `frames.parquet` and, once made, `labels.parquet` and
+`truth.parquet`. While it is being written the clocks stand in `frames.journal`, one line a frame; closing
+turns that into `frames.parquet`. A recording whose writer was killed stays readable: the journal counts, as
+far as the video goes.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from tapetum.errors import InputError
+from tapetum.record.layout import (
+    FRAMES,
+    JOURNAL,
+    LABELS,
+    META,
+    SCHEMA,
+    TRUTH,
+    StreamInfo,
+    is_recording,
+    read_journal,
+    read_meta,
+    read_table,
+    write_table,
+)
+from tapetum.record.source import Frame, existing
+from tapetum.record.video import count_frames, decoded, truncated
+from tapetum.record.writer import RecordingWriter
+
+__all__ = ["Recording", "RecordingSource", "RecordingWriter", "StreamInfo", "is_recording", "open_recording"]
+
+
+@dataclass(frozen=True)
+class Recording:
+    """A recording on disk, opened for reading (see `open_recording`).
+
+    Attributes
+    ----------
+    path
+        The folder.
+    meta
+        What recording.json says, whole.
+    streams
+        The streams by name.
+    """
+
+    path: Path
+    meta: dict[str, Any]
+    streams: dict[str, StreamInfo]
+
+    @property
+    def name(self) -> str:
+        """The folder's name without `.rec`."""
+        return self.path.name.removesuffix(".rec")
+
+    @property
+    def uuid(self) -> str:
+        """What tells this recording from every other."""
+        return str(self.meta["uuid"])
+
+    @property
+    def finished(self) -> bool:
+        """Whether the recording was closed, or its writer died."""
+        return bool(self.meta["finished"])
+
+    def stream(self, name: str) -> StreamInfo:
+        """Return what a stream holds.
+
+        Raises
+        ------
+        InputError
+            When the recording has no such stream.
+        """
+        if name not in self.streams:
+            has = ", ".join(self.streams)
+            raise InputError(f"no stream {name!r}", where=self.path, remedy=f"the recording has {has}")
+        return self.streams[name]
+
+    def video(self, stream: str) -> Path:
+        """Return the path of a stream's video."""
+        self.stream(stream)
+        return self.path / f"{stream}.mkv"
+
+    def frames(self, stream: str) -> pa.Table:
+        """Return the clocks of a stream's frames.
+
+        Returns
+        -------
+        pyarrow.Table
+            A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC) and
+            `dropped_before` (frames lost since the one before). Of an unfinished recording, the frames that
+            are whole in its video.
+
+        Raises
+        ------
+        InputError
+            When there is no such stream, or a file is missing or damaged.
+        """
+        self.stream(stream)
+        # The journal goes last on closing, so that one of the two is always whole.
+        whole = (self.path / FRAMES).exists()
+        table = read_table(self.path / FRAMES) if whole else read_journal(self.path / JOURNAL)
+        if not table.schema.equals(SCHEMA):
+            raise InputError(
+                f"columns are not {', '.join(SCHEMA.names)}", where=self.path / FRAMES, remedy="record again"
+            )
+        table = table.filter(pc.equal(table["stream"], stream))  # type: ignore[attr-defined]
+        if not np.array_equal(table["index"].to_numpy(), np.arange(len(table))):
+            raise InputError(f"frames of {stream} are not numbered 0, 1, 2 …", where=self.path, remedy="record again")
+        if self.finished:
+            return table
+        return table.slice(0, count_frames(existing(self.video(stream))) if len(table) else 0)
+
+    def utc_ns(self, stream: str) -> np.ndarray:
+        """Return UTC of a stream's frames in nanoseconds since 1970, [N] int64."""
+        return self.frames(stream)["utc"].cast(pa.int64()).to_numpy()
+
+    def source(self, stream: str = "probe") -> RecordingSource:
+        """Return a stream as a source of frames.
+
+        Raises
+        ------
+        InputError
+            As `frames` does.
+        """
+        info, utc = self.stream(stream), self.utc_ns(stream)
+        existing(self.video(stream))
+        times = (utc - utc[0]) / 1e9 if len(utc) else np.empty(0)
+        return RecordingSource(self.video(stream), stream, int(info.full_scale or 0), times, self.finished)
+
+    def labels(self) -> pa.Table | None:
+        """Return the labels, or None where none were made yet."""
+        return read_table(self.path / LABELS) if (self.path / LABELS).exists() else None
+
+    def truth(self) -> pa.Table | None:
+        """Return what the virtual bench knows of the probe frames, or None: real recordings have no truth."""
+        return read_table(self.path / TRUTH) if (self.path / TRUTH).exists() else None
+
+    def write_labels(self, table: pa.Table) -> None:
+        """Keep labels with the recording, in place of any before.
+
+        Parameters
+        ----------
+        table
+            A row a probe frame; must have the columns `frame`, `how` and `quality`.
+        """
+        missing = {"frame", "how", "quality"} - set(table.column_names)
+        if missing:
+            raise InputError(f"labels lack the columns {', '.join(sorted(missing))}", where=self.path / LABELS)
+        write_table(self.path / LABELS, table)
+
+    def write_truth(self, table: pa.Table) -> None:
+        """Keep the virtual bench's truth with the recording; `frame` must be among the columns."""
+        if "frame" not in table.column_names:
+            raise InputError("truth lacks the column frame", where=self.path / TRUTH)
+        write_table(self.path / TRUTH, table)
+
+
+@dataclass(frozen=True, eq=False)
+class RecordingSource:
+    """A stream of a recording as a source of frames; times count from its first frame by UTC.
+
+    Attributes
+    ----------
+    video
+        The stream's video file.
+    stream
+        The stream's name.
+    full_scale
+        Digital number of saturation.
+    times
+        Seconds of every frame from the first one, [N] float64.
+    finished
+        Whether the recording was closed: then a video with fewer frames than it says is an error.
+    """
+
+    video: Path
+    stream: str
+    full_scale: int
+    times: np.ndarray
+    finished: bool
+
+    @property
+    def name(self) -> str:
+        """Recording and stream, for messages."""
+        return f"{self.video.parent}:{self.stream}"
+
+    @property
+    def count(self) -> int:
+        """Number of frames."""
+        return len(self.times)
+
+    def __len__(self) -> int:
+        return self.count
+
+    def __iter__(self) -> Iterator[Frame]:
+        if not self.count:
+            return
+        number = 0
+        for image, _, _ in decoded(self.video, tolerant=not self.finished):
+            if number == self.count:
+                return
+            yield Frame(number, float(self.times[number]), image, f"{self.stream}[{number}]", self.full_scale)
+            number += 1
+        if number < self.count:
+            raise truncated(self.video, number)
+
+
+def open_recording(path: str | os.PathLike[str]) -> Recording:
+    """Open a recording.
+
+    Parameters
+    ----------
+    path
+        The folder `NAME.rec`.
+
+    Raises
+    ------
+    InputError
+        When it is missing, not a recording, damaged, or of a newer version than this Tapetum reads.
+    """
+    place = existing(path)
+    meta, file = read_meta(place), place / META
+    try:
+        names = ("height", "width", "bits", "full_scale", "rate")
+        streams = {name: StreamInfo(**{key: value[key] for key in names}) for name, value in meta["streams"].items()}
+        if not isinstance(meta["uuid"], str) or not isinstance(meta["finished"], bool):
+            raise TypeError("uuid or finished")
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError(f"lacks or garbles {error}", where=file, remedy="restore it from a copy") from error
+    return Recording(place, meta, streams)

@@ -1,0 +1,99 @@
+"""What the target's camera sees: a furnished room with the probe's laser in it, made up from a seed."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Room"]
+
+_SPOT_REACH = 12
+
+
+class Room:
+    """A textured wall that fills more than the target's field, and the probe's laser on it.
+
+    Parameters
+    ----------
+    columns, rows
+        Of the target's picture.
+    seed
+        Of furniture and texture.
+    spot_sigma
+        Width of the laser's image, in pixels.
+    spot_peak
+        Its height above the scene, in digital numbers; above 255 it saturates.
+    second
+        Offset of the second beam's spot from the first in pixels and its relative height, or None.
+    """
+
+    def __init__(
+        self,
+        columns: int,
+        rows: int,
+        seed: int,
+        *,
+        spot_sigma: float = 1.2,
+        spot_peak: float = 320.0,
+        second: tuple[float, float, float] | None = None,
+    ) -> None:
+        self.columns, self.rows = columns, rows
+        self.spot_sigma, self.spot_peak, self.second = spot_sigma, spot_peak, second
+        self._wall = _furnish(2 * columns + 64, 2 * rows + 64, np.random.default_rng([seed, 2]))
+
+    def picture(self, gaze: npt.NDArray[np.float64], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
+        """The room as seen with the laser at `gaze` (fractions of the field): [rows, columns], 8 bit, with noise."""
+        x = (self.columns - 1) / 2 + gaze[0] * self.columns
+        y = (self.rows - 1) / 2 + gaze[1] * self.rows
+        height, width = self._wall.shape
+        shift = np.array([[1, 0, x - width / 2], [0, 1, y - height / 2]], dtype=np.float64)
+        size = (self.columns, self.rows)
+        moved = cv2.warpAffine(self._wall, shift, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        scene = np.asarray(moved, np.float32)
+        if self.spot_peak:
+            self._add_spot(scene, x, y, 1.0)
+            if self.second is not None:
+                self._add_spot(scene, x + self.second[0], y + self.second[1], self.second[2])
+        # Shot noise of a 6500 electron well read at 8 bits, and 2 electrons of read noise.
+        scale = 255 / 6500
+        noise = rng.standard_normal(scene.shape, dtype=np.float32)
+        scene += noise * np.sqrt(np.maximum(scene, 0) * scale + (2 * scale) ** 2, dtype=np.float32)
+        return np.clip(np.rint(scene), 0, 255).astype(np.uint8)
+
+    def _add_spot(self, scene: npt.NDArray[np.float32], x: float, y: float, share: float) -> None:
+        left, top = max(0, int(x) - _SPOT_REACH), max(0, int(y) - _SPOT_REACH)
+        right, bottom = min(self.columns, int(x) + _SPOT_REACH + 1), min(self.rows, int(y) + _SPOT_REACH + 1)
+        if left >= right or top >= bottom:
+            return
+        across = np.exp(-((np.arange(left, right) - x) ** 2) / (2 * self.spot_sigma**2))
+        down = np.exp(-((np.arange(top, bottom) - y) ** 2) / (2 * self.spot_sigma**2))
+        scene[top:bottom, left:right] += (self.spot_peak * share * down[:, None] * across).astype(np.float32)
+
+
+def _furnish(width: int, height: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
+    """A lit wall with shelves, books and frames, and fine texture over all: mean some 70 of 255."""
+    wall = np.full((height, width), 80.0, np.float32)
+    wall += np.linspace(-18, 18, width, dtype=np.float32) * rng.choice([-1, 1])
+    for _ in range(14):
+        x, y = rng.integers(0, width), rng.integers(0, height)
+        w, h = rng.integers(width // 20, width // 5), rng.integers(height // 20, height // 5)
+        tone = float(rng.uniform(30, 140))
+        cv2.rectangle(wall, (int(x), int(y)), (int(x + w), int(y + h)), tone, -1)
+        cv2.rectangle(wall, (int(x), int(y)), (int(x + w), int(y + h)), tone * 0.6, 3)
+    for shelf in np.linspace(0.12, 0.9, 5):
+        base, x = int(shelf * height), int(rng.integers(0, 60))
+        cv2.rectangle(wall, (0, base), (width, base + 6), 45.0, -1)
+        while x < width:
+            book, tall = int(rng.integers(8, 30)), int(rng.integers(40, 90))
+            if rng.random() < 0.7:
+                cv2.rectangle(wall, (x, base - tall), (x + book, base - 1), float(rng.uniform(25, 150)), -1)
+                cv2.line(wall, (x + book, base - tall), (x + book, base), 20.0, 1)
+            x += book + int(rng.integers(1, 8))
+    for _ in range(12):
+        centre = (int(rng.integers(0, width)), int(rng.integers(0, height)))
+        cv2.circle(wall, centre, int(rng.integers(4, 40)), float(rng.uniform(30, 170)), -1)
+    for octave, strength in ((64, 10.0), (16, 6.0), (4, 3.0)):
+        grain = rng.standard_normal((height // octave + 2, width // octave + 2)).astype(np.float32)
+        wall += strength * cv2.resize(grain, (width, height), interpolation=cv2.INTER_CUBIC)
+    return np.clip(np.asarray(cv2.GaussianBlur(wall, (0, 0), 0.8), np.float32), 2, 200)

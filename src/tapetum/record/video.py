@@ -1,0 +1,418 @@
+"""Lossless grey video: FFV1 in Matroska, written so that a killed program loses one frame, and read exactly.
+
+Every frame is a key frame in a cluster of its own that goes to the operating system as soon as the next frame
+comes. FFV1 version 3, Golomb–Rice coder, small context model, 4 slices on up to 2 threads: the fastest of
+what FFV1 offers (the range coder takes twice the time to save no byte on noisy frames).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import zlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from fractions import Fraction
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import av
+import numpy as np
+from av.error import FFmpegError
+
+from tapetum.errors import InputError
+from tapetum.files import told_when_full
+from tapetum.record.source import Frame, existing, full_scale_of
+
+__all__ = ["VideoSource", "VideoWriter", "count_frames", "read_video"]
+
+PIXEL_FORMATS = {np.dtype(np.uint8): "gray", np.dtype(np.uint16): "gray16le"}
+FFV1 = {"level": "3", "coder": "0", "context": "0", "g": "1", "slices": "4", "slicecrc": "1"}
+FULL_SCALE_TAG = "TAPETUM_FULL_SCALE"
+MILLISECOND = Fraction(1, 1000)
+# A list of what may be opened keeps play lists (which would fetch other files) and text (which FFmpeg would
+# show as a terminal's screen) out.
+CONTAINERS = (
+    "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,ogg,flv,asf,nut,ivf,mjpeg,dv,mxf,gif,apng,"
+    "yuv4mpegpipe,h264,hevc,wtv"
+)
+READ = {"format_whitelist": CONTAINERS, "protocol_whitelist": "file"}
+NATIVE_GREY = {"gray": 255, "gray10le": 1023, "gray12le": 4095, "gray14le": 16383, "gray16le": 65535}
+FOOTER = 8  # bytes at the end of an FFV1 slice: its size (3), a status and a checksum (4)
+MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
+THREADS = max(1, min(2, os.cpu_count() or 1))
+
+
+@contextlib.contextmanager
+def told_when_stuck(path: Path) -> Iterator[None]:
+    """Do as `told_when_full`, and tell of files that may not grow (on FAT, or under `ulimit -f`)."""
+    try:
+        with told_when_full(path):
+            yield
+    except OSError as error:
+        if error.errno != errno.EFBIG:
+            raise
+        remedy = "make shorter recordings or write to another file system"
+        raise InputError("the file has the largest size allowed here", where=path, remedy=remedy) from error
+
+
+class VideoWriter:
+    """Writes grey images as FFV1 in Matroska. A file of that name is replaced.
+
+    Parameters
+    ----------
+    path
+        The file, by custom `.mkv`.
+    size
+        Height and width in pixels.
+    rate
+        Nominal frames per second, used for the time stamps where `write` is given none.
+    dtype
+        numpy.uint8 or numpy.uint16.
+    full_scale
+        Digital number of saturation, kept as a tag (`TAPETUM_FULL_SCALE`); by default the type's largest.
+
+    Raises
+    ------
+    InputError
+        When the size, rate or type cannot be written, or the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        size: tuple[int, int],
+        rate: float = 15.0,
+        dtype: np.dtype | type = np.uint8,
+        full_scale: int | None = None,
+    ) -> None:
+        self.path, self.size, self.dtype, self.count = (
+            Path(path),
+            (int(size[0]), int(size[1])),
+            np.dtype(dtype),
+            0,
+        )
+        if self.dtype not in PIXEL_FORMATS:
+            raise InputError(f"cannot hold {self.dtype} samples", where=self.path, remedy="give uint8 or uint16")
+        if min(self.size) < 1:
+            raise InputError(f"size must be positive, is {self.size}", where=self.path)
+        if not 0 < rate < 1e5:
+            raise InputError(f"rate must be positive, is {rate}", where=self.path, remedy="give frames per second")
+        full_scale = full_scale_of(self.dtype) if full_scale is None else int(full_scale)
+        if not 0 < full_scale <= full_scale_of(self.dtype):
+            raise InputError(f"full scale {full_scale} does not fit {self.dtype}", where=self.path)
+        self.rate = float(rate)
+        self._last_tick = -1
+        self._closed = False
+        self._format = PIXEL_FORMATS[self.dtype]
+        with told_when_stuck(self.path):
+            # The "file:" keeps a name with a colon in it from being taken for a protocol.
+            # A cluster for every frame, however small: FFmpeg writes whole clusters only.
+            options = {"flush_packets": "1", "cluster_size_limit": "1"}
+            self._container = av.open(f"file:{self.path}", "w", format="matroska", options=options)
+        self._container.metadata[FULL_SCALE_TAG] = str(full_scale)
+        stream: Any = self._container.add_stream("ffv1", rate=Fraction(rate).limit_denominator(10_000))
+        stream.height, stream.width = self.size
+        stream.pix_fmt = self._format
+        stream.time_base = stream.codec_context.time_base = MILLISECOND
+        stream.codec_context.thread_type = "SLICE"
+        stream.codec_context.thread_count = THREADS
+        stream.options = FFV1
+        self._stream = stream
+        with told_when_stuck(self.path):
+            # Makes the file now: a place that cannot be written to is told before the first frame.
+            self._container.start_encoding()
+
+    def write(self, image: np.ndarray, time: float | None = None) -> None:
+        """Append one image.
+
+        Parameters
+        ----------
+        image
+            [H, W] of the writer's size and type.
+        time
+            Seconds from the first frame, kept to the millisecond; by default the frame's number over `rate`.
+
+        Raises
+        ------
+        InputError
+            When the image is of another size or type, or the disk is full.
+        """
+        if self._closed:
+            raise InputError("the video is closed already", where=self.path)
+        if image.shape != self.size or image.dtype != self.dtype:
+            given, wanted = f"{list(image.shape)} {image.dtype}", f"{list(self.size)} {self.dtype}"
+            raise InputError(f"frame {self.count} is {given}, the video is {wanted}", where=self.path)
+        frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(image), format=self._format)
+        # Matroska counts in milliseconds and needs rising stamps, however close two frames come.
+        tick = max(self._last_tick + 1, round((self.count / self.rate if time is None else time) * 1000))
+        frame.pts, frame.time_base = tick, MILLISECOND
+        with told_when_stuck(self.path):
+            self._container.mux(self._stream.encode(frame))
+        self._last_tick = tick
+        self.count += 1
+
+    def flush(self) -> None:
+        """Do nothing more: every frame but the newest has reached the operating system when `write` returns.
+
+        Those frames survive the death of the program (`kill -9`); a loss of power is not covered.
+        """
+
+    def close(self) -> None:
+        """Write what is left and the index. Closing twice is harmless.
+
+        Raises
+        ------
+        InputError
+            When the disk is full; the frames before stay readable.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        with told_when_stuck(self.path):
+            try:
+                self._container.mux(self._stream.encode(None))
+            finally:
+                self._container.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+            return
+        # The first error is the one to tell: one on closing would only hide it.
+        try:
+            self.close()
+        except (OSError, InputError):
+            return
+
+
+def open_container(file: Path) -> tuple[Any, Any]:
+    """Return the opened container and its first video stream, or raise an InputError."""
+    if file.is_file() and not file.stat().st_size:
+        raise truncated(file, 0)
+    try:
+        container = av.open(f"file:{file}", options=READ)
+    except EOFError as error:
+        # Nothing but a header, as a writer leaves that was killed at its first frame.
+        raise truncated(file, 0) from error
+    except (FFmpegError, OSError, ValueError) as error:
+        raise InputError(
+            "is not a video that can be read (or its beginning is damaged)",
+            where=file,
+            remedy="give an image, a folder of images, a .rec folder or a video such as .mkv, .mp4 or .avi",
+        ) from error
+    if not container.streams.video:
+        container.close()
+        raise InputError("holds no video", where=file, remedy="give a file with a video stream")
+    stream: Any = container.streams.video[0]
+    stream.codec_context.thread_type = "SLICE" if stream.codec_context.name == "ffv1" else "AUTO"
+    stream.codec_context.thread_count = THREADS
+    return container, stream
+
+
+def matroska_missing(file: Path) -> int | None:
+    """Return how many bytes a finished Matroska file lacks of the size it states.
+
+    FFmpeg drops a torn last frame without a word, so the size is the only trace of a file that was cut. None
+    for a file that is no Matroska or that states no size, as one does whose writer was killed (RFC 8794, §6).
+    """
+    with file.open("rb") as stream:
+        head = stream.read(4096)
+    if not head.startswith(b"\x1a\x45\xdf\xa3"):
+        return None
+
+    def size_at(place: int) -> tuple[int, int]:
+        """Return an element's size and where its data begin; -1 for the size that means unknown."""
+        first = head[place]
+        width = 9 - first.bit_length()
+        value = int.from_bytes(head[place : place + width], "big") & ((1 << 7 * width) - 1)
+        return (-1 if value == (1 << 7 * width) - 1 else value), place + width
+
+    try:
+        header, start = size_at(4)
+        segment = start + header
+        if head[segment : segment + 4] != b"\x18\x53\x80\x67":
+            return None
+        size, start = size_at(segment + 4)
+    except IndexError:
+        return None
+    return None if size < 0 else max(0, start + size - file.stat().st_size)
+
+
+def count_frames(path: str | os.PathLike[str]) -> int:
+    """Return how many whole frames a video holds, without decoding them (some GB a second)."""
+    number = 0
+    try:
+        container, stream = open_container(existing(path))
+    except InputError as error:
+        if isinstance(error.__cause__, EOFError):
+            return number
+        raise
+    with container:
+        try:
+            for packet in container.demux(stream):
+                number += packet.size > 0 and not packet.is_corrupt
+        except (FFmpegError, OSError):
+            return number
+    return number
+
+
+def truncated(file: Path, number: int) -> InputError:
+    """Return the error for a video that ends too early, after `number` whole frames."""
+    return InputError(
+        f"the video is truncated or damaged: {number} frames could be read",
+        where=file,
+        remedy="copy it again, or cut it after the last good frame",
+    )
+
+
+def to_array(frame: Any) -> tuple[np.ndarray, int]:
+    """Return a decoded frame as [H, W] uint8 or uint16, and its full scale."""
+    name = frame.format.name
+    if name in NATIVE_GREY:
+        return frame.to_ndarray(), NATIVE_GREY[name]
+    # Luma over the type's whole range, from whatever colour and depth the file has.
+    wanted = "gray16le" if max(part.bits for part in frame.format.components) > 8 else "gray"
+    return frame.to_ndarray(format=wanted), NATIVE_GREY[wanted]
+
+
+def decoded(file: Path, *, tolerant: bool) -> Iterator[tuple[np.ndarray, int, float | None]]:
+    """Yield image, full scale and seconds (None where the file has no stamp), checking for an early end."""
+    missing = matroska_missing(file)
+    if missing and not tolerant:
+        # Known before the first frame: nobody should wait an hour to be told.
+        raise truncated(file, count_frames(file))
+    number = packets = 0
+    container, stream = open_container(file)
+    with container:
+        tag = container.metadata.get(FULL_SCALE_TAG, "")
+        stated = int(tag) if tag.isdecimal() else None
+        try:
+            for packet in container.demux(stream):
+                packets += packet.size > 0
+                if stated and packet.size and not slices_whole(bytes(packet)):
+                    raise truncated(file, number)
+                for frame in packet.decode():
+                    if frame.is_corrupt:
+                        raise truncated(file, number)
+                    image, full_scale = to_array(frame)
+                    yield (
+                        image,
+                        stated or full_scale,
+                        None if frame.pts is None else float(frame.pts * frame.time_base),
+                    )
+                    number += 1
+        except (FFmpegError, OSError, InputError) as error:
+            if not tolerant:
+                raise truncated(file, number) from error
+            return
+        if not tolerant and (number == 0 or packets < stream.frames):
+            raise truncated(file, number)
+
+
+def slices_whole(packet: bytes) -> bool:
+    """Return whether the checksums of all slices of a frame that `VideoWriter` wrote hold (RFC 9043, §4.9).
+
+    FFmpeg's decoder covers a damaged slice up with what the frame before had there, and tells nobody.
+    """
+    # The checksum takes each byte's highest bit first, zlib's takes the lowest first.
+    mirrored = packet.translate(MIRRORED)
+    end = len(packet)
+    while end >= FOOTER:
+        start = end - FOOTER - int.from_bytes(packet[end - FOOTER : end - FOOTER + 3], "big")
+        # Seeded so that the register starts at 0; it ends there too, since the checksum is part of the slice.
+        if start < 0 or zlib.crc32(mirrored[start:end], 0xFFFFFFFF) != 0xFFFFFFFF:
+            return False
+        end = start
+    return end == 0
+
+
+def read_video(path: str | os.PathLike[str], *, tolerant: bool = False) -> Iterator[np.ndarray]:
+    """Yield the frames of a video as grey arrays, exactly as written where the video is lossless grey.
+
+    Parameters
+    ----------
+    path
+        A video file of any kind that FFmpeg reads.
+    tolerant
+        Whether to stop quietly at the last whole frame of a truncated or damaged file.
+
+    Yields
+    ------
+    image
+        [H, W], uint8 or uint16.
+
+    Raises
+    ------
+    InputError
+        When the file cannot be read, and, unless `tolerant`, when it is truncated or damaged.
+    """
+    for image, _, _ in decoded(existing(path), tolerant=tolerant):
+        yield image
+
+
+@dataclass(frozen=True)
+class VideoSource:
+    """A video file as a source of frames; times are the file's own stamps.
+
+    Attributes
+    ----------
+    path
+        The video file.
+    full_scale
+        Digital number of saturation.
+    count
+        Number of frames where the file states it, else None.
+    rate
+        Frames per second for a file without stamps.
+    """
+
+    path: Path
+    full_scale: int
+    count: int | None
+    rate: float
+
+    @classmethod
+    def from_path(cls, path: str | os.PathLike[str]) -> VideoSource:
+        """Open a video file far enough to know that it can be read.
+
+        Raises
+        ------
+        InputError
+            When it is no video, holds no frame that can be decoded, or is seen to be truncated.
+        """
+        file = existing(path)
+        first = decoded(file, tolerant=False)
+        try:
+            # An empty or wholly damaged video raises here.
+            _, full_scale, _ = next(first)
+        finally:
+            first.close()  # type: ignore[attr-defined]
+        container, stream = open_container(file)
+        with container:
+            rate = float(stream.average_rate or 0) or 15.0
+            return cls(file, full_scale, stream.frames or None, rate)
+
+    @property
+    def name(self) -> str:
+        """The file, for messages."""
+        return str(self.path)
+
+    def __len__(self) -> int:
+        if self.count is None:
+            raise TypeError(f"{self.path} does not state its number of frames")
+        return self.count
+
+    def __iter__(self) -> Iterator[Frame]:
+        start: float | None = None
+        for index, (image, full_scale, stamp) in enumerate(decoded(self.path, tolerant=False)):
+            stamp = index / self.rate if stamp is None else stamp
+            start = stamp if start is None else start
+            yield Frame(index, stamp - start, image, f"{self.path.stem}[{index}]", full_scale)

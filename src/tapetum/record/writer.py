@@ -1,0 +1,271 @@
+"""Writes recordings, so that they can be read whatever ends the writing."""
+
+from __future__ import annotations
+
+import contextlib
+import importlib.metadata
+import os
+import platform
+import re
+import shutil
+import uuid
+from collections.abc import Mapping
+from dataclasses import replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import av
+import numpy as np
+
+from tapetum.errors import InputError
+from tapetum.files import told_when_full
+from tapetum.record.layout import (
+    FORMAT,
+    FRAMES,
+    JOURNAL,
+    META,
+    VERSION,
+    StreamInfo,
+    read_journal,
+    read_meta,
+    write_json,
+    write_table,
+)
+from tapetum.record.video import VideoWriter, told_when_stuck
+
+__all__ = ["RecordingWriter"]
+
+
+def iso(utc_ns: int) -> str:
+    """Return nanoseconds since 1970 as ISO 8601 to the microsecond."""
+    seconds, rest = divmod(utc_ns, 10**9)
+    moment = datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000)
+    return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
+
+
+def software() -> dict[str, str]:
+    """Return the versions that made a recording."""
+    return {
+        "tapetum": importlib.metadata.version("tapetum"),
+        "python": platform.python_version(),
+        "av": av.__version__,
+        "system": platform.system(),
+    }
+
+
+class RecordingWriter:
+    """Writes a recording; use it in a `with` block.
+
+    Each frame goes to its video and its clocks to the journal at once, so that a killed program loses at most
+    the newest frame of every stream. Leaving the block by an exception keeps what was written, marked as
+    unfinished; if that was nothing at all, the folder goes.
+
+    Parameters
+    ----------
+    path
+        The folder to make, by custom `NAME.rec`.
+    streams
+        What is recorded, by name (`probe`, `target`).
+    rate
+        Nominal frames per second.
+    hardware
+        What recorded: cameras, lenses, serial numbers; whatever JSON can say.
+    extra
+        More fields for recording.json (a scene, seeds); they may not take the names of its own.
+    start_utc_ns
+        UTC of the recording's start, nanoseconds since 1970.
+    overwrite
+        Whether a recording that stands at `path` may be removed first. Anything else never is.
+
+    Raises
+    ------
+    InputError
+        When something stands at `path`, the arguments cannot be written, or there is no room on the disk.
+    """
+
+    def __init__(
+        self,
+        path: str | os.PathLike[str],
+        *,
+        streams: Mapping[str, StreamInfo],
+        rate: float = 15.0,
+        hardware: Mapping[str, Any] | None = None,
+        extra: Mapping[str, Any] | None = None,
+        start_utc_ns: int,
+        overwrite: bool = False,
+    ) -> None:
+        self.path = Path(path)
+        if not streams:
+            raise InputError("no stream to record", where=self.path, remedy="give at least one")
+        for name in streams:
+            # The name becomes a file's and a word of the journal.
+            if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
+                raise InputError(
+                    f"cannot name a stream {name!r}", where=self.path, remedy="use letters, digits, - and _"
+                )
+        self.streams = {name: replace(info, rate=info.rate or rate) for name, info in streams.items()}
+        self.meta: dict[str, Any] = {
+            "format": FORMAT,
+            "version": VERSION,
+            "uuid": str(uuid.uuid4()),
+            "start_utc": iso(start_utc_ns),
+            "start_utc_ns": int(start_utc_ns),
+            "rate": rate,
+            "finished": False,
+            "hardware": dict(hardware or {}),
+            "streams": {
+                name: {
+                    "file": f"{name}.mkv",
+                    "codec": "ffv1",
+                    "height": info.height,
+                    "width": info.width,
+                    "bits": info.bits,
+                    "full_scale": info.full_scale,
+                    "rate": info.rate,
+                }
+                for name, info in self.streams.items()
+            },
+            "clock": {
+                "utc": "nanoseconds since 1970-01-01, at mid-exposure where the source knows it",
+                "monotonic_ns": "a clock that is never set, for durations within this recording",
+            },
+            "software": software(),
+        }
+        taken = sorted(set(extra or {}) & set(self.meta))
+        if taken:
+            raise InputError(f"{', '.join(taken)} is a name of {META}'s own", where=f"{self.path} extra")
+        self.meta.update(extra or {})
+        self._closed = False
+        self._last: dict[str, int] = {}
+        self._make_room(overwrite)
+        self._videos: dict[str, VideoWriter] = {}
+        try:
+            with told_when_full(self.path):
+                self.path.mkdir(parents=True)
+                # Unbuffered: each line is the operating system's as soon as it is written.
+                self._journal = (self.path / JOURNAL).open("wb", buffering=0)
+            self._write_meta()
+            for name, info in self.streams.items():
+                size, rate_ = (info.height, info.width), float(info.rate or rate)
+                video = VideoWriter(self.path / f"{name}.mkv", size, rate_, info.dtype, info.full_scale)
+                self._videos[name] = video
+        except BaseException:
+            self._abandon()
+            raise
+
+    def _make_room(self, overwrite: bool) -> None:
+        """Remove an older recording at the path where that is allowed."""
+        if not self.path.exists() and not self.path.is_symlink():
+            return
+        if not overwrite:
+            raise InputError("exists already", where=self.path, remedy="choose another name or remove it first")
+        # Only what shows that it is a recording may be removed.
+        read_meta(self.path)
+        with told_when_full(self.path):
+            shutil.rmtree(self.path)
+
+    def _write_meta(self) -> None:
+        """Write recording.json as things stand."""
+        try:
+            write_json(self.path / META, self.meta)
+        except (TypeError, ValueError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError(f"JSON cannot hold it ({error})", where=f"{self.path} hardware or extra") from error
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Frames written so far, by stream."""
+        return {name: video.count for name, video in self._videos.items()}
+
+    def write(self, stream: str, image: np.ndarray, *, monotonic_ns: int, utc_ns: int, dropped_before: int = 0) -> None:
+        """Append one frame to a stream.
+
+        Parameters
+        ----------
+        stream
+            One of the streams the writer was made with.
+        image
+            [H, W] of the stream's size; uint8 up to 8 bit, uint16 above.
+        monotonic_ns
+            The frame's moment by a clock that is never set; must rise within a stream.
+        utc_ns
+            The same moment in UTC, nanoseconds since 1970.
+        dropped_before
+            Frames known to be lost since the one before.
+
+        Raises
+        ------
+        InputError
+            When the frame does not fit its stream, its clock does not rise, or the disk is full.
+        """
+        if self._closed:
+            raise InputError("the recording is closed already", where=self.path)
+        if stream not in self._videos:
+            raise InputError(f"no stream {stream!r}", where=self.path, remedy=f"it has {', '.join(self._videos)}")
+        video, here = self._videos[stream], f"{self.path} {stream}[{self._videos[stream].count}]"
+        first = self._last.setdefault(f"{stream} first", monotonic_ns)
+        if video.count and monotonic_ns <= self._last[stream]:
+            raise InputError(
+                f"the monotonic clock does not rise ({self._last[stream]} then {monotonic_ns} ns)", where=here
+            )
+        if dropped_before < 0:
+            raise InputError(f"dropped_before must not be negative, is {dropped_before}", where=here)
+        line = f"{stream} {video.count} {int(monotonic_ns)} {int(utc_ns)} {int(dropped_before)}\n"
+        video.write(image, (monotonic_ns - first) / 1e9)
+        with told_when_stuck(self.path):
+            self._write_line(line.encode("ascii"))
+        self._last[stream] = monotonic_ns
+
+    def _write_line(self, line: bytes) -> None:
+        """Write a line of the journal whole; a nearly full disk may take only a part at first."""
+        while line:
+            line = line[self._journal.write(line) or 0 :]
+
+    def close(self) -> None:
+        """Finish the recording: the videos' indexes, frames.parquet, and `"finished": true` last of all.
+
+        Raises
+        ------
+        InputError
+            When the disk is full; the recording then stays readable, marked as unfinished.
+        """
+        if self._closed:
+            return
+        self._closed = True
+        for video in self._videos.values():
+            video.close()
+        self._journal.close()
+        write_table(self.path / FRAMES, read_journal(self.path / JOURNAL))
+        for name, count in self.counts.items():
+            self.meta["streams"][name]["frames"] = count
+        self.meta["finished"] = True
+        self._write_meta()
+        # Last, so that at every moment there is a whole list of the frames.
+        (self.path / JOURNAL).unlink()
+
+    def _abandon(self) -> None:
+        """Close what is open without a word; remove the folder if it holds no frame."""
+        self._closed = True
+        for video in self._videos.values():
+            with contextlib.suppress(OSError, InputError):
+                video.close()
+        journal = getattr(self, "_journal", None)
+        if journal is not None:
+            with contextlib.suppress(OSError):
+                journal.close()
+        if not any(self.counts.values()):
+            shutil.rmtree(self.path, ignore_errors=True)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if error is None:
+            self.close()
+        else:
+            self._abandon()

@@ -1,0 +1,341 @@
+"""Recordings: what is written comes back, after a proper end, a crash, a kill -9 and on a full disk."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from tapetum.errors import InputError
+from tapetum.record.frames import open_frames
+from tapetum.record.recording import Recording, RecordingWriter, StreamInfo, open_recording
+
+START = 1_800_000_000_000_000_000
+STREAMS = {"probe": StreamInfo(48, 64), "target": StreamInfo(40, 50, bits=12, rate=30)}
+SECOND = 10**9
+
+
+def image(number: int, stream: str = "probe") -> np.ndarray:
+    """The image of a frame, from nothing but its number."""
+    info = STREAMS[stream]
+    rng = np.random.default_rng(number)
+    return rng.integers(0, info.full_scale or 0, (info.height, info.width), info.dtype, endpoint=True)
+
+
+def writer(path: Path, **options: object) -> RecordingWriter:
+    """A writer of two small streams."""
+    given: dict = {
+        "streams": STREAMS,
+        "rate": 15,
+        "start_utc_ns": START,
+        "hardware": {"probe": "virtual"},
+        **options,
+    }
+    return RecordingWriter(path, **given)
+
+
+def fill(recorder: RecordingWriter, count: int) -> None:
+    """Write `count` frames of both streams; the target is 5 ms late, and lost two before its third."""
+    for number in range(count):
+        moment = number * SECOND // 15
+        recorder.write("probe", image(number), monotonic_ns=moment, utc_ns=START + moment)
+        recorder.write(
+            "target",
+            image(number, "target"),
+            monotonic_ns=moment + 5_000_000,
+            utc_ns=START + moment + 5_000_000,
+            dropped_before=2 if number == 2 else 0,
+        )
+
+
+def check(recording: Recording, stream: str) -> int:
+    """Compare every frame of a stream with what was written; return how many there are."""
+    source = recording.source(stream)
+    count = 0
+    for frame in source:
+        assert np.array_equal(frame.image, image(frame.index, stream))
+        assert frame.time == pytest.approx(frame.index / 15, abs=1e-8)
+        count += 1
+    assert count == source.count == len(source) == len(recording.frames(stream))
+    return count
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    path = tmp_path / "a.rec"
+    with writer(path, extra={"scene": {"name": "thin-lens"}, "seed": 7}) as recorder:
+        fill(recorder, 9)
+        assert recorder.counts == {"probe": 9, "target": 9}
+    assert sorted(file.name for file in path.iterdir()) == [
+        "frames.parquet",
+        "probe.mkv",
+        "recording.json",
+        "target.mkv",
+    ]
+    recording = open_recording(path)
+    assert recording.finished and recording.name == "a" and len(recording.uuid) == 36
+    assert recording.meta["format"] == "tapetum-recording" and recording.meta["version"] == 1
+    assert recording.meta["start_utc"] == "2027-01-15T08:00:00.000000Z"
+    assert recording.meta["seed"] == 7 and recording.meta["hardware"] == {"probe": "virtual"}
+    assert recording.streams == {
+        "probe": StreamInfo(48, 64, 8, 255, 15),
+        "target": StreamInfo(40, 50, 12, 4095, 30),
+    }
+    assert check(recording, "probe") == check(recording, "target") == 9
+    table = recording.frames("target")
+    assert table.column_names == ["stream", "index", "monotonic_ns", "utc", "dropped_before"]
+    assert table["dropped_before"].to_pylist() == [0, 0, 2, 0, 0, 0, 0, 0, 0]
+    assert recording.utc_ns("target")[1] == START + SECOND // 15 + 5_000_000
+    source = open_frames(path, "target")
+    assert source.full_scale == 4095 and source.name.endswith("a.rec:target")
+    assert [frame.name for frame in source][3] == "target[3]"
+    assert recording.labels() is None and recording.truth() is None
+
+
+def test_labels_and_truth_are_kept_and_replaced(tmp_path: Path) -> None:
+    with writer(tmp_path / "a.rec") as recorder:
+        fill(recorder, 2)
+    recording = open_recording(tmp_path / "a.rec")
+    for quality in (0.5, 0.9):
+        table = pa.table({"frame": [0, 1], "how": ["hand"] * 2, "quality": [quality] * 2})
+        recording.write_labels(table)
+        assert recording.labels() == table
+    recording.write_truth(pa.table({"frame": [0, 1], "gaze_x": [0.1, 0.2]}))
+    truth = recording.truth()
+    assert truth is not None and truth["gaze_x"].to_pylist() == [0.1, 0.2]
+    with pytest.raises(InputError, match="lack the columns how, quality"):
+        recording.write_labels(pa.table({"frame": [0]}))
+    with pytest.raises(InputError, match="frame"):
+        recording.write_truth(pa.table({"gaze_x": [0.0]}))
+    (recording.path / "labels.parquet").write_bytes(b"PAR1 but not really")
+    with pytest.raises(InputError, match=r"labels\.parquet: is damaged"):
+        recording.labels()
+
+
+def test_an_exception_leaves_a_readable_unfinished_recording(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), writer(tmp_path / "a.rec") as recorder:
+        fill(recorder, 6)
+        raise ZeroDivisionError
+    recording = open_recording(tmp_path / "a.rec")
+    assert not recording.finished
+    assert check(recording, "probe") == check(recording, "target") == 6
+
+
+def test_an_exception_before_the_first_frame_leaves_nothing(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), writer(tmp_path / "a.rec"):
+        raise ZeroDivisionError
+    assert list(tmp_path.iterdir()) == []
+
+
+KILLED = """
+import sys, time
+sys.path.insert(0, sys.argv[1])
+from test_recording import SECOND, START, image, writer
+recorder = writer(sys.argv[2])
+for number in range(10_000):
+    moment = number * SECOND // 15
+    for stream in ("probe", "target"):
+        recorder.write(stream, image(number, stream), monotonic_ns=moment, utc_ns=START + moment)
+    print(number, flush=True)
+"""
+
+
+@pytest.mark.parametrize("after", [1, 40])
+def test_kill_9_in_the_middle_of_filming(tmp_path: Path, after: int) -> None:
+    path = tmp_path / "a.rec"
+    command = [sys.executable, "-c", KILLED, str(Path(__file__).parent), str(path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        for line in process.stdout:
+            if int(line) >= after:
+                break
+        process.send_signal(signal.SIGKILL)
+        said = [after, *(int(line) for line in process.stdout if line.endswith("\n"))]
+    assert process.returncode == -signal.SIGKILL
+    recording = open_recording(path)
+    assert not recording.finished
+    for stream in ("probe", "target"):
+        # Frames 0 … said were handed over; the newest may be lost, and one more may have been on its way.
+        assert said[-1] <= check(recording, stream) <= said[-1] + 2
+        assert len(list(open_frames(path, stream))) == len(recording.frames(stream))
+
+
+def test_a_torn_journal_and_a_torn_video_are_clipped(tmp_path: Path) -> None:
+    with pytest.raises(ZeroDivisionError), writer(tmp_path / "a.rec") as recorder:
+        fill(recorder, 6)
+        raise ZeroDivisionError
+    journal, video = tmp_path / "a.rec" / "frames.journal", tmp_path / "a.rec" / "target.mkv"
+    journal.write_bytes(journal.read_bytes()[:-7])
+    data = video.read_bytes()
+    video.write_bytes(data[: len(data) // 2])
+    recording = open_recording(tmp_path / "a.rec")
+    assert check(recording, "probe") == 6
+    assert check(recording, "target") in (2, 3)
+    journal.write_bytes(b"probe 0 garbage\n" + journal.read_bytes())
+    with pytest.raises(InputError, match=r"frames\.journal: line 1 is damaged"):
+        recording.frames("probe")
+    journal.unlink()
+    with pytest.raises(InputError, match=r"neither frames\.parquet nor frames\.journal"):
+        recording.frames("probe")
+
+
+def test_a_finished_recording_with_a_truncated_video_is_refused(tmp_path: Path) -> None:
+    with writer(tmp_path / "a.rec") as recorder:
+        fill(recorder, 6)
+    video = tmp_path / "a.rec" / "probe.mkv"
+    data = video.read_bytes()
+    video.write_bytes(data[: len(data) // 2])
+    with pytest.raises(InputError, match=r"probe\.mkv: the video is truncated or damaged: [23] frames"):
+        list(open_frames(tmp_path / "a.rec"))
+    video.unlink()
+    with pytest.raises(InputError, match=r"probe\.mkv: does not exist"):
+        open_frames(tmp_path / "a.rec")
+
+
+LIMITED = """
+import resource, signal, sys
+sys.path.insert(0, sys.argv[1])
+from test_recording import fill, writer
+from tapetum.errors import InputError
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+try:
+    with writer(sys.argv[2]) as recorder:
+        fill(recorder, 200)
+except InputError as error:
+    print(error)
+"""
+
+
+def test_a_file_that_may_grow_no_more(tmp_path: Path) -> None:
+    path = tmp_path / "a.rec"
+    command = [sys.executable, "-c", LIMITED, str(Path(__file__).parent), str(path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "a.rec" in done.stdout and done.stdout.count("\n") == 1 and "rror" not in done.stderr
+    recording = open_recording(path)
+    assert not recording.finished
+    assert check(recording, "probe") > 10
+
+
+def test_a_full_disk_is_one_line_and_loses_nothing_before(tmp_path: Path) -> None:
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = ["mount", "-t", "tmpfs", "-o", "size=400k", "tapetum-test", str(disk)]
+    if os.name != "posix" or subprocess.run(mount, capture_output=True, check=False).returncode:
+        pytest.skip("this user may not mount a small file system")
+    try:
+        with (
+            pytest.raises(InputError, match="no room left on the disk") as caught,
+            writer(disk / "a.rec") as recorder,
+        ):
+            fill(recorder, 500)
+        assert "\n" not in str(caught.value)
+        recording = open_recording(disk / "a.rec")
+        assert not recording.finished
+        assert check(recording, "probe") > 20 and check(recording, "target") > 20
+        # No room at all: nothing is left behind.
+        with pytest.raises(InputError, match="no room left"), writer(disk / "b.rec") as recorder:
+            fill(recorder, 500)
+        assert not any(path.name == "b.rec" for path in disk.iterdir())
+    finally:
+        subprocess.run(["umount", "-l", str(disk)], check=False)
+
+
+def test_frames_that_do_not_fit_are_refused(tmp_path: Path) -> None:
+    with writer(tmp_path / "a.rec") as recorder:
+        good = {"monotonic_ns": 5, "utc_ns": START}
+        with pytest.raises(InputError, match="no stream 'side'"):
+            recorder.write("side", image(0), **good)
+        with pytest.raises(InputError, match=r"\[40, 50\] uint16"):
+            recorder.write("probe", image(0, "target"), **good)
+        recorder.write("probe", image(0), **good)
+        with pytest.raises(InputError, match=r"probe\[1\]: the monotonic clock does not rise \(5 then 5 ns\)"):
+            recorder.write("probe", image(1), **good)
+        with pytest.raises(InputError, match="dropped_before"):
+            recorder.write("probe", image(1), monotonic_ns=6, utc_ns=START, dropped_before=-1)
+        recorder.write("probe", image(1), monotonic_ns=6, utc_ns=START + 1)
+    with pytest.raises(InputError, match="closed"):
+        recorder.write("probe", image(2), monotonic_ns=7, utc_ns=START + 2)
+    assert len(open_recording(tmp_path / "a.rec").frames("probe")) == 2
+    # A stream in which nothing came stays a stream without frames.
+    assert list(open_frames(tmp_path / "a.rec", "target")) == []
+    with pytest.raises(InputError, match="no stream 'side'; the recording has probe, target"):
+        open_frames(tmp_path / "a.rec", "side")
+
+
+def test_bad_arguments(tmp_path: Path) -> None:
+    path = tmp_path / "a.rec"
+    with pytest.raises(InputError, match="at least one"):
+        writer(path, streams={})
+    with pytest.raises(InputError, match=r"cannot name a stream '\.\./x'"):
+        writer(path, streams={"../x": StreamInfo(4, 4)})
+    with pytest.raises(InputError, match="uuid is a name"):
+        writer(path, extra={"uuid": "mine"})
+    with pytest.raises(InputError, match="JSON cannot hold"):
+        writer(path, extra={"array": np.zeros(3)})
+    with pytest.raises(InputError, match="JSON cannot hold"):
+        writer(path, hardware={"gain": float("nan")})
+    with pytest.raises(InputError, match="bits"):
+        StreamInfo(4, 4, bits=17)
+    with pytest.raises(InputError, match="size"):
+        StreamInfo(0, 4)
+    assert not path.exists()
+
+
+def test_overwriting_only_recordings_and_only_when_asked(tmp_path: Path) -> None:
+    path = tmp_path / "a.rec"
+    for count in (3, 2):
+        with writer(path, overwrite=True) as recorder:
+            fill(recorder, count)
+    with pytest.raises(InputError, match="exists already"):
+        writer(path)
+    assert check(open_recording(path), "probe") == 2
+    precious = tmp_path / "thesis"
+    precious.mkdir()
+    (precious / "chapter.tex").write_text("x")
+    with pytest.raises(InputError, match=r"recording\.json"):
+        writer(precious, overwrite=True)
+    assert (precious / "chapter.tex").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 2}, "is of version 2, this Tapetum reads up to 1; update Tapetum"),
+        ({"version": "1"}, "no usable version"),
+        ({"format": "tapetum-dataset"}, "is not a tapetum-recording"),
+        ({"streams": {"probe": {"height": 4}}}, "lacks or garbles 'width'"),
+        ({"finished": None}, "lacks or garbles"),
+    ],
+)
+def test_foreign_and_newer_recordings_are_refused(tmp_path: Path, change: dict, message: str) -> None:
+    with writer(tmp_path / "a.rec") as recorder:
+        fill(recorder, 1)
+    file = tmp_path / "a.rec" / "recording.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    with pytest.raises(InputError, match=r"recording\.json") as caught:
+        open_recording(tmp_path / "a.rec")
+    assert message in str(caught.value)
+    file.write_text("{")
+    with pytest.raises(InputError, match="is damaged"):
+        open_recording(tmp_path / "a.rec")
+
+
+def test_writing_keeps_up_with_two_cameras(tmp_path: Path) -> None:
+    # A floor far below what is usual (some 150 a second and more), for machines that do much else.
+    streams = {"probe": StreamInfo(480, 640), "target": StreamInfo(486, 648)}
+    rng = np.random.default_rng(0)
+    frames = {name: rng.poisson(20, (info.height, info.width)).astype(np.uint8) for name, info in streams.items()}
+    start = time.process_time()
+    with writer(tmp_path / "a.rec", streams=streams) as recorder:
+        for number in range(15):
+            for name, frame in frames.items():
+                recorder.write(name, frame, monotonic_ns=number, utc_ns=START + number)
+    assert (time.process_time() - start) / 30 < 1 / 30
