@@ -1,0 +1,348 @@
+"""From recordings to a dataset: find the retro-reflection in every labelled probe frame and cut it out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
+
+from tapetum.data.crop import SIGMA, crop, find_centre, find_peak
+from tapetum.data.dataset import FORMAT, QUANTITIES, TEST, TRAIN, VERSION, finish_hash, split_variable
+from tapetum.errors import InputError
+from tapetum.files import atomic_folder
+from tapetum.progress import Progress, quiet
+from tapetum.record.recording import Recording, open_recording
+
+__all__ = ["CHUNK", "build_dataset"]
+
+CHUNK = 64
+"""Frames a chunk of the store: 10 MB of 400 x 400 pixels before compression."""
+
+
+# Standard deviation in pixels of the smoothing that shows a faint RR best.
+_RING_SIGMA = 4.0
+
+
+@dataclass(frozen=True)
+class _Labels:
+    """The labels of one recording by probe frame."""
+
+    names: tuple[str, ...]
+    by_frame: dict[int, tuple[NDArray[np.float32], float]]  # values in the order of names, quality
+
+
+@dataclass(frozen=True)
+class _Rules:
+    """Which frames are kept, how they are cut and where they go: the arguments of `build_dataset`."""
+
+    side: int
+    test_fraction: float
+    min_quality: float
+    min_snr: float
+    sigma: float
+
+
+@dataclass
+class _Kept:
+    """What grows while frames are kept; the images go to the store at once."""
+
+    columns: dict[str, list[float]] = field(default_factory=dict)
+
+    def add(self, **values: float) -> None:
+        for name, value in values.items():
+            self.columns.setdefault(name, []).append(value)
+
+
+class _Images:
+    """Appends crops to an array of the store, whole chunks at a time, and sums them up."""
+
+    def __init__(self, group: zarr.Group, side: int, dtype: np.dtype[Any]) -> None:
+        self.digest = hashlib.sha256()
+        self._buffer: list[NDArray[np.generic]] = []
+        self._array = _array(group, "image", (0, side, side), (CHUNK, side, side), dtype, ("frame", "y", "x"))
+        self._array.attrs["units"] = "count"
+        self._array.attrs["long_name"] = "crop around the retro-reflection"
+
+    def add(self, image: NDArray[np.generic]) -> None:
+        self.digest.update(np.ascontiguousarray(image).data)
+        self._buffer.append(image)
+        if len(self._buffer) == CHUNK:
+            self.flush()
+
+    def flush(self) -> None:
+        if self._buffer:
+            self._array.append(np.stack(self._buffer))
+            self._buffer.clear()
+
+
+def _array(
+    group: zarr.Group,
+    name: str,
+    shape: tuple[int, ...],
+    chunks: tuple[int, ...],
+    dtype: np.dtype[Any],
+    dimensions: tuple[str, ...],
+) -> zarr.Array[Any]:
+    shuffle = BloscShuffle.bitshuffle if dtype.itemsize == 1 else BloscShuffle.shuffle
+    return group.create_array(
+        name,
+        shape=shape,
+        chunks=chunks,
+        dtype=dtype,
+        dimension_names=dimensions,
+        # Blosc alone does not notice a flipped bit; the checksum does.
+        compressors=[BloscCodec(cname="zstd", clevel=3, shuffle=shuffle), Crc32cCodec()],
+        # A chunk of zeros is written too, so that a missing one can be told from it.
+        config={"write_empty_chunks": True},
+    )
+
+
+def _labels(recording: Recording) -> _Labels:
+    where = Path(recording.path) / "labels.parquet"
+    table: pa.Table | None = recording.labels()
+    if table is None:
+        raise InputError(
+            "the recording has no labels",
+            where=where,
+            remedy="label it first: tapetum.record.label_recording",
+        )
+    names = tuple(name for name in QUANTITIES if name in table.column_names)
+    if "frame" not in table.column_names or not names:
+        raise InputError(
+            f"expected columns frame and one of {', '.join(QUANTITIES)}", where=where, remedy="label it again"
+        )
+    frames = table.column("frame").to_numpy()
+    values = np.stack([table.column(n).to_numpy(zero_copy_only=False).astype(np.float32) for n in names], axis=1)
+    quality = np.ones(len(frames))
+    if "quality" in table.column_names:
+        quality = table.column("quality").to_numpy(zero_copy_only=False).astype(np.float64)
+    # A null is a NaN here: no label.
+    good = np.isfinite(values).all(axis=1) & np.isfinite(quality)
+    rows = zip(frames[good], values[good], quality[good], strict=True)
+    return _Labels(names, {int(f): (v, float(q)) for f, v, q in rows})
+
+
+def _checked(recordings: Sequence[str | os.PathLike[str]], rules: _Rules) -> list[Recording]:
+    if isinstance(recordings, str | os.PathLike):
+        recordings = [recordings]
+    if not recordings:
+        raise InputError("no recording given", where="recordings", remedy="name at least one NAME.rec folder")
+    if rules.side < 1:
+        raise InputError(f"must be positive, is {rules.side}", where="side", remedy="give a number of pixels")
+    if not 0 <= rules.test_fraction <= 1:
+        raise InputError(
+            f"must lie in 0 ... 1, is {rules.test_fraction}",
+            where="test_fraction",
+            remedy="the paper's is 0.2",
+        )
+    paths = [Path(r).resolve() for r in recordings]
+    twice = next((p for p in paths if paths.count(p) > 1), None)
+    if twice is not None:
+        raise InputError("is given twice", where=twice, remedy="name every recording once")
+    return [open_recording(path) for path in recordings]
+
+
+def _count(recording: Recording) -> int:
+    count = recording.source("probe").count
+    return int(recording.frames("probe").num_rows) if count is None else int(count)
+
+
+def build_dataset(
+    recordings: Sequence[str | os.PathLike[str]],
+    out: str | os.PathLike[str],
+    *,
+    side: int = 400,
+    test_fraction: float = 0.2,
+    min_quality: float = 0.5,
+    min_snr: float = 6.0,
+    sigma: float = SIGMA,
+    progress: Progress = quiet,
+    overwrite: bool = False,
+) -> Path:
+    """Build a dataset from labelled recordings.
+
+    Every probe frame with a good label and a visible RR gives one crop, centred on the brightest point of the
+    smoothed frame. The first part of every video trains and the last part tests (paper, section 5), by place
+    in the video.
+
+    Parameters
+    ----------
+    recordings
+        Folders NAME.rec, each with labels.
+    out
+        The store to write, by convention NAME.zarr.
+    side
+        Pixels along an edge of the crops.
+    test_fraction
+        Share of every video, at its end, that tests. With 0 everything trains, with 1 everything tests.
+    min_quality
+        Labels of a lower quality are left out.
+    min_snr
+        Frames whose brightest point stands less than this over the noise of the smoothed frame are left out.
+    sigma
+        Standard deviation in pixels of the smoothing that finds the centre.
+    progress
+        Shown over the frames of each recording.
+    overwrite
+        Replace a store that is there already.
+
+    Returns
+    -------
+    Path
+        The store. Its attribute ``recordings`` counts, for each video, the frames used and those left out, by
+        reason.
+
+    Raises
+    ------
+    InputError
+        When no recording is given, one has no labels, depths or labelled quantities differ, or nothing (or
+        nothing for one of the two parts) is left. Nothing is written then.
+    """
+    rules = _Rules(side, test_fraction, min_quality, min_snr, sigma)
+    opened = _checked(recordings, rules)
+    labels = [_labels(recording) for recording in opened]
+    if len({label.names for label in labels}) > 1:
+        found = "; ".join(f"{Path(r.path).name}: {', '.join(b.names)}" for r, b in zip(opened, labels, strict=True))
+        raise InputError(f"recordings are labelled with different quantities ({found})", where="recordings")
+    depths = [r.source("probe").full_scale for r in opened]
+    if len(set(depths)) > 1:
+        found = ", ".join(f"{Path(r.path).name} {depth}" for r, depth in zip(opened, depths, strict=True))
+        remedy = "build one dataset for each depth"
+        raise InputError(f"frames differ in depth (full scale: {found})", where="recordings", remedy=remedy)
+    full_scale = int(depths[0])
+    dtype = np.dtype(np.uint8 if full_scale <= 255 else np.uint16)
+    names = labels[0].names
+    with atomic_folder(out, overwrite=overwrite) as folder:
+        group = zarr.create_group(str(folder), zarr_format=3)
+        images, kept = _Images(group, side, dtype), _Kept()
+        told = [
+            _add(recording, number, label, images, kept, rules, progress)
+            for number, (recording, label) in enumerate(zip(opened, labels, strict=True))
+        ]
+        images.flush()
+        _check_parts(kept, told, test_fraction)
+        variables = _write_columns(group, kept, names)
+        group.attrs.update(
+            {
+                "format": FORMAT,
+                "version": VERSION,
+                "targets": list(names),
+                "full_scale": full_scale,
+                "centre_sigma": sigma,
+                "min_quality": min_quality,
+                "min_snr": min_snr,
+                "test_fraction": test_fraction,
+                "recordings": json.dumps(told),
+                "sha256": finish_hash(images.digest, variables),
+            }
+        )
+    return Path(out)
+
+
+def _add(
+    recording: Recording,
+    number: int,
+    labels: _Labels,
+    images: _Images,
+    kept: _Kept,
+    rules: _Rules,
+    progress: Progress,
+) -> dict[str, Any]:
+    """Add the frames of one recording; return what became of them."""
+    name, total = Path(recording.path).name, _count(recording)
+    # Rounded, so that 0.8 of 10 frames is 8 whatever the last bit of 1 - 0.2 is.
+    first_test = round((1 - rules.test_fraction) * total, 6)
+    left_out = {"no label": 0, "poor label": 0, "no visible RR": 0}
+    used = 0
+    for frame in progress(recording.source("probe"), f"cutting out {name}", total=total):
+        label = labels.by_frame.get(frame.index)
+        if label is None:
+            left_out["no label"] += 1
+            continue
+        values, quality = label
+        if quality < rules.min_quality:
+            left_out["poor label"] += 1
+            continue
+        # Whether an RR is there shows best at the width of its rings; where its middle is, at its own width.
+        snr = find_peak(frame.image, _RING_SIGMA).snr
+        if snr < rules.min_snr:
+            left_out["no visible RR"] += 1
+            continue
+        centre = find_centre(frame.image, rules.sigma)
+        images.add(crop(frame.image, centre, rules.side))
+        kept.add(
+            **dict(zip(labels.names, values.tolist(), strict=True)),
+            centre_x=centre[0],
+            centre_y=centre[1],
+            # A noiseless float frame has no finite SNR; 1e6 stands for "no noise at all".
+            snr=min(snr, 1e6),
+            quality=quality,
+            recording=number,
+            time=frame.time,
+            frame_index=frame.index,
+            split=TRAIN if frame.index < first_test else TEST,
+        )
+        used += 1
+    return {
+        "name": name,
+        "uuid": str(recording.meta.get("uuid", "")),
+        "frames": total,
+        "used": used,
+        "left_out": left_out,
+    }
+
+
+def _check_parts(kept: _Kept, told: list[dict[str, Any]], test_fraction: float) -> None:
+    split = kept.columns.get("split", [])
+    why = "; ".join(
+        f"{t['name']}: {t['frames']} frames, {', '.join(f'{k} {v}' for k, v in t['left_out'].items())}" for t in told
+    )
+    if not split:
+        remedy = "check the labels and that the probe sees the target, or lower min_snr and min_quality"
+        raise InputError(f"no frame has both a good label and a visible RR ({why})", where="recordings", remedy=remedy)
+    if 0 < test_fraction < 1 and len(set(split)) < 2:
+        part = "test" if TEST not in split else "train"
+        remedy = "record longer, or set test_fraction to 0 or 1"
+        raise InputError(f"no frame is left to {part} with ({why})", where="recordings", remedy=remedy)
+
+
+_COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
+    "centre_x": (np.float32, {"units": "px", "long_name": "centre of the crop in the probe's frame"}),
+    "centre_y": (np.float32, {"units": "px", "long_name": "centre of the crop in the probe's frame"}),
+    "snr": (np.float32, {"units": "1", "long_name": "height of the smoothed RR over the noise"}),
+    "quality": (np.float32, {"units": "1", "long_name": "quality of the label, 0 ... 1"}),
+    "recording": (np.int32, {"long_name": "number in the attribute recordings"}),
+    "time": (np.float64, {"units": "s", "long_name": "time since the first frame of the recording"}),
+    "frame_index": (np.int64, {"long_name": "number of the frame in the probe's video"}),
+}
+
+
+def _write_columns(group: zarr.Group, kept: _Kept, names: tuple[str, ...]) -> dict[str, NDArray[np.generic]]:
+    """Write the variables along ``frame``; return them as they are stored."""
+    kinds = {**{n: (np.float32, {"units": QUANTITIES[n]}) for n in names}, **_COLUMNS}
+    written: dict[str, NDArray[np.generic]] = {}
+    attributes: dict[str, dict[str, Any]] = {}
+    for name, (kind, attrs) in kinds.items():
+        written[name], attributes[name] = np.asarray(kept.columns[name], dtype=kind), dict(attrs)
+    split = split_variable(np.asarray(kept.columns["split"], dtype=np.int8))
+    written["split"], attributes["split"] = split.values, dict(split.attrs)
+    for name, values in written.items():
+        if values.dtype.kind == "f" and not math.isfinite(float(np.sum(values, dtype=np.float64))):
+            raise InputError(
+                f"{name} holds values that are not finite", where="recordings", remedy="report this as a bug"
+            )
+        array = _array(group, name, values.shape, values.shape, values.dtype, ("frame",))
+        array[:] = values
+        array.attrs.update(attributes[name])
+    return written

@@ -1,0 +1,353 @@
+"""Datasets: crops of retro-reflections with their labels, a Zarr v3 store each, opened as an xarray Dataset.
+
+Importing this module registers the accessor ``.tp`` on every xarray Dataset: ``dataset.tp.train``,
+``dataset.tp.test``.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+import zarr
+from numpy.typing import ArrayLike, NDArray
+
+from tapetum.errors import InputError
+from tapetum.progress import Progress, quiet
+
+__all__ = [
+    "FORMAT",
+    "QUANTITIES",
+    "TEST",
+    "TRAIN",
+    "VERSION",
+    "DatasetAccessor",
+    "content_hash",
+    "dataset_from_arrays",
+    "image_batches",
+    "open_dataset",
+]
+
+FORMAT, VERSION = "tapetum-dataset", 1
+TRAIN, TEST = 0, 1
+
+QUANTITIES = {
+    "gaze_x": "fraction of the field of view",
+    "gaze_y": "fraction of the field of view",
+    "object_distance": "m",
+    "focal_length": "m",
+}
+"""What a frame may be labelled with, and the unit of each."""
+
+_NEEDED = ("image", "split", "recording")
+
+
+def content_hash(dataset: xr.Dataset, *, progress: Progress = quiet) -> str:
+    """Return the SHA-256 of a dataset's images and variables: equal for equal contents, however stored.
+
+    Parameters
+    ----------
+    dataset
+        A dataset with ``image(frame, y, x)``; every other variable along ``frame`` counts as well.
+    progress
+        Shown over the batches of images.
+    """
+    digest = hashlib.sha256()
+    total = -(-dataset.sizes["frame"] // 64)
+    for images in progress(image_batches(dataset, 64), "hashing the dataset", total=total):
+        digest.update(np.ascontiguousarray(images).data)
+    return finish_hash(digest, {str(k): v.values for k, v in dataset.variables.items() if v.dims == ("frame",)})
+
+
+def finish_hash(digest: Any, variables: Mapping[str, NDArray[np.generic]]) -> str:
+    """Add the variables along ``frame``, by name, to a digest of the images; return the hexadecimal sum."""
+    for name in sorted(variables):
+        digest.update(f"{name}:{variables[name].dtype.str}".encode())
+        digest.update(np.ascontiguousarray(variables[name]).tobytes())
+    return digest.hexdigest()
+
+
+def image_batches(dataset: xr.Dataset, size: int = 64) -> Iterator[NDArray[np.generic]]:
+    """Read the images of a dataset in order, a batch at a time.
+
+    Parameters
+    ----------
+    dataset
+        A dataset with ``image(frame, y, x)``, stored or in memory.
+    size
+        Frames a batch; the last one may be shorter.
+
+    Yields
+    ------
+    ndarray
+        [n, side, side].
+
+    Raises
+    ------
+    InputError
+        When a stored part cannot be read or fails its checksum.
+    """
+    if size < 1:
+        raise InputError(f"must be positive, is {size}", where="size", remedy="give a number of frames")
+    image = _images_of(dataset)
+    for start in range(0, image.sizes["frame"], size):
+        yield _read(image.isel(frame=slice(start, start + size)), dataset)
+
+
+def _images_of(dataset: xr.Dataset) -> xr.DataArray:
+    image = dataset.get("image")
+    if image is None or image.dims != ("frame", "y", "x"):
+        remedy = "build it with `tapetum dataset build`"
+        raise InputError("no images image(frame, y, x)", where=_name(dataset), remedy=remedy)
+    return image
+
+
+def _name(dataset: xr.Dataset) -> str:
+    return str(dataset.encoding.get("source", "dataset"))
+
+
+def _read(array: xr.DataArray, dataset: xr.Dataset) -> NDArray[Any]:
+    try:
+        return np.asarray(array.values)
+    except (ValueError, RuntimeError, OSError, KeyError) as error:
+        remedy = "build the dataset again"
+        raise InputError(
+            f"damaged: {array.name} cannot be read ({error})", where=_name(dataset), remedy=remedy
+        ) from error
+
+
+def split_variable(split: NDArray[np.int8]) -> xr.Variable:
+    """Return the split as CF flags: 0 train, 1 test."""
+    return xr.Variable(("frame",), split, {"flag_values": [TRAIN, TEST], "flag_meanings": "train test"})
+
+
+def dataset_from_arrays(
+    images: ArrayLike,
+    targets: Mapping[str, ArrayLike],
+    *,
+    full_scale: float | None = None,
+    split: ArrayLike | None = None,
+    recording: ArrayLike | None = None,
+) -> xr.Dataset:
+    """Make a dataset in memory, for photographs or simulated images that come without a recording.
+
+    Parameters
+    ----------
+    images
+        [N, side, side] crops, uint8, uint16 or float counts.
+    targets
+        Name of a quantity to its [N] values in SI units (gaze in fractions of the field of view).
+    full_scale
+        Largest count of the camera; 255 for uint8 where left out.
+    split
+        [N], 0 train or 1 test; all train where left out.
+    recording
+        [N], number of the video each image comes from; all 0 where left out.
+
+    Returns
+    -------
+    xarray.Dataset
+        With ``image``, the targets, ``split`` and ``recording`` along ``frame``.
+
+    Raises
+    ------
+    InputError
+        When shapes differ, a target is not finite, or the depth is left open.
+    """
+    array = np.asarray(images)
+    if array.ndim != 3 or array.shape[1] != array.shape[2] or len(array) == 0:
+        raise InputError(f"expected square crops [N, side, side], got shape {array.shape}", where="images")
+    if full_scale is None:
+        if array.dtype != np.uint8:
+            raise InputError(
+                f"the depth of {array.dtype} images cannot be known", where="images", remedy="pass full_scale"
+            )
+        full_scale = 255
+    columns: dict[str, xr.Variable] = {}
+    for name, values in targets.items():
+        column = np.asarray(values, dtype=np.float32)
+        if column.shape != (len(array),) or not np.isfinite(column).all():
+            raise InputError(f"expected {len(array)} finite values, got shape {column.shape}", where=name)
+        columns[name] = xr.Variable(("frame",), column, {"units": QUANTITIES.get(name, "1")})
+    zeros = np.zeros(len(array))
+    parts = np.asarray(zeros if split is None else split).astype(np.int8)
+    videos = np.asarray(zeros if recording is None else recording).astype(np.int32)
+    if parts.shape != (len(array),) or videos.shape != (len(array),) or not np.isin(parts, (TRAIN, TEST)).all():
+        raise InputError(f"expected {len(array)} values, split of 0 (train) or 1 (test)", where="split, recording")
+    dataset = xr.Dataset(
+        {
+            "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
+            **columns,
+            "split": split_variable(parts),
+            "recording": xr.Variable(("frame",), videos),
+        },
+        attrs={
+            "format": FORMAT,
+            "version": VERSION,
+            "full_scale": float(full_scale),
+            "targets": list(columns),
+        },
+    )
+    dataset.attrs["sha256"] = content_hash(dataset)
+    return dataset
+
+
+def open_dataset(path: str | Path) -> xr.Dataset:
+    """Open a dataset lazily: images are read when they are used.
+
+    Parameters
+    ----------
+    path
+        A local folder or any address that fsspec knows.
+
+    Returns
+    -------
+    xarray.Dataset
+        ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels
+        of the frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``split``; see
+        `DatasetAccessor`.
+
+    Raises
+    ------
+    InputError
+        When there is nothing there, it is not a Tapetum dataset, a newer Tapetum wrote it, or parts are
+        missing.
+    """
+    address = str(path)
+    local = "://" not in address
+    if local and not Path(address).exists():
+        raise InputError("does not exist", where=address, remedy="build it with `tapetum dataset build`")
+    if local and not (Path(address) / "zarr.json").is_file():
+        raise InputError(
+            "is not a dataset (no zarr.json)",
+            where=address,
+            remedy="give a folder that `tapetum dataset build` wrote",
+        )
+    remedy = "build the dataset again"
+    try:
+        group = zarr.open_group(address, mode="r", zarr_format=3)
+        attributes = dict(group.attrs)
+    except (ValueError, OSError, KeyError, TypeError, ImportError, json.JSONDecodeError) as error:
+        raise InputError(f"is not a readable Zarr v3 store ({error})", where=address, remedy=remedy) from error
+    _check_format(attributes, address)
+    try:
+        # No chunks=...: that is for Dask, which Tapetum does without. Counts stay counts: no masks, no
+        # scaling.
+        dataset = xr.open_zarr(
+            address, zarr_format=3, consolidated=False, chunks=None, mask_and_scale=False, decode_times=False
+        )
+        missing = [name for name in (*_NEEDED, *_listed(attributes)) if name not in dataset]
+        if missing:
+            raise InputError(f"damaged: lacks {', '.join(missing)}", where=address, remedy=remedy)
+        for name in dataset.variables if local else ():
+            array = group[str(name)]
+            # Zarr reads a chunk that is not there as zeros, without a word.
+            if isinstance(array, zarr.Array) and array.nchunks_initialized != array.nchunks:
+                lost = array.nchunks - array.nchunks_initialized
+                raise InputError(
+                    f"damaged: {lost} of {array.nchunks} parts of {name} are missing",
+                    where=address,
+                    remedy=remedy,
+                )
+    except InputError:
+        raise
+    except (ValueError, OSError, KeyError, TypeError, RuntimeError) as error:
+        raise InputError(f"damaged: {error}", where=address, remedy=remedy) from error
+    dataset.encoding["source"] = address
+    # The labels are small, and a damaged one should be told here, not in the middle of training.
+    for name, variable in dataset.data_vars.items():
+        if variable.dims == ("frame",):
+            dataset[name] = variable.copy(data=_read(variable, dataset))
+    return dataset
+
+
+def _check_format(attributes: Mapping[str, Any], address: str) -> None:
+    if attributes.get("format") != FORMAT:
+        remedy = "give a folder that `tapetum dataset build` wrote"
+        raise InputError(
+            f"is not a Tapetum dataset (format {attributes.get('format')!r})", where=address, remedy=remedy
+        )
+    version = attributes.get("version")
+    if not isinstance(version, int) or version > VERSION:
+        raise InputError(
+            f"has version {version!r} of the format, this Tapetum reads up to {VERSION}",
+            where=address,
+            remedy="update Tapetum",
+        )
+    full_scale = attributes.get("full_scale")
+    if not isinstance(full_scale, int | float) or not full_scale > 0 or not isinstance(attributes.get("targets"), list):
+        raise InputError("damaged: no full_scale or targets", where=address, remedy="build the dataset again")
+
+
+def _listed(attributes: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(str(name) for name in attributes.get("targets", ()))
+
+
+@xr.register_dataset_accessor("tp")
+class DatasetAccessor:
+    """What a Tapetum dataset knows beyond xarray, as ``dataset.tp``."""
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        self._dataset = dataset
+
+    def _part(self, flag: int) -> xr.Dataset:
+        wanted = np.flatnonzero(np.asarray(self._dataset["split"].values) == flag)
+        return self._dataset.isel(frame=wanted)
+
+    @property
+    def train(self) -> xr.Dataset:
+        """The frames that models learn from: by default the first 80 % of every video."""
+        return self._part(TRAIN)
+
+    @property
+    def test(self) -> xr.Dataset:
+        """The frames that models are judged by: by default the last 20 % of every video."""
+        return self._part(TEST)
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """Names of the quantities that every frame is labelled with."""
+        return _listed(self._dataset.attrs)
+
+    @property
+    def full_scale(self) -> float:
+        """Largest count of the camera."""
+        return float(self._dataset.attrs["full_scale"])
+
+    @property
+    def side(self) -> int:
+        """Pixels along an edge of the crops."""
+        return int(_images_of(self._dataset).sizes["x"])
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 of the contents of the whole set as built; its parts (``train``, ``test``) share it."""
+        return str(self._dataset.attrs["sha256"])
+
+    @property
+    def recordings(self) -> list[dict[str, Any]]:
+        """What each number in ``recording`` stands for: name, uuid, frames, frames used and left out."""
+        return json.loads(self._dataset.attrs.get("recordings", "[]"))
+
+    def images(self, batch: int = 64) -> Iterator[NDArray[np.generic]]:
+        """Read the images in order, [n, side, side] at a time: see `image_batches`."""
+        return image_batches(self._dataset, batch)
+
+    def values(self, names: tuple[str, ...]) -> NDArray[np.float64]:
+        """Return labels as [N, len(names)].
+
+        Raises
+        ------
+        InputError
+            When the dataset lacks one of them.
+        """
+        for name in names:
+            if name not in self._dataset:
+                have = ", ".join(self.targets) or "none"
+                raise InputError(f"has no label {name!r}", where=_name(self._dataset), remedy=f"it has: {have}")
+        return np.stack([np.asarray(self._dataset[n].values, dtype=np.float64) for n in names], axis=1)

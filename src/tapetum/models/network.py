@@ -1,0 +1,86 @@
+"""ResNet-18 (He et al., CVPR 2016) for grey images, with torchvision's parameter names."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from tapetum.errors import InputError
+
+__all__ = ["ResNet18Network"]
+
+
+class BasicBlock(nn.Module):
+    """Two 3 x 3 convolutions beside a shortcut."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(outputs)
+        self.relu = nn.ReLU(inplace=True)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
+        self.bn2 = nn.BatchNorm2d(outputs)
+        self.downsample: nn.Sequential | None = None
+        if stride != 1 or inputs != outputs:
+            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map [N, inputs, H, W] to [N, outputs, H/stride, W/stride]."""
+        shortcut = x if self.downsample is None else self.downsample(x)
+        out = self.relu(self.bn1(self.conv1(x)))
+        return self.relu(self.bn2(self.conv2(out)) + shortcut)
+
+
+def _layer(inputs: int, outputs: int, stride: int) -> nn.Sequential:
+    return nn.Sequential(BasicBlock(inputs, outputs, stride), BasicBlock(outputs, outputs, 1))
+
+
+class ResNet18Network(nn.Module):
+    """ResNet-18 with one input channel and a linear head.
+
+    Parameters
+    ----------
+    outputs
+        Numbers an image is mapped to.
+    channels
+        Channels of an image.
+    seed
+        Of the initial weights: He's normal distribution by fan-out; the last normalisation of every block
+        starts at 0, so that each block starts as its shortcut (Goyal et al., arXiv:1706.02677). torch's own
+        generator is not touched.
+    """
+
+    def __init__(self, outputs: int, *, channels: int = 1, seed: int = 0) -> None:
+        if outputs < 1 or channels < 1:
+            raise InputError(f"must be positive, are {outputs} and {channels}", where="outputs, channels")
+        super().__init__()
+        # torch draws first weights of its own when layers are made; they must not move the caller's random
+        # numbers.
+        with torch.random.fork_rng(devices=[]):
+            self.conv1 = nn.Conv2d(channels, 64, 7, 2, 3, bias=False)
+            self.bn1 = nn.BatchNorm2d(64)
+            self.relu = nn.ReLU(inplace=True)
+            self.maxpool = nn.MaxPool2d(3, 2, 1)
+            self.layer1 = _layer(64, 64, 1)
+            self.layer2 = _layer(64, 128, 2)
+            self.layer3 = _layer(128, 256, 2)
+            self.layer4 = _layer(256, 512, 2)
+            self.avgpool = nn.AdaptiveAvgPool2d(1)
+            self.fc = nn.Linear(512, outputs)
+        self._initialise(seed)
+
+    def _initialise(self, seed: int) -> None:
+        generator = torch.Generator().manual_seed(seed)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu", generator=generator)
+            elif isinstance(module, BasicBlock):
+                nn.init.zeros_(module.bn2.weight)
+        nn.init.normal_(self.fc.weight, std=0.01, generator=generator)
+        nn.init.zeros_(self.fc.bias)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map images [N, channels, H, W] to [N, outputs]."""
+        x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
+        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
+        return self.fc(torch.flatten(self.avgpool(x), 1))

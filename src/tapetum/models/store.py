@@ -1,0 +1,229 @@
+"""Models on disk: a folder with a card, model.json, and weights.safetensors. Nothing is ever unpickled."""
+
+from __future__ import annotations
+
+import json
+import platform
+from collections.abc import Mapping
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+
+from tapetum.data.dataset import QUANTITIES
+from tapetum.errors import InputError
+from tapetum.files import atomic_folder, sha256_file
+from tapetum.models.base import Estimator, json_safe
+from tapetum.models.resnet import ResNet18
+from tapetum.models.zernike_ridge import ZernikeRidge
+
+__all__ = [
+    "CARD",
+    "FORMAT",
+    "KINDS",
+    "VERSION",
+    "WEIGHTS",
+    "load_model",
+    "model_card",
+    "pretrained",
+    "save_model",
+]
+
+FORMAT, VERSION = "tapetum-model", 1
+CARD, WEIGHTS = "model.json", "weights.safetensors"
+KINDS: dict[str, type[ZernikeRidge] | type[ResNet18]] = {
+    ZernikeRidge.kind: ZernikeRidge,
+    ResNet18.kind: ResNet18,
+}
+
+_PRETRAINED = Path(__file__).parent / "pretrained"
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for package in ("tapetum", "torch", "numpy", "scikit-learn", "safetensors"):
+        try:
+            found[package] = metadata.version(package)
+        except metadata.PackageNotFoundError:
+            found[package] = "unknown"
+    return found
+
+
+def _halved(tensor: torch.Tensor, name: str) -> torch.Tensor:
+    # Only the big float32 tensors: biases and the normalisation's statistics cost nothing, and linear models
+    # keep float64.
+    if tensor.dtype != torch.float32 or tensor.ndim < 2:
+        return tensor
+    half = tensor.half()
+    if not torch.isfinite(half).all():
+        raise InputError("weights do not fit half precision", where=name, remedy="save with half=False")
+    return half
+
+
+def save_model(
+    model: Estimator,
+    path: str | Path,
+    *,
+    metrics: Mapping[str, Any] | None = None,
+    data_hash: str | None = None,
+    half: bool = False,
+    notes: Mapping[str, Any] | str | None = None,
+    overwrite: bool = False,
+) -> Path:
+    """Write a fitted model to a folder.
+
+    Parameters
+    ----------
+    model
+        A fitted estimator.
+    path
+        The folder to write.
+    metrics
+        Figures for the card: what was measured, on what.
+    data_hash
+        Hash of the training data; the model's own where left out.
+    half
+        Store matrices and convolutions in float16, half the size. Predictions are computed in float32 all the
+        same.
+    notes
+        Anything else for the card: seeds, the command.
+    overwrite
+        Replace a folder that is there already.
+
+    Returns
+    -------
+    Path
+        The folder.
+
+    Raises
+    ------
+    InputError
+        When the model is not fitted, the card's figures are not JSON, or the folder exists.
+    """
+    state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state().items()}
+    if half:
+        state = {name: _halved(tensor, name) for name, tensor in state.items()}
+    card = {
+        "format": FORMAT,
+        "version": VERSION,
+        "kind": model.kind,
+        "targets": list(model.target_names),
+        "units": {name: QUANTITIES.get(name, "1") for name in model.target_names},
+        "parameters": model.parameters(),
+        "training_data": model.data_hash_ if data_hash is None else data_hash,
+        "metrics": dict(metrics or {}),
+        "notes": notes if notes is None or isinstance(notes, str) else dict(notes),
+        "versions": _versions(),
+    }
+    card = json_safe(card, "metrics or notes")
+    with atomic_folder(path, overwrite=overwrite) as folder:
+        save_file(state, folder / WEIGHTS)
+        card["weights"] = {
+            "file": WEIGHTS,
+            "sha256": sha256_file(folder / WEIGHTS),
+            "bytes": (folder / WEIGHTS).stat().st_size,
+            "precision": "half" if half else "full",
+        }
+        (folder / CARD).write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
+    return Path(path)
+
+
+def model_card(path: str | Path) -> dict[str, Any]:
+    """Read and check the card of a model.
+
+    Raises
+    ------
+    InputError
+        When the folder or its card is missing, is not a model's, or was written by a newer Tapetum.
+    """
+    folder = Path(path)
+    if not folder.is_dir():
+        raise InputError("there is no such model folder", where=folder, remedy="train one with `tapetum train`")
+    try:
+        card = json.loads((folder / CARD).read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError(
+            f"the model lacks {CARD}", where=folder, remedy="copy the whole folder or train it again"
+        ) from error
+    except (json.JSONDecodeError, UnicodeDecodeError, OSError) as error:
+        raise InputError(
+            f"cannot be read ({error})", where=folder / CARD, remedy="copy it again or train it again"
+        ) from error
+    if not isinstance(card, dict) or card.get("format") != FORMAT:
+        raise InputError(
+            f"is not the card of a model (format {FORMAT})",
+            where=folder / CARD,
+            remedy="give a model's folder",
+        )
+    version = card.get("version")
+    if not isinstance(version, int) or version > VERSION:
+        what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
+        raise InputError(what, where=folder / CARD, remedy="update Tapetum")
+    if card.get("kind") not in KINDS:
+        what = f"holds a model of unknown kind {card.get('kind')!r}"
+        raise InputError(what, where=folder / CARD, remedy=f"this Tapetum knows {', '.join(KINDS)}")
+    if not isinstance(card.get("parameters"), dict) or not isinstance(card.get("weights"), dict):
+        raise InputError("lacks parameters or weights", where=folder / CARD, remedy="copy it again or train it again")
+    return card
+
+
+def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
+    """Load a model that `save_model` wrote, after checking that its weights are the ones its card speaks of.
+
+    Parameters
+    ----------
+    path
+        The model's folder.
+
+    Returns
+    -------
+    Estimator
+        Ready to predict, in float32 (or float64 for linear models) whatever the precision stored.
+
+    Raises
+    ------
+    InputError
+        When a file is missing, altered, foreign or newer.
+    """
+    card, folder = model_card(path), Path(path)
+    weights = folder / WEIGHTS
+    if not weights.is_file():
+        raise InputError(f"the model lacks {WEIGHTS}", where=folder, remedy="copy the whole folder or train it again")
+    if sha256_file(weights) != card["weights"].get("sha256"):
+        what = "has been altered: its SHA-256 is not the one on the card"
+        raise InputError(what, where=weights, remedy="copy it again or train it again")
+    try:
+        state = load_file(weights)
+    except (SafetensorError, OSError, ValueError) as error:
+        raise InputError(
+            f"cannot be read ({error})", where=weights, remedy="copy it again or train it again"
+        ) from error
+    state = {name: tensor.float() if tensor.dtype == torch.float16 else tensor for name, tensor in state.items()}
+    try:
+        model = KINDS[card["kind"]].from_state(card["parameters"], state)
+    except InputError as error:
+        raise InputError(str(error), where=folder) from error
+    except (TypeError, ValueError) as error:  # an unknown argument, or one of another type
+        remedy = "copy it again or train it again"
+        raise InputError(f"parameters do not fit ({error})", where=folder / CARD, remedy=remedy) from error
+    known = card.get("training_data")
+    model.data_hash_ = known if isinstance(known, str) else None
+    return model
+
+
+def pretrained(name: str = "thin-lens-gaze") -> ZernikeRidge | ResNet18:
+    """Load a model that comes with the package.
+
+    Raises
+    ------
+    InputError
+        When no model of that name is bundled; the message lists those that are.
+    """
+    found = sorted(f.parent.name for f in _PRETRAINED.glob(f"*/{CARD}"))
+    if name not in found:
+        remedy = f"bundled: {', '.join(found)}" if found else "this build bundles none: make one with `make models`"
+        raise InputError(f"no bundled model is called {name!r}", where="pretrained", remedy=remedy)
+    return load_model(_PRETRAINED / name)

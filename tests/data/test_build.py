@@ -1,0 +1,160 @@
+"""From recordings to a dataset and back."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from tapetum.data import build_dataset, content_hash, open_dataset
+from tapetum.data.crop import crop, find_centre
+from tapetum.errors import InputError
+from tapetum.record.recording import open_recording
+
+
+def place(n: int) -> tuple[float, float]:
+    return 30 + 1.3 * n, 36 + 4 * np.sin(n)
+
+
+def test_crops_labels_and_places(film, tmp_path: Path):
+    recording = film()
+    dataset = open_dataset(build_dataset([recording], tmp_path / "set.zarr", side=32))
+    assert dataset["image"].dims == ("frame", "y", "x")
+    assert dataset["image"].shape == (20, 32, 32)
+    assert dataset["image"].dtype == np.uint8
+    np.testing.assert_allclose(dataset["gaze_x"], np.arange(20) / 100, rtol=1e-6)
+    np.testing.assert_allclose(dataset["gaze_y"], -np.arange(20) / 100, rtol=1e-6)
+    assert dataset["gaze_x"].attrs["units"] == "fraction of the field of view"
+    np.testing.assert_allclose(dataset["time"], np.arange(20) / 15, atol=1e-6)
+    assert float(dataset["snr"].min()) > 6
+    for frame in open_recording(recording).source("probe"):
+        n = frame.index
+        centre = float(dataset["centre_x"][n]), float(dataset["centre_y"][n])
+        assert math.dist(centre, place(n)) < 0.5
+        np.testing.assert_array_equal(dataset["image"][n], crop(frame.image, find_centre(frame.image), 32))
+
+
+def test_the_last_fifth_of_every_video_tests(film, tmp_path: Path):
+    two = [film("a.rec"), film("b.rec", frames=10, seed=1)]
+    dataset = open_dataset(build_dataset(two, tmp_path / "set.zarr", side=16))
+    assert dataset["split"].values.tolist() == [0] * 16 + [1] * 4 + [0] * 8 + [1] * 2
+    assert dataset["split"].attrs["flag_meanings"] == "train test"
+    assert dataset.tp.train["frame_index"].values.tolist() == [*range(16), *range(8)]
+    assert dataset.tp.test["recording"].values.tolist() == [0] * 4 + [1] * 2
+    assert [r["name"] for r in dataset.tp.recordings] == ["a.rec", "b.rec"]
+    assert dataset.tp.recordings[1]["uuid"] == open_recording(two[1]).meta["uuid"]
+
+
+def test_left_out_frames_are_counted_and_do_not_move_the_split(film, tmp_path: Path):
+    recording = film(dark=(2, 3), unlabelled=(5,), poor=(17,))
+    dataset = open_dataset(build_dataset([recording], tmp_path / "set.zarr", side=16))
+    kept = [n for n in range(20) if n not in (2, 3, 5, 17)]
+    assert dataset["frame_index"].values.tolist() == kept
+    assert dataset["split"].values.tolist() == [int(n >= 16) for n in kept]
+    told = dataset.tp.recordings[0]
+    assert told["left_out"] == {"no label": 1, "poor label": 1, "no visible RR": 2}
+    assert (told["frames"], told["used"]) == (20, 16)
+
+
+def test_more_frames_than_a_chunk_come_back_in_order(film, tmp_path: Path):
+    recording = film(frames=40)
+    from tapetum.data import build
+
+    assert build.CHUNK == 64
+    two = [recording, film("b.rec", frames=40)]
+    dataset = open_dataset(build_dataset(two, tmp_path / "set.zarr", side=8))
+    assert sum(len(batch) for batch in dataset.tp.images(7)) == 80
+    np.testing.assert_array_equal(np.concatenate(list(dataset.tp.images(7))), dataset["image"].values)
+    assert dataset["frame_index"].values.tolist() == [*range(40), *range(40)]
+
+
+def test_deep_frames_stay_deep(film, tmp_path: Path):
+    dataset = open_dataset(build_dataset([film(bits=12)], tmp_path / "set.zarr", side=16))
+    assert dataset["image"].dtype == np.uint16
+    assert dataset.tp.full_scale == 4095
+    assert dataset["image"].values.max() > 2000
+
+
+def test_the_hash_is_of_the_contents(film, tmp_path: Path):
+    recording = film()
+    first = open_dataset(build_dataset([recording], tmp_path / "a.zarr", side=16))
+    again = open_dataset(build_dataset([recording], tmp_path / "b.zarr", side=16))
+    other = open_dataset(build_dataset([recording], tmp_path / "c.zarr", side=17))
+    assert first.tp.hash == again.tp.hash == content_hash(first)
+    assert other.tp.hash != first.tp.hash
+    assert first.tp.train.tp.hash == first.tp.hash
+
+
+def test_anyone_can_open_it(film, tmp_path: Path):
+    path = build_dataset([film()], tmp_path / "set.zarr", side=16)
+    dataset = xr.open_zarr(path, consolidated=False, chunks=None)
+    assert dataset["image"].dtype == np.uint8
+    assert dataset.attrs["format"] == "tapetum-dataset"
+
+
+def test_images_are_read_only_when_used(film, tmp_path: Path):
+    dataset = open_dataset(build_dataset([film()], tmp_path / "set.zarr", side=16))
+    assert not dataset["image"].variable._in_memory
+    assert not dataset.tp.test["image"].variable._in_memory
+
+
+def test_whole_videos_may_train_or_test(film, tmp_path: Path):
+    recording = film()
+    assert (
+        len(open_dataset(build_dataset([recording], tmp_path / "a.zarr", side=8, test_fraction=0)).tp.test.frame) == 0
+    )
+    assert (
+        len(open_dataset(build_dataset([recording], tmp_path / "b.zarr", side=8, test_fraction=1)).tp.train.frame) == 0
+    )
+
+
+@pytest.mark.parametrize(
+    ("films", "how", "word"),
+    [
+        ([], {}, "no recording given"),
+        ([{"columns": None}], {}, "no labels"),
+        ([{"columns": ("left", "right")}], {}, "expected columns"),
+        ([{}, {"bits": 12}], {}, "differ in depth"),
+        ([{}, {"columns": ("object_distance", "focal_length")}], {}, "different quantities"),
+        ([{"dark": tuple(range(20))}], {}, "no frame has both"),
+        ([{"dark": tuple(range(16, 20))}], {}, "no frame is left to test"),
+        ([{}], {"side": 0}, "side"),
+        ([{}], {"test_fraction": 1.5}, "test_fraction"),
+    ],
+)
+def test_bad_input_is_told_and_nothing_is_written(film, tmp_path: Path, films, how, word: str):
+    recordings = [film(f"{n}.rec", **one) for n, one in enumerate(films)]
+    with pytest.raises(InputError, match=word):
+        build_dataset(recordings, tmp_path / "set.zarr", **{"side": 8, **how})
+    assert [p for p in tmp_path.iterdir() if p.suffix != ".rec"] == []
+
+
+def test_a_recording_given_twice_is_told(film, tmp_path: Path):
+    recording = film()
+    with pytest.raises(InputError, match="given twice"):
+        build_dataset([recording, recording], tmp_path / "set.zarr", side=8)
+
+
+def test_nothing_is_overwritten_unasked(film, tmp_path: Path):
+    recording = film()
+    path = build_dataset([recording], tmp_path / "set.zarr", side=8)
+    with pytest.raises(InputError, match="exists already"):
+        build_dataset([recording], path, side=8)
+    build_dataset([recording], path, side=10, overwrite=True)
+    assert open_dataset(path).tp.side == 10
+
+
+def test_an_interrupted_build_leaves_nothing(film, tmp_path: Path):
+    def stop(items, what, *, total=None):
+        for n, item in enumerate(items):
+            if n == 5:
+                raise KeyboardInterrupt
+            yield item
+
+    recording = film()
+    with pytest.raises(KeyboardInterrupt):
+        build_dataset([recording], tmp_path / "set.zarr", side=8, progress=stop)
+    assert [p.name for p in tmp_path.iterdir()] == ["a.rec"]

@@ -1,0 +1,92 @@
+"""Predictions, intervals and which frames a model may learn from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tapetum.data import dataset_from_arrays
+from tapetum.errors import InputError
+from tapetum.models import Estimator, Prediction, ResNet18, ZernikeRidge
+from tapetum.models.base import conformal_half_width, target_names, training_part
+
+
+def test_columns_of_a_table_of_tracks():
+    value = np.array([[0.1, 0.2], [0.3, 0.4]])
+    prediction = Prediction(("gaze_x", "gaze_y"), value, value - 1, value + 2)
+    assert list(prediction.columns()) == [
+        *("gaze_x", "gaze_x_low", "gaze_x_high"),
+        *("gaze_y", "gaze_y_low", "gaze_y_high"),
+    ]
+    np.testing.assert_array_equal(prediction["gaze_y"], [0.2, 0.4])
+    np.testing.assert_array_equal(prediction.columns()["gaze_x_high"], [2.1, 2.3])
+    assert len(prediction) == 2
+    with pytest.raises(InputError, match="there are: gaze_x, gaze_y"):
+        _ = prediction["focus"]
+
+
+def test_a_prediction_is_never_nan():
+    bad = np.array([[np.nan]])
+    with pytest.raises(InputError, match="not finite"):
+        Prediction(("z",), bad, bad, bad)
+    with pytest.raises(InputError, match="must all be"):
+        Prediction(("z",), np.zeros((2, 1)), np.zeros((1, 1)), np.zeros((2, 1)))
+
+
+def test_conformal_intervals_cover_what_they_promise():
+    rng = np.random.default_rng(0)
+    inside = []
+    for _ in range(2000):
+        residuals = rng.standard_t(3, (30, 1))
+        inside.append(abs(residuals[29]) <= conformal_half_width(residuals[:29]))
+    # 29 frames: the 27th of 30 places, exactly 90 %.
+    assert np.mean(inside) == pytest.approx(0.9, abs=0.02)
+
+
+def test_too_few_frames_promise_nothing():
+    assert np.isinf(conformal_half_width(np.zeros((8, 2)))).all()
+    assert np.isfinite(conformal_half_width(np.zeros((9, 2)))).all()
+
+
+def test_the_last_tenth_of_every_recording_calibrates(small):
+    part = training_part(small, ("gaze_x",), 0.1)
+    assert part.calibrate.tolist() == [*range(90, 100), *range(190, 200)]
+    assert part.fit.tolist() == [*range(90), *range(100, 190)]
+    assert part.data_hash == small.tp.hash
+    np.testing.assert_array_equal(part.targets[:, 0], small["gaze_x"].values[:200].astype(float))
+
+
+def test_test_frames_never_train(small):
+    whole, train = training_part(small, ("gaze_x",), 0.1), training_part(small.tp.train, ("gaze_x",), 0.1)
+    np.testing.assert_array_equal(whole.targets, train.targets)
+    with pytest.raises(InputError, match="too few"):
+        training_part(small.tp.test, ("gaze_x",), 0.1)
+
+
+def test_targets_have_names():
+    assert target_names("gaze") == ("gaze_x", "gaze_y")
+    assert target_names("focus") == ("object_distance", "focal_length")
+    assert target_names("focal_length") == ("focal_length",)
+    with pytest.raises(InputError, match="target"):
+        target_names(())
+
+
+def test_both_models_are_estimators():
+    for model in (ZernikeRidge(alpha="cv"), ResNet18("focus", seed=3)):
+        assert isinstance(model, Estimator)
+        assert type(model)(**model.parameters()).parameters() == model.parameters()
+
+
+@pytest.mark.parametrize("kind", [ZernikeRidge, ResNet18])
+def test_a_missing_label_is_told(kind):
+    dataset = dataset_from_arrays(np.zeros((4, 8, 8), np.uint8), {"gaze_x": np.arange(4)})
+    with pytest.raises(InputError, match="no label 'gaze_y'"):
+        kind().fit(dataset)
+
+
+@pytest.mark.parametrize("model", [ZernikeRidge(), ResNet18()])
+def test_an_unfitted_model_says_so(model):
+    with pytest.raises(InputError, match="not fitted"):
+        model.predict(np.zeros((1, 400, 400), np.uint8))
+    with pytest.raises(InputError, match="not fitted"):
+        model.state()
