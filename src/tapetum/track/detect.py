@@ -1,0 +1,160 @@
+"""Finding retro-reflections in a whole frame of the probe.
+
+A spot may be an Airy pattern five pixels wide or a saturated, ringed beam of several hundred; it may have
+lobes and fringes, and reflections of reflections beside it. Each comes out as one detection: the light is
+sought at two scales, the brightest place first, and everything within the reach of a spot's second moments
+belongs to it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.data.crop import find_centre
+from tapetum.errors import InputError
+from tapetum.track.detections import Detections
+from tapetum.track.spots import make_maps, search
+
+__all__ = ["detect"]
+
+
+def _ghosts(
+    x: NDArray, y: NDArray, peak: NDArray, bright: NDArray, ratio: float, radius: float, floor: float
+) -> NDArray:
+    """Return which spots accompany a brighter one. Spots come brightest first."""
+    ghost = np.zeros(len(x), dtype=bool)
+    for n in range(1, len(x)):
+        others = np.flatnonzero(~ghost[:n])
+        near = np.hypot(x[others] - x[n], y[others] - y[n]) <= radius
+        # How bright a saturated spot really is nobody knows: it may have twice the ghost.
+        limit = ratio * peak[others] * np.where(bright[others], 2.0, 1.0)
+        ghost[n] = bool((near & (peak[n] < limit)).any() or peak[n] < floor * peak[0])
+    return ghost
+
+
+def detect(
+    image: NDArray[np.generic],
+    *,
+    full_scale: float | None = None,
+    min_snr: float = 6.0,
+    max_count: int = 100,
+    ghosts: str = "drop",
+    ghost_ratio: float = 0.25,
+    ghost_radius: float | None = None,
+    stray: float = 0.03,
+) -> Detections:
+    """Find the retro-reflections in a frame.
+
+    The background is a surface of the fourth order fitted from below, the noise comes from differences of
+    neighbours, single hot pixels are replaced. What stands out of the noise at 1.5 or 6 px of smoothing is
+    a spot; its centroid and its size come from the second moments within 1.5 times its own diameter (ISO
+    11146-1 with a narrower aperture), and whatever lies in there, lobes, fringes, inner rings, is part of it.
+
+    A probe's beam splitter gives every retro-reflection a dim companion at a fixed offset, and lenses give
+    bright light stray reflections. A spot is called a *ghost* when a brighter one within `ghost_radius`
+    outshines it by more than 1/`ghost_ratio` (half as much where the brighter one is saturated), or when it
+    has less than `stray` of the height of the brightest spot of the frame. The price: a second camera that
+    near and that much dimmer goes as a ghost; set ``ghosts="mark"`` to see them all.
+
+    Parameters
+    ----------
+    image
+        [H, W], uint8, uint16 or float, grey.
+    full_scale
+        Value at which a pixel is saturated; the type's largest where not given (none for float).
+    min_snr
+        Smallest height of a spot over the noise, after smoothing.
+    max_count
+        Most spots to return; the brightest are kept.
+    ghosts
+        "drop" leaves ghosts out, "mark" returns them with ``ghost`` set.
+    ghost_ratio
+        Largest height of a ghost, as a fraction of the spot it belongs to. 0: there are no ghosts nearby.
+    ghost_radius
+        Largest distance of a ghost in pixels; 0.35 of the frame's diagonal where not given.
+    stray
+        Height, as a fraction of the brightest spot's, below which light anywhere is stray. 0: never.
+
+    Returns
+    -------
+    Detections
+        Brightest first; always finite.
+
+    Raises
+    ------
+    InputError
+        When the image is not a grey picture of finite values, or an option is out of range.
+
+    Examples
+    --------
+    >>> image = np.zeros((48, 64), np.uint8)
+    >>> image[20:25, 30:35] = 200
+    >>> found = detect(image)
+    >>> len(found), round(float(found.x[0])), round(float(found.y[0]))
+    (1, 32, 22)
+    """
+    array = _checked(image)
+    if not min_snr > 0:
+        raise InputError(f"must be positive, is {min_snr}", where="min_snr", remedy="6 is usual")
+    if max_count < 1:
+        raise InputError(f"must be at least 1, is {max_count}", where="max_count")
+    if ghosts not in ("drop", "mark"):
+        raise InputError(f"unknown value {ghosts!r}", where="ghosts", remedy="use one of drop, mark")
+    if not (0 <= ghost_ratio <= 1 and 0 <= stray <= 1):
+        raise InputError(f"must lie in 0...1, are {ghost_ratio}, {stray}", where="ghost_ratio, stray")
+    whole = array.dtype.kind in "iu"
+    if full_scale is None:
+        full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
+    maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30))
+    found = search(maps, array >= full_scale, min_snr, max_count)
+    if not found:
+        return Detections.empty()
+
+    x, y, peak, diameter = (
+        np.array([getattr(spot, name) for spot in found]) for name in ("x", "y", "peak", "diameter")
+    )
+    saturated = np.array([spot.saturated for spot in found], dtype=np.int64)
+    radius = 0.35 * math.hypot(*array.shape) if ghost_radius is None else ghost_radius
+    ghost = _ghosts(x, y, peak, saturated > 0, ghost_ratio, radius, stray)
+    kept = np.flatnonzero(~ghost) if ghosts == "drop" else np.arange(len(found))
+    centres = [find_centre(array, near=(float(x[n]), float(y[n]), max(4.0, 0.75 * float(diameter[n])))) for n in kept]
+    own = {name: np.array([getattr(found[n], name) for n in kept]) for name in ("snr", "area", "edge")}
+    places = np.array(centres).reshape(-1, 2)
+    return Detections.of(
+        {
+            "x": x[kept],
+            "y": y[kept],
+            "peak_x": places[:, 0],
+            "peak_y": places[:, 1],
+            "peak": peak[kept],
+            "diameter": diameter[kept],
+            "saturated": saturated[kept],
+            "ghost": ghost[kept],
+            **own,
+        }
+    )
+
+
+def _checked(image: NDArray[np.generic]) -> NDArray[Any]:
+    array = np.asarray(image)
+    if array.ndim != 2 or min(array.shape) < 8:
+        raise InputError(f"expected a grey image [H, W] of at least 8 x 8, got shape {array.shape}", where="image")
+    if array.dtype in (np.uint8, np.uint16):
+        return array
+    if array.dtype.kind not in "iuf":
+        raise InputError(
+            f"images of type {array.dtype} are not grey levels",
+            where="image",
+            remedy="give uint8, uint16 or float",
+        )
+    if not np.isfinite(array).all():
+        raise InputError(
+            "the image holds values that are not finite",
+            where="image",
+            remedy="replace NaN and infinite pixels",
+        )
+    return array.astype(np.float32)

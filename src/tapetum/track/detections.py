@@ -1,0 +1,158 @@
+"""What was seen in one frame: a small table of spots that every step of tracking takes and returns."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from tapetum.errors import InputError
+from tapetum.files import atomic_file
+
+__all__ = ["Detections"]
+
+_TYPES = {"area": np.int64, "saturated": np.int64, "edge": np.bool_, "ghost": np.bool_}
+
+
+@dataclass(frozen=True, eq=False)
+class Detections:
+    """Spots found in one frame, brightest first; all arrays have the shape [N].
+
+    Parameters
+    ----------
+    x, y
+        Centroid of the light above the background, as ISO 11146-1 defines a beam's position: pixels,
+        sub-pixel, (0, 0) at the centre of the first pixel, x right, y down.
+    peak_x, peak_y
+        Brightest point of the smoothed frame within the spot (`tapetum.data.crop.find_centre`), pixels:
+        where the paper centres its crops. In a fringed or two-lobed spot it may be far from the centroid.
+    snr
+        Height of the smoothed spot over the noise of the smoothed background, the better of two scales.
+    peak
+        Height of the slightly smoothed spot (1.5 px) above the background, in the frame's own units.
+    diameter
+        Diameter from the second moments, ``2 sqrt(2) (var_x + var_y)^(1/2)``: four standard deviations of a
+        round spot (D4 sigma of ISO 11146-1), pixels.
+    area
+        Pixels significantly above the background, within the spot.
+    saturated
+        Pixels of the spot at full scale.
+    edge
+        True where the spot touches the frame's edge, so that part of it may lie outside.
+    ghost
+        True where the spot looks like a reflection that accompanies a brighter one (see
+        `tapetum.track.detect`).
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    peak_x: NDArray[np.float64]
+    peak_y: NDArray[np.float64]
+    snr: NDArray[np.float64]
+    peak: NDArray[np.float64]
+    diameter: NDArray[np.float64]
+    area: NDArray[np.int64]
+    saturated: NDArray[np.int64]
+    edge: NDArray[np.bool_]
+    ghost: NDArray[np.bool_]
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            array = np.asarray(getattr(self, field.name), dtype=_TYPES.get(field.name, np.float64))
+            if array.ndim != 1 or len(array) != len(np.atleast_1d(self.x)):
+                raise InputError(
+                    f"has the shape {array.shape}, x has {np.shape(self.x)}",
+                    where=f"Detections.{field.name}",
+                    remedy="give one value a spot",
+                )
+            if not np.isfinite(array).all():
+                raise InputError("holds a value that is not finite", where=f"Detections.{field.name}")
+            object.__setattr__(self, field.name, array)
+
+    @classmethod
+    def empty(cls) -> Detections:
+        """Return a table without spots."""
+        return cls.of({name: np.empty(0) for name in cls.names()})
+
+    @classmethod
+    def of(cls, columns: Mapping[str, Any]) -> Detections:
+        """Return the spots of columns by name: arrays or lists, [N] each."""
+        arrays: list[Any] = [np.asarray(columns[name]) for name in cls.names()]
+        return cls(*arrays)
+
+    @classmethod
+    def names(cls) -> tuple[str, ...]:
+        """Return the names of the columns."""
+        return tuple(f.name for f in fields(cls))
+
+    def __len__(self) -> int:
+        return len(self.x)
+
+    def __getitem__(self, index: int | slice | NDArray[np.generic] | list[int]) -> Detections:
+        """Return the spots that a number, slice, mask or list of numbers picks, in that order."""
+        chosen = slice(index, index + 1 or None) if isinstance(index, (int, np.integer)) else index
+        if isinstance(index, (int, np.integer)) and not -len(self) <= index < len(self):
+            raise IndexError(f"spot {index} of {len(self)}")
+        return Detections(*(getattr(self, f.name)[chosen] for f in fields(self)))
+
+    def __iter__(self) -> Iterator[Detections]:
+        return (self[n] for n in range(len(self)))
+
+    @property
+    def without_ghosts(self) -> Detections:
+        """The spots that are not ghosts."""
+        return self[~self.ghost]
+
+    def to_table(self) -> pa.Table:
+        """Return the spots as an Arrow table, a row a spot."""
+        return pa.table({f.name: pa.array(getattr(self, f.name)) for f in fields(self)})
+
+    @classmethod
+    def from_table(cls, table: pa.Table) -> Detections:
+        """Return the spots of an Arrow table; columns that are not ours are passed over.
+
+        Raises
+        ------
+        InputError
+            When a column is missing or holds a null.
+        """
+        missing = [name for name in cls.names() if name not in table.column_names]
+        if missing:
+            raise InputError(
+                f"no column {', '.join(missing)}",
+                where="detections",
+                remedy="give a table that Tapetum wrote",
+            )
+        for name in cls.names():
+            if table[name].null_count:
+                raise InputError("holds an empty cell", where=f"detections, column {name}")
+        return cls.of({name: table[name].to_numpy(zero_copy_only=False) for name in cls.names()})
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the spots to a Parquet file."""
+        with atomic_file(path) as part:
+            pq.write_table(self.to_table(), part)
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Detections:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            When the file is missing, damaged or not a table of detections.
+        """
+        if not Path(path).is_file():
+            raise InputError("no such file", where=path, remedy="give a file that Detections.save wrote")
+        try:
+            table = pq.read_table(path)
+        except (pa.ArrowException, OSError) as error:
+            raise InputError("is not a readable Parquet file", where=path, remedy="write it anew") from error
+        return cls.from_table(table)

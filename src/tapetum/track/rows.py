@@ -1,0 +1,176 @@
+"""Rows of tracks: what a frame says of each track, and tracks made anew of detections that were kept."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import groupby
+from typing import Any
+
+import pyarrow as pa
+
+from tapetum.errors import InputError
+from tapetum.track.detections import Detections
+from tapetum.track.tables import detections_schema, estimate_columns, finite, read_table, track_schema
+from tapetum.track.tracker import Tracker
+
+__all__ = ["TrackRow", "TrackedFrame", "retrack"]
+
+
+@dataclass(frozen=True)
+class TrackRow:
+    """One track in one frame: a row of the table of tracks.
+
+    Parameters
+    ----------
+    frame, time, name
+        The frame's number, its time in seconds and what it is called.
+    track
+        Number of the track.
+    x, y
+        Pixels: the spot's centroid; where the track is expected while it coasts.
+    snr, peak_x, peak_y, diameter
+        Of the spot (see `Detections`); None while the track coasts.
+    seen
+        Whether the spot was detected in this frame.
+    estimates
+        What the models say: NAME, NAME_low and NAME_high for each quantity. Empty while the track coasts.
+    """
+
+    frame: int
+    time: float
+    name: str
+    track: int
+    x: float
+    y: float
+    snr: float | None
+    peak_x: float | None
+    peak_y: float | None
+    diameter: float | None
+    seen: bool
+    estimates: Mapping[str, float] = field(default_factory=dict)
+
+    def record(self) -> dict[str, Any]:
+        """Return the row as the columns of the table.
+
+        `active`, `device` and `device_probability` are left out, which makes them empty: whether a camera
+        is recording shows in how its return changes with time, and what it is takes a model of many;
+        neither exists yet.
+        """
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "estimates"}
+        return {**own, **self.estimates}
+
+
+@dataclass(frozen=True)
+class TrackedFrame:
+    """What tracking makes of a frame.
+
+    Parameters
+    ----------
+    frame, time, name
+        The frame's number, its time in seconds and what it is called.
+    rows
+        The tracks that live in it, those that coast included.
+    detections
+        The spots found in it.
+    estimates
+        What the models say of each spot; nothing of ghosts.
+    """
+
+    frame: int
+    time: float
+    name: str
+    rows: tuple[TrackRow, ...]
+    detections: Detections
+    estimates: tuple[Mapping[str, float], ...]
+
+
+def rows_of(
+    tracker: Tracker,
+    found: Detections,
+    answers: Sequence[Mapping[str, float]],
+    frame: int,
+    time: float,
+    name: str,
+) -> tuple[TrackRow, ...]:
+    rows: list[TrackRow] = []
+    for point in tracker.update(found, time):
+        spot = None if point.detection is None else found[point.detection]
+        rows.append(
+            TrackRow(
+                frame=frame,
+                time=time,
+                name=name,
+                track=point.track,
+                x=point.x,
+                y=point.y,
+                snr=None if spot is None else float(spot.snr[0]),
+                peak_x=None if spot is None else float(spot.peak_x[0]),
+                peak_y=None if spot is None else float(spot.peak_y[0]),
+                diameter=None if spot is None else float(spot.diameter[0]),
+                seen=spot is not None,
+                estimates={} if point.detection is None else answers[point.detection],
+            )
+        )
+    return tuple(rows)
+
+
+def detection_records(one: TrackedFrame) -> Iterator[dict[str, Any]]:
+    where = {"frame": one.frame, "time": one.time, "name": one.name}
+    if not len(one.detections):
+        yield where
+    for n, answers in enumerate(one.estimates):
+        yield {**where, **{name: getattr(one.detections, name)[n] for name in Detections.names()}, **answers}
+
+
+def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker | None = None) -> pa.Table:
+    """Make tracks anew of what was detected before, without the video: to try other options of the tracker.
+
+    Parameters
+    ----------
+    detections
+        The table that `track_to_file` kept, or its path.
+    tracker
+        How to follow; with its usual options where not given. It forgets its earlier tracks.
+
+    Returns
+    -------
+    pyarrow.Table
+        A table of tracks, as `track_to_file` writes it, with the estimates that were kept.
+
+    Raises
+    ------
+    InputError
+        When the table cannot be read or is none of detections.
+    """
+    schema = detections_schema()
+    if isinstance(detections, (str, os.PathLike)):
+        table = read_table(detections, schema)
+    else:
+        table = detections
+        if missing := [name for name in schema.names if name not in table.column_names]:
+            raise InputError(
+                f"no column {', '.join(missing)}", where="detections", remedy="give a table of track_to_file"
+            )
+    extra = [name for name in table.column_names if name not in schema.names]
+    names = [name for name in extra if {f"{name}_low", f"{name}_high"} <= set(extra)]
+    follower = Tracker() if tracker is None else tracker
+    follower.reset()
+    records: list[dict[str, Any]] = []
+    for _, group in groupby(table.to_pylist(), key=lambda row: row["frame"]):
+        rows = list(group)
+        first = rows[0]
+        spots = [row for row in rows if row["x"] is not None]
+        found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
+        answers = [{c: _number(row[c]) for c in estimate_columns(names)} for row in spots]
+        new = rows_of(follower, found, answers, first["frame"], first["time"], first["name"] or "")
+        records += [row.record() for row in new]
+    whole = track_schema(names)
+    clean = [{c: finite(row.get(c)) for c in whole.names} for row in records]
+    return pa.Table.from_pylist(clean, schema=whole)
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

@@ -1,0 +1,157 @@
+"""Following spots whose motion is known."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from probe_frames import WIDTH, hot_pixels, probe_frame
+
+from tapetum.errors import InputError
+from tapetum.record.source import Frame
+from tapetum.track import Detections, Tracker, detect, track
+
+OUT_OF_RANGE: list[dict[str, Any]] = [
+    {"gate": 0},
+    {"noise": math.inf},
+    {"ghost_radius": -1},
+    {"max_coast": math.nan},
+]
+
+
+def spots(*places: tuple[float, ...]) -> Detections:
+    """Return detections at (x, y) or (x, y, peak)."""
+    full = [(*place, 100.0)[:3] for place in places]
+    columns = {name: np.full(len(full), 10.0) for name in Detections.names()}
+    columns |= {"x": np.array([p[0] for p in full]), "y": np.array([p[1] for p in full])}
+    columns |= {"peak": np.array([p[2] for p in full]), "diameter": np.full(len(full), 20.0)}
+    return Detections.of(columns | {"ghost": np.zeros(len(full), bool), "edge": np.zeros(len(full), bool)})
+
+
+def test_two_that_cross_keep_their_numbers():
+    tracker, rng = Tracker(), np.random.default_rng(0)
+    number, velocity = 0, (0.0, 0.0)
+    for n in range(60):
+        wobble = rng.normal(0, 0.3, 4)
+        places = [
+            (100 + 5 * n + wobble[0], 100 + 2 * n + wobble[1]),
+            (400 - 5 * n + wobble[2], 220 - 2 * n + wobble[3]),
+        ]
+        order = [0, 1] if n % 2 else [1, 0]
+        points = tracker.update(spots(*(places[k] for k in order)), n / 15)
+        if n == 0:
+            number = min(points, key=lambda point: point.x).track
+        assert len(points) == 2
+        mine = next(point for point in points if point.track == number)
+        # Within a pixel of each other nobody can tell them apart; before and after they are themselves.
+        assert math.dist((mine.x, mine.y), places[0]) < (2 if n == 30 else 1e-9)
+        velocity = mine.vx, mine.vy
+    assert velocity == pytest.approx((75, 30), abs=6)
+
+
+def test_a_track_coasts_and_comes_back_by_its_number_whatever_the_gap_in_time():
+    tracker = Tracker()
+    times = [0.0, 0.07, 0.13, 0.2, 0.5, 0.52, 1.3, 1.4]  # jitter and lost frames
+    unseen = {0.5, 0.52}
+    for time in times:
+        place = (100 + 90 * time, 200 - 40 * time)
+        (point,) = tracker.update(spots() if time in unseen else spots(place), time)
+        assert point.track == 1
+        assert point.seen is (time not in unseen)
+        assert math.dist((point.x, point.y), place) < 8
+
+
+def test_a_track_ends_and_the_next_one_has_a_new_number():
+    tracker = Tracker(max_coast=0.5)
+    for n in range(10):
+        tracker.update(spots((50, 60)), n / 10)
+    alive = [len(tracker.update(spots(), 1 + n / 10)) for n in range(10)]
+    assert alive == [1] * 5 + [0] * 5
+    assert [point.track for point in tracker.update(spots((50, 60)), 3)] == [2]
+    tracker.reset()
+    assert [point.track for point in tracker.update(spots((50, 60)), 0)] == [1]
+
+
+def test_what_was_seen_once_does_not_coast():
+    tracker = Tracker()
+    assert [point.seen for point in tracker.update(spots((50, 60)), 0.0)] == [True]
+    assert tracker.update(spots(), 0.1) == []
+
+
+def test_a_ghost_left_alone_neither_takes_the_track_nor_begins_one():
+    tracker = Tracker()
+    for n in range(10):
+        tracker.update(spots((100 + n, 60, 200.0)), n / 15)
+    for n in range(10, 15):
+        (point,) = tracker.update(spots((160 + n, 80, 20.0)), n / 15)
+        assert (point.track, point.seen) == (1, False)
+    (point,) = tracker.update(spots((115, 60, 200.0), (175, 80, 20.0)), 1.0)
+    assert (point.track, point.seen) == (1, True)
+    assert len(Tracker(ghost_ratio=0).update(spots((115, 60, 200.0), (175, 80, 20.0)), 1.0)) == 2
+
+
+def test_the_number_of_the_detection_counts_marked_ghosts_too():
+    found = spots((10, 10), (300, 300))
+    columns = {name: getattr(found, name) for name in Detections.names()} | {"ghost": np.array([True, False])}
+    (point,) = Tracker().update(Detections.of(columns), 0.0)
+    assert point.detection == 1 and point.x == 300
+
+
+def test_bad_input_is_told():
+    tracker = Tracker()
+    tracker.update(spots(), 1.0)
+    tracker.update(spots(), 1.0)
+    for time in (0.9, math.nan):
+        with pytest.raises(InputError, match="time"):
+            tracker.update(spots(), time)
+    for options in OUT_OF_RANGE:
+        with pytest.raises(InputError, match=next(iter(options))):
+            Tracker(**options)
+
+
+def film(rng: np.random.Generator, fade: range, count: int = 100):
+    """Yield frames of a camera that wanders, with its ghost, and its true place and brightness."""
+    hot = hot_pixels(3)
+    for n in range(count):
+        x, y = 120 + 3.5 * n, 240 + 60 * math.sin(n / 12)
+        width, height = 40 + 20 * math.sin(n / 9), 0.0 if n in fade else 110.0
+        look = (0.3 * n, 0.4 + 0.02 * n)
+        image = probe_frame(rng, [(x, y, width, height, *look), (x + 55, y + 18, width, 0.1 * height, *look)], hot)
+        yield Frame(n, n / 15 + rng.uniform(0, 0.02), image), x, y
+
+
+def test_one_camera_with_a_ghost_is_one_track_through_a_fade():
+    fade = range(50, 60)
+    filmed = list(film(np.random.default_rng(1), fade))
+    assert max(x for _, x, _ in filmed) < WIDTH
+    for tracked, (_, x, y) in zip(track([frame for frame, _, _ in filmed]), filmed, strict=True):
+        (row,) = tracked.rows
+        assert row.track == 1
+        assert row.seen is (tracked.frame not in fade)
+        off = math.dist((row.x, row.y), (x, y))
+        assert off < (0.1 * row.diameter if row.diameter else 40)
+
+
+def test_a_ghost_that_outlives_its_fading_spot_begins_no_track():
+    """The spot leaves through the frame's edge while its ghost is still in view."""
+    rng, numbers = np.random.default_rng(2), set()
+    tracker = Tracker()
+    for n in range(40):
+        x = 560 + 3 * n
+        image = probe_frame(rng, [(x, 200, 40, 200), (x - 60, 230, 40, 20)])
+        numbers |= {point.track for point in tracker.update(detect(image), n / 15)}
+    assert numbers == {1}
+
+
+def test_numbers_are_never_used_twice():
+    tracker, rng = Tracker(), np.random.default_rng(3)
+    last: dict[int, int] = {}
+    for n in range(80):
+        places = [tuple(place) for place in rng.uniform(0, 600, (rng.integers(0, 4), 2))]
+        for point in tracker.update(spots(*places), n / 15):
+            assert n - last.get(point.track, n) <= 1
+            last[point.track] = n
+    assert sorted(last) == list(itertools.chain(range(1, max(last) + 1)))
