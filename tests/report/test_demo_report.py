@@ -1,0 +1,76 @@
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapetum.errors import InputError
+from tapetum.report import DemoReport, DemoScores, ModelResult, score_demo, score_gaze, write_demo_report
+
+
+def plain(page: str) -> str:
+    """The page's words without pictures, styles and tags."""
+    page = re.sub(r"<style>.*?</style>|src=\"[^\"]*\"", "", page, flags=re.S)
+    return re.sub(r"\s+", " ", re.sub(r"<[^>]+>", " ", page))
+
+
+@pytest.fixture(scope="module")
+def written(tmp_path_factory: pytest.TempPathFactory, content: DemoReport) -> tuple[str, DemoScores]:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    scores = write_demo_report(path, content)
+    return path.read_text(encoding="utf-8"), scores
+
+
+def test_the_report_holds_its_parts_and_their_numbers(written: tuple[str, DemoScores], content: DemoReport) -> None:
+    page, scores = written
+    words = plain(page)
+    good = score_gaze(content.truth, content.models[0].predicted)
+    assert scores.models[0] == ("ResNet-18", good)
+    assert f"{good.mae[0]:.3f} / {good.rmse[0]:.3f}" in words
+    assert f"{scores.baseline.mae_overall:.3f}" in words
+    assert "39 of 40 frames got one" in words
+    assert "0.500 px in the median" in words
+    # 30 rows, one of them coasting, of 32 frames.
+    assert "seen in 29 (91 %), in 2 tracks, the longest of 25 frames" in words
+    assert "42.5 s" in words
+    assert page.count("<img") == 8
+    assert page.count('alt="') == 8
+    assert "<script>alert" not in page
+    assert "Simulation only" in words
+    assert "One more limit." in words
+    assert "MAE 0.095 of the field" in words
+
+
+def test_the_numbers_come_before_everything_else(written: tuple[str, DemoScores]) -> None:
+    assert written[0].index('class="numbers"') < written[0].index("<section")
+
+
+def test_sections_without_content_are_left_out(tmp_path: Path, content: DemoReport) -> None:
+    bare = replace(content, sign=None, tracking=None, timings=(), path_rrs=(), path_rrs_at=())
+    write_demo_report(tmp_path / "r.html", bare)
+    words = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert "Tracking" not in words
+    assert "second beam, not on the target" not in words
+    assert "from an empty folder" not in words
+
+
+def test_a_model_no_better_than_the_mean_is_called_so(tmp_path: Path, content: DemoReport) -> None:
+    bad = ModelResult("Hopeless", -2 * content.truth, "wrong sign")
+    write_demo_report(tmp_path / "r.html", replace(content, models=[bad, content.models[1]], sign=None, tracking=None))
+    words = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert "Not better than predicting the training mean: Hopeless" in words
+    assert "Zernike + ridge did better here than Hopeless" in words
+    assert "times less than predicting" not in words
+
+
+def test_bad_content_writes_nothing(tmp_path: Path, content: DemoReport) -> None:
+    twice = replace(content, models=[content.models[0], content.models[0]])
+    with pytest.raises(InputError, match="its own name"):
+        write_demo_report(tmp_path / "r.html", twice)
+    holes = replace(content, truth=np.full_like(content.truth, np.nan))
+    with pytest.raises(InputError, match="not finite"):
+        score_demo(holes)
+    assert not list(tmp_path.iterdir())
