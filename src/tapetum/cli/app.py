@@ -1,0 +1,114 @@
+"""The command `tapetum`: one thin module a command, one line for bad input."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+from typer.core import TyperGroup
+
+from tapetum.cli import dataset, demo, evaluate, record, simulate, track, train
+from tapetum.cli.memory import keep_big_blocks
+from tapetum.errors import InputError, TapetumError
+
+__all__ = ["app", "main"]
+
+# Typer raises the errors of Click, which newer versions of it carry inside and older ones import: its own public
+# error leads to the classes of both.
+_UsageError: type[Exception] = typer.BadParameter.__bases__[0]
+_ClickException: type[Exception] = _UsageError.__bases__[0]
+
+
+class _AsAdded(TyperGroup):
+    """Lists the commands in the order in which a person needs them."""
+
+    def list_commands(self, ctx: typer.Context) -> list[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
+        del ctx
+        order = ("demo", "simulate", "record", "dataset", "train", "evaluate", "track")
+        return sorted(self.commands, key=lambda name: order.index(name) if name in order else len(order))
+
+
+app = typer.Typer(
+    cls=_AsAdded,
+    help="Turn the light a camera throws back into knowledge of that camera. Begin with: tapetum demo",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+app.command("demo", short_help="The main job end to end, with a report.")(demo.demo)
+app.command("simulate", short_help="Retro-reflections of a scene, and sweeps.")(simulate.simulate)
+app.command("record", short_help="Film a scene on the virtual bench.")(record.record)
+app.add_typer(dataset.app, name="dataset", short_help="Build datasets, and look into them.")
+app.command("train", short_help="Fit a model to a dataset.")(train.train)
+app.command("evaluate", short_help="A model's errors on a dataset.")(evaluate.evaluate)
+app.command("track", short_help="Find, follow and read retro-reflections.")(track.track)
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        typer.echo(importlib.metadata.version("tapetum"))
+        raise typer.Exit
+
+
+@app.callback()
+def _root(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    del version
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line: 0 done, 1 a check said no, 2 bad input, 130 interrupted."""
+    keep_big_blocks()
+    code, line = _run(arguments)
+    # Only now, when the error and the frames it held are gone, is a bar that it cut short off the screen.
+    if line:
+        typer.echo(line, err=True)
+    return code
+
+
+def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
+    """Run a command; return its exit code and what to say of an error."""
+    try:
+        result = app(
+            args=list(arguments) if arguments is not None else None, prog_name="tapetum", standalone_mode=False
+        )
+        return result if isinstance(result, int) else 0, ""
+    except InputError as error:
+        return 2, f"error: {error}"
+    except TapetumError as error:
+        return 1, f"error: {error}"
+    except (KeyboardInterrupt, typer.Abort):
+        return 130, "interrupted"
+    except BrokenPipeError:
+        # Whoever read our output has left (`tapetum ... | head`): nothing to say, and nowhere to flush it to.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1, ""
+    except OSError as error:
+        # A file that the system would not read or write; errors without a file's name are ours to mend.
+        if error.filename is None:
+            raise
+        return 2, f"error: {error.filename}: {error.strerror or error}; check the path and its permissions"
+    except _ClickException as error:
+        return 2, _usage(error)
+
+
+def _usage(error: Exception) -> str:
+    """What Click says of a command line that it cannot read."""
+    context = getattr(error, "ctx", None)
+    command = "tapetum" if context is None else context.command_path
+    if type(error).__name__ == "NoArgsIsHelpError":
+        return str(error)
+    message = " ".join(str(getattr(error, "format_message", error.__str__)()).split())
+    return f"error: {message.rstrip('.?')}; see {command} --help"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,59 @@
+"""`tapetum track`: find, follow and read the retro-reflections of a video, a folder of images or a recording."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tapetum.cli.inputs import find_model
+from tapetum.errors import InputError
+from tapetum.progress import bar
+
+
+def track(
+    source: Annotated[
+        Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, an image, or a recording.")
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="TRACKS", help="The tracks: .parquet, .csv or .jsonl.")],
+    models: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--model",
+            metavar="MODEL",
+            help="A model's folder, or the bundled thin-lens-gaze; may be repeated.",
+        ),
+    ] = None,
+    detections: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Keep what was detected here too, to track again without the video."),
+    ] = None,
+    min_snr: Annotated[
+        float, typer.Option(metavar="RATIO", help="Least signal-to-noise ratio of a detection.", min=1.0)
+    ] = 6.0,
+    stream: Annotated[str, typer.Option(metavar="NAME", help="Which stream of a recording.")] = "probe",
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Track every retro-reflection, and let models say where its camera looks."""
+    if detections is not None and detections.resolve() == out.resolve():
+        raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
+    from tapetum.track import track_to_file
+
+    summary = track_to_file(
+        source,
+        out,
+        model=[find_model(name) for name in models or ()],
+        detections=detections,
+        detect_options={"min_snr": min_snr},
+        stream=stream,
+        progress=bar,
+    )
+    if as_json:
+        typer.echo(json.dumps({**asdict(summary), "out": str(out)}))
+        return
+    counts = (("track", summary.tracks), ("frame", summary.frames), ("sighting", summary.seen))
+    tracks, frames, seen = (f"{count} {word}{'' if count == 1 else 's'}" for word, count in counts)
+    typer.echo(f"{out}: {tracks} in {frames}, {seen}")
