@@ -13,6 +13,7 @@ from tapetum.errors import InputError
 
 __all__ = ["first_fault"]
 
+_UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
 _BOUNDS = {
     "greater_than": ("gt", "more than"),
     "greater_than_equal": ("ge", "at least"),
@@ -22,7 +23,7 @@ _BOUNDS = {
 
 
 def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, ...]]) -> InputError:
-    """Return the first of pydantic's findings as an InputError.
+    """Return the first of pydantic's findings, an unknown key before all others, as an InputError.
 
     Parameters
     ----------
@@ -33,7 +34,9 @@ def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, .
     paths
         Every field of a scene, to guess what an unknown key meant.
     """
-    first = error.errors(include_url=False)[0]
+    found = error.errors(include_url=False)
+    # A misspelt key makes its field missing as well: the key is what to mend.
+    first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
     steps = [step for step in first["loc"] if not str(step).startswith(("function-", "tuple["))]
     kind, given, context = first["type"], first.get("input"), first.get("ctx", {})
     if kind in ("missing", "missing_argument") and steps and isinstance(steps[-1], int):
@@ -42,7 +45,7 @@ def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, .
         what, remedy = f"has {count} of the values it needs, is {given!r}", "give all of them in brackets"
     elif kind in ("missing", "missing_argument"):
         what, remedy = "is missing", f"add '{steps[-1]}: ...'"
-    elif kind in ("unexpected_keyword_argument", "extra_forbidden", "invalid_key"):
+    elif kind in _UNKNOWN:
         what, remedy = "unknown key", _nearest(steps, paths)
     else:
         what, remedy = _value_fault(kind, str(first["msg"]), given, context)

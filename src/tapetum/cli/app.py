@@ -21,6 +21,7 @@ __all__ = ["app", "main"]
 # error leads to the classes of both.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 _ClickException: type[Exception] = _UsageError.__bases__[0]
+_INTERRUPTED = 130
 
 
 class _AsAdded(TyperGroup):
@@ -80,13 +81,15 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
         result = app(
             args=list(arguments) if arguments is not None else None, prog_name="tapetum", standalone_mode=False
         )
-        return result if isinstance(result, int) else 0, ""
+        code = result if isinstance(result, int) else 0
+        # Typer may turn Ctrl-C into this code by itself.
+        return code, "interrupted" if code == _INTERRUPTED else ""
     except InputError as error:
         return 2, f"error: {error}"
     except TapetumError as error:
         return 1, f"error: {error}"
     except (KeyboardInterrupt, typer.Abort):
-        return 130, "interrupted"
+        return _INTERRUPTED, "interrupted"
     except BrokenPipeError:
         # Whoever read our output has left (`tapetum ... | head`): nothing to say, and nowhere to flush it to.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -40,7 +40,7 @@ class Sweep:
     def labels(self) -> list[str]:
         """How a picture names them."""
         form = _SHOWN_AS.get(self.key.rsplit(".", 1)[-1], self.key + " = {}")
-        return [form.format(value) for value in self.values]
+        return [form.format(f"{value:g}" if isinstance(value, float) else value) for value in self.values]
 
 
 def simulate(
@@ -92,7 +92,7 @@ def simulate(
     if as_json:
         typer.echo(json.dumps(_record(image, axes, out), allow_nan=False))
     else:
-        typer.echo(_say(image, out))
+        typer.echo(_say(image, base, out))
 
 
 def parse_sweep(text: str) -> Sweep:
@@ -155,16 +155,12 @@ def _grid(base: Scene, axes: list[Sweep], dtype: torch.dtype) -> Image:
     if len({(image.irradiance.shape[1:], image.pitch) for image in images}) > 1:
         what = "the sweep changes the number or the pitch of the probe's pixels"
         raise InputError(what, where="--sweep", remedy="run it once for each")
-    # The frame as a whole is as good as its worst part; of a grid forced by hand nobody knows how good it is.
-    worst = max(images, key=lambda image: _badness(image.metadata["expected_error"]))
+    # The frame as a whole is as good as its worst part.
+    worst = max(images, key=lambda image: image.metadata["expected_error"])
     rotations = [r for image in images for r in image.metadata["rotation_deg"]]
     metadata = {**worst.metadata, "rotation_deg": rotations}
     metadata["sweep"] = {axis.key: list(axis.values) for axis in axes}
     return Image(torch.cat([image.irradiance for image in images]), images[0].pitch, metadata)
-
-
-def _badness(error: float) -> tuple[bool, float]:
-    return (True, 0.0) if math.isnan(error) else (False, error)
 
 
 def _draw(image: Image, axes: list[Sweep], out: Path) -> None:
@@ -202,14 +198,15 @@ def _record(image: Image, axes: list[Sweep], out: Path) -> dict[str, Any]:
     }
 
 
-def _say(image: Image, out: Path) -> str:
+def _say(image: Image, scene: Scene, out: Path) -> str:
     count, rows, columns = image.irradiance.shape
     error = image.metadata["expected_error"]
-    claim = f"error within {error:.0e} of the peak"
-    if math.isnan(error):
-        claim = "sampling forced by hand below the planner's: error unknown"
-    elif math.isinf(error):
-        claim = "nothing returns beyond the cut-off"
+    claim = f"error within {error:.1e} of the peak"
+    if not math.isfinite(error):
+        # Not known, or without meaning, for two reasons.
+        claim = "sampled by hand more coarsely than planned: error unknown"
+        if scene.sampling.pupil is None and scene.sampling.sensor is None:
+            claim = "nothing returns beyond the cut-off"
     note = image.metadata["propagation"].removeprefix("far field").strip("; ")
     plural = "image" if count == 1 else "images"
     return f"{out}: {count} {plural} of {columns} x {rows} pixels, {claim}" + (f" ({note})" if note else "")

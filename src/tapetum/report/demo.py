@@ -151,7 +151,6 @@ def run_demo(
         )
         for name, p in predictions.items()
     ]
-    watch.rows.append(("all before this report", time.monotonic() - begun))
     say("Writing the report")
     content = _content(scene, session, recording, dataset, results, tracking, sign, watch.rows, train)
     scores = write_demo_report(out / "report.html", content)

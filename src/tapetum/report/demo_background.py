@@ -71,18 +71,20 @@ def sign(content: DemoReport, scores: DemoScores) -> Html | None:
     beam = f" ({one.beam})" if one.beam else ""
     pieces = [
         html.paragraph(
-            "A perfectly aligned retro-reflection is point-symmetric, and then looking left and looking "
-            "right give the same image but for a trace. What carries the sign is the bench's "
-            f"imperfection: the beam splitter's second beam{beam}, whose dimmer RR sees a slightly "
-            "different gaze. The paper suspects the same of its own probe (§5). Take that beam away, and "
-            "no model can do better than a guess by more than the trace allows."
+            "A gaze and its opposite give retro-reflections that are each other turned by 180°. In focus the RR is "
+            "itself point-symmetric, and then the two look alike: the sign is lost. Two things here give it back. "
+            "Out of focus the symmetry is broken: light returns over a range of angles, and each angle sees the "
+            "aperture shifted a little farther (exactly, I(q; s) = I(−q; s − q/f_p)). And the beam splitter's second "
+            f"beam{beam} adds a dimmer RR that sees another gaze; the paper suspects the same of its own probe (§5). "
+            f"Over the field the median d′ of one frame is {medians[1]:.3g} without the second beam and "
+            f"{medians[0]:.3g} with it."
         ),
         html.figure(
             figures.fig_sign_map(one.x, one.y, one.with_beam, one.without_beam),
             alt=f"Maps of d prime over the field: median {medians[0]:.2g} with the second beam, "
             f"{medians[1]:.2g} without.",
             caption="How well an ideal observer of one noisy frame, who knows all but the sign, tells a "
-            "gaze from its opposite. With equal odds the sign is right with probability Φ(d′/2): d′ = 1 "
+            "gaze from its opposite, wherever the camera stands. With equal odds the sign is right with probability Φ(d′/2): d′ = 1 "
             "means 69 %, d′ = 3 means 93 %.",
         ),
     ]
@@ -152,7 +154,10 @@ def limits(content: DemoReport) -> Html:
         "than the number of frames suggests.",
     ]
     if content.sign is not None:
-        fixed.append("The sign of the gaze rests on the probe's second beam, not on the target alone.")
+        fixed.append(
+            "The sign of the gaze rests on defocus and on the probe's second beam: a compact lens in focus, seen "
+            "without that beam, would hide it."
+        )
     return html.bullets([*fixed, *content.limits])
 
 

@@ -26,7 +26,7 @@ def sign_dprime(scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3) -> 
     Returns
     -------
     torch.Tensor
-        [N], float64. 1 is right in 76 % of frames when both are equally likely, 3 in 98 %.
+        [N], float64. With equal odds the sign is right with probability Φ(d'/2): 1 means 69 %, 3 means 93 %.
 
     Notes
     -----

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from collections.abc import Iterator
@@ -65,12 +66,13 @@ class Image:
             For another suffix, or a place that cannot be written.
         """
         path = Path(path)
-        if path.suffix.lower() not in IMAGE_SUFFIXES:
+        suffix = path.suffix.lower()
+        if suffix not in IMAGE_SUFFIXES:
             raise InputError(
                 f"unknown image type {path.suffix!r}", where=path, remedy=f"use {', '.join(IMAGE_SUFFIXES)}"
             )
         images = self.numpy()
-        if path.suffix == ".zarr":
+        if suffix == ".zarr":
             import zarr
 
             with atomic_folder(path, overwrite=True) as part:
@@ -79,12 +81,15 @@ class Image:
                 group.attrs.update({"units": "W/m^2", "pitch_m": self.pitch, **_plain(self.metadata)})
             return path
         with atomic_file(path) as part:
-            if path.suffix == ".npy":
-                np.save(part, images[0] if len(images) == 1 else images)
-            elif path.suffix == ".png":
-                _write(part, [np.hstack([_stretched(image) for image in images])])
+            # By way of memory: NumPy and OpenCV do not say why a disk would not take what they write.
+            if suffix == ".npy":
+                buffer = io.BytesIO()
+                np.save(buffer, images[0] if len(images) == 1 else images)
+                part.write_bytes(buffer.getbuffer())
+            elif suffix == ".png":
+                part.write_bytes(_encoded(suffix, [np.hstack([_stretched(image) for image in images])]))
             else:
-                _write(part, [image.astype(np.float32) for image in images])
+                part.write_bytes(_encoded(suffix, [image.astype(np.float32) for image in images]))
         return path
 
     def show(self) -> None:
@@ -106,11 +111,14 @@ def _stretched(image: npt.NDArray[np.float64]) -> npt.NDArray[np.uint8]:
     return np.round(255 * np.sqrt(np.clip(image, 0, None) / (peak if peak > 0 else 1))).astype(np.uint8)
 
 
-def _write(path: Path, pages: list[npt.NDArray[Any]]) -> None:
+def _encoded(suffix: str, pages: list[npt.NDArray[Any]]) -> bytes:
     import cv2
 
-    if not cv2.imwritemulti(str(path), pages):
-        raise InputError("could not be written", where=path, remedy="check the folder and the space left")
+    done, data = cv2.imencodemulti(suffix, pages)
+    if not done:
+        shape = tuple(pages[0].shape)
+        raise InputError(f"no {suffix} can hold images of {shape}", where="image", remedy="write .npy or .zarr")
+    return data.tobytes()
 
 
 def _plain(metadata: dict[str, Any]) -> dict[str, Any]:

@@ -1,0 +1,138 @@
+"""One retro-reflection by matrix Fourier transforms, beside LightPipes' propagation on a fixed grid."""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import torch
+
+import tapetum as tp
+from tapetum.optics.grid import Grid
+
+from .measure import Contender, Effort, Figure, Row, in_turns
+
+TITLE = "Retro-reflection: r = 3 mm, f = 100 mm, 1° of rotation, x_d = 1 m, 256 × 256 probe pixels"
+PEERS = ("LightPipes",)
+
+_CHANGES = ["target.object_distance=1 m", "target.rotation=1 deg", "sampling.accuracy=0.001"]
+_GAZES = 64
+_PEER = Path(__file__).parents[1] / "tests" / "references" / "make_lightpipes.py"
+
+
+def run(effort: Effort) -> list[Row]:
+    """Ours cold with planning, ours in a batch, and LightPipes, in turns; then frames for training."""
+    scene, peer = tp.load_scene("thin-lens", _CHANGES), _lightpipes()
+    angles = 2 * math.pi * torch.arange(_GAZES) / _GAZES
+    degrees = torch.stack([angles.cos(), angles.sin()], -1).double()
+    contenders = {
+        "cold": Contender(lambda: tp.retroreflect(scene, device="cpu"), repeats=effort.of(5, 1)),
+        "batch": Contender(lambda: tp.retroreflect(scene, degrees, device="cpu"), work=_GAZES),
+        # Nothing in it gets faster by being run before, and it takes long.
+        "peer": Contender(lambda: peer.retro_reflection(1.0, 1.0), warm_up=False),
+    }
+    # Three rounds of a peer that takes a quarter of a minute each tell enough.
+    timings = in_turns(contenders, min(effort.rounds, 3))
+    theirs = Figure.duration(timings.typical("peer"))
+    name = f"LightPipes Forvard, N = {peer.SAMPLES}"
+    metadata = tp.retroreflect(scene, device="cpu").metadata
+    plan, stated = metadata["sampling"], metadata["expected_error"]
+    samples = f"{plan['columns']} × {plan['rows']} pupil, {plan['sensor_count']}² sensor samples"
+    apart = _difference(scene, peer)
+    rows = [
+        Row(
+            "one image, cold, with planning",
+            Figure.duration(timings.typical("cold")),
+            name,
+            theirs,
+            timings.speed_up("cold", "peer"),
+            f"{samples}; stated error {stated:.2g} of the peak; {apart:.1g} from LightPipes with its ragged pupil",
+        ),
+        Row(
+            f"an image in a batch of {_GAZES} gazes, planning included",
+            Figure.duration(timings.typical("batch")),
+            name,
+            theirs,
+            timings.speed_up("batch", "peer"),
+        ),
+    ]
+    return [*rows, _training_frames(effort), _share_of_ceiling(effort)]
+
+
+def _training_frames(effort: Effort) -> Row:
+    """Exposed frames of 400 x 400 pixels, as a data set of simulated images needs them: no peer makes them."""
+    changes = [*_CHANGES[:1], "probe.sensor.pixels=[400, 400]", "sampling.accuracy=0.01"]
+    scene, count = tp.load_scene("thin-lens", changes), effort.of(64, 4)
+    gazes = torch.rand(count, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) - 0.5
+
+    def frames() -> Any:
+        return tp.expose(tp.retroreflect(scene, gazes, device="cpu"), scene.probe, seed=1)
+
+    timings = in_turns({"ours": Contender(frames, work=count)}, effort.rounds)
+    return Row(
+        "training frames, 400 × 400, gazes within ±0.5°, with noise, error ≤ 0.01",
+        Figure.rate(timings.typical("ours"), "frames"),
+    )
+
+
+def _share_of_ceiling(effort: Effort) -> Row:
+    """The floating-point rate of the hot loop beside that of the same products alone."""
+    scene = tp.load_scene("thin-lens", _CHANGES)
+    camera = tp.Camera(scene, math.sin(math.radians(1.0)), device="cpu")
+    plan, out = camera.plan, camera.output
+    n, pupil = plan.sensor_count, (plan.rows, plan.columns)
+    batch, generator = effort.of(8, 2), torch.Generator().manual_seed(0)
+    sines = torch.zeros(batch, 2, dtype=torch.float64)
+    sines[:, 1] = math.sin(math.radians(1.0))
+
+    def matrix(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, dtype=torch.complex64, generator=generator)
+
+    # Sensor to pupil, then pupil to image: two products each, the rows first, as the simulator has them at this size.
+    spot, exit_field = matrix(batch, n, n), matrix(batch, *pupil)
+    to_pupil = matrix(pupil[0], n), matrix(n, pupil[1])
+    to_image = matrix(batch, out.rows, pupil[0]), matrix(batch, pupil[1], out.columns)
+
+    def products() -> torch.Tensor:
+        half = (to_pupil[0] @ spot) @ to_pupil[1]
+        return half.sum() + ((to_image[0] @ exit_field) @ to_image[1]).sum()
+
+    multiplications = pupil[0] * n * n + pupil[0] * n * pupil[1]
+    multiplications += out.rows * pupil[0] * pupil[1] + out.rows * pupil[1] * out.columns
+    timings = in_turns(
+        {"ours": Contender(lambda: camera(sines), work=batch), "peer": Contender(products, work=batch)}, effort.rounds
+    )
+    # A complex multiplication with its addition counts as eight operations.
+    giga = 8 * multiplications / 1e9
+    return Row(
+        "hot loop, an image, camera held",
+        Figure(giga / timings.typical("ours"), "GFLOP/s"),
+        "its matrix products alone",
+        Figure(giga / timings.typical("peer"), "GFLOP/s"),
+        timings.speed_up("ours", "peer"),
+        "complex64; the ratio is the share of the machine's own rate",
+    )
+
+
+def _lightpipes() -> ModuleType:
+    """The script that makes the tests' reference: one model of the peer, for both."""
+    spec = importlib.util.spec_from_file_location("make_lightpipes", _PEER)
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(_PEER)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def _difference(scene: tp.Scene, peer: ModuleType) -> float:
+    """Largest difference from the peer's image on the peer's own pixels, in fractions of the peak, each of power 1."""
+    theirs = torch.from_numpy(peer.retro_reflection(1.0, 1.0))[1:, 1:].double()
+    side, pitch = theirs.shape[0], peer.WAVELENGTH * peer.PROBE_FOCAL / peer.SIZE
+    sine = math.sin(math.radians(1.0))
+    camera = tp.Camera(scene, sine, output=Grid(side, side, pitch), device="cpu")
+    image = camera(torch.tensor([[sine, 0.0]], dtype=torch.float64))[0].double()
+    ours, theirs = image / image.sum(), theirs / theirs.sum()
+    return min(float((ours - one).abs().max() / theirs.max()) for one in (theirs, theirs.T))

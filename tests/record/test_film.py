@@ -1,0 +1,113 @@
+"""The virtual bench: reproducible, honest about its truth, and without leaks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from tapetum.bench import Scene, load_scene, with_values
+from tapetum.errors import InputError
+from tapetum.record import HandMotion, Session, film, label_recording, open_recording
+from tapetum.record.film import CameraClock, probe_frames, without_second_beam
+from tapetum.record.room import Room
+from tapetum.simulate import Camera, tilt_of_gaze
+
+
+@pytest.fixture(scope="module")
+def small() -> Scene:
+    changes = {"probe.sensor.pixels": [160, 120], "probe.sensor.pitch": 8e-6, "target.sensor.pixels": [324, 243]}
+    changes["target.sensor.pitch"] = 17.6e-6
+    # Larger pixels fill sooner.
+    changes["probe.sensor.exposure"] = 1.5e-5
+    return with_values(load_scene("hand-held"), changes)
+
+
+def frames_of(path: Path, stream: str) -> np.ndarray:
+    return np.stack([frame.image for frame in open_recording(path).source(stream)])
+
+
+def test_the_same_seed_films_the_same_frames(small: Scene, tmp_path: Path) -> None:
+    for name, seed in (("a", 5), ("b", 5), ("c", 6)):
+        film(small, tmp_path / f"{name}.rec", Session(0.6, seed=seed))
+    for stream in ("probe", "target"):
+        a, b, c = (frames_of(tmp_path / f"{name}.rec", stream) for name in "abc")
+        assert np.array_equal(a, b)
+        assert a.shape != c.shape or not np.array_equal(a, c)
+
+
+def test_labels_find_the_bench_s_truth(small: Scene, tmp_path: Path) -> None:
+    # A tremor of 10 Hz cannot be interpolated between frames 15 a second apart: here the finder is asked, not the hand.
+    recording = film(small, tmp_path / "a.rec", Session(3.0, seed=3, motion=HandMotion(tremor=0.0)))
+    summary = label_recording(recording)
+    assert summary.labelled > 0.9 * summary.n
+    labels, truth = recording.labels(), recording.truth()
+    assert labels is not None
+    assert truth is not None
+    true = truth.filter(np.asarray(truth["stream"]) == "probe")
+    found = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("gaze_x", "gaze_y")], -1).astype(float)
+    error = found - np.stack([true[n].to_numpy() for n in ("gaze_x", "gaze_y")], -1)
+    pixels = error * np.array(small.target.sensor.pixels)
+    assert np.sqrt(np.nanmean(pixels**2)) < 0.25
+
+
+def test_clocks_drift_jitter_and_lose_frames() -> None:
+    times, lost = CameraClock(offset=0.5, loss=0.1).draw(2000, 15.0, np.random.default_rng(0))
+    assert (np.diff(times) > 0).all()
+    assert len(times) + lost.sum() == pytest.approx(2000, abs=3)
+    assert 100 < lost.sum() < 300
+    assert times[0] == pytest.approx(0.5, abs=0.02)
+    even = np.diff(times)[lost[1:] == 0]
+    assert even.mean() == pytest.approx(1 / 15, rel=0.01)
+
+
+def test_motion_covers_the_field_evenly_and_tells_nothing_by_place() -> None:
+    gaze, place = HandMotion().draw(4)
+    times = np.arange(0, 2000, 0.5)
+    where, sway = gaze(times), place(times)
+    assert np.abs(where).max() < 0.5
+    inner = (np.abs(where) < 0.24).mean()
+    assert inner == pytest.approx(0.5, abs=0.08)
+    assert sway.std() == pytest.approx(3e-3, rel=0.25)
+    correlation = np.corrcoef(np.concatenate([where, sway], axis=1).T)[:2, 2:]
+    assert np.abs(correlation).max() < 0.1
+
+
+def test_a_frame_is_the_simulation_where_the_camera_is(small: Scene) -> None:
+    """The film's patchwork against the whole frame computed at once, in the mean of many exposures."""
+    gaze, place = np.array([[0.2, -0.1]]), np.array([[2e-3, -1e-3]])
+    quiet = with_values(small, {"read_noise": 0.0, "background": 0.0, "probe.sensor.bits": 16})
+    frame = next(iter(probe_frames(quiet, gaze, place, 0))).astype(float)
+    # (size - window)/2 rounds down: patches sit on whole pixels, half a one from the middle of an even frame.
+    centre = torch.from_numpy(place * 0.2 / 5.5) - 0.5 * quiet.probe.sensor.pitch
+    camera = Camera(quiet, 0.03)
+    whole = camera(tilt_of_gaze(quiet, torch.from_numpy(gaze)), centre)[0].numpy()
+    assert np.corrcoef(frame.ravel(), whole.ravel())[0, 1] > 0.99
+
+
+def test_without_the_second_beam_its_light_is_gone(small: Scene) -> None:
+    gaze = np.zeros((1, 2))
+    with_beam = next(iter(probe_frames(small, gaze, gaze, 0))).astype(float)
+    without = next(iter(probe_frames(without_second_beam(small), gaze, gaze, 0))).astype(float)
+    assert with_beam.sum() > without.sum() * 1.02
+
+
+def test_the_room_shows_the_laser_at_the_gaze() -> None:
+    rng = np.random.default_rng(1)
+    room = Room(200, 150, 3)
+    dark = Room(200, 150, 3, spot_peak=0.0)
+    gaze = np.array([0.2, -0.3])
+    seen = room.picture(gaze, rng).astype(float) - dark.picture(gaze, rng).astype(float)
+    row, column = np.unravel_index(seen.argmax(), seen.shape)
+    assert abs(column - (99.5 + 40)) <= 1
+    assert abs(row - (74.5 - 45)) <= 1
+
+
+def test_a_session_without_frames_and_a_name_taken_are_refused(small: Scene, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="seconds"):
+        film(small, tmp_path / "a.rec", Session(0.01))
+    film(small, tmp_path / "a.rec", Session(0.2))
+    with pytest.raises(InputError, match=r"a\.rec"):
+        film(small, tmp_path / "a.rec", Session(0.2))

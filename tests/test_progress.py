@@ -1,0 +1,34 @@
+"""Progress: items pass unchanged, and a log gets one line for a loop that came to its end."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+
+from tapetum.progress import bar, quiet
+
+
+def test_quiet_passes_items_on(capsys: pytest.CaptureFixture[str]) -> None:
+    assert list(quiet(iter("abc"), "reading", total=3)) == ["a", "b", "c"]
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_log_gets_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert list(bar(iter("abc"), "reading [a].png")) == ["a", "b", "c"]
+    out, err = capsys.readouterr()
+    assert out == "" and re.fullmatch(r"reading \[a\]\.png: 3 in [\d.]+ s\n", err)
+
+
+def test_a_loop_that_fails_leaves_the_word_to_its_error(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(RuntimeError):
+        for item in bar(range(3), "reading"):
+            if item == 1:
+                raise RuntimeError
+    assert capsys.readouterr() == ("", "")
+
+
+def test_a_terminal_gets_a_bar(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert list(bar(range(4), "reading")) == [0, 1, 2, 3]
+    assert "4/4" in capsys.readouterr().err
