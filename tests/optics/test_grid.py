@@ -28,7 +28,7 @@ def test_a_grid_without_samples_or_pitch_is_refused(values: tuple[int, int, floa
 
 def test_lens_makers_relation() -> None:
     z, excess = lens_numbers(0.1, 5.0)
-    assert 1 / 0.1 == pytest.approx(1 / 5.0 + 1 / z)
+    assert pytest.approx(1 / 5.0 + 1 / z) == 1 / 0.1
     assert excess == pytest.approx(z - 0.1)
     assert lens_numbers(0.1, math.inf) == (0.1, 0.0)
     with pytest.raises(InputError, match="beyond the focal length"):

@@ -61,7 +61,7 @@ def exit_power(one: DoublePass, sines: torch.Tensor) -> torch.Tensor:
 
 
 def airy_error(focal: float, radius: float = 3e-3) -> float:
-    """Largest difference of the focused field, head on, from Airy's, in fractions of its peak; also checks the first zero."""
+    """Largest difference of the focused field, head on, from Airy's, in fractions of its peak."""
     output = Grid(61, 61, 4e-6)
     field = passing(focal, radius, output=output, accuracy=3e-4).field(tilts((0, 0)))[0].numpy()
     q = np.hypot(*np.meshgrid(output.x().numpy(), output.y().numpy()))
@@ -76,7 +76,7 @@ def airy_error(focal: float, radius: float = 3e-3) -> float:
 
 
 def test_focused_head_on_is_an_airy_field() -> None:
-    """As far as the mirror is near: over the 2z to it and back the edge diffracts, by the root of the Fresnel number."""
+    """As far as the mirror is near: over the 2z there and back the edge diffracts, as 1/√(Fresnel number)."""
     near, far = airy_error(0.01), airy_error(0.1)
     assert near < 0.01
     assert far / near == pytest.approx(math.sqrt(10), rel=0.25)
@@ -184,7 +184,7 @@ def test_against_lightpipes(case: int, tolerance: float) -> None:
 
 
 def test_reciprocity() -> None:
-    """Swapping the ways in and out: I(q; s) = I(-q; s - q/f_p), exactly. In focus alone it makes the RR point-symmetric."""
+    """Swapping the ways in and out: I(q; s) = I(-q; s - q/f_p), exactly; point-symmetric it is in focus alone."""
     output = Grid(81, 81, 10e-6)
     one = passing(0.1, 3e-3, 5.0, sine=0.02, output=output, accuracy=3e-4)
     tilt = torch.tensor([[0.004, 0.009]], dtype=torch.float64)
@@ -192,7 +192,9 @@ def test_reciprocity() -> None:
     for row, column in ((45, 38), (30, 55), (52, 52), (20, 44)):
         q = torch.stack([output.x()[column], output.y()[row]]) / PROBE_FOCAL
         other = one(tilt - q)[0]
-        assert float(image[row, column]) == pytest.approx(float(other[80 - row, 80 - column]), abs=1e-4 * float(image.max()))
+        assert float(image[row, column]) == pytest.approx(
+            float(other[80 - row, 80 - column]), abs=1e-4 * float(image.max())
+        )
     assert float((image - image.flip(0, 1)).abs().max()) > 0.01 * float(image.max())
 
 
@@ -237,7 +239,10 @@ def test_foreshortening_in_any_direction() -> None:
 
 def test_single_precision_agrees_with_double() -> None:
     for distance in (1.0, math.inf):
-        both = [passing(0.1, 3e-3, distance, sine=0.02, dtype=d)(tilts((0.3, 0.6))) for d in (torch.complex64, torch.complex128)]
+        both = [
+            passing(0.1, 3e-3, distance, sine=0.02, dtype=d)(tilts((0.3, 0.6)))
+            for d in (torch.complex64, torch.complex128)
+        ]
         assert float((both[0] - both[1]).abs().max()) < 1e-4 * float(both[1].max())
 
 
@@ -253,7 +258,10 @@ def test_a_batch_is_its_parts_and_centres_move_the_picture() -> None:
 
 
 def beamed(**second: object) -> Scene:
-    return with_values(load_scene("thin-lens"), {"illumination.second_beam": second, "probe.sensor.pixels": [200, 200], "object_distance": math.inf})
+    return with_values(
+        load_scene("thin-lens"),
+        {"illumination.second_beam": second, "probe.sensor.pixels": [200, 200], "object_distance": math.inf},
+    )
 
 
 def test_the_second_beam_lies_beside_and_sees_another_gaze() -> None:

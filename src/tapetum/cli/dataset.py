@@ -18,7 +18,7 @@ app = typer.Typer(
 
 @app.command("build", short_help="Cut crops out of labelled recordings.")
 def build(
-    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Labelled recordings, NAME.rec.")],
+    recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings, NAME.rec.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
     side: Annotated[int, typer.Option(metavar="PX", help="Pixels along an edge of a crop.", min=8)] = 400,
     test_fraction: Annotated[
@@ -26,10 +26,18 @@ def build(
     ] = 0.2,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dataset of this name.")] = False,
 ) -> None:
-    """Cut a centred square out of every labelled frame; the end of every video tests."""
+    """Cut a centred square out of every labelled frame; the end of every video tests.
+
+    Recordings that have no labels yet get them first, from the laser in the target's video.
+    """
     check_replaceable(out, overwrite, "zarr.json", "tapetum-dataset")
     from tapetum.data import build_dataset, open_dataset
+    from tapetum.record import label_recording, open_recording
 
+    for path in recordings:
+        recording = open_recording(path)
+        if recording.labels() is None and {"probe", "target"} <= set(recording.streams):
+            label_recording(recording, bar)
     build_dataset(recordings, out, side=side, test_fraction=test_fraction, progress=bar, overwrite=overwrite)
     dataset = open_dataset(out)
     typer.echo(f"{out}: {dataset.tp.train.sizes['frame']} to train on, {dataset.tp.test.sizes['frame']} to test")

@@ -13,10 +13,17 @@ from tapetum.cli.inputs import find_model
 from tapetum.errors import InputError
 from tapetum.progress import bar
 
+# Which `--detections` writes, and a source may therefore be.
+TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")
+
 
 def track(
     source: Annotated[
-        Path, typer.Argument(metavar="SOURCE", help="A video, a folder of images, an image, or a recording.")
+        Path,
+        typer.Argument(
+            metavar="SOURCE",
+            help="A video, a folder of images, an image, a recording, or a table of --detections.",
+        ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="TRACKS", help="The tracks: .parquet, .csv or .jsonl.")],
     models: Annotated[
@@ -40,6 +47,9 @@ def track(
     """Track every retro-reflection, and let models say where its camera looks."""
     if detections is not None and detections.resolve() == out.resolve():
         raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
+    if source.suffix.lower() in TABLE_SUFFIXES and source.is_file():
+        _again(source, out, given=bool(models) or detections is not None)
+        return
     from tapetum.track import track_to_file
 
     summary = track_to_file(
@@ -57,3 +67,19 @@ def track(
     counts = (("track", summary.tracks), ("frame", summary.frames), ("sighting", summary.seen))
     tracks, frames, seen = (f"{count} {word}{'' if count == 1 else 's'}" for word, count in counts)
     typer.echo(f"{out}: {tracks} in {frames}, {seen}")
+
+
+def _again(table: Path, out: Path, *, given: bool) -> None:
+    """Make tracks anew of kept detections; their estimates come along."""
+    if given:
+        raise InputError(
+            "holds detections, not frames", where=table, remedy="leave --model and --detections out, or give the video"
+        )
+    if table.resolve() == out.resolve():
+        raise InputError("is the table of detections itself", where="--out", remedy="name another file")
+    from tapetum.track import retrack, write_tracks
+
+    tracks = retrack(table)
+    write_tracks(tracks, out)
+    number = len(set(tracks["track"].to_pylist()))
+    typer.echo(f"{out}: {number} track{'' if number == 1 else 's'} in {tracks.num_rows} rows, from kept detections")

@@ -181,8 +181,6 @@ def zernike_features(
     features = np.empty((len(array), len(sides), len(powers), modes))
     # Made outside of inference mode: the cache must not hold tensors that autograd refuses.
     projections = {side: _projection(side, order, dtype) for side in sides}
-    # Made outside of inference mode: the cache must not hold tensors that autograd refuses.
-    projections = {side: _projection(side, order, dtype) for side in sides}
     with torch.inference_mode():
         for start in range(0, len(array), _BATCH):
             root = root_intensity(array[start : start + _BATCH], depth, dtype)

@@ -69,8 +69,8 @@ class ZernikeRidge:
     -----
     Intensities are taken in counts of an 8-bit camera (0 ... 255, whatever the depth) and nothing is
     subtracted from them: the paper speaks of no background. The fit runs in float64 by singular values
-    (``solver="svd"``), which does not square their spread of ten decades as the normal equations do; at 1200
-    frames it takes no longer.
+    (``solver="svd"``), which does not square their spread of ten decades as the normal equations do. At 1200
+    frames that is a quarter of a second against an eighth.
 
     Examples
     --------

@@ -7,8 +7,6 @@ what FFV1 offers (the range coder takes twice the time to save no byte on noisy 
 
 from __future__ import annotations
 
-import contextlib
-import errno
 import os
 import zlib
 from collections.abc import Iterator
@@ -43,19 +41,6 @@ NATIVE_GREY = {"gray": 255, "gray10le": 1023, "gray12le": 4095, "gray14le": 1638
 FOOTER = 8  # bytes at the end of an FFV1 slice: its size (3), a status and a checksum (4)
 MIRRORED = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 THREADS = max(1, min(2, os.cpu_count() or 1))
-
-
-@contextlib.contextmanager
-def told_when_stuck(path: Path) -> Iterator[None]:
-    """Do as `told_when_full`, and tell of files that may not grow (on FAT, or under `ulimit -f`)."""
-    try:
-        with told_when_full(path):
-            yield
-    except OSError as error:
-        if error.errno != errno.EFBIG:
-            raise
-        remedy = "make shorter recordings or write to another file system"
-        raise InputError("the file has the largest size allowed here", where=path, remedy=remedy) from error
 
 
 class VideoWriter:
@@ -107,7 +92,7 @@ class VideoWriter:
         self._last_tick = -1
         self._closed = False
         self._format = PIXEL_FORMATS[self.dtype]
-        with told_when_stuck(self.path):
+        with told_when_full(self.path):
             # The "file:" keeps a name with a colon in it from being taken for a protocol.
             # A cluster for every frame, however small: FFmpeg writes whole clusters only.
             options = {"flush_packets": "1", "cluster_size_limit": "1"}
@@ -121,7 +106,7 @@ class VideoWriter:
         stream.codec_context.thread_count = THREADS
         stream.options = FFV1
         self._stream = stream
-        with told_when_stuck(self.path):
+        with told_when_full(self.path):
             # Makes the file now: a place that cannot be written to is told before the first frame.
             self._container.start_encoding()
 
@@ -149,7 +134,7 @@ class VideoWriter:
         # Matroska counts in milliseconds and needs rising stamps, however close two frames come.
         tick = max(self._last_tick + 1, round((self.count / self.rate if time is None else time) * 1000))
         frame.pts, frame.time_base = tick, MILLISECOND
-        with told_when_stuck(self.path):
+        with told_when_full(self.path):
             self._container.mux(self._stream.encode(frame))
         self._last_tick = tick
         self.count += 1
@@ -171,7 +156,7 @@ class VideoWriter:
         if self._closed:
             return
         self._closed = True
-        with told_when_stuck(self.path):
+        with told_when_full(self.path):
             try:
                 self._container.mux(self._stream.encode(None))
             finally:

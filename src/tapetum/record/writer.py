@@ -33,7 +33,7 @@ from tapetum.record.layout import (
     write_json,
     write_table,
 )
-from tapetum.record.video import VideoWriter, told_when_stuck
+from tapetum.record.video import VideoWriter
 
 __all__ = ["RecordingWriter"]
 
@@ -215,7 +215,7 @@ class RecordingWriter:
             raise InputError(f"dropped_before must not be negative, is {dropped_before}", where=here)
         line = f"{stream} {video.count} {int(monotonic_ns)} {int(utc_ns)} {int(dropped_before)}\n"
         video.write(image, (monotonic_ns - first) / 1e9)
-        with told_when_stuck(self.path):
+        with told_when_full(self.path):
             self._write_line(line.encode("ascii"))
         self._last[stream] = monotonic_ns
 

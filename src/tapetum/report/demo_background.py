@@ -71,8 +71,8 @@ def sign(content: DemoReport, scores: DemoScores) -> Html | None:
     beam = f" ({one.beam})" if one.beam else ""
     pieces = [
         html.paragraph(
-            "A gaze and its opposite give retro-reflections that are each other turned by 180°. In focus the RR is "
-            "itself point-symmetric, and then the two look alike: the sign is lost. Two things here give it back. "
+            "A gaze and its opposite give retro-reflections that are each other turned by 180°. An RR that is itself "
+            "point-symmetric, as it nearly is in focus, hides the sign. Two things here show it. "
             "Out of focus the symmetry is broken: light returns over a range of angles, and each angle sees the "
             "aperture shifted a little farther (exactly, I(q; s) = I(−q; s − q/f_p)). And the beam splitter's second "
             f"beam{beam} adds a dimmer RR that sees another gaze; the paper suspects the same of its own probe (§5). "
@@ -84,8 +84,8 @@ def sign(content: DemoReport, scores: DemoScores) -> Html | None:
             alt=f"Maps of d prime over the field: median {medians[0]:.2g} with the second beam, "
             f"{medians[1]:.2g} without.",
             caption="How well an ideal observer of one noisy frame, who knows all but the sign, tells a "
-            "gaze from its opposite, wherever the camera stands. With equal odds the sign is right with probability Φ(d′/2): d′ = 1 "
-            "means 69 %, d′ = 3 means 93 %.",
+            "gaze from its opposite, wherever the camera stands. With equal odds the sign is right with "
+            "probability Φ(d′/2): d′ = 1 means 69 %, d′ = 3 means 93 %.",
         ),
     ]
     if one.rates:
