@@ -1,0 +1,51 @@
+"""The demo end to end, on a recording of eight seconds."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapetum.errors import InputError
+from tapetum.models import load_model
+from tapetum.report.demo import run_demo
+from tapetum.report.pretrain import TRAIN_SEEDS
+from tapetum.track import read_tracks
+
+
+def test_from_a_scene_to_a_report(tmp_path: Path) -> None:
+    said: list[str] = []
+    outcome = run_demo(tmp_path / "out", seconds=8.0, seed=3, say=said.append)
+    page = outcome.report.read_text(encoding="utf-8")
+    # Self-contained: nothing is asked of any network.
+    assert not re.search(r"(src|href)=[\"']https?://", page)
+    assert "ResNet-18" in page
+    assert "Zernike + ridge" in page
+    names = [name for name, _ in outcome.scores.models]
+    assert names == ["ResNet-18", "Zernike + ridge"]
+    resnet = outcome.scores.models[0][1]
+    # The bundled model has seen neither this recording nor its seed.
+    assert resnet.mae_overall < 0.5 * outcome.scores.baseline.mae_overall
+    assert outcome.scores.labels.rms < 3.0
+    tracks = read_tracks(outcome.folder / "tracks.parquet")
+    assert len(set(tracks["track"].to_pylist())) == 1
+    gaze = tracks["gaze_x"].to_numpy(zero_copy_only=False).astype(float)
+    assert np.isfinite(gaze).mean() > 0.9
+    load_model(outcome.folder / "zernike")
+    assert (outcome.folder / "gaze-path.png").stat().st_size > 10_000
+    assert any("Filming" in line for line in said)
+
+    # A second run takes the finished recording as it is.
+    video = outcome.folder / "demo.rec" / "probe.mkv"
+    before = video.stat().st_mtime_ns
+    run_demo(tmp_path / "out", seconds=8.0, seed=3)
+    assert video.stat().st_mtime_ns == before
+
+
+@pytest.mark.parametrize("seed", TRAIN_SEEDS[:2])
+def test_seeds_that_the_model_has_seen_are_refused(seed: int, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="choose another"):
+        run_demo(tmp_path / "out", seed=seed)
+    assert not (tmp_path / "out").exists()
