@@ -121,6 +121,8 @@ def save_model(
     card = json_safe(card, "metrics or notes")
     with atomic_folder(path, overwrite=overwrite) as folder:
         save_file(state, folder / WEIGHTS)
+        # Safetensors keeps its file to its owner; a model is for whoever may read the folder.
+        (folder / WEIGHTS).chmod(0o644)
         card["weights"] = {
             "file": WEIGHTS,
             "sha256": sha256_file(folder / WEIGHTS),
