@@ -22,7 +22,7 @@ from tapetum.data import build_dataset, crop_batch, find_centre, open_dataset
 from tapetum.errors import InputError
 from tapetum.models import Estimator, ResNet18, ZernikeRidge, load_model, pretrained, save_model
 from tapetum.progress import Progress, quiet
-from tapetum.record import Recording, Session, open_recording
+from tapetum.record import Recording, Session, join, open_recording
 from tapetum.record.film import probe_frames, without_second_beam
 from tapetum.report import pretrain
 from tapetum.report.demo_report import (
@@ -229,17 +229,20 @@ def _rate(name: str, second_beam: bool, truth: Array, predicted: Array) -> SignR
     return SignRate(name, second_beam, (pairs[0][0], pairs[1][0]), (pairs[0][1], pairs[1][1]))
 
 
-def _spots(recording: Recording) -> tuple[Array, Array]:
-    """Laser spots found and true, in target pixels at the probe's frames."""
+def _spots(recording: Recording) -> tuple[Array, Array, Array]:
+    """Laser spots at the probe's frames, in target pixels: found, true, and what a perfect finder would have joined."""
     labels, truth = recording.labels(), recording.truth()
     if labels is None or truth is None:
         raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo anew")
     found = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("spot_x", "spot_y")], -1).astype(float)
-    of_probe = truth.filter(np.asarray(truth["stream"]) == "probe")
-    gaze = np.stack([of_probe[n].to_numpy() for n in ("gaze_x", "gaze_y")], -1)
     info = recording.stream("target")
     size = np.array([info.width, info.height], dtype=float)
-    return found, (size - 1) / 2 + gaze * size
+
+    def true(stream: str) -> Array:
+        rows = truth.filter(np.asarray(truth["stream"]) == stream)
+        return (size - 1) / 2 + size * np.stack([rows[n].to_numpy() for n in ("gaze_x", "gaze_y")], -1)
+
+    return found, true("probe"), join(recording).interpolate(true("target"))
 
 
 def _content(
@@ -256,7 +259,7 @@ def _content(
     test, lens = dataset.tp.test, scene.target.lens
     truth = test.tp.values(("gaze_x", "gaze_y"))
     times = np.asarray(test["time"], dtype=float)
-    found, true = _spots(recording)
+    found, true, joined = _spots(recording)
     middle = _nearest_to_centre(truth)
     picture = next(f.image for f in recording.source("target") if f.index >= _target_index(recording, times[middle]))
     chosen = _spread(truth, _SAMPLES)
@@ -310,6 +313,7 @@ def _content(
         path_rrs_at=[int(i) for i in path_at],
         spots_found=found,
         spots_true=true,
+        spots_joined=joined,
         sign=sign,
         tracking=tracking,
         timings=timings,

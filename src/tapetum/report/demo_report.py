@@ -142,6 +142,8 @@ class DemoReport:
         RRs [h, w] beside the path, and the frames (of the N) they belong to.
     spots_found, spots_true
         [L, 2] pixels of the target's video, NaN where none was found; and the bench's own truth.
+    spots_joined
+        [L, 2] what a perfect finder would give: the target's true spots, joined and interpolated as the found ones are.
     sign, tracking
         The sections of those names, left out when None.
     truth_is
@@ -167,6 +169,7 @@ class DemoReport:
     sample_gaze: Array
     spots_found: Array
     spots_true: Array
+    spots_joined: Array | None = None
     path: tuple[int, int] | None = None
     path_rrs: Sequence[AnyArray] = ()
     path_rrs_at: Sequence[int] = ()

@@ -103,7 +103,8 @@ class Tracker:
     noise
         Standard deviation of a centroid, pixels, to which 2 % of the spot's diameter are added.
     gate
-        Largest distance between a spot and its track, in standard deviations.
+        Largest distance between a spot and its track, in standard deviations; spots that overlap their track's
+        expected place always fit.
     max_distance
         The same in pixels, however uncertain the track has become.
     max_coast
@@ -175,8 +176,10 @@ class Tracker:
                 spread = track.covariance[:2, :2] + self._noise_of(spot) ** 2 * np.eye(2)
                 squared = float(off @ np.linalg.solve(spread, off))
                 apart = distance > 0.5 * max(track.diameter, float(spot.diameter[0]))
+                # However sharp the turn: a spot that overlaps the place where it was expected is no other.
+                overlaps = distance <= 0.5 * min(track.diameter, float(spot.diameter[0]))
                 ghostly = apart and float(spot.peak[0]) < self.ghost_ratio * track.peak
-                if squared <= self.gate**2 and distance <= self.max_distance and not ghostly:
+                if (squared <= self.gate**2 or overlaps) and distance <= self.max_distance and not ghostly:
                     # Brightness decides between spots that fit equally well.
                     likeness = math.log(max(float(spot.peak[0]), 1e-12) / max(track.peak, 1e-12))
                     costs[row, column] = squared + min(likeness**2, 4.0)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LogNorm
+from matplotlib.colors import LogNorm, Normalize
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import PercentFormatter
@@ -71,7 +71,13 @@ def fig_sign_map(x: ArrayLike, y: ArrayLike, with_beam: ArrayLike, without_beam:
     together = np.concatenate([m[m > 0].ravel() for m in maps.values()])
     high = float(together.max()) if together.size else 1.0
     # Near the axis both hypotheses are one and d' falls to nothing: three decades say all that matters.
-    scale = LogNorm(max(high * 1e-3, float(together.min()) if together.size else 1e-3), max(high, 1e-12) * 1.0001)
+    low = float(together.min()) if together.size else 1e-3
+    # Within a decade a logarithm would only spoil the ticks.
+    scale = (
+        Normalize(0.0, max(high, 1e-12))
+        if low > high / 10
+        else LogNorm(max(high * 1e-3, low), max(high, 1e-12) * 1.0001)
+    )
     figure = new_figure(8.6, 3.75)
     axes: Sequence[Axes] = figure.subplots(1, 2, sharex=True, sharey=True)
     drawn = None
@@ -97,7 +103,7 @@ def fig_sign_map(x: ArrayLike, y: ArrayLike, with_beam: ArrayLike, without_beam:
         if levels:
             lines = ax.contour(across, down, values, levels=levels, colors="white", linewidths=1.2)
             ax.clabel(lines, fmt=lambda level: f"d′ = {level:g}", fontsize=NOTE)
-        note = f"median d′ = {np.median(values):.2g}"
+        note = f"median d′ = {np.median(values):.3g}"
         ax.text(
             0.03,
             0.04,
