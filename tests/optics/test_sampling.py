@@ -72,6 +72,7 @@ def test_error_stays_below_twice_the_claim_on_random_scenes() -> None:
 def test_error_stays_below_twice_the_claim_on_many_random_scenes() -> None:
     rng = np.random.default_rng(12)
     ratios = [ratio for _ in range(900) if (ratio := worst_ratio(rng, largest=1_500_000)) is not None]
+    print(f"{len(ratios)} scenes: worst measured over claimed {max(ratios):.2f}, median {np.median(ratios):.3f}")
     assert len(ratios) >= 200
     assert max(ratios) < 2
 
