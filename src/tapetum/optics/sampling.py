@@ -44,10 +44,10 @@ class Effort:
 _LADDER = (
     Effort(1e-2, 30, 1.6, 2.5, 1.3),
     Effort(3e-3, 46, 1.3, 2.2, 1.3),
-    Effort(1e-3, 80, 1.0, 2.0, 1.4),
-    Effort(3e-4, 128, 0.9, 1.8, 1.6),
+    Effort(1e-3, 110, 1.0, 2.0, 1.5),
+    Effort(6e-4, 150, 0.9, 1.8, 1.6),
 )
-REFERENCE = Effort(0.0, 160, 0.7, 1.5, 2.2)
+REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0)
 _LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
 # Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones; the field turns
