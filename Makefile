@@ -39,7 +39,7 @@ bench: setup
 docs: setup
 	$(BIN)/mkdocs build --strict
 
-# The bundled ResNet-18: films its training recordings and trains it (about an hour on 2 cores).
+# The bundled ResNet-18: films its training recordings and trains it (about half an hour on 2 cores).
 models: setup
 	$(BIN)/python scripts/make_models.py
 

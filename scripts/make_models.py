@@ -1,4 +1,4 @@
-"""Make the bundled ResNet-18 (about an hour on 2 cores; an interrupted run goes on where it stopped).
+"""Make the bundled ResNet-18 (about half an hour on 2 cores; an interrupted run goes on where it stopped).
 
 make models
 """

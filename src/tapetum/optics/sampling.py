@@ -216,7 +216,10 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
     tail = effort.rings * g.wavelength / (2 * g.radius)
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.radians)
     columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
-    step = g.wavelength * g.image_distance / (effort.widths * _width_on_return(g))
+    # Light that entered at x and met the sensor at v comes back at 2v - x: the diffracted tail, too, must not be folded
+    # into the accepting pupil by the period that the sensor's samples impose.
+    reach = 2 * (half + g.radius + g.image_distance * g.sine)
+    step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
     return SamplingPlan(
         columns=columns,
         rows=math.ceil(columns * _ROWS_A_COLUMN),

@@ -351,7 +351,7 @@ def _content(
             ("tapetum track FOLDER -o tracks.csv", "find the spots in photographs of your own"),
             (
                 "tapetum demo --seed 7" if train else "tapetum demo --train",
-                "another recording" if train else "train the ResNet-18 before your eyes (about an hour)",
+                "another recording" if train else "train the ResNet-18 before your eyes (about half an hour)",
             ),
         ],
     )

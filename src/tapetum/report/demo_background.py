@@ -116,8 +116,9 @@ def sign(content: DemoReport, scores: DemoScores) -> Html | None:
                 figures.fig_sign_rates(one.rates),
                 alt=f"Share of frames whose sign was told right. {said}.",
                 caption="What the models here make of it: both learned with the second beam and were then shown frames "
-                "without it. They lean on it although the first RR alone would do. Measured over frames with |gaze| > "
-                f"{scores.baseline.sign_threshold:g} of the field. Bars: 95 % Wilson intervals that take frames "
+                "without it. They lean on it; an ideal observer would need only the first RR. "
+                f"Measured over frames with |gaze| > {scores.baseline.sign_threshold:g} of the field. "
+                "Bars: 95 % Wilson intervals that take frames "
                 "for independent; neighbours in a video are not, so they are too short.",
             )
         )
