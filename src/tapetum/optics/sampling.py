@@ -55,6 +55,8 @@ ACCURACIES = tuple(step.error for step in _LADDER)
 _ROWS_A_COLUMN = 1.45
 # Share of the diffracted tail that the sensor's window passes whole, before it falls off smoothly.
 _FLAT = 0.5
+# How near, in fractions of that bound, the window's end may come.
+_NEAR_BOUND = 0.6
 # Share of returning light below which the error grows against the fading peak.
 _FADING = 0.3
 _MOST_BYTES = 4 << 30
@@ -208,12 +210,18 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
     g = geometry
     wavenumber = 2 * math.pi / g.wavelength
     half = g.spot_radius + effort.rings * g.airy_step
+    flat = g.spot_radius + _FLAT * effort.rings * g.airy_step
+    # Light that meets the sensor at v returns at 2v - x. Beyond the pupil's own radius none of it finds the pupil again:
+    # a window that comes near that bound is better taken beyond it, whole, and then cuts off nothing.
+    bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.sine) + 4 * g.airy_step
+    if half > _NEAR_BOUND * bound:
+        half, flat = 1.3 * bound, bound
     # The steepest slopes that the field has against the pupil, of rays and of the diffracted tail, in and out.
     rays = max(
         g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature),
         g.exit_angle + g.window / g.probe_focal_length,
     )
-    tail = effort.rings * g.wavelength / (2 * g.radius)
+    tail = (half - g.spot_radius) / g.image_distance
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.radians)
     columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
     # Light that entered at x and met the sensor at v comes back at 2v - x: the diffracted tail, too, must not be folded
@@ -225,7 +233,7 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
         rows=math.ceil(columns * _ROWS_A_COLUMN),
         sensor_count=max(2 * math.ceil(half / step), 16),
         sensor_half_width=half,
-        sensor_flat=g.spot_radius + _FLAT * effort.rings * g.airy_step,
+        sensor_flat=flat,
         # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
         expected_error=effort.error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
     )
