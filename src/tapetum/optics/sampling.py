@@ -211,7 +211,7 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
     wavenumber = 2 * math.pi / g.wavelength
     half = g.spot_radius + effort.rings * g.airy_step
     flat = g.spot_radius + _FLAT * effort.rings * g.airy_step
-    # Light that meets the sensor at v returns at 2v - x. Beyond the pupil's own radius none of it finds the pupil again:
+    # Light that meets the sensor at v returns at 2v - x. Beyond the pupil's own radius none finds the pupil again:
     # a window that comes near that bound is better taken beyond it, whole, and then cuts off nothing.
     bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.sine) + 4 * g.airy_step
     if half > _NEAR_BOUND * bound:
