@@ -12,6 +12,7 @@ from tapetum.bench.load import (
 )
 from tapetum.bench.scene import (
     Illumination,
+    Line,
     Probe,
     ProbeSensor,
     Sampling,
@@ -21,17 +22,25 @@ from tapetum.bench.scene import (
     TargetSensor,
     ThinLens,
 )
+from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask, at_wavelength
 
 __all__ = [
+    "Diffuse",
     "Illumination",
+    "Layer",
+    "Line",
+    "Microlens",
+    "PixelArray",
     "Probe",
     "ProbeSensor",
     "Sampling",
     "Scene",
     "SecondBeam",
+    "SensorMask",
     "Target",
     "TargetSensor",
     "ThinLens",
+    "at_wavelength",
     "field_path",
     "load_scene",
     "scene_dict",

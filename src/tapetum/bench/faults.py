@@ -86,10 +86,12 @@ def _at(path: tuple[str, ...], steps: Sequence[object]) -> bool:
 
 def _nearest(steps: Sequence[object], paths: Sequence[tuple[str, ...]]) -> str:
     """Guess which field an unknown key meant: its neighbours first, then the same word anywhere."""
+    steps = [step for step in steps if not isinstance(step, int)]
     last = str(steps[-1])
     beside = [path for path in paths if len(path) == len(steps) and _at(path, steps[:-1])]
     near = difflib.get_close_matches(last, [path[-1] for path in beside], n=1, cutoff=0.5)
-    found = [path for path in beside if path[-1] in near] or [path for path in paths if path[-1] == last]
+    same = sorted((path for path in paths if path[-1] == last), key=len)
+    found = [path for path in beside if path[-1] in near] or [path for path in same if len(path) == len(same[0])]
     if found:
         return f"did you mean {' or '.join('.'.join(path) for path in found)}?"
     return f"use {', '.join(sorted(path[-1] for path in beside))}" if beside else "remove it"

@@ -96,7 +96,7 @@ def scene_from_dict(content: Mapping[str, Any], where: str = "scene") -> Scene:
     try:
         return _adapter().validate_python(dict(content))
     except ValidationError as error:
-        raise first_fault(error, where, _paths()) from error
+        raise first_fault(error, where, _paths(lists=True)) from error
 
 
 def scene_dict(scene: Scene) -> dict[str, Any]:
@@ -141,12 +141,19 @@ def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -
     content = scene_dict(scene)
     for key, value in values.items():
         path = field_path(key)
-        node = content
+        node: Any = content
         for step in path[:-1]:
-            node = node.setdefault(step, {})
-            if not isinstance(node, dict):
+            if isinstance(node, list):
+                node = _item(node, step, key)
+            else:
+                node = node.setdefault(step, {})
+            if not isinstance(node, dict | list):
                 remedy = "change either the whole or its parts"
                 raise InputError(f"is inside of a value that is changed to {node!r}", where=key, remedy=remedy)
+        if isinstance(node, list):
+            _item(node, path[-1], key)
+            node[int(path[-1])] = value
+            continue
         node[path[-1]] = _rotation(value) if path[-1] == "rotation" else value
     return scene_from_dict(content, where)
 
@@ -162,6 +169,8 @@ def field_path(key: str) -> tuple[str, ...]:
     words = tuple(key.strip().split("."))
     if words in _paths():
         return words
+    if any(word.isdigit() for word in words):
+        return _indexed(key, words)
     found = [path for path in _paths() if path[-len(words) :] == words]
     if len(found) == 1:
         return found[0]
@@ -173,22 +182,40 @@ def field_path(key: str) -> tuple[str, ...]:
     raise InputError("a scene has no such field", where=key, remedy="did you mean " + " or ".join(names) + "?")
 
 
+def _item(items: list[Any], step: str, key: str) -> Any:
+    if not step.isdigit() or int(step) >= len(items):
+        remedy = f"count from 0 to {len(items) - 1}" if items else "give the whole list first"
+        raise InputError(f"has {len(items)} entries, none is {step!r}", where=key, remedy=remedy)
+    return items[int(step)]
+
+
+def _indexed(key: str, words: tuple[str, ...]) -> tuple[str, ...]:
+    """`layers.0.depth` to ("target", "sensor", "layers", "0", "depth")."""
+    plain = tuple(word for word in words if not word.isdigit())
+    found = [path for path in _paths(lists=True) if path[-len(plain) :] == plain]
+    if len(found) != 1 or words[0].isdigit():
+        raise InputError("a scene has no such field", where=key, remedy="write for example layers.0.depth")
+    return (*found[0][: -len(plain)], *words)
+
+
 @functools.cache
-def _paths() -> tuple[tuple[str, ...], ...]:
+def _paths(lists: bool = False) -> tuple[tuple[str, ...], ...]:
+    """Every field of a scene; with those of the members of its lists, too, where asked for."""
+
     def walk(kind: type, at: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
         for field in dataclasses.fields(kind):
             here = (*at, field.name)
             yield here
-            inner = [t for t in _types(kind, field.name) if dataclasses.is_dataclass(t)]
-            for one in inner:
+            for one in _inner(typing.get_type_hints(kind)[field.name], lists):
                 yield from walk(one, here)
 
     return tuple(walk(Scene, ()))
 
 
-def _types(kind: type, name: str) -> list[type]:
-    hint = typing.get_type_hints(kind)[name]
-    return [hint, *typing.get_args(hint)]
+def _inner(hint: Any, lists: bool) -> list[type]:
+    if typing.get_origin(hint) is tuple and not lists:
+        return []
+    return [one for one in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(one)]  # pyright: ignore[reportReturnType]
 
 
 def _parsed(changes: Iterable[str]) -> dict[str, Any]:

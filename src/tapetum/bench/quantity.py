@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
-__all__ = ["Angle", "Current", "FocusDistance", "Length", "Power", "Time", "to_si"]
+__all__ = ["Angle", "Current", "FocusDistance", "Length", "Power", "Time", "Vergence", "to_si"]
 
 
 @cache
@@ -27,7 +27,7 @@ def to_si(value: object, unit: str) -> float:
     value
         `0.1`, `"0.1"` or `"100 mm"`.
     unit
-        The SI unit of the wanted dimension: "m", "rad", "W", "s", "1/s".
+        The SI unit of the wanted dimension: "m", "rad", "W", "s", "1/s", "1/m".
 
     Raises
     ------
@@ -62,7 +62,9 @@ def _with_unit(text: str, unit: str) -> float:
 
 
 def _example(unit: str) -> str:
-    return {"m": "5 mm", "rad": "0.5 deg", "W": "1 mW", "s": "10 us", "1/s": "100 1/s"}.get(unit, f"1 {unit}")
+    return {"m": "5 mm", "rad": "0.5 deg", "W": "1 mW", "s": "10 us", "1/s": "100 1/s", "1/m": "0.2 1/m"}.get(
+        unit, f"1 {unit}"
+    )
 
 
 def _quantity(unit: str) -> Any:
@@ -80,3 +82,4 @@ Angle = Annotated[float, *_quantity("rad")]
 Power = Annotated[float, *_quantity("W"), Field(gt=0)]
 Time = Annotated[float, *_quantity("s"), Field(gt=0)]
 Current = Annotated[float, *_quantity("1/s"), Field(ge=0)]
+Vergence = Annotated[float, *_quantity("1/m")]

@@ -5,14 +5,17 @@ from __future__ import annotations
 import math
 from typing import Annotated, Literal, TypeVar
 
-from pydantic import ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.quantity import Angle, Current, FocusDistance, Length, Power, Time
+from tapetum.bench.quantity import Angle, Current, FocusDistance, Length, Power, Time, Vergence
+from tapetum.bench.strict import STRICT, Positive, Share
+from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask
 
 __all__ = [
     "SCHEMA",
     "Illumination",
+    "Line",
     "Probe",
     "ProbeSensor",
     "Sampling",
@@ -24,14 +27,13 @@ __all__ = [
 ]
 
 SCHEMA = "tapetum/scene/1"
-_STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, ser_json_inf_nan="strings")
 
-Positive = Annotated[Length, Field(gt=0)]
 S = TypeVar("S", "TargetSensor", "ProbeSensor")
+Wavelength = Annotated[Length, Field(ge=200e-9, le=2e-6)]
 Pixels = Annotated[tuple[int, int], Field(description="columns, rows")]
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class SecondBeam:
     """The probe's dim second beam, from an imperfect beam splitter (paper, section 5).
 
@@ -47,7 +49,21 @@ class SecondBeam:
     angle: tuple[Angle, Angle]
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
+class Line:
+    """Light of a further wavelength from the same probe.
+
+    Parameters
+    ----------
+    wavelength, power
+        In metres and watts.
+    """
+
+    wavelength: Wavelength
+    power: Power
+
+
+@dataclass(frozen=True, config=STRICT)
 class Illumination:
     """The probe's laser (paper, section 3).
 
@@ -64,14 +80,30 @@ class Illumination:
         Of the lit disc at the target, in metres.
     second_beam
         None for an ideal beam splitter.
+    lines
+        Light of further wavelengths, laid over the first.
+    bandwidth
+        Full width at half maximum of each line, in metres: 0 for a laser, some 20 nm for an LED.
+    coherence_length
+        Path over which two reflections still interfere, in metres. Left out, it follows from the bandwidth, λ²/Δλ.
+    source_size
+        Full angle of the source as the target sees it, in radians: 0 for a laser, an even disc for an LED.
+    vergence
+        1/R of the wave that reaches the target, in 1/m, in place of the mode's own: positive from a source at the
+        distance R, negative for light that converges. Sweeping it scans a focus through the target (paper, section 6).
     """
 
     mode: Literal["collimated", "diverging", "fixed_area"] = "collimated"
-    wavelength: Annotated[Length, Field(ge=200e-9, le=2e-6)] = 640e-9
+    wavelength: Wavelength = 640e-9
     power: Power = 1e-3
     divergence: Annotated[Angle, Field(gt=0, lt=math.pi / 2)] | None = None
     diameter: Positive | None = None
     second_beam: SecondBeam | None = None
+    lines: tuple[Line, ...] = ()
+    bandwidth: Annotated[Length, Field(ge=0, le=200e-9)] = 0.0
+    coherence_length: Positive | None = None
+    source_size: Annotated[Angle, Field(ge=0, lt=0.2)] = 0.0
+    vergence: Vergence | None = None
 
     @model_validator(mode="after")
     def _fits_its_mode(self) -> Illumination:
@@ -84,10 +116,12 @@ class Illumination:
             raise ValueError(f"divergence has no meaning in mode '{self.mode}'; {remedy}")
         if self.mode == "diverging" and self.diameter is not None:
             raise ValueError("diameter has no meaning in mode 'diverging'; leave it out or use mode 'fixed_area'")
+        if self.bandwidth >= 0.5 * self.wavelength:
+            raise ValueError(f"bandwidth {self.bandwidth:g} m is no line at {self.wavelength:g} m; give a narrower one")
         return self
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class ThinLens:
     """An ideal lens whose aperture stop lies in it.
 
@@ -95,14 +129,20 @@ class ThinLens:
     ----------
     focal_length, aperture_radius
         In metres.
+    glass
+        Its dispersion: one of the bench's glasses, or None for a lens of the same focal length in all light.
+    design_wavelength
+        At which the focal length holds, in metres, where there is a glass.
     """
 
     focal_length: Positive
     aperture_radius: Positive
     kind: Literal["thin"] = "thin"
+    glass: Literal["N-BK7", "N-SF11", "fused silica", "PMMA"] | None = None
+    design_wavelength: Wavelength = 587.56e-9
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class TargetSensor:
     """The target's image sensor: what it reflects, and what it sees.
 
@@ -112,19 +152,37 @@ class TargetSensor:
         Power reflectance of its plane, taken as a mirror.
     pixels, pitch
         Columns and rows, and their distance in metres: together the field of view.
+    array, microlens
+        The photosites as a grating, and the lenses over them; a flat mirror without.
+    mask
+        Any complex reflectance in their place.
+    diffuse
+        A scattered share, besides.
+    layers
+        Further reflecting planes before the sensor.
     """
 
-    reflectance: Annotated[float, Field(ge=0, le=1)] = 0.1
+    reflectance: Share = 0.1
     # The paper's STC-MBA5MUSB3, 4 by 4 binned: 5.7 by 4.3 mm.
     pixels: Pixels = (648, 486)
     pitch: Positive = 8.8e-6
+    array: PixelArray | None = None
+    microlens: Microlens | None = None
+    mask: SensorMask | None = None
+    diffuse: Diffuse | None = None
+    layers: tuple[Layer, ...] = ()
 
     @model_validator(mode="after")
     def _has_pixels(self) -> TargetSensor:
+        if self.mask is not None and (self.array is not None or self.microlens is not None):
+            raise ValueError("a mask takes the place of array and microlens; leave one of them out")
+        if self.diffuse is not None and self.reflectance + self.diffuse.albedo > 1:
+            total = self.reflectance + self.diffuse.albedo
+            raise ValueError(f"reflectance and diffuse.albedo add up to {total:g}; keep them below 1")
         return _with_pixels(self)
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class Target:
     """The camera looked at.
 
@@ -155,10 +213,13 @@ class Target:
             raise ValueError(
                 f"rotation of {math.degrees(angle):.4g} deg is outside the paraxial model; stay below 30 deg"
             )
+        for layer in self.sensor.layers:
+            if layer.depth / layer.index >= 0.9 * self.lens.focal_length:
+                raise ValueError(f"a layer {layer.depth:g} m before the sensor lies in the lens; move it nearer")
         return self
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class ProbeSensor:
     """The probe's image sensor, from photons to digital numbers.
 
@@ -173,13 +234,21 @@ class ProbeSensor:
     quantum_efficiency
         Electrons a photon.
     full_well, read_noise
-        In electrons; the digital range spans the full well.
+        In electrons.
+    gain
+        Digital numbers an electron; where it is left out the digital range spans the full well.
     background
         Mean stray light a pixel and frame, in electrons.
     dark_current
         Electrons a pixel and second.
     offset
         Digital number of no light.
+    hot_pixels
+        Share of pixels with a dark current far above the others', at places that belong to the sensor.
+    hot_current
+        Mean of the hot pixels' dark current, exponentially distributed, in electrons a pixel and second.
+    serial
+        Number of the sensor: it decides where its hot pixels are.
     """
 
     pixels: Pixels = (256, 256)
@@ -193,13 +262,17 @@ class ProbeSensor:
     background: Annotated[float, Field(ge=0)] = 0.0
     dark_current: Current = 0.0
     offset: Annotated[float, Field(ge=0)] = 0.0
+    gain: Annotated[float, Field(gt=0)] | None = None
+    hot_pixels: Share = 0.0
+    hot_current: Current = 0.0
+    serial: Annotated[int, Field(ge=0)] = 0
 
     @model_validator(mode="after")
     def _has_pixels(self) -> ProbeSensor:
         return _with_pixels(self)
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class Probe:
     """The laser's companion: a camera focused at infinity behind the same aperture.
 
@@ -216,7 +289,7 @@ class Probe:
     transmission: Annotated[float, Field(gt=0, le=1)] = 0.5
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class Sampling:
     """How finely to compute.
 
@@ -226,14 +299,18 @@ class Sampling:
         Largest error of the irradiance, in fractions of the peak; the planner does the rest.
     pupil, sensor
         Samples a side forced by hand; refused where the field would alias.
+    propagation
+        From target to probe: `far field` (all light that returns is seen), `finite` (over the distance and through the
+        probe's round aperture), or `auto`: finite where the returning beam overfills the aperture.
     """
 
     accuracy: Annotated[float, Field(gt=0, lt=1)] = 1e-3
     pupil: Annotated[int, Field(gt=0)] | None = None
     sensor: Annotated[int, Field(gt=0)] | None = None
+    propagation: Literal["auto", "far field", "finite"] = "auto"
 
 
-@dataclass(frozen=True, config=_STRICT)
+@dataclass(frozen=True, config=STRICT)
 class Scene:
     """Everything that decides a retro-reflection.
 

@@ -1,0 +1,191 @@
+"""What reflects inside a target: the plane of its sensor and the layers before it."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Sequence
+from typing import Annotated, Literal
+
+from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
+from pydantic.dataclasses import dataclass
+
+from tapetum.bench.quantity import Length, to_si
+from tapetum.bench.strict import STRICT, Positive, Share
+
+__all__ = ["Diffuse", "Layer", "Microlens", "PixelArray", "SensorMask", "Spectrum", "at_wavelength"]
+
+
+def _spectrum(value: object) -> float | tuple[tuple[float, float], ...]:
+    """A share of light: one number, or [wavelength, share] pairs of rising wavelength."""
+    if not isinstance(value, list | tuple):
+        return _share(value)
+    pairs: list[tuple[float, float]] = []
+    for pair in value:
+        if not isinstance(pair, list | tuple) or len(pair) != 2:
+            raise ValueError(f"{pair!r} is no pair; write [[500 nm, 0.1], [700 nm, 0.9]]")
+        wavelength = to_si(pair[0], "m")
+        if not 0 < wavelength < 1e-3:
+            raise ValueError(f"{pair[0]!r} is no wavelength; give for example '640 nm'")
+        pairs.append((wavelength, _share(pair[1])))
+    if not pairs or any(b[0] <= a[0] for a, b in itertools.pairwise(pairs)):
+        raise ValueError(f"{value!r} has no rising wavelengths; write [[500 nm, 0.1], [700 nm, 0.9]]")
+    return tuple(pairs)
+
+
+def _share(value: object) -> float:
+    try:
+        share = float(value)  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{value!r} is no number; give one from 0 to 1") from error
+    if isinstance(value, bool) or not 0 <= share <= 1:
+        raise ValueError(f"{value!r} is out of range; give 0 to 1")
+    return share
+
+
+Spectrum = Annotated[
+    float | tuple[tuple[float, float], ...],
+    PlainValidator(_spectrum),
+    PlainSerializer(lambda value: value),
+    WithJsonSchema(
+        {
+            "anyOf": [{"type": "number", "minimum": 0, "maximum": 1}, {"type": "array"}],
+            "description": "from 0 to 1, or [[wavelength, share], ...]",
+        }
+    ),
+]
+
+
+def at_wavelength(spectrum: float | Sequence[tuple[float, float]], wavelength: float) -> float:
+    """The share at a wavelength in metres: linear between the pairs, constant beyond the outer ones."""
+    if isinstance(spectrum, int | float):
+        return float(spectrum)
+    first, last = spectrum[0], spectrum[-1]
+    if wavelength <= first[0]:
+        return first[1]
+    for (a, low), (b, high) in itertools.pairwise(spectrum):
+        if wavelength <= b:
+            return low + (high - low) * (wavelength - a) / (b - a)
+    return last[1]
+
+
+@dataclass(frozen=True, config=STRICT)
+class Diffuse:
+    """A Lambertian share of a reflection (paper, section 4.3).
+
+    Parameters
+    ----------
+    albedo
+        Power scattered back over all directions, in fractions of the power that arrives.
+    spread
+        Standard deviation of the place where light leaves against the place where it arrived, in metres: paper and
+        cardboard carry light sideways before they scatter it back.
+    """
+
+    albedo: Share
+    spread: Annotated[Length, Field(ge=0)] = 0.0
+
+
+@dataclass(frozen=True, config=STRICT)
+class PixelArray:
+    """Photosites in rows and columns: what makes a sensor a grating.
+
+    Parameters
+    ----------
+    pitch
+        Distance of photosites, in metres; the sensor's own where it is left out.
+    fill
+        Area of the photosites over the whole.
+    shape
+        `square` or `round` photosites.
+    surround
+        Power reflectance of what lies between them, over that of a photosite.
+    phase
+        Of the surround's reflection against the photosites', in radians: a step in height.
+    bayer
+        Power reflectance of the four colours of a 2 by 2 cell, row by row, over the sensor's reflectance.
+    """
+
+    pitch: Positive | None = None
+    fill: Annotated[float, Field(gt=0, le=1)] = 0.5
+    shape: Literal["square", "round"] = "square"
+    surround: Share = 0.0
+    phase: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
+    bayer: Annotated[tuple[Share, Share, Share, Share] | None, Field(description="row by row")] = None
+
+    @model_validator(mode="after")
+    def _fits(self) -> PixelArray:
+        if self.shape == "round" and self.fill > math.pi / 4:
+            raise ValueError(f"round photosites fill at most 0.785 of the plane, fill is {self.fill:g}; use a square")
+        return self
+
+
+@dataclass(frozen=True, config=STRICT)
+class Microlens:
+    """A lens over every photosite: its phase, passed twice.
+
+    Parameters
+    ----------
+    focal_length
+        Of one microlens, in metres.
+    fill
+        Diameter over the pitch; between the lenses light passes a flat.
+    """
+
+    focal_length: Positive
+    fill: Annotated[float, Field(gt=0, le=1)] = 1.0
+
+
+@dataclass(frozen=True, config=STRICT)
+class SensorMask:
+    """Any complex reflectance of the sensor plane, from a file.
+
+    Parameters
+    ----------
+    file
+        A `.npy` of complex amplitudes, [rows, columns], read without pickle. Its middle lies on the optical axis;
+        outside of it nothing is reflected.
+    pitch
+        Distance of its samples, in metres.
+    """
+
+    file: str
+    pitch: Positive
+
+
+@dataclass(frozen=True, config=STRICT)
+class Layer:
+    """A plane before the sensor that reflects: cover glass, filter, the tops of microlenses.
+
+    Parameters
+    ----------
+    depth
+        Its distance from the sensor, in metres.
+    index
+        Refractive index of what lies between it and the sensor.
+    reflectance
+        Power reflectance, one number or by wavelength.
+    transmittance
+        Power transmittance of one passage; what is not reflected where it is left out.
+    diffuse
+        A scattered share, besides.
+    """
+
+    depth: Positive
+    reflectance: Spectrum = 0.04
+    transmittance: Spectrum | None = None
+    index: Annotated[float, Field(ge=1, le=5)] = 1.0
+    diffuse: Diffuse | None = None
+
+    @model_validator(mode="after")
+    def _keeps_energy(self) -> Layer:
+        if self.transmittance is None:
+            return self
+        tables = [t for t in (self.reflectance, self.transmittance) if isinstance(t, tuple)]
+        for wavelength in [w for table in tables for w, _ in table] or [640e-9]:
+            total = at_wavelength(self.reflectance, wavelength) + at_wavelength(self.transmittance, wavelength)
+            if total > 1 + 1e-9:
+                raise ValueError(
+                    f"reflectance and transmittance add up to {total:g} at {wavelength * 1e9:g} nm; lower one of them"
+                )
+        return self

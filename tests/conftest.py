@@ -1,0 +1,49 @@
+"""What every test may use: `validated`, which checks a number and keeps it for docs/validation.md."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+Validated = Callable[..., None]
+_KEPT = pytest.StashKey[list[dict[str, object]]]()
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--keep-validation", metavar="FILE", help="write the numbers that `validated` checked as JSON")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    config.stash[_KEPT] = []
+
+
+@pytest.fixture
+def validated(request: pytest.FixtureRequest) -> Validated:
+    """`validated(section, what, error, tolerance, against, measure="of the peak")`.
+
+    Asserts that `error` is finite and at most `tolerance`, and keeps the line for docs/validation.md: `section` is the
+    table it belongs to, `what` the quantity with its conditions, `against` the closed form, method or package, `measure`
+    what the error is in fractions or units of.
+    """
+
+    def check(
+        section: str, what: str, error: float, tolerance: float, against: str, measure: str = "of the peak"
+    ) -> None:
+        error = float(error)
+        line = {"section": section, "what": what, "error": error, "tolerance": tolerance, "against": against}
+        test = request.node.nodeid.partition("[")[0]
+        request.config.stash[_KEPT].append({**line, "measure": measure, "test": test})
+        assert math.isfinite(error), f"{what}: {error}"
+        assert error <= tolerance, f"{what}: {error:.3g} {measure}, allowed {tolerance:.3g}, against {against}"
+
+    return check
+
+
+def pytest_sessionfinish(session: pytest.Session) -> None:
+    path = session.config.getoption("--keep-validation")
+    if path:
+        Path(path).write_text(json.dumps(session.config.stash[_KEPT], indent=1), encoding="utf-8")
