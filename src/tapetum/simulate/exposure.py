@@ -1,16 +1,33 @@
-"""What the probe's sensor makes of the light: shot noise, read noise, saturation and bits."""
+"""What the probe's sensor makes of the light: shot noise, read noise, hot pixels, saturation and bits.
+
+Light and dark current make electrons, at most a full well of them; the gain makes them digital numbers, from the
+offset on. `digitise` draws such numbers. `expected_counts` and `count_variance` say what they average to and how much
+they scatter, for fits and information: smooth functions of the light, clipped ends included.
+"""
+
+# Torch types from_numpy in part only.
+# pyright: reportUnknownMemberType=false
 
 from __future__ import annotations
+
+import functools
+import math
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
 from tapetum.bench import Probe, ProbeSensor
+from tapetum.errors import InputError
 from tapetum.simulate.image import Image
 from tapetum.simulate.radiometry import electrons
 
-__all__ = ["digitise", "expose"]
+__all__ = ["count_moments", "count_variance", "digitise", "expected_counts", "expose", "gain_of", "hot_currents"]
+
+# Keeps the hot pixels' draws apart from all others made of small numbers.
+_HOT_STREAM = 0x407
+# Read noise, in electrons, above which the clipping at zero sees a normal distribution.
+_NOISY = 8.0
 
 
 def expose(image: Image, probe: Probe, seed: int | np.random.Generator) -> npt.NDArray[np.uint8 | np.uint16]:
@@ -19,7 +36,7 @@ def expose(image: Image, probe: Probe, seed: int | np.random.Generator) -> npt.N
     Parameters
     ----------
     image
-        Irradiance on the probe's pixels.
+        Irradiance on the probe's pixels, of the one wavelength that its metadata name.
     probe
         Whose sensor takes it.
     seed
@@ -29,18 +46,196 @@ def expose(image: Image, probe: Probe, seed: int | np.random.Generator) -> npt.N
     -------
     numpy.ndarray
         Digital numbers, [B, H, W]: uint8 up to 8 bits, uint16 above.
+
+    Raises
+    ------
+    InputError
+        For an image that names no wavelength, and as `digitise`.
     """
-    mean = electrons(image.irradiance.detach(), probe.sensor, float(image.metadata["wavelength"]))
+    mean = electrons(image.light.detach(), probe.sensor, _wavelength(image, None))
     return digitise(mean, probe.sensor, np.random.default_rng(seed))
 
 
 def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) -> npt.NDArray[np.uint8 | np.uint16]:
-    """Draw digital numbers for mean electrons of any shape: Poisson light, Gaussian read noise, clipping, rounding."""
+    """Draw digital numbers for mean electrons: Poisson light and dark current, read noise, full well, gain, rounding.
+
+    Parameters
+    ----------
+    mean
+        Electrons a pixel and frame without those of hot pixels, as of `radiometry.electrons`. Any shape; whole frames
+        [..., H, W] for a sensor with hot pixels.
+    sensor
+        Its noise, full well, gain, offset and bits.
+    rng
+        Of the noise, the hot pixels' places excepted: they belong to the sensor.
+
+    Returns
+    -------
+    numpy.ndarray
+        uint8 up to 8 bits, uint16 above, of the same shape.
+
+    Raises
+    ------
+    InputError
+        When a sensor has hot pixels and `mean` is no whole frame of it.
+    """
     generator = torch.Generator().manual_seed(int(rng.integers(1 << 62)))
-    light = mean.detach().to("cpu", torch.float32)
+    light = _with_hot_pixels(mean.detach().to("cpu", torch.float32), sensor)
     counts = torch.poisson(light, generator=generator)
     if sensor.read_noise:
         counts += sensor.read_noise * torch.randn(counts.shape, generator=generator)
     top = 2**sensor.bits - 1
-    numbers = counts.clamp_(max=sensor.full_well).mul_(top / sensor.full_well).add_(sensor.offset)
+    numbers = counts.clamp_(max=sensor.full_well).mul_(gain_of(sensor)).add_(sensor.offset)
     return numbers.round_().clamp_(0, top).numpy().astype(np.uint8 if sensor.bits <= 8 else np.uint16)
+
+
+def gain_of(sensor: ProbeSensor) -> float:
+    """Digital numbers an electron: the sensor's own gain, or the one at which the digital range spans the full well."""
+    return (2**sensor.bits - 1) / sensor.full_well if sensor.gain is None else sensor.gain
+
+
+def hot_currents(sensor: ProbeSensor) -> torch.Tensor:
+    """Dark current of the hot pixels, in electrons a second, [H, W]; 0 for all others.
+
+    Its serial number alone decides where they are and how hot: a sensor with a larger share of them has the same ones
+    and more. The currents are exponentially distributed.
+    """
+    columns, rows = sensor.pixels
+    return _hot_currents(rows, columns, sensor.hot_pixels, sensor.hot_current, sensor.serial).clone()
+
+
+def expected_counts(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength: float | None = None) -> torch.Tensor:
+    """Mean digital numbers of frames, before rounding; differentiable.
+
+    Parameters
+    ----------
+    light
+        An image, or irradiance in W/m² of any shape; whole frames [..., H, W] for a sensor with hot pixels.
+    sensor
+        Its noise, full well, gain, offset and bits.
+    wavelength
+        In metres; of the image's metadata where it is left out.
+
+    Returns
+    -------
+    torch.Tensor
+        Digital numbers, of the shape and type of the irradiance.
+
+    Raises
+    ------
+    InputError
+        When the wavelength is not known, and as `digitise`.
+
+    Notes
+    -----
+    See `count_moments`. For light of several wavelengths, call it with the sum of their electrons.
+    """
+    irradiance = light.light if isinstance(light, Image) else light
+    return count_moments(electrons(irradiance, sensor, _wavelength(light, wavelength)), sensor)[0]
+
+
+def count_variance(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength: float | None = None) -> torch.Tensor:
+    """Variance of the digital numbers of frames, rounding included; differentiable.
+
+    Parameters, errors and shape as for `expected_counts`; in squares of digital numbers.
+    """
+    irradiance = light.light if isinstance(light, Image) else light
+    return count_moments(electrons(irradiance, sensor, _wavelength(light, wavelength)), sensor)[1]
+
+
+def count_moments(mean: torch.Tensor, sensor: ProbeSensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Mean and variance of the digital numbers that `digitise` draws for mean electrons.
+
+    Parameters
+    ----------
+    mean
+        Electrons a pixel and frame, as for `digitise`.
+    sensor
+        Its noise, full well, gain, offset and bits.
+
+    Returns
+    -------
+    tuple of torch.Tensor
+        Mean before rounding, and variance with 1/12 for the rounding: of the shape and type of `mean`.
+
+    Notes
+    -----
+    Electrons are Poisson distributed with normal read noise. What the full well or the largest number cuts off is taken
+    from a normal distribution of the same mean and variance, so it sets in smoothly, and the gradient fades only as the
+    information does; the range should hold some tens of electrons. What is cut off below the number 0 is summed over
+    the electron counts that can reach it (a normal distribution, again, for a read noise above 8 electrons). Moments of
+    clipped normal variables: N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous Univariate Distributions 1 (1994),
+    chapter 13. The 1/12 assumes that the noise spans some digital numbers; where it does not, rounding hides or doubles
+    it, and the mean of rounded numbers is off by up to one half.
+    """
+    light = _with_hot_pixels(mean, sensor).to(torch.float64)
+    gain = gain_of(sensor)
+    low = -sensor.offset / gain
+    high = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain)
+    noise = sensor.read_noise**2
+    # A floor far below any noise, for the root's gradient at no light and no read noise.
+    variance = light + noise
+    scale = variance.clamp_min(1e-6).sqrt()
+    over, over2 = _beyond((light - high) / scale, scale)
+    under, under2 = _below(light, scale, low, sensor.read_noise)
+    expected = light - over + under
+    spread = variance - over2 - under2 - 2 * (high - light) * over + 2 * (low - light) * under - (under - over) ** 2
+    numbers = gain * expected + sensor.offset
+    return numbers.to(mean.dtype), (gain**2 * spread.clamp_min(0) + 1 / 12).to(mean.dtype)
+
+
+def _beyond(excess: torch.Tensor, scale: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """First two moments of max(0, X) for a normal X of mean `excess`·`scale` and standard deviation `scale`."""
+    density = torch.exp(-(excess**2) / 2) / math.sqrt(2 * math.pi)
+    share = torch.erfc(-excess / math.sqrt(2)) / 2
+    first = scale * (excess * share + density)
+    return first, scale**2 * ((excess**2 + 1) * share + excess * density)
+
+
+def _below(
+    light: torch.Tensor, scale: torch.Tensor, low: float, read_noise: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """First two moments of max(0, low - X): how far X falls short of the number 0."""
+    if read_noise > _NOISY:
+        return _beyond((low - light) / scale, scale)
+    first = second = torch.zeros_like(light)
+    if read_noise == 0:
+        return first, second
+    deviation = torch.tensor(read_noise, dtype=light.dtype, device=light.device)
+    chance = torch.exp(-light)
+    for count in range(max(0, math.ceil(low + 8 * read_noise))):
+        part, part2 = _beyond((low - count) / deviation, deviation)
+        first, second = first + chance * part, second + chance * part2
+        chance = chance * light / (count + 1)
+    return first, second
+
+
+def _with_hot_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
+    if sensor.hot_pixels == 0 or sensor.hot_current == 0:
+        return mean
+    columns, rows = sensor.pixels
+    if tuple(mean.shape[-2:]) != (rows, columns):
+        raise InputError(
+            f"has shape {tuple(mean.shape)}, which is no frame of {columns} x {rows} pixels, so the hot pixels "
+            "have no places in it",
+            where="image",
+            remedy="give whole frames, or set probe.sensor.hot_pixels to 0",
+        )
+    currents = _hot_currents(rows, columns, sensor.hot_pixels, sensor.hot_current, sensor.serial)
+    return mean + (currents * sensor.exposure).to(mean)
+
+
+@functools.lru_cache(maxsize=4)
+def _hot_currents(rows: int, columns: int, share: float, current: float, serial: int) -> torch.Tensor:
+    rng = np.random.default_rng([serial, _HOT_STREAM])
+    chosen = torch.from_numpy(rng.random((rows, columns))) < share
+    # The logarithm of a uniform number, not NumPy's own exponential draw: that one may change between versions.
+    return torch.from_numpy(-np.log1p(-rng.random((rows, columns)))) * current * chosen
+
+
+def _wavelength(light: Image | torch.Tensor, wavelength: float | None) -> float:
+    found = light.metadata.get("wavelength") if wavelength is None and isinstance(light, Image) else wavelength
+    if found is None:
+        remedy = "give it in metres, or take an image whose metadata hold it"
+        raise InputError("is not known", where="wavelength", remedy=remedy)
+    return float(found)

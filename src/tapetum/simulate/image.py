@@ -37,11 +37,19 @@ class Image:
         Pixel pitch in metres.
     metadata
         Plain values: the rotations in degrees, the wavelength, the sampling and the error it should give.
+    equivalent
+        Of light of several wavelengths: the irradiance of the one that the metadata name with as many photons.
     """
 
     irradiance: torch.Tensor
     pitch: float
     metadata: dict[str, Any] = field(default_factory=dict[str, Any])
+    equivalent: torch.Tensor | None = None
+
+    @property
+    def light(self) -> torch.Tensor:
+        """What a sensor counts: irradiance of the metadata's wavelength, [B, H, W] in W/m²."""
+        return self.irradiance if self.equivalent is None else self.equivalent
 
     def __len__(self) -> int:
         return len(self.irradiance)

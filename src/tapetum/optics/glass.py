@@ -1,0 +1,143 @@
+"""Refractive indices of a few glasses, and what they make of a thin lens's focal length.
+
+Indices are relative to air at 20 °C, as their sources state them.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from tapetum.errors import InputError
+
+__all__ = ["GLASSES", "Glass", "abbe_number", "focal_length_at", "refractive_index"]
+
+_MICRON = 1e-6
+# Fraunhofer's lines F, d and C, in metres.
+_F_LINE, _D_LINE, _C_LINE = 486.133e-9, 587.562e-9, 656.273e-9
+
+
+@dataclass(frozen=True)
+class Glass:
+    """A dispersion formula and where it holds. Coefficients are for wavelengths in micrometres, as published.
+
+    Parameters
+    ----------
+    sellmeier
+        Pairs (B, C) of n² - 1 = Σ B λ²/(λ² - C).
+    powers
+        Pairs (coefficient, power) of n² = Σ c λ^power, in place of a Sellmeier formula.
+    shortest, longest
+        Wavelengths between which its source gives the formula, in metres.
+    source
+        Who published it.
+    """
+
+    sellmeier: tuple[tuple[float, float], ...]
+    powers: tuple[tuple[float, int], ...]
+    shortest: float
+    longest: float
+    source: str
+
+    def index(self, wavelength: float) -> float:
+        """n at a wavelength in metres, unchecked."""
+        square = (wavelength / _MICRON) ** 2
+        if self.powers:
+            return math.sqrt(sum(c * square ** (power / 2) for c, power in self.powers))
+        return math.sqrt(1 + sum(b * square / (square - c) for b, c in self.sellmeier))
+
+
+GLASSES = {
+    "N-BK7": Glass(
+        ((1.03961212, 0.00600069867), (0.231792344, 0.0200179144), (1.01046945, 103.560653)),
+        (),
+        0.31e-6,
+        2.325e-6,
+        "SCHOTT, data sheet N-BK7 517642.251",
+    ),
+    "N-SF11": Glass(
+        ((1.73759695, 0.013188707), (0.313747346, 0.0623068142), (1.89878101, 155.23629)),
+        (),
+        0.37e-6,
+        2.325e-6,
+        "SCHOTT, data sheet N-SF11 785257.322",
+    ),
+    "fused silica": Glass(
+        ((0.6961663, 0.0684043**2), (0.4079426, 0.1162414**2), (0.8974794, 9.896161**2)),
+        (),
+        0.21e-6,
+        3.71e-6,
+        "I. H. Malitson, J. Opt. Soc. Am. 55, 1205 (1965)",
+    ),
+    "PMMA": Glass(
+        (),
+        (
+            (2.399964, 0),
+            (-8.308636e-2, 2),
+            (-1.919569e-1, -2),
+            (8.720608e-2, -4),
+            (-1.666411e-2, -6),
+            (1.169519e-3, -8),
+        ),
+        0.4358e-6,
+        1.052e-6,
+        "S. N. Kasarova et al., Opt. Mater. 29, 1481 (2007)",
+    ),
+}
+
+
+def refractive_index(glass: str, wavelength: float) -> float:
+    """Refractive index of a glass against air.
+
+    Parameters
+    ----------
+    glass
+        One of `GLASSES`: the names that a scene's `lens.glass` takes.
+    wavelength
+        In air, in metres.
+
+    Raises
+    ------
+    InputError
+        For an unknown glass, or a wavelength at which its source gives no formula.
+    """
+    if glass not in GLASSES:
+        raise InputError(f"unknown glass {glass!r}", where="glass", remedy=f"use {', '.join(GLASSES)}")
+    known = GLASSES[glass]
+    # Written so that NaN is refused, too. A hundredth of a picometre forgives the rounding of 435.8e-9.
+    slack = 1e-14
+    if not known.shortest - slack <= wavelength <= known.longest + slack:
+        raise InputError(
+            f"{wavelength * 1e9:.6g} nm is outside of the formula of {glass}",
+            where="wavelength",
+            remedy=f"stay within {known.shortest * 1e9:g} to {known.longest * 1e9:g} nm, or leave the glass out",
+        )
+    return known.index(wavelength)
+
+
+def abbe_number(glass: str) -> float:
+    """(n_d - 1)/(n_F - n_C) of one of `GLASSES`: the larger, the less its index changes with the colour."""
+    n_f, n_d, n_c = (refractive_index(glass, line) for line in (_F_LINE, _D_LINE, _C_LINE))
+    return (n_d - 1) / (n_f - n_c)
+
+
+def focal_length_at(focal_length: float, glass: str | None, design_wavelength: float, wavelength: float) -> float:
+    """Focal length of a thin lens at another wavelength: f (n₀ - 1)/(n - 1), by the lens maker's formula.
+
+    Parameters
+    ----------
+    focal_length
+        At the design wavelength, in metres.
+    glass
+        One of `GLASSES`, or None for a lens without dispersion.
+    design_wavelength, wavelength
+        In metres.
+
+    Raises
+    ------
+    InputError
+        As `refractive_index`.
+    """
+    if glass is None or wavelength == design_wavelength:
+        return focal_length
+    return focal_length * (refractive_index(glass, design_wavelength) - 1) / (refractive_index(glass, wavelength) - 1)

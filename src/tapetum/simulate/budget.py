@@ -1,0 +1,344 @@
+"""The link budget: where the laser's watts go on their way to the probe's sensor, in closed forms.
+
+Rays say how much of the returning beam the target's aperture lets out, rays and diffraction how much of that the
+probe's aperture takes in. An estimate before any simulation: no image is computed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from tapetum.bench import Scene, at_wavelength
+from tapetum.optics.glass import focal_length_at
+from tapetum.optics.grid import lens_numbers
+from tapetum.optics.sampling import DoublePassGeometry, disc_overlap
+from tapetum.simulate.exposure import gain_of
+from tapetum.simulate.radiometry import (
+    beam_radius,
+    dark_electrons,
+    illumination_curvature,
+    irradiance_at_target,
+    layer_transmittance,
+    line_of,
+    photon_energy,
+    return_radius_by_rays,
+    share_in_disc,
+    specular_reflectance,
+)
+
+__all__ = ["LinkBudget", "Reflection", "link_budget"]
+
+
+@dataclass(frozen=True)
+class Reflection:
+    """What one reflecting plane of the target sends to the probe.
+
+    Parameters
+    ----------
+    name
+        `sensor`, or `layers.0` and so on, as in the scene.
+    reflectance
+        Specular power reflectance; of a pixel array that of the order 0.
+    transmittance
+        Of the layers before the plane, there and back.
+    returning
+        Share of the reflected light that the target's aperture lets out again, by rays.
+    return_radius
+        Of the beam at the probe, by rays and diffraction, in metres.
+    inside_probe
+        Share of the returning light that enters the probe's aperture.
+    watts
+        On the probe's sensor.
+    radius_on_sensor
+        Of the RR on the probe's sensor, to the first dark ring, in metres.
+    peak_irradiance
+        On the probe's sensor, in W/m².
+    """
+
+    name: str
+    reflectance: float
+    transmittance: float
+    returning: float
+    return_radius: float
+    inside_probe: float
+    watts: float
+    radius_on_sensor: float
+    peak_irradiance: float
+
+
+@dataclass(frozen=True)
+class LinkBudget:
+    """From watts at the laser to electrons a frame. SI units; the chain's numbers are those of the target's sensor.
+
+    Parameters
+    ----------
+    mode, wavelength, distance
+        Of the illumination, and from probe to target.
+    laser_watts
+        Leave the probe.
+    beam_radius, field_angle
+        Of the lit disc at the target, in metres, and its full angle as seen from the probe, in radians.
+    rayleigh_range
+        π w²/λ of a collimated beam, in metres: well below it the beam keeps its size. None for other modes.
+    irradiance_at_target
+        In W/m².
+    accepted_watts, reflected_watts, leaving_watts, probe_watts, sensor_watts
+        That enter the target's aperture; that the target's sensor reflects, layers passed; that leave the target; that
+        enter the probe; that arrive on its sensor.
+    reflections
+        The target's sensor first, then its layers, each by itself.
+    transmission
+        Of the probe.
+    photons, electrons
+        A frame, of the RR of the target's sensor.
+    rr_pixels, peak_electrons
+        Pixels that the RR covers to its first dark ring, and mean electrons of the brightest one.
+    dark_electrons
+        A pixel and frame: background and dark current.
+    noise_electrons
+        Standard deviation of the summed RR: shot noise, and the dark, read and rounding noise of its pixels.
+    snr
+        Electrons over noise electrons, of one frame.
+    saturation
+        Brightest pixel's mean electrons, dark ones included, over the most that the sensor tells apart.
+    notes
+        What the budget leaves out of this scene.
+    """
+
+    mode: str
+    wavelength: float
+    distance: float
+    laser_watts: float
+    beam_radius: float
+    field_angle: float
+    rayleigh_range: float | None
+    irradiance_at_target: float
+    accepted_watts: float
+    reflected_watts: float
+    leaving_watts: float
+    probe_watts: float
+    sensor_watts: float
+    reflections: tuple[Reflection, ...]
+    transmission: float
+    photons: float
+    electrons: float
+    rr_pixels: float
+    peak_electrons: float
+    dark_electrons: float
+    noise_electrons: float
+    snr: float
+    saturation: float
+    notes: tuple[str, ...]
+
+    @property
+    def field_of_view(self) -> float:
+        """Diameter of the lit disc at the target, in metres."""
+        return 2 * self.beam_radius
+
+    @property
+    def total_watts(self) -> float:
+        """On the probe's sensor, of all reflections, which add as power."""
+        return sum(one.watts for one in self.reflections)
+
+    def as_dict(self) -> dict[str, Any]:
+        """All numbers by name, as plain values in SI units."""
+        content = {**asdict(self), "field_of_view": self.field_of_view, "total_watts": self.total_watts}
+        return {**content, "reflections": [asdict(one) for one in self.reflections], "notes": list(self.notes)}
+
+    def lines(self) -> list[str]:
+        """The budget to read, a line a step."""
+        sensor, *layers = self.reflections
+        reach = "" if self.rayleigh_range is None else f", Rayleigh range {_metres(self.rayleigh_range)}"
+        rows = [
+            ("laser", f"{_watts(self.laser_watts)} at {self.wavelength * 1e9:g} nm, {self.mode}{reach}"),
+            (
+                "lit at the target",
+                f"{_metres(self.field_of_view)} wide, {math.degrees(self.field_angle):.4g} deg, "
+                f"{_metres(self.distance)} away",
+            ),
+            ("irradiance there", f"{self.irradiance_at_target:.4g} W/m²"),
+            ("into the aperture", _watts(self.accepted_watts)),
+            (
+                "reflected",
+                f"{_watts(self.reflected_watts)} (reflectance {sensor.reflectance:.4g}, "
+                f"layers there and back {sensor.transmittance:.4g})",
+            ),
+            ("leaves the target", f"{_watts(self.leaving_watts)} (share {sensor.returning:.4g})"),
+            (
+                "enters the probe",
+                f"{_watts(self.probe_watts)} (share {sensor.inside_probe:.4g} of a beam "
+                f"{_metres(2 * sensor.return_radius)} wide)",
+            ),
+            ("on its sensor", f"{_watts(self.sensor_watts)} (transmission {self.transmission:.4g})"),
+            ("a frame", f"{self.photons:.4g} photons, {self.electrons:.4g} electrons"),
+            ("RR", f"{self.rr_pixels:.4g} pixels, {self.peak_electrons:.4g} electrons in the brightest"),
+            ("without it", f"{self.dark_electrons:.4g} electrons a pixel"),
+            ("SNR of the RR", f"{self.snr:.4g} a frame, noise {self.noise_electrons:.4g} electrons"),
+            ("saturation", f"{self.saturation:.4g} of the sensor's range" + (", clipped" * (self.saturation > 1))),
+        ]
+        rows += [(one.name, f"{_watts(one.watts)} on the probe's sensor besides") for one in layers]
+        rows += [("note", note) for note in self.notes]
+        return [f"{name:<18}{text}" for name, text in rows]
+
+
+def link_budget(scene: Scene, wavelength: float | None = None) -> LinkBudget:
+    """Follow the light of one wavelength through a scene, at the scene's rotation.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench.
+    wavelength
+        Which of the illumination's lines, in metres; its first where it is left out.
+
+    Raises
+    ------
+    InputError
+        For a wavelength that the scene does not have, or at which a lens's glass has no index.
+
+    Notes
+    -----
+    What is lost where the returning beam overfills the probe: `radiometry.share_in_disc`, for a round beam of the area
+    that leaves. The brightest pixel: the power over the sum of the areas of
+    diffraction, (λ f_p)²/A for an exit pupil of area A, of a quarter of the geometric disc (on the axis a defocused
+    round pupil reaches four times its disc's mean: Born and Wolf, section 8.8), of the source, and of the pixel.
+    """
+    light, target, probe = scene.illumination, scene.target, scene.probe
+    wavelength, watts = line_of(scene, wavelength)
+    f = focal_length_at(target.lens.focal_length, target.lens.glass, target.lens.design_wavelength, wavelength)
+    # The sensor stands where the design wavelength is sharp.
+    z, _ = lens_numbers(target.lens.focal_length, target.object_distance)
+    f_p = focal_length_at(probe.lens.focal_length, probe.lens.glass, probe.lens.design_wavelength, wavelength)
+    lit = beam_radius(scene)
+    irradiance = irradiance_at_target(scene) * watts / light.power
+    sine = math.hypot(*(math.sin(angle) for angle in target.rotation))
+    # Turned, the aperture takes less of the beam; a beam narrower than the aperture goes in whole.
+    cosine = math.sqrt(1 - sine**2)
+    accepted = min(irradiance * math.pi * target.lens.aperture_radius**2 * cosine, watts)
+
+    def reflection(name: str, depth: float, reflectance: float, transmittance: float) -> Reflection:
+        geometry = DoublePassGeometry(
+            wavelength, target.lens.aperture_radius, f, z - depth, f_p, 0.0, sine, illumination_curvature(scene)
+        )
+        return _returned(name, scene, geometry, accepted, reflectance, transmittance)
+
+    before = [layer_transmittance(layer, wavelength) ** 2 for layer in target.sensor.layers]
+    depths = [layer.depth for layer in target.sensor.layers]
+    reflections = [reflection("sensor", 0.0, specular_reflectance(target.sensor), math.prod(before))]
+    for i, layer in enumerate(target.sensor.layers):
+        above = math.prod(t for t, depth in zip(before, depths, strict=True) if depth > layer.depth)
+        share = at_wavelength(layer.reflectance, wavelength)
+        reflections.append(reflection(f"layers.{i}", layer.depth / layer.index, share, above))
+
+    one, sensor = reflections[0], probe.sensor
+    reflected = accepted * one.reflectance * one.transmittance
+    photons = one.watts * sensor.exposure / photon_energy(wavelength)
+    electrons = photons * sensor.quantum_efficiency
+    pixels = max(math.pi * one.radius_on_sensor**2 / sensor.pitch**2, 1.0)
+    # A pixel's own area keeps a spot smaller than it from making more electrons than there are.
+    spot = one.watts / one.peak_irradiance if one.watts > 0 else math.inf
+    peak = electrons * sensor.pitch**2 / (spot + sensor.pitch**2)
+    dark = dark_electrons(sensor)
+    gain = gain_of(sensor)
+    noise = math.sqrt(electrons + pixels * (dark + sensor.read_noise**2 + 1 / (12 * gain**2)))
+    most = min(sensor.full_well, max((2**sensor.bits - 1 - sensor.offset) / gain, 0.0))
+    return LinkBudget(
+        mode=light.mode,
+        wavelength=wavelength,
+        distance=scene.distance,
+        laser_watts=watts,
+        beam_radius=lit,
+        field_angle=2 * math.atan(lit / scene.distance),
+        rayleigh_range=math.pi * lit**2 / wavelength if light.mode == "collimated" else None,
+        irradiance_at_target=irradiance,
+        accepted_watts=accepted,
+        reflected_watts=reflected,
+        leaving_watts=reflected * one.returning,
+        probe_watts=reflected * one.returning * one.inside_probe,
+        sensor_watts=one.watts,
+        reflections=tuple(reflections),
+        transmission=probe.transmission,
+        photons=photons,
+        electrons=electrons,
+        rr_pixels=pixels,
+        peak_electrons=peak,
+        dark_electrons=dark,
+        noise_electrons=noise,
+        snr=electrons / noise,
+        saturation=(peak + dark) / most if most > 0 else math.inf,
+        notes=_notes(scene, lit, wavelength, one.radius_on_sensor),
+    )
+
+
+def _returned(
+    name: str, scene: Scene, g: DoublePassGeometry, accepted: float, reflectance: float, transmittance: float
+) -> Reflection:
+    probe, distance = scene.probe, scene.distance
+    share, aperture = g.returning, probe.lens.aperture_radius
+    rays = return_radius_by_rays(g.radius, g.focal_length, g.image_distance, g.curvature, distance)
+    # The light that leaves, as a disc of the same area. Light that the target brings to a focus in its own lens is as
+    # wide there as diffraction makes it.
+    lit = disc_overlap(g.radius, g.return_radius, 2 * g.image_distance * g.sine)
+    out = max(g.radius * math.sqrt(lit), min(g.radius, g.wavelength * g.image_distance / g.radius)) if share else 0.0
+    leaving = math.pi * out**2
+    rays_out = rays * out / max(min(g.radius, g.return_radius), out)
+    inside = share_in_disc(aperture, out, rays_out, g.wavelength, distance) if out else 0.0
+    airy = 1.22 * g.wavelength / (2 * out) if out else 0.0
+    watts = accepted * reflectance * transmittance * share * inside * probe.transmission
+    blur = scene.illumination.source_size / 2
+    diffracted = (g.wavelength * g.probe_focal_length) ** 2 / leaving if leaving > 0 else math.inf
+    area = diffracted + math.pi * g.probe_focal_length**2 * (g.exit_angle**2 / 4 + blur**2)
+    return Reflection(
+        name=name,
+        reflectance=reflectance,
+        transmittance=transmittance,
+        returning=share,
+        return_radius=rays + airy * distance,
+        inside_probe=inside,
+        watts=watts,
+        radius_on_sensor=g.probe_focal_length * (g.exit_angle + blur + airy),
+        peak_irradiance=watts / area,
+    )
+
+
+def _notes(scene: Scene, lit: float, wavelength: float, radius: float) -> tuple[str, ...]:
+    light, sensor = scene.illumination, scene.target.sensor
+    notes: list[str] = []
+    if light.second_beam is not None:
+        notes.append("the second beam is not counted")
+    if light.lines:
+        notes.append(f"one wavelength of {1 + len(light.lines)} is counted")
+    if sensor.mask is not None:
+        notes.append("the sensor's mask is not counted: a mirror stands in for it")
+    if sensor.microlens is not None:
+        notes.append("the microlenses are not counted")
+    if sensor.array is not None:
+        notes.append("the higher orders of the pixel array are not counted")
+    if sensor.diffuse is not None or any(layer.diffuse is not None for layer in sensor.layers):
+        notes.append("the diffuse return is not counted")
+    if lit < scene.target.lens.aperture_radius:
+        notes.append("the beam is narrower than the target's aperture")
+    if light.mode == "collimated" and scene.distance > math.pi * lit**2 / wavelength:
+        notes.append("the target stands beyond the Rayleigh range: the beam is wider there than counted")
+    if radius > min(scene.probe.sensor.pixels) * scene.probe.sensor.pitch / 2:
+        notes.append("the RR is larger than the probe's sensor: all of its light is counted")
+    if scene.probe.sensor.hot_pixels and scene.probe.sensor.hot_current:
+        notes.append("hot pixels are not counted")
+    return tuple(notes)
+
+
+def _watts(value: float) -> str:
+    return _scaled(value, "W")
+
+
+def _metres(value: float) -> str:
+    return _scaled(value, "m")
+
+
+def _scaled(value: float, unit: str) -> str:
+    for factor, prefix in ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p")):
+        if abs(value) >= factor:
+            return f"{value / factor:.4g} {prefix}{unit}"
+    return f"{value:.4g} {unit}"
