@@ -78,7 +78,8 @@ def test_the_scene_of_these_tests_is_good(run, tmp_path: Path) -> None:
     ("change", "words"),
     [
         ("sampling.pupil=16", "sampling.pupil: 16 samples over the pupil would alias; use at least"),
-        ("sampling.sensor=8", "sampling.sensor: 8 samples over the target's sensor would fold"),
+        ("sampling.sensor=8", "sampling.sensor: 8 samples have no meaning without a mask"),
+        ("sampling.pupil=8", "sampling.pupil: 8 samples over the pupil would alias"),
         ("target.lens.aperture_radius=-3 mm", "aperture_radius: '-3 mm' is out of range"),
         ("apperture=3", "apperture: a scene has no such field"),
         ("distance", "--set: 'distance' is no change; write KEY=VALUE"),

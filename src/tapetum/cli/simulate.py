@@ -189,7 +189,9 @@ def _record(image: Image, axes: list[Sweep], out: Path) -> dict[str, Any]:
     return {
         **image.metadata,
         "expected_error": error if math.isfinite(error) else None,
-        "sampling": {k: v if math.isfinite(v) else None for k, v in image.metadata["sampling"].items()},
+        "sampling": {
+            k: v if isinstance(v, str) or math.isfinite(v) else None for k, v in image.metadata["sampling"].items()
+        },
         "images": len(image),
         "shape": list(image.irradiance.shape),
         "peak": [float(one.max()) for one in image],

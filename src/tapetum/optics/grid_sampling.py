@@ -1,4 +1,4 @@
-"""Choose the grids of a double pass from the scene and a wanted accuracy, and say what error to expect.
+"""Choose the grids of a double pass whose sensor plane is sampled, and say what error to expect.
 
 Three numbers decide the error (docs/conventions.md, "Sampling", shows how they were measured):
 
@@ -7,6 +7,8 @@ Three numbers decide the error (docs/conventions.md, "Sampling", shows how they 
 - how far the field turns between two pupil samples, in radians: π is the Nyquist limit;
 - how much wider than the returning and the accepting pupil together is the period λz/dv that the sensor's samples
   impose on the returning field: light diffracted beyond it would be folded back in.
+
+A sensor that is no mirror diffracts light itself, by λz over its finest detail: it takes several samples a detail.
 """
 
 from __future__ import annotations
@@ -15,40 +17,34 @@ import math
 from dataclasses import asdict, dataclass, replace
 
 from tapetum.errors import InputError
+from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = [
-    "ACCURACIES",
-    "REFERENCE",
-    "DoublePassGeometry",
-    "Effort",
-    "SamplingPlan",
-    "disc_overlap",
-    "plan_double_pass",
-    "plan_with",
-]
+__all__ = ["ACCURACIES", "REFERENCE", "Effort", "SamplingPlan", "plan_double_pass", "plan_with"]
 
 
 @dataclass(frozen=True)
 class Effort:
     """How finely an accuracy is sampled: its error in fractions of the peak, Airy rings in the window, radians a pupil
-    step for the rays and for rays and diffracted tail together, and the period over the two pupils' width."""
+    step for the rays and for rays and diffracted tail together, the period over the two pupils' width, and the sensor's
+    samples a detail of its mask."""
 
     error: float
     rings: float
     ray_radians: float
     radians: float
     widths: float
+    details: float
 
 
-# Measured on random scenes against the same computation at the reference's effort: tests/optics/test_sampling.py.
+# Measured on random scenes against the same computation at the reference's effort: tests/optics/test_grid_sampling.py.
 _LADDER = (
-    Effort(1e-2, 30, 1.6, 2.5, 1.3),
-    Effort(3e-3, 46, 1.3, 2.2, 1.3),
-    Effort(1e-3, 110, 1.0, 2.0, 1.5),
-    Effort(6e-4, 150, 0.9, 1.8, 1.6),
+    Effort(1e-2, 30, 1.6, 2.5, 1.3, 3.0),
+    Effort(3e-3, 46, 1.3, 2.2, 1.3, 4.0),
+    Effort(1e-3, 110, 1.0, 2.0, 1.5, 5.0),
+    Effort(6e-4, 150, 0.9, 1.8, 1.6, 6.0),
 )
-REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0)
-_LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0)
+REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0, 9.0)
+_LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0, 2.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
 # Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones; the field turns
 # fastest where they are dense, so fewer than π/2 times as many do (measured).
@@ -60,67 +56,6 @@ _NEAR_BOUND = 0.6
 # Share of returning light below which the error grows against the fading peak.
 _FADING = 0.3
 _MOST_BYTES = 4 << 30
-
-
-@dataclass(frozen=True)
-class DoublePassGeometry:
-    """The lengths that decide how a retro-reflection must be sampled. All in metres but for `sine`.
-
-    Parameters
-    ----------
-    wavelength, radius, focal_length, image_distance
-        Of the light, and of the target's lens: aperture radius, f, and z = f + x_i.
-    probe_focal_length
-        f_p.
-    window
-        Half-diagonal of the wanted image on the probe's sensor, seen from the middle of the RR.
-    sine
-        Largest sine of the tilt.
-    curvature
-        1/R of the illuminating wave at the target, in 1/m: 0 for collimated light, 1/distance from a point.
-    """
-
-    wavelength: float
-    radius: float
-    focal_length: float
-    image_distance: float
-    probe_focal_length: float
-    window: float
-    sine: float = 0.0
-    curvature: float = 0.0
-
-    @property
-    def spot_radius(self) -> float:
-        """Geometric radius of the light on the target's sensor."""
-        return self.radius * abs(1 - self.image_distance * (1 / self.focal_length - self.curvature))
-
-    @property
-    def airy_step(self) -> float:
-        """Ring spacing λz/2r of the Airy pattern on the target's sensor."""
-        return self.wavelength * self.image_distance / (2 * self.radius)
-
-    @property
-    def return_radius(self) -> float:
-        """Geometric radius of the returning light at the lens, before the aperture clips it."""
-        z, f = self.image_distance, self.focal_length
-        return self.radius * abs(1 - 2 * z * (1 / f - self.curvature))
-
-    @property
-    def returning(self) -> float:
-        """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
-        return disc_overlap(self.return_radius, self.radius, 2 * self.image_distance * self.sine)
-
-    @property
-    def exit_angle(self) -> float:
-        """Half-angle of the rays of the returning beam, geometric, in radians."""
-        z, f = self.image_distance, self.focal_length
-        slope_in = 1 / f - self.curvature
-        gain = 1 - 2 * z * slope_in
-        if gain == 0:
-            return 0.0
-        # A ray that entered at x comes back at gain·x with slope -slope_in·x, and is bent by the lens once more.
-        slope_out = -slope_in / gain - 1 / f
-        return min(self.radius, abs(gain) * self.radius) * abs(slope_out)
 
 
 @dataclass(frozen=True)
@@ -149,11 +84,13 @@ class SamplingPlan:
     sensor_flat: float
     expected_error: float
 
-    def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
+    def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8, *, masked: bool = False) -> int:
         """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
+        # A mask is made in double precision, of two factors.
+        mask = 64 * batch * self.sensor_count**2 if masked else 0
         pupil, sensor = self.columns * self.rows, self.sensor_count**2
         kernels = (self.columns + self.rows) * (self.sensor_count + 2 * math.isqrt(pixels))
-        return complex_size * (kernels + 3 * pupil + 2 * sensor + batch * (2 * pupil + 2 * sensor + 2 * pixels))
+        return mask + complex_size * (kernels + 3 * pupil + 2 * sensor + batch * (2 * pupil + 2 * sensor + 2 * pixels))
 
     def as_dict(self) -> dict[str, float | int]:
         """The plan's numbers by name, for metadata."""
@@ -167,6 +104,7 @@ def plan_double_pass(
     pupil_samples: int | None = None,
     sensor_samples: int | None = None,
     pixels: int = 1,
+    finest: float | None = None,
 ) -> SamplingPlan:
     """Choose the grids of a double pass.
 
@@ -180,6 +118,9 @@ def plan_double_pass(
         Force a grid by hand. It is refused where it cannot hold the field.
     pixels
         Pixels of the wanted image, for the memory it takes.
+    finest
+        Finest detail of the sensor's mask, in metres: the distance of its samples, or a quarter of the pitch of
+        sharp-edged photosites. A mirror when left out.
 
     Raises
     ------
@@ -192,28 +133,35 @@ def plan_double_pass(
             where="accuracy",
             remedy=f"ask for {ACCURACIES[-1]:g} or more",
         )
-    plan = plan_with(geometry, next(step for step in _LADDER if step.error <= accuracy))
-    plan = _forced(plan, geometry, pupil_samples, sensor_samples)
-    needed = plan.bytes_needed(1, pixels, 16)
+    if finest is not None and not (math.isfinite(finest) and finest > 0):
+        raise InputError(f"must be positive, is {finest} m", where="finest", remedy="give the mask's pitch in metres")
+    plan = plan_with(geometry, next(step for step in _LADDER if step.error <= accuracy), finest)
+    plan = _forced(plan, geometry, pupil_samples, sensor_samples, finest)
+    needed = plan.bytes_needed(1, pixels, 16, masked=finest is not None)
     if needed > _MOST_BYTES:
         raise InputError(
             f"the scene needs {plan.columns} x {plan.rows} pupil and {plan.sensor_count}² sensor samples, "
             f"{needed / 2**30:.1f} GiB an image, above the {_MOST_BYTES / 2**30:.0f} GiB allowed",
             where="sampling",
-            remedy="focus nearer to the probe, stop the target's aperture down, or ask for less accuracy",
+            remedy="focus nearer to the probe, stop the target's aperture down, or ask for less accuracy"
+            if finest is None
+            else f"give the mask a coarser pitch than {finest * 1e6:.3g} um, ask for less accuracy, "
+            "or describe the sensor by an array, whose orders need no samples",
         )
     return plan
 
 
-def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
-    """The grids that an effort makes of a scene, unchecked."""
+def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None = None) -> SamplingPlan:
+    """The grids that an effort makes of a scene and its mask's finest detail, unchecked."""
     g = geometry
     wavenumber = 2 * math.pi / g.wavelength
     half = g.spot_radius + effort.rings * g.airy_step
     flat = g.spot_radius + _FLAT * effort.rings * g.airy_step
     # Light that meets the sensor at v returns at 2v - x. Beyond the pupil's own radius none finds the pupil again:
     # a window that comes near that bound is better taken beyond it, whole, and then cuts off nothing.
-    bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.sine) + 4 * g.airy_step
+    # A mask's detail turns the light by `spread` at the lens.
+    spread = 0.0 if finest is None else g.wavelength * g.image_distance / finest
+    bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.sine) + 4 * g.airy_step + spread / 2
     if half > _NEAR_BOUND * bound:
         half, flat = 1.3 * bound, bound
     # The steepest slopes that the field has against the pupil, of rays and of the diffracted tail, in and out.
@@ -226,8 +174,10 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
     columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
     # Light that entered at x and met the sensor at v comes back at 2v - x: the diffracted tail, too, must not be folded
     # into the accepting pupil by the period that the sensor's samples impose.
-    reach = 2 * (half + g.radius + g.image_distance * g.sine)
+    reach = 2 * (half + g.radius + g.image_distance * g.sine) + spread
     step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
+    if finest is not None:
+        step = min(step, finest / effort.details)
     return SamplingPlan(
         columns=columns,
         rows=math.ceil(columns * _ROWS_A_COLUMN),
@@ -239,29 +189,17 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort) -> SamplingPlan:
     )
 
 
-def disc_overlap(first: float, second: float, offset: float) -> float:
-    """Area that two discs of these radii share at this distance of centres, in fractions of the first's."""
-    if offset >= first + second:
-        return 0.0
-    small, large = sorted((first, second))
-    if offset <= large - small:
-        return min(1.0, (second / first) ** 2) if first > 0 else 1.0
-
-    def segment(radius: float, other: float) -> float:
-        cosine = (offset**2 + radius**2 - other**2) / (2 * offset * radius)
-        angle = math.acos(max(-1.0, min(1.0, cosine)))
-        return radius**2 * (angle - math.sin(2 * angle) / 2)
-
-    return (segment(first, second) + segment(second, first)) / (math.pi * first**2)
-
-
 def _width_on_return(g: DoublePassGeometry) -> float:
     """Half-widths of the returning and of the accepting pupil and their offset: what one period must hold."""
     return g.return_radius + g.radius + 2 * g.image_distance * g.sine
 
 
 def _forced(
-    plan: SamplingPlan, g: DoublePassGeometry, pupil_samples: int | None, sensor_samples: int | None
+    plan: SamplingPlan,
+    g: DoublePassGeometry,
+    pupil_samples: int | None,
+    sensor_samples: int | None,
+    finest: float | None,
 ) -> SamplingPlan:
     wanted, least = plan, plan_with(g, _LEAST)
     if pupil_samples is not None:
@@ -279,6 +217,14 @@ def _forced(
                 f"{sensor_samples} samples over the target's sensor would fold the returning pupil onto itself",
                 where="sampling.sensor",
                 remedy=f"use at least {floor}, {plan.sensor_count} for the accuracy asked for, or leave it out",
+            )
+        least_of_mask = 0 if finest is None else math.ceil(2 * plan.sensor_half_width * _LEAST.details / finest)
+        if sensor_samples < least_of_mask:
+            raise InputError(
+                f"{sensor_samples} samples over the target's sensor would miss details of {finest:.3g} m",
+                where="sampling.sensor",
+                remedy=f"use at least {least_of_mask}, {plan.sensor_count} for the accuracy asked for, leave it out, "
+                "or describe the sensor by an array, whose orders need no samples",
             )
         plan = replace(plan, sensor_count=sensor_samples)
     if plan.columns < wanted.columns or plan.sensor_count < wanted.sensor_count:

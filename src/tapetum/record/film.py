@@ -25,7 +25,7 @@ from tapetum.record.writer import RecordingWriter
 from tapetum.simulate import Camera, tilt_of_gaze
 from tapetum.simulate.exposure import digitise
 from tapetum.simulate.radiometry import electrons
-from tapetum.simulate.retroreflect import largest_sine
+from tapetum.simulate.gaze import largest_sine
 
 __all__ = ["CameraClock", "Session", "film"]
 
@@ -185,7 +185,7 @@ def probe_frames(
         frames = torch.zeros(len(sines[i : i + _BATCH]), sensor.pixels[1], sensor.pixels[0])
         for tilts, places, share in camera.beams(sines[i : i + _BATCH], centres[i : i + _BATCH]):
             pixel = torch.round(places / sensor.pitch)
-            patches = camera.render(tilts, places - pixel * sensor.pitch, share)
+            patches = camera.render(tilts, places - pixel * sensor.pitch, share, equivalent=True)
             for frame, patch, (x, y) in zip(frames, patches, pixel.to(torch.int64).tolist(), strict=True):
                 _add(frame, patch, x, y)
         yield from digitise(electrons(frames, sensor, scene.illumination.wavelength), sensor, rng)

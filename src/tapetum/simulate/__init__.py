@@ -1,17 +1,26 @@
 """From a scene to photons on the probe's pixels."""
 
+from tapetum.simulate.budget import LinkBudget, link_budget
+from tapetum.simulate.camera import Camera
 from tapetum.simulate.double_pass import DoublePass
-from tapetum.simulate.exposure import expose
+from tapetum.simulate.exposure import count_variance, expected_counts, expose
+from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
 from tapetum.simulate.hypotheses import sign_dprime
 from tapetum.simulate.image import Image
-from tapetum.simulate.retroreflect import Camera, gaze_of, plan_scene, retroreflect, tilt_of_gaze
+from tapetum.simulate.retroreflect import plan_scene, retroreflect
+from tapetum.simulate.round_pass import RoundPass
 
 __all__ = [
     "Camera",
     "DoublePass",
     "Image",
+    "LinkBudget",
+    "RoundPass",
+    "count_variance",
+    "expected_counts",
     "expose",
     "gaze_of",
+    "link_budget",
     "plan_scene",
     "retroreflect",
     "sign_dprime",

@@ -1,4 +1,6 @@
-"""The double pass: through the target's lens, off its sensor and back, to the probe's focal plane.
+"""The double pass by grids: through the target's lens, off its sampled sensor and back, to the probe's focal plane.
+
+The slower engine, for any sensor plane. `RoundPass` computes mirrors and gratings from a round field's table.
 
 The quadratic phases of lens and free space are taken out before anything is sampled; what is left is the defocus
 and a tilt (paper, equations 1 to 6, in the form of docs/conventions.md, "The double pass"):
@@ -7,20 +9,23 @@ and a tilt (paper, equations 1 to 6, in the form of docs/conventions.md, "The do
     U3(x) = 1/(iλz) ∫ Arr G(v) exp(ik|v|²/z) exp(-ik (x - 2u0)·v/z) d²v
     U5(q) = 1/(iλf_p) ∫ P(x) exp(iφ_out(x)) U3(x) exp(-ik x·Mq/f_p) d²x
 
-G does not depend on the gaze, so one instance serves a whole sweep. M foreshortens the probe's picture by the
-cosine of the tilt along the tilt.
+G does not depend on the gaze, so one instance serves a whole sweep; Arr is the sensor's reflectance where the gaze puts
+the spot, at u0 + v. M foreshortens the probe's picture by the cosine of the tilt along the tilt.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 
 from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
+from tapetum.optics.grid_sampling import SamplingPlan
 from tapetum.optics.pupil import disc_quadrature
-from tapetum.optics.sampling import DoublePassGeometry, SamplingPlan
+from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.foreshortening import foreshortening, foreshortens, twisted
 
 __all__ = ["DoublePass"]
 
@@ -29,7 +34,7 @@ _BATCH_BYTES = 192 << 20
 
 
 class DoublePass:
-    """The retro-reflection of a thin lens before a plane mirror, for any number of gazes.
+    """The retro-reflection of a thin lens before a plane mirror or mask, for any number of gazes.
 
     Holding the instance is the cache: the spot on the sensor and all fixed kernels are formed once.
 
@@ -43,6 +48,9 @@ class DoublePass:
         Pixels of the probe's sensor.
     focal_length, image_distance
         Of the target, in metres, as float64 scalars: gradients flow through them where they ask for it.
+    mask
+        Complex reflectance of the sensor plane, for columns x [B, n] and rows y [B, m] in metres from the optical axis:
+        [B, m, n]. Plan for its finest detail. A perfect mirror when left out.
     dtype
         complex64 or complex128.
     device
@@ -57,10 +65,12 @@ class DoublePass:
         focal_length: torch.Tensor | float | None = None,
         image_distance: torch.Tensor | float | None = None,
         *,
+        mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None = None,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
     ) -> None:
         self.geometry, self.plan, self.output, self.dtype = geometry, plan, output, dtype
+        self._mask = mask
         self.device = torch.device(device)
         f = _scalar(geometry.focal_length if focal_length is None else focal_length, device)
         z = _scalar(geometry.image_distance if image_distance is None else image_distance, device)
@@ -94,7 +104,7 @@ class DoublePass:
         )
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
-        """Irradiance on the probe's pixels for an illumination of 1 W/m² and a perfect mirror.
+        """Irradiance on the probe's pixels for an illumination of 1 W/m² and the mask's reflectance, or 1.
 
         Parameters
         ----------
@@ -115,11 +125,18 @@ class DoublePass:
         return torch.cat([(u.real**2 + u.imag**2) for u in images])
 
     def exit_pupil(self, sines: torch.Tensor) -> torch.Tensor:
-        """Field leaving the lens, tilt removed, times the pupil's quadrature weights: [B, rows, columns] complex."""
-        offset = 2 * self._k * self._twisted(sines.to(self.device, torch.float64))
+        """Field leaving the lens, tilt removed, times the quadrature's weights and 1/(iλf_p): [B, rows, columns]."""
+        sines = sines.to(self.device, torch.float64)
+        # A mirror may turn with the pupil, a mask may not.
+        turned = self._mask is None and foreshortens(self, sines)
+        offset = 2 * self._k * (twisted(sines, sines) if turned else sines)
         column = phasor(offset[:, 0, None, None] * self._v[None, None, :]).to(self.dtype)
         row = phasor(offset[:, 1, None, None] * self._v[None, :, None]).to(self.dtype)
-        return self._to_pupil(self._spot * column * row) * self._exit
+        returned = self._spot * column * row
+        if self._mask is not None:
+            places = self._z * sines[:, :, None] + self._v
+            returned = returned * self._mask(places[:, 0], places[:, 1]).to(self.dtype)
+        return self._to_pupil(returned) * self._exit
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
@@ -130,30 +147,21 @@ class DoublePass:
             column = phasor(shift[:, 0, None, None] * self._x[None, None, :]).to(self.dtype)
             row = phasor(shift[:, 1, None, None] * self._y[None, :, None]).to(self.dtype)
             pupil = pupil * column * row
-        if not self._foreshortens(sines):
+        if not foreshortens(self, sines):
             return self._to_image(pupil)
-        return self._foreshortened(pupil, sines)
+        return self._foreshortened(pupil, sines) if self._mask is None else self._foreshortened_in_place(pupil, sines)
 
     def _batch(self, gradients: bool) -> int:
         size = 16 if self.dtype == torch.complex128 else 8
-        one = self.plan.bytes_needed(1, self.output.rows * self.output.columns, size)
+        masked = self._mask is not None
+        one = self.plan.bytes_needed(1, self.output.rows * self.output.columns, size, masked=masked)
         # A graph for gradients keeps every intermediate result anyway.
         return 1 << 20 if gradients else max(1, _BATCH_BYTES // one)
 
-    def _foreshortens(self, sines: torch.Tensor) -> bool:
-        """Whether the cosine of the tilt moves anything in the picture by more than the plan's error allows."""
-        if sines.requires_grad:
-            return True
-        tilt = float((sines.detach() ** 2).sum(-1).max()) if len(sines) else 0.0
-        g = self.geometry
-        reach = min(g.exit_angle + 2 * g.wavelength / g.radius, g.window / g.probe_focal_length)
-        # The edge of the pupil sees the picture's edge move by this phase; its share in a picture's error is smaller.
-        return self._k * g.radius * reach * tilt / 2 > 2 * min(self.plan.expected_error, 1e-2)
-
     def _foreshortened(self, pupil: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
         # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation goes
-        # to the (round) pupil, see _twisted, and a triangular T costs one phase between the two products.
-        _, t = _foreshortening(sines)
+        # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
+        _, t = foreshortening(sines)
         qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
         row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * self._y[None, None, :])
         mix = phasor(-self._kappa * t[:, 0, 1, None, None] * qy[None, :, None] * self._x[None, None, :])
@@ -161,29 +169,49 @@ class DoublePass:
         half = (row.to(self.dtype) @ pupil) * mix.to(self.dtype)
         return half @ column.to(self.dtype)
 
-    def _twisted(self, sines: torch.Tensor) -> torch.Tensor:
-        if not self._foreshortens(sines):
-            return sines
-        rotation, _ = _foreshortening(sines)
-        return (rotation.mT @ sines[:, :, None])[:, :, 0]
-
-
-def _foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Rotation R and upper triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
-    square = (sines**2).sum(-1)
-    # (1 - cosθ)/sin²θ = 1/(1 + cosθ): no division by zero at zero tilt.
-    scale = 1 / (1 + torch.sqrt(1 - square))
-    eye = torch.eye(2, dtype=sines.dtype, device=sines.device)
-    m = eye - scale[:, None, None] * sines[:, :, None] * sines[:, None, :]
-    length = torch.sqrt(m[:, 0, 0] ** 2 + m[:, 1, 0] ** 2)
-    c, s = m[:, 0, 0] / length, m[:, 1, 0] / length
-    rotation = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
-    return rotation, rotation.mT @ m
+    def _foreshortened_in_place(self, pupil: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
+        # M as it is: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Of its four phases the one of y and qx fits into no
+        # product. It turns slowly, by the square of the tilt: a few Chebyshev nodes in qx hold it.
+        rotation, t = foreshortening(sines)
+        m = self._kappa * (rotation @ t)
+        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
+        half_width = float(qx.max() - qx.min()) / 2
+        turn = float(m[:, 1, 0].detach().abs().max() * self._y.abs().max()) * half_width
+        nodes, lift = _nodes(qx, turn, 1e-12 if self.dtype == torch.complex128 else 1e-6)
+        column = phasor(-m[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :]).to(self.dtype)
+        mix = phasor(-m[:, 0, 1, None, None] * qy[None, :, None] * self._x[None, None, :]).to(self.dtype)
+        total: torch.Tensor | None = None
+        for node, share in zip(nodes, lift, strict=True):
+            along = m[:, 1, 1, None] * qy[None, :] + m[:, 1, 0, None] * node
+            row = phasor(-along[:, :, None] * self._y[None, None, :]).to(self.dtype)
+            part = (((row @ pupil) * mix) @ column) * share.to(self.dtype)
+            total = part if total is None else total + part
+        assert total is not None
+        return total
 
 
 def _window(radius: torch.Tensor, flat: float, end: float) -> torch.Tensor:
     """1 up to `flat`, then a raised cosine to 0 at `end`."""
     return torch.cos(((radius - flat) / (end - flat)).clamp(0, 1) * (math.pi / 2)) ** 2
+
+
+def _nodes(q: torch.Tensor, turn: float, error: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Chebyshev nodes over the pixels q, and each one's share [nodes, q] of a phase that turns by ±turn radians."""
+    count, left = 1, turn
+    # What n nodes leave of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
+    while left > error:
+        count += 1
+        left *= turn / (2 * count)
+    angle = math.pi * (torch.arange(count, dtype=torch.float64, device=q.device) + 0.5) / count
+    half, middle = (q.max() - q.min()) / 2, (q.max() + q.min()) / 2
+    nodes = middle + half * torch.cos(angle)
+    share = [
+        torch.stack([(q - other) / (node - other) for j, other in enumerate(nodes) if j != i]).prod(0)
+        if count > 1
+        else torch.ones_like(q)
+        for i, node in enumerate(nodes)
+    ]
+    return nodes, torch.stack(share)
 
 
 def _scalar(value: torch.Tensor | float, device: torch.device | str) -> torch.Tensor:

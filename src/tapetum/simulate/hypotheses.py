@@ -5,8 +5,9 @@ from __future__ import annotations
 import torch
 
 from tapetum.bench import Scene
+from tapetum.simulate.camera import Camera
+from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
-from tapetum.simulate.retroreflect import Camera, largest_sine, tilt_of_gaze
 
 __all__ = ["sign_dprime"]
 

@@ -1,0 +1,281 @@
+"""Fields that depend on the distance from one point only: tabulated once, looked up anywhere.
+
+Light that passes a round aperture twice, with a plane mirror between, comes back as a round field about a point that
+the tilt displaces (docs/conventions.md, "The round pass"). All of a sweep of gazes reads the same table.
+"""
+
+# SciPy and NumPy type these functions in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.special import fresnel, j0, zeta
+
+from tapetum.optics.propagate import fast_length
+
+__all__ = ["RadialTable", "disc_transform", "returning_field", "spot_field"]
+
+Complex = npt.NDArray[np.complex128]
+Real = npt.NDArray[np.float64]
+
+# Samples of the integrand for each that its own band and the wanted reach ask for.
+_OVERSAMPLED = 4
+# Samples of the transform for each of its Nyquist interval.
+_PADDED = 4
+# Degree of the end correction: as in optics/pupil.py higher degrees gain nothing.
+_END_ORDER = 6
+# Radians that the tabulated field turns from one entry to the next, at the most: nearest neighbours then err by 1 %
+# at random, which averages out over the pupil's ten thousands of samples, and cubic interpolation by 1e-8.
+_TURN = 2 * math.pi / 512
+
+
+@dataclass(frozen=True)
+class RadialTable:
+    """A round field on equally spaced distances from its middle.
+
+    Parameters
+    ----------
+    values
+        Complex amplitudes at 0, step, 2 step …, shape [M].
+    step
+        In metres.
+    partials
+        Derivatives of the values with respect to named parameters, each [M].
+    """
+
+    values: torch.Tensor
+    step: float
+    partials: dict[str, torch.Tensor]
+
+    def nearest(self, steps: torch.Tensor) -> torch.Tensor:
+        """The field at distances given in steps, any real shape, to the nearest entry. `steps` is overwritten."""
+        places = steps.add_(0.5).to(torch.int32).clamp_(max=len(self.values) - 1)
+        return self.values.index_select(0, places.flatten()).view(steps.shape)
+
+    def smooth(self, steps: torch.Tensor, **moves: torch.Tensor) -> torch.Tensor:
+        """The field by cubic interpolation, with gradients to `steps` and to the parameters of `partials`.
+
+        `moves` are scalars worth zero, value minus its own detached value: they carry the gradient.
+        """
+        last = len(self.values) - 3
+        places = steps.detach().floor().long().clamp(0, last)
+        t = (steps - places).clamp(0, 2)
+        value = _cubic(self.values, places, t)
+        for name, move in moves.items():
+            # A long lens's derivatives cancel to a hundredth of themselves: they need the same care.
+            value = value + _cubic(self.partials[name], places, t.detach()) * move
+        return value
+
+    def to(self, device: torch.device, dtype: torch.dtype) -> RadialTable:
+        """The table on another device, in another precision."""
+        return RadialTable(
+            self.values.to(device, dtype),
+            self.step,
+            {name: values.to(device, dtype) for name, values in self.partials.items()},
+        )
+
+
+def disc_transform(
+    radius: float, chirp: float, kappa: float, reach: float, *, spacing: float = math.inf, moments: bool = False
+) -> Any:
+    """∫ exp(i chirp ρ² - i kappa ξ x) d²x over a disc, for ξ from 0 to `reach`.
+
+    Parameters
+    ----------
+    radius
+        Of the disc, in metres.
+    chirp, kappa
+        In radians per square metre.
+    reach
+        Largest ξ, in metres.
+    spacing
+        Largest step of ξ, in metres; a quarter of the Nyquist interval where nothing less is asked for.
+    moments
+        Whether to return the first and second derivatives with respect to ξ as well.
+
+    Returns
+    -------
+    tuple
+        values [M] complex128, the step of ξ in metres, and with `moments` both derivatives, each [M].
+
+    Notes
+    -----
+    By the projection-slice theorem a round transform is the one-dimensional transform of the disc's projection, which
+    is a Fresnel integral in closed form; it ends like a square root on both sides, which the sum over equally spaced
+    samples is corrected for. One fast Fourier transform then gives all ξ: no Bessel function is evaluated. A Hankel
+    transform by Gauss-Legendre quadrature agrees to 1e-7 (tests/optics/test_radial.py).
+    """
+    widest = max(reach, 2 * abs(chirp) * radius / kappa)
+    count = 1 << max(12, math.ceil(math.log2(_OVERSAMPLED * 4 * kappa * radius * widest / math.pi)))
+    step = 2 * radius / count
+    x = np.arange(1, count) * step - radius
+    slope = max(abs(chirp), 1e-12 / radius**2)
+    half_chord = np.sqrt(np.maximum(radius**2 - x**2, 0.0))
+    sine, cosine = fresnel(half_chord * math.sqrt(2 * slope / math.pi))
+    projection = 2 * math.sqrt(math.pi / (2 * slope)) * (cosine + 1j * sine) * np.exp(1j * slope * x**2)
+    if chirp < 0:
+        projection = projection.conj()
+    weights = np.full(count - 1, step)
+    correction = _root_end_weights(_END_ORDER) * step
+    weights[:_END_ORDER] += correction
+    weights[-_END_ORDER:] += correction[::-1]
+    length = fast_length(math.ceil(max(_PADDED * count, 2 * math.pi / (kappa * spacing * step))))
+    places = (np.arange(1, count) - count // 2) % length
+    xi_step = 2 * math.pi / (kappa * length * step)
+    kept = math.ceil(reach / xi_step) + 2
+
+    def transform(integrand: Complex) -> Complex:
+        padded = np.zeros(length, np.complex128)
+        padded[places] = integrand
+        return np.fft.fft(padded)[:kept]
+
+    weighted = projection * weights
+    values = transform(weighted)
+    if not moments:
+        return values, xi_step
+    return values, xi_step, transform(weighted * (-1j * kappa * x)), transform(weighted * -((kappa * x) ** 2))
+
+
+def returning_field(
+    wavelength: float,
+    radius: float,
+    image_distance: float,
+    vergence: float,
+    reach: float,
+    slopes: tuple[float, float],
+    *,
+    partials: bool = False,
+) -> RadialTable:
+    """The light that comes back to the lens, chirp and displacement taken out, before it passes the lens again.
+
+    Parameters
+    ----------
+    wavelength, radius, image_distance
+        λ, aperture radius r and sensor distance z, in metres.
+    vergence
+        Of the light behind the lens, 1/R - 1/f, in 1/m.
+    reach
+        Largest distance from its middle, in metres.
+    slopes
+        Of the field, in radians: what is steeper than the second is left out, nothing below the first is touched.
+    partials
+        Whether to tabulate the derivatives with respect to `image_distance`, `vergence`, `radius` and `wavenumber`.
+
+    Returns
+    -------
+    RadialTable
+        F(ξ) = exp(-ikξ²/4z)/(2iλz) ∫ exp(ik(v + 1/2z)ρ²/2 - ikξx/2z) d²x over the disc, v the vergence: the field at
+        the lens is exp(ik|ξ|²/2z + ...) F(|ξ|), ξ = x - 2z s (docs/conventions.md, "The round pass").
+    """
+    k, z = 2 * math.pi / wavelength, image_distance
+    low, high = slopes
+    # The filter's own response must have died away before the table's end.
+    margin = 30 * wavelength / (high - low)
+    kappa, beta = k / (2 * z), vergence + 1 / (2 * z)
+    # Far out the curvature that is taken out turns faster than the field itself.
+    spacing = 0.6 * math.pi / (kappa * (reach + margin + radius))
+    found = disc_transform(radius, k * beta / 2, kappa, reach + margin, spacing=spacing, moments=True)
+    disc, step, first, second = found
+    xi = np.arange(len(disc)) * step
+    carrier = np.exp(-1j * k * xi**2 / (4 * z)) / (2j * wavelength * z)
+    finest = max(1, math.ceil(k * high * step / _TURN))
+    filtered = _Lowpass(step, low / wavelength, high / wavelength, len(disc), finest)
+    count = math.ceil(reach / step * finest) + 4
+    tables = {"": carrier * disc}
+    if partials:
+        # ρ² under the integral is -∇²/κ² outside of it.
+        around = np.concatenate([second[:1], first[1:] / xi[1:]])
+        rho_squared = -(second + around) / kappa**2
+        edge = np.exp(1j * k * beta * radius**2 / 2) * j0(kappa * xi * radius) * 2 * math.pi * radius
+        by_beta = carrier * 0.5j * k * rho_squared
+        by_scale = carrier * xi * first
+        tables["vergence"] = by_beta
+        tables["image_distance"] = (
+            carrier * disc * (1j * k * xi**2 / (4 * z**2) - 1 / z) - by_scale / z - by_beta / (2 * z**2)
+        )
+        tables["radius"] = carrier * edge
+        tables["wavenumber"] = carrier * disc * (-1j * xi**2 / (4 * z) + 1 / k) + (by_scale + by_beta * beta) / k
+    made = {name: torch.from_numpy(filtered(values)[:count]) for name, values in tables.items()}
+    values = made.pop("")
+    return RadialTable(values, step / finest, made)
+
+
+def spot_field(
+    wavelength: float, radius: float, image_distance: float, vergence: float, reach: float
+) -> tuple[Complex, float]:
+    """The spot on the sensor, seen from its own centre: 1/(iλz) ∫ exp(ik(v + 1/z)ρ²/2 - ik x·ξ/z) d²x.
+
+    Parameters
+    ----------
+    wavelength, radius, image_distance, vergence, reach
+        As for `returning_field`; distances on the sensor.
+
+    Returns
+    -------
+    tuple
+        Amplitudes [M] for an illumination of 1 W/m², in W^½/m, and their distance in metres.
+    """
+    k, z = 2 * math.pi / wavelength, image_distance
+    disc, step = disc_transform(radius, k * (vergence + 1 / z) / 2, k / z, reach)
+    return disc / (1j * wavelength * z), step
+
+
+def _cubic(values: torch.Tensor, places: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+    """Values at places + t by the cubic through four entries."""
+    # The field is even: its entry at -1 is that at 1.
+    before, at, after, then = (values[(places + i).abs()] for i in (-1, 0, 1, 2))
+    return (
+        before * (-t * (t - 1) * (t - 2) / 6)
+        + at * ((t + 1) * (t - 1) * (t - 2) / 2)
+        + after * (-(t + 1) * t * (t - 2) / 2)
+        + then * ((t + 1) * t * (t - 1) / 6)
+    )
+
+
+class _Lowpass:
+    """Leaves out what oscillates faster than wanted, and resamples `finer` times as densely. The field is even."""
+
+    def __init__(self, step: float, low: float, high: float, count: int, finer: int) -> None:
+        self._count, self._finer = count, finer
+        self._length = fast_length(2 * count - 1)
+        frequency = np.abs(np.fft.fftfreq(self._length, step))
+        fall = np.clip((frequency - low) / (high - low), 0, 1)
+        self._window: Real = np.cos(fall * math.pi / 2) ** 2
+
+    def __call__(self, values: Complex) -> Complex:
+        # Both halves, and between their far ends what joins them without a step.
+        gap = self._length - (2 * self._count - 1)
+        mirrored = np.concatenate([values, np.full(gap, values[-1]), values[:0:-1]])
+        spectrum = np.fft.fft(mirrored) * self._window
+        fine = np.zeros(self._length * self._finer, np.complex128)
+        half = self._length // 2
+        fine[: half + 1] = spectrum[: half + 1]
+        fine[len(fine) - (self._length - half - 1) :] = spectrum[half + 1 :]
+        return np.fft.ifft(fine) * self._finer
+
+
+@cache
+def _root_end_weights(order: int) -> Real:
+    """Corrections c_1 … c_order to the weights of samples j of an integrand √t g(t) that begins at t = 0.
+
+    Σ_j c_j j^{m+1/2} = -ζ(-m-1/2): the zeta-regularised error of the plain sum (Navot, J. Math. Phys. 40, 271 (1961)).
+    """
+    m = np.arange(order)
+    j = np.arange(1, order + 1, dtype=np.float64)
+    regular = np.array([-_zeta(-degree - 0.5) for degree in m])
+    weights: Real = np.asarray(np.linalg.solve(j[None, :] ** (m[:, None] + 0.5), regular), np.float64)
+    return weights
+
+
+def _zeta(s: float) -> float:
+    """Riemann's ζ at a negative argument, by its functional equation."""
+    return 2**s * math.pi ** (s - 1) * math.sin(math.pi * s / 2) * math.gamma(1 - s) * float(zeta(1 - s, 1))

@@ -1,0 +1,324 @@
+"""Choose the samples of a round pass from the scene and a wanted accuracy, and say what error to expect.
+
+Three numbers decide the error (docs/conventions.md, "Sampling", shows how they were measured):
+
+- how far the light turns between two samples of the pupil along its rays, in radians: π is the Nyquist limit;
+- how many Airy rings of the spot on the sensor are kept whole: further out lies light that the edge of the pupil
+  diffracted steeply, and it is faded out;
+- how far that diffracted light may turn between two samples. It is faint: a little of it may fold.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, replace
+from typing import ClassVar
+
+from tapetum.errors import InputError
+
+__all__ = [
+    "ACCURACIES",
+    "REFERENCE",
+    "DoublePassGeometry",
+    "RoundEffort",
+    "RoundPlan",
+    "aperture_samples",
+    "disc_overlap",
+    "plan_round",
+    "plan_round_with",
+    "through_aperture",
+]
+
+
+@dataclass(frozen=True)
+class DoublePassGeometry:
+    """The lengths that decide how a retro-reflection must be sampled. All in metres but for `sine`.
+
+    Parameters
+    ----------
+    wavelength, radius, focal_length, image_distance
+        Of the light, and of the target's lens: aperture radius, f, and z = f + x_i.
+    probe_focal_length
+        f_p.
+    window
+        Half-diagonal of the wanted image on the probe's sensor, seen from the middle of the RR.
+    sine
+        Largest sine of the tilt.
+    curvature
+        1/R of the illuminating wave at the target, in 1/m: 0 for collimated light, 1/distance from a point.
+    """
+
+    wavelength: float
+    radius: float
+    focal_length: float
+    image_distance: float
+    probe_focal_length: float
+    window: float
+    sine: float = 0.0
+    curvature: float = 0.0
+
+    @property
+    def spot_radius(self) -> float:
+        """Geometric radius of the light on the target's sensor."""
+        return self.radius * abs(1 - self.image_distance * (1 / self.focal_length - self.curvature))
+
+    @property
+    def airy_step(self) -> float:
+        """Ring spacing λz/2r of the Airy pattern on the target's sensor."""
+        return self.wavelength * self.image_distance / (2 * self.radius)
+
+    @property
+    def return_radius(self) -> float:
+        """Geometric radius of the returning light at the lens, before the aperture clips it."""
+        z, f = self.image_distance, self.focal_length
+        return self.radius * abs(1 - 2 * z * (1 / f - self.curvature))
+
+    @property
+    def returning(self) -> float:
+        """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
+        return disc_overlap(self.return_radius, self.radius, 2 * self.image_distance * self.sine)
+
+    @property
+    def exit_angle(self) -> float:
+        """Half-angle of the rays of the returning beam, geometric, in radians."""
+        z, f = self.image_distance, self.focal_length
+        slope_in = 1 / f - self.curvature
+        gain = 1 - 2 * z * slope_in
+        if gain == 0:
+            return 0.0
+        # A ray that entered at x comes back at gain·x with slope -slope_in·x, and is bent by the lens once more.
+        slope_out = -slope_in / gain - 1 / f
+        return min(self.radius, abs(gain) * self.radius) * abs(slope_out)
+
+
+
+@dataclass(frozen=True)
+class RoundEffort:
+    """How finely an accuracy is sampled: its error in fractions of the peak, Airy rings kept, radians between two
+    samples along the rays and along the faintest light kept."""
+
+    error: float
+    rings: float
+    ray_radians: float
+    tail_radians: float
+
+
+# Measured on random scenes against the same computation at the reference's effort: tests/optics/test_sampling.py.
+_LADDER = (
+    RoundEffort(1e-2, 60, 1.5, 4.5),
+    RoundEffort(3e-3, 120, 1.3, 4.0),
+    RoundEffort(1e-3, 240, 1.2, 4.0),
+    RoundEffort(3e-4, 480, 0.9, 3.2),
+    RoundEffort(1e-4, 800, 0.8, 3.0),
+)
+REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5)
+# Of the light in the probe's aperture, where it is carried that far.
+_AT_APERTURE = RoundEffort(0.0, 0.0, 1.2, 4.0)
+ACCURACIES = tuple(step.error for step in _LADDER)
+# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones, where the light turns
+# least: about as many of them as of columns do (measured).
+_ROWS_A_COLUMN = 1.05
+# Share of the rings that is passed whole, before the light is faded out.
+_FLAT = 0.5
+_LEAST_COLUMNS = 48
+# Share of returning light below which the error grows against the fading peak.
+_FADING = 0.3
+_MOST_BYTES = 3 << 29
+# A sample of the pupil takes its weight, and for one gaze at a time its distance, its place and its field.
+_BYTES_A_SAMPLE = 8 + 24
+
+
+@dataclass(frozen=True)
+class RoundPlan:
+    """Samples of a round pass, and the error that they should give.
+
+    Parameters
+    ----------
+    columns, rows
+        Samples over the pupil's diameter.
+    flat_slope, end_slope
+        Of the light that comes back to the lens, against its own curvature, in radians: what is steeper than the first
+        begins to be faded out, nothing is left beyond the second.
+    expected_error
+        Largest error of the irradiance, in fractions of the image's peak; infinite where no claim is made: for grids
+        forced coarser than planned, and past the cut-off, where no ray returns.
+    """
+
+    method: ClassVar[str] = "round pass"
+    columns: int
+    rows: int
+    flat_slope: float
+    end_slope: float
+    expected_error: float
+
+    def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
+        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
+        pupil, side = self.columns * self.rows, 2 * math.isqrt(pixels)
+        kernels = (self.columns + self.rows) * side
+        return complex_size // 8 * (_BYTES_A_SAMPLE * batch * pupil + 8 * kernels + 24 * batch * pixels)
+
+    def as_dict(self) -> dict[str, float | int | str]:
+        """The plan's numbers by name, for metadata."""
+        return {"method": self.method, **asdict(self)}
+
+
+def plan_round(
+    geometry: DoublePassGeometry,
+    accuracy: float = 1e-3,
+    *,
+    pupil_samples: int | None = None,
+    pixels: int = 1,
+    orders: float = 0.0,
+) -> RoundPlan:
+    """Choose the samples of a round pass.
+
+    Parameters
+    ----------
+    geometry
+        The scene's lengths.
+    accuracy
+        Wanted largest error of the irradiance, in fractions of the image's peak.
+    pupil_samples
+        Force the columns by hand. They are refused where they cannot hold the light's rays.
+    pixels
+        Pixels of the wanted image, for the memory it takes.
+    orders
+        Half the largest direction sine of the diffraction orders: they return light past the mirror's cut-off.
+
+    Raises
+    ------
+    InputError
+        For an accuracy out of reach, a forced grid that would alias, or a scene too large for the memory allowed; with
+        the nearest scene that is not.
+    """
+    if not accuracy >= ACCURACIES[-1]:
+        raise InputError(
+            f"{accuracy:g} of the peak is finer than the engine's {ACCURACIES[-1]:g}",
+            where="accuracy",
+            remedy=f"ask for {ACCURACIES[-1]:g} or more",
+        )
+    effort = next(step for step in _LADDER if step.error <= accuracy)
+    plan = plan_round_with(geometry, effort)
+    if orders and math.isinf(plan.expected_error) and geometry.sine:
+        # Some order comes back nearly as if head on: the claim is the mirror's at that tilt.
+        nearest = replace(geometry, sine=max(geometry.sine - orders, 0.0))
+        plan = replace(plan, expected_error=plan_round_with(nearest, effort).expected_error)
+    if pupil_samples is not None:
+        plan = _forced(plan, geometry, pupil_samples)
+    needed = plan.bytes_needed(1, pixels)
+    if needed > _MOST_BYTES:
+        raise InputError(
+            f"the scene needs {plan.columns} x {plan.rows} samples over the pupil, {needed / 2**30:.1f} GiB an image, "
+            f"above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
+            where="sampling",
+            remedy=_nearest_that_fits(geometry, effort, pixels),
+        )
+    return plan
+
+
+def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundPlan:
+    """The samples that an effort makes of a scene, unchecked."""
+    g = geometry
+    spot = g.spot_radius / g.image_distance
+    rays = _ray_slope(g)
+    tail = effort.rings * g.wavelength / (2 * g.radius)
+    turns = max(rays / effort.ray_radians, (rays + tail) / effort.tail_radians)
+    columns = max(math.ceil(4 * math.pi * g.radius / g.wavelength * turns), _LEAST_COLUMNS)
+    return RoundPlan(
+        columns=columns,
+        rows=math.ceil(columns * _ROWS_A_COLUMN),
+        flat_slope=spot + _FLAT * tail,
+        end_slope=spot + tail,
+        # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
+        expected_error=effort.error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
+    )
+
+
+def _ray_slope(g: DoublePassGeometry) -> float:
+    """The steepest slope that a ray has against the pupil, before or after it, seen from the picture's edge."""
+    return max(
+        g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature),
+        g.exit_angle + g.window / g.probe_focal_length,
+    )
+
+
+def _forced(plan: RoundPlan, g: DoublePassGeometry, columns: int) -> RoundPlan:
+    least = math.ceil(4 * g.radius / g.wavelength * _ray_slope(g))
+    if columns < least:
+        raise InputError(
+            f"{columns} samples over the pupil would alias",
+            where="sampling.pupil",
+            remedy=f"use at least {least}, {plan.columns} for the accuracy asked for, or leave it out",
+        )
+    # What does not alias may still be coarser than anybody has measured.
+    error = plan.expected_error if columns >= plan.columns else math.inf
+    return replace(plan, columns=columns, rows=math.ceil(columns * _ROWS_A_COLUMN), expected_error=error)
+
+
+def _nearest_that_fits(g: DoublePassGeometry, effort: RoundEffort, pixels: int) -> str:
+    """What to change so that the memory suffices: the nearest aperture, focus and accuracy that fit."""
+
+    def fits(one: DoublePassGeometry) -> bool:
+        return plan_round_with(one, effort).bytes_needed(1, pixels) <= _MOST_BYTES
+
+    ways: list[str] = []
+    if radius := _largest(lambda share: fits(replace(g, radius=g.radius * share))):
+        ways.append(f"stop the target's aperture down to a radius of {g.radius * radius * 1e3:.3g} mm")
+    if g.image_distance > g.focal_length:
+        excess = g.image_distance - g.focal_length
+        nearer = _largest(lambda share: fits(replace(g, image_distance=g.focal_length + excess * share)))
+        if nearer:
+            distance = g.focal_length + g.focal_length**2 / (excess * nearer)
+            ways.append(f"focus it at {distance:.3g} m or farther")
+    for step in _LADDER:
+        if step.error > effort.error and plan_round_with(g, step).bytes_needed(1, pixels) <= _MOST_BYTES:
+            ways.append(f"ask for an accuracy of {step.error:g}")
+            break
+    return ", or ".join(ways) or "take fewer pixels of the probe"
+
+
+def _largest(fits: Callable[[float], bool]) -> float:
+    """The largest share, to 3 digits on the safe side, for which the scene fits; 0 if none does."""
+    low, high = 0.0, 1.0
+    for _ in range(14):
+        middle = (low + high) / 2
+        low, high = (middle, high) if fits(middle) else (low, middle)
+    return low * 0.995
+
+
+def through_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> DoublePassGeometry:
+    """The lengths by which to plan a pass whose light travels `distance` to a probe's aperture, all in metres.
+
+    Seen from the lens the aperture takes the place of the picture, and the wave is bent by the distance besides.
+    """
+    return replace(geometry, window=geometry.probe_focal_length * (probe_radius + geometry.radius) / distance)
+
+
+def aperture_samples(
+    geometry: DoublePassGeometry, plan: RoundPlan, distance: float, probe_radius: float
+) -> tuple[int, int]:
+    """Columns and rows over the probe's aperture: it sees the whole lens, and its rays under their own angles."""
+    g = geometry
+    widest = (probe_radius + g.radius) / distance
+    seen = g.window / g.probe_focal_length
+    rays = min(g.exit_angle, widest) + seen
+    turns = max(rays / _AT_APERTURE.ray_radians, (widest + seen) / _AT_APERTURE.tail_radians)
+    columns = max(math.ceil(4 * math.pi * probe_radius / g.wavelength * turns), _LEAST_COLUMNS)
+    return columns, math.ceil(columns * _ROWS_A_COLUMN)
+
+
+def disc_overlap(first: float, second: float, offset: float) -> float:
+    """Area that two discs of these radii share at this distance of centres, in fractions of the first's."""
+    if offset >= first + second:
+        return 0.0
+    small, large = sorted((first, second))
+    if offset <= large - small:
+        return min(1.0, (second / first) ** 2) if first > 0 else 1.0
+
+    def segment(radius: float, other: float) -> float:
+        cosine = (offset**2 + radius**2 - other**2) / (2 * offset * radius)
+        angle = math.acos(max(-1.0, min(1.0, cosine)))
+        return radius**2 * (angle - math.sin(2 * angle) / 2)
+
+    return (segment(first, second) + segment(second, first)) / (math.pi * first**2)

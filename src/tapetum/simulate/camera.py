@@ -1,0 +1,379 @@
+"""One target before one probe: everything the scene says, ready for any number of gazes."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from tapetum.bench import Scene
+from tapetum.errors import InputError
+from tapetum.optics.glass import focal_length_at
+from tapetum.optics.grid import Grid, lens_numbers
+from tapetum.optics.grid_sampling import SamplingPlan, plan_double_pass
+from tapetum.optics.sampling import DoublePassGeometry, RoundPlan, plan_round, through_aperture
+from tapetum.simulate.double_pass import DoublePass
+from tapetum.simulate.light import directions, wavelengths
+from tapetum.simulate.radiometry import (
+    beam_radius,
+    illumination_curvature,
+    irradiance_at_target,
+    return_radius_at_probe,
+)
+from tapetum.simulate.reflections import Scatterer, scatterers, specular_groups
+from tapetum.simulate.round_pass import RoundPass
+
+__all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
+
+# Ring 12 of an Airy pattern is 1e-4 of its peak: less than the read noise of an unsaturated frame.
+_RINGS_SHOWN = 12
+
+Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
+
+
+@dataclass(frozen=True)
+class _Line:
+    """Light of one wavelength: its power over the scene's first line, and what it makes of a gaze."""
+
+    wavelength: float
+    power: torch.Tensor
+    passes: tuple[Pass, ...]
+    scatterers: tuple[Scatterer, ...]
+    geometry: DoublePassGeometry
+
+
+class Camera:
+    """One target before one probe, ready for any number of gazes. Holding it is the cache.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench; its own rotation is not used.
+    steepest
+        Sine of the steepest tilt that will be asked for.
+    output
+        Pixels to compute in place of the probe's whole sensor.
+    object_distance, focal_length, distance, power
+        In place of the scene's, in metres and watts: as tensors they carry gradients.
+    accuracy, dtype, device
+        As for `retroreflect`.
+
+    Raises
+    ------
+    InputError
+        As `retroreflect`.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        steepest: float,
+        *,
+        output: Grid | None = None,
+        object_distance: torch.Tensor | float | None = None,
+        focal_length: torch.Tensor | float | None = None,
+        distance: torch.Tensor | float | None = None,
+        power: torch.Tensor | float | None = None,
+        accuracy: float | None = None,
+        dtype: torch.dtype = torch.complex64,
+        device: torch.device | str = "auto",
+    ) -> None:
+        self.scene, self.output = scene, output or sensor_grid(scene)
+        self._dtype, self._device = dtype, pick_device(device)
+        self._accuracy = scene.sampling.accuracy if accuracy is None else accuracy
+        target = scene.target
+        if scene.sampling.sensor is not None and target.sensor.mask is None:
+            what = f"{scene.sampling.sensor} samples have no meaning without a mask: no sensor plane is sampled"
+            raise InputError(what, where="sampling.sensor", remedy="leave it out, or use sampling.pupil")
+        self._focal_length = self._scalar(target.lens.focal_length if focal_length is None else focal_length)
+        self._object_distance = self._scalar(target.object_distance if object_distance is None else object_distance)
+        self._distance = self._scalar(scene.distance if distance is None else distance)
+        self._power = self._scalar(scene.illumination.power if power is None else power)
+        _check_focus(float(self._focal_length.detach()), float(self._object_distance.detach()))
+        # 1/z = 1/f - 1/x_d holds at infinity too, where x_i = f²/(x_d - f) would be 0/0 to its gradient.
+        self._z = 1 / (1 / self._focal_length - 1 / self._object_distance)
+        self._finite = self._is_finite()
+        light = scene.illumination
+        self._directions = directions(light, light.wavelength / (2 * target.lens.aperture_radius))
+        first = self._geometry(light.wavelength, steepest)
+        self.geometry = first
+        rings = first.exit_angle / (light.wavelength / (2 * first.radius)) + _RINGS_SHOWN
+        self._plans: list[RoundPlan | SamplingPlan] = []
+        self._lines = [self._line(length, watts, steepest) for length, watts in wavelengths(light, rings)]
+        self.plan = max(self._plans, key=lambda plan: (plan.expected_error, plan.columns))
+
+    def _scalar(self, value: torch.Tensor | float) -> torch.Tensor:
+        return torch.as_tensor(value, dtype=torch.float64, device=self._device)
+
+    def _is_finite(self) -> bool:
+        wanted = self.scene.sampling.propagation
+        if self.scene.target.sensor.mask is not None:
+            if wanted == "finite":
+                what = "'finite' cannot be had with a mask on the target's sensor"
+                raise InputError(what, where="sampling.propagation", remedy="use 'far field', or an array for a mask")
+            return False
+        if wanted != "auto":
+            return wanted == "finite"
+        return return_radius_at_probe(self.scene) > self.scene.probe.lens.aperture_radius
+
+    def _focal_at(self, wavelength: float) -> torch.Tensor:
+        lens = self.scene.target.lens
+        if lens.glass is None:
+            return self._focal_length
+        return self._focal_length * focal_length_at(1.0, lens.glass, lens.design_wavelength, wavelength)
+
+    def _geometry(self, wavelength: float, steepest: float) -> DoublePassGeometry:
+        f, z = float(self._focal_at(wavelength).detach()), float(self._z.detach())
+        spread = max(math.hypot(x, y) for x, y, _ in self._directions)
+        return scene_geometry(self.scene, steepest + spread, f, z, self.output, wavelength, spread)
+
+    def _line(self, wavelength: float, watts: float, steepest: float) -> _Line:
+        scene, geometry = self.scene, self._geometry(wavelength, steepest)
+        sensor, radius = scene.target.sensor, geometry.radius
+        # Beyond this a diffraction order finds no way out of the lens again.
+        widest = 2 * (geometry.return_radius + radius) / geometry.image_distance + 2 * geometry.sine
+        focal = self._focal_at(wavelength)
+        curvature = self._curvature()
+        passes: list[Pass] = []
+        for group in specular_groups(scene, wavelength, self._z, widest):
+            # The plane that is most out of focus asks for the finest grid.
+            lengths = [float(self._scalar(one.image_distance).detach()) for one in group]
+            at = replace(geometry, image_distance=max(lengths, key=lambda z: abs(z - geometry.focal_length)))
+            tilt = max(math.hypot(*order.direction) for one in group for order in one.orders) / 2
+            distance = self._distance if self._finite else None
+            planned = at
+            if distance is not None:
+                planned = through_aperture(at, float(distance.detach()), scene.probe.lens.aperture_radius)
+            plan = plan_round(
+                planned,
+                self._accuracy,
+                pupil_samples=scene.sampling.pupil,
+                pixels=self.output.rows * self.output.columns,
+                orders=tilt,
+            )
+            self._plans.append(plan)
+            passes.append(
+                RoundPass(
+                    at,
+                    plan,
+                    self.output,
+                    group,
+                    distance=distance,
+                    probe_radius=scene.probe.lens.aperture_radius if self._finite else None,
+                    focal_length=focal,
+                    curvature=curvature,
+                    lit_radius=min(radius, beam_radius(scene)),
+                    dtype=self._dtype,
+                    device=self._device,
+                )
+            )
+        if sensor.mask is not None:
+            passes.append(self._masked(geometry, wavelength, focal))
+        share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
+        found = scatterers(scene, wavelength, geometry.image_distance)
+        if not self._plans:
+            # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
+            self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry)
+
+    def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
+        from tapetum.simulate.sensor_plane import reflectance_at
+
+        sensor, sampling = self.scene.target.sensor, self.scene.sampling
+        assert sensor.mask is not None
+        plan = plan_double_pass(
+            geometry,
+            max(self._accuracy, 6e-4),
+            pupil_samples=sampling.pupil,
+            sensor_samples=sampling.sensor,
+            pixels=self.output.rows * self.output.columns,
+            finest=sensor.mask.pitch,
+        )
+        self._plans.append(plan)
+        return DoublePass(
+            geometry,
+            plan,
+            self.output,
+            focal,
+            self._z,
+            mask=reflectance_at(sensor, wavelength),
+            dtype=self._dtype,
+            device=self._device,
+        )
+
+    def _curvature(self) -> torch.Tensor | float:
+        """1/R of the light at the target: it follows the distance where that is a tensor."""
+        light = self.scene.illumination
+        if light.vergence is not None or light.mode == "collimated":
+            return illumination_curvature(self.scene)
+        return 1 / self._distance
+
+    def _scale(self) -> torch.Tensor:
+        """Irradiance of the first line at the target, times what the way back keeps; it follows power and distance."""
+        scene, light = self.scene, self.scene.illumination
+        at_target = irradiance_at_target(scene) * self._power / light.power
+        if light.mode == "diverging":
+            at_target = at_target * (scene.distance / self._distance) ** 2
+        return at_target * scene.probe.transmission
+
+    def __call__(
+        self, sines: torch.Tensor, centres: torch.Tensor | None = None, *, equivalent: bool = False
+    ) -> torch.Tensor:
+        """Irradiance [B, H, W] in W/m² for tilts [B, 2] (sines), the RR at centres [B, 2] (metres) on the sensor.
+
+        With `equivalent` each line counts as the irradiance of the scene's first wavelength with as many photons.
+        """
+        if centres is None:
+            centres = torch.zeros(len(sines), 2, dtype=torch.float64)
+        total: torch.Tensor | None = None
+        for tilts, places, share in self.beams(sines, centres):
+            image = self.render(tilts, places, share, equivalent=equivalent)
+            total = image if total is None else total + image
+        assert total is not None
+        return total
+
+    @property
+    def polychromatic(self) -> bool:
+        """Whether there is light of more than one wavelength."""
+        return len(self._lines) > 1
+
+    def beams(self, sines: torch.Tensor, centres: torch.Tensor) -> list[tuple[torch.Tensor, torch.Tensor, float]]:
+        """Tilts, centres on the probe's sensor and relative power of every beam of the probe; they add as intensity."""
+        light, focal = self.scene.illumination, self.scene.probe.lens.focal_length
+        sources = [(0.0, 0.0, 1.0)]
+        if light.second_beam is not None and light.second_beam.ratio > 0:
+            sources.append((*light.second_beam.angle, light.second_beam.ratio))
+        found: list[tuple[torch.Tensor, torch.Tensor, float]] = []
+        for x, y, ratio in sources:
+            for dx, dy, share in self._directions:
+                if (x + dx, y + dy) == (0.0, 0.0):
+                    found.append((sines, centres, ratio * share))
+                    continue
+                angle = torch.tensor((x + dx, y + dy), dtype=torch.float64, device=sines.device)
+                # It meets the target steeper by its angle, and comes back along its own direction.
+                place = centres.to(angle) - focal * torch.tan(angle)
+                found.append((sines + torch.sin(angle), place, ratio * share))
+        return found
+
+    def render(
+        self, sines: torch.Tensor, centres: torch.Tensor, share: float = 1.0, *, equivalent: bool = False
+    ) -> torch.Tensor:
+        """Irradiance [B, H, W] in W/m² of one beam that carries `share` of the first one's power."""
+        middle = not bool(centres.any()) and not centres.requires_grad
+        scale, total = self._scale() * share, None
+        for line in self._lines:
+            weight = scale * line.power
+            if equivalent:
+                weight = weight * (line.wavelength / self.scene.illumination.wavelength)
+            for one in line.passes:
+                image = one(sines, None if middle else centres)
+                part = weight.to(image.dtype) * image
+                total = part if total is None else total + part
+            for scatterer in line.scatterers:
+                part = weight * self._scattered(line, scatterer, centres)
+                total = part.expand(len(sines), -1, -1) if total is None else total + part.to(total.dtype)
+        if total is None:
+            total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
+        return total
+
+    def _scattered(self, line: _Line, scatterer: Scatterer, centres: torch.Tensor) -> torch.Tensor:
+        """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target: no gaze changes it."""
+        from tapetum.simulate.diffuse import diffuse_return
+
+        places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
+        if len(set(places)) == 1:
+            places = places[:1]
+        images = [
+            diffuse_return(
+                line.geometry,
+                float(self._distance.detach()),
+                self.scene.probe.lens.aperture_radius,
+                self.output,
+                albedo=scatterer.diffuse.albedo * scatterer.transmittance,
+                spread=scatterer.diffuse.spread,
+                image_distance=scatterer.image_distance,
+                centre=place,
+            )
+            for place in places
+        ]
+        return torch.stack(images).to(self._device)
+
+    def window(self, *, margin: bool = False) -> Grid:
+        """The smallest square of probe pixels that holds one beam's RR but for its faintest rings.
+
+        With a margin it holds the second beam's RR too, wherever the first one's lies within a window's quarter.
+        """
+        g, second = self.geometry, self.scene.illumination.second_beam
+        angle = g.exit_angle + _RINGS_SHOWN * g.wavelength / (2 * g.radius)
+        if margin:
+            angle = 1.25 * angle + (math.hypot(*second.angle) if second is not None else 0.0)
+        side = 2 * math.ceil(self.scene.probe.lens.focal_length * angle / self.output.pitch) + 1
+        return Grid(side, side, self.output.pitch)
+
+    def metadata(self) -> dict[str, Any]:
+        """The sampling, the error it should give, and the radiometry, by name."""
+        scene = self.scene
+        returning = return_radius_at_probe(scene)
+        overfills = returning > scene.probe.lens.aperture_radius
+        way = "finite distance, through the probe's aperture" if self._finite else "far field"
+        if overfills and not self._finite:
+            way += "; the return overfills the probe, which cuts off nothing here"
+        return {
+            "sampling": self.plan.as_dict(),
+            "expected_error": self.plan.expected_error,
+            "irradiance_at_target": irradiance_at_target(scene),
+            "beam_radius_at_target": beam_radius(scene),
+            "return_radius_at_probe": returning,
+            "propagation": way,
+            "wavelengths": [line.wavelength for line in self._lines],
+            "planes": sum(len(line.passes) + len(line.scatterers) for line in self._lines[:1]),
+        }
+
+
+def sensor_grid(scene: Scene) -> Grid:
+    """The probe's own pixels."""
+    columns, rows = scene.probe.sensor.pixels
+    return Grid(rows, columns, scene.probe.sensor.pitch)
+
+
+def scene_geometry(
+    scene: Scene,
+    steepest: float,
+    focal_length: float,
+    image_distance: float,
+    output: Grid,
+    wavelength: float | None = None,
+    spread: float = 0.0,
+) -> DoublePassGeometry:
+    """The lengths of a scene that decide its sampling; `spread` is the source's half angle."""
+    second = scene.illumination.second_beam
+    probe_f = scene.probe.lens.focal_length
+    offset = math.hypot(*second.angle) if second is not None else 0.0
+    return DoublePassGeometry(
+        wavelength=scene.illumination.wavelength if wavelength is None else wavelength,
+        radius=scene.target.lens.aperture_radius,
+        focal_length=focal_length,
+        image_distance=image_distance,
+        probe_focal_length=probe_f,
+        window=math.hypot(output.width, output.height) / 2 + probe_f * (offset + spread),
+        sine=steepest + offset,
+        curvature=illumination_curvature(scene),
+    )
+
+
+def pick_device(device: torch.device | str) -> torch.device:
+    """The device named, or for "auto" a GPU where there is one."""
+    if str(device) != "auto":
+        return torch.device(device)
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def _check_focus(focal_length: float, object_distance: float) -> None:
+    if not focal_length > 0 or math.isinf(focal_length):
+        raise InputError(f"must be positive, is {focal_length} m", where="focal_length", remedy="give metres")
+    if not object_distance > 0:
+        raise InputError(f"must be positive, is {object_distance} m", where="object_distance", remedy="give metres")
+    lens_numbers(focal_length, object_distance)

@@ -1,0 +1,56 @@
+"""How the tilt shortens the probe's picture: by its cosine, along its own direction."""
+
+from __future__ import annotations
+
+import math
+from typing import Protocol
+
+import torch
+
+from tapetum.optics.sampling import DoublePassGeometry
+
+__all__ = ["Tilted", "foreshortening", "foreshortens", "twisted"]
+
+
+class _Plan(Protocol):
+    @property
+    def expected_error(self) -> float: ...
+
+
+class Tilted(Protocol):
+    """What a pass tells of itself here."""
+
+    @property
+    def geometry(self) -> DoublePassGeometry: ...
+    @property
+    def plan(self) -> _Plan: ...
+
+
+def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
+    """Whether the cosine of the tilt moves anything in the picture by more than the plan's error allows."""
+    if sines.requires_grad:
+        return True
+    tilt = float((sines.detach() ** 2).sum(-1).max()) if len(sines) else 0.0
+    g = one.geometry
+    reach = min(g.exit_angle + 2 * g.wavelength / g.radius, g.window / g.probe_focal_length)
+    # The edge of the pupil sees the picture's edge move by this phase; its share in a picture's error is smaller.
+    return 2 * math.pi / g.wavelength * g.radius * reach * tilt / 2 > 2 * min(one.plan.expected_error, 1e-2)
+
+
+def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Rotation R and upper triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
+    square = (sines**2).sum(-1)
+    # (1 - cosθ)/sin²θ = 1/(1 + cosθ): no division by zero at zero tilt.
+    scale = 1 / (1 + torch.sqrt(1 - square))
+    eye = torch.eye(2, dtype=sines.dtype, device=sines.device)
+    m = eye - scale[:, None, None] * sines[:, :, None] * sines[:, None, :]
+    length = torch.sqrt(m[:, 0, 0] ** 2 + m[:, 1, 0] ** 2)
+    c, s = m[:, 0, 0] / length, m[:, 1, 0] / length
+    rotation = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
+    return rotation, rotation.mT @ m
+
+
+def twisted(directions: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
+    """Directions [B, 2] in the pupil's coordinates once R of the tilts [B, 2] has gone to the pupil."""
+    rotation, _ = foreshortening(sines)
+    return (rotation.mT @ directions[:, :, None])[:, :, 0]

@@ -1,0 +1,113 @@
+"""Which planes of the target reflect, how strongly, and which of them interfere."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from tapetum.bench import Diffuse, Scene, at_wavelength
+from tapetum.simulate.light import coherence_length
+from tapetum.simulate.radiometry import layer_transmittance
+from tapetum.simulate.round_pass import Order, Surface
+
+__all__ = ["Scatterer", "scatterers", "specular_groups"]
+
+
+@dataclass(frozen=True)
+class Scatterer:
+    """A plane that scatters: its reduced distance from the lens in metres, what reaches it and leaves it, and how."""
+
+    image_distance: float
+    transmittance: float
+    diffuse: Diffuse
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """A reflecting plane: reduced image distance, one-way optical path to the sensor, power reaching it and back."""
+
+    image_distance: torch.Tensor
+    nearer: float
+    transmittance: float
+    orders: tuple[Order, ...]
+    diffuse: Diffuse | None
+
+
+def specular_groups(
+    scene: Scene, wavelength: float, image_distance: torch.Tensor, widest: float
+) -> list[tuple[Surface, ...]]:
+    """Reflecting planes in groups that interfere within, and not between.
+
+    Parameters
+    ----------
+    scene
+        Its sensor, layers and light.
+    wavelength
+        In metres.
+    image_distance
+        Of the sensor, in metres.
+    widest
+        Largest direction sine of a diffraction order that can come back through the lens.
+
+    Notes
+    -----
+    A plane at the depth t, index n, is reached as if it lay t/n before the sensor, by a path shorter by 2nt. Planes
+    whose paths differ by less than the laser's coherence length belong to one group.
+    """
+    planes = sorted(_planes(scene, wavelength, image_distance, widest), key=lambda plane: plane.nearer)
+    planes = [plane for plane in planes if plane.orders]
+    reach, k = coherence_length(scene.illumination), 2 * math.pi / wavelength
+    groups: list[list[_Plane]] = []
+    for plane in planes:
+        if groups and 2 * (plane.nearer - groups[-1][-1].nearer) < reach:
+            groups[-1].append(plane)
+        else:
+            groups.append([plane])
+    return [
+        tuple(
+            Surface(
+                plane.image_distance,
+                _scaled(plane.orders, math.sqrt(plane.transmittance)),
+                -2 * k * plane.nearer,
+            )
+            for plane in group
+        )
+        for group in groups
+    ]
+
+
+def scatterers(scene: Scene, wavelength: float, image_distance: float) -> list[Scatterer]:
+    """The planes that scatter light back."""
+    at = torch.tensor(image_distance, dtype=torch.float64)
+    return [
+        Scatterer(float(plane.image_distance), plane.transmittance, plane.diffuse)
+        for plane in _planes(scene, wavelength, at, 0.0)
+        if plane.diffuse is not None and plane.diffuse.albedo > 0
+    ]
+
+
+def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, widest: float) -> list[_Plane]:
+    sensor = scene.target.sensor
+    through, planes = 1.0, list[_Plane]()
+    # From the lens inwards: each layer dims what lies behind it, there and back.
+    for layer in sorted(sensor.layers, key=lambda layer: -layer.depth):
+        reflectance = at_wavelength(layer.reflectance, wavelength)
+        orders = (Order(amplitude=math.sqrt(reflectance)),) if reflectance > 0 else ()
+        reached = image_distance - layer.depth / layer.index
+        planes.append(_Plane(reached, layer.index * layer.depth, through, orders, layer.diffuse))
+        through *= layer_transmittance(layer, wavelength) ** 2
+    orders: tuple[Order, ...] = ()
+    if sensor.array is not None or sensor.microlens is not None:
+        from tapetum.simulate.sensor_plane import orders_of
+
+        orders = orders_of(sensor, wavelength, widest)
+    elif sensor.reflectance > 0 and sensor.mask is None:
+        orders = (Order(amplitude=math.sqrt(sensor.reflectance)),)
+    planes.append(_Plane(image_distance, 0.0, through, orders, sensor.diffuse))
+    return planes
+
+
+def _scaled(orders: tuple[Order, ...], factor: float) -> tuple[Order, ...]:
+    return orders if factor == 1 else tuple(Order(order.direction, order.amplitude * factor) for order in orders)

@@ -1,0 +1,271 @@
+"""The double pass of a round lens before plane mirrors, gratings included: the fast way.
+
+Light that enters a round aperture, meets a plane mirror and comes back to the lens is a round field F about a point
+that the tilt s displaces (docs/conventions.md, "The round pass"):
+
+    U3'(x) = P(x) exp(ik x²(1/z - 1/f)/2) exp(ikz s²) F(|x - 2z s|)
+    U5(q)  = 1/(iλf_p) ∫ U3'(x) exp(-ik x·Mq/f_p) d²x
+
+F is tabulated once for all gazes; a gaze costs a look-up for each sample of the pupil and one transform onto the
+probe's pixels. A grating's order m of direction τ = mλ/p returns what the mirror would return from the tilt s + τ/2,
+and every plane has its own z, so pixel arrays and layers are sums of such terms.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import torch
+
+from tapetum.optics.fourier import phasor
+from tapetum.optics.grid import Grid
+from tapetum.optics.pupil import disc_quadrature
+from tapetum.optics.radial import RadialTable, returning_field
+from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
+from tapetum.simulate.foreshortening import foreshortens, twisted
+from tapetum.simulate.probe_path import ProbePath
+
+__all__ = ["Order", "RoundPass", "Surface"]
+
+# Samples of pupils looked up at a time: what they take stays in the processor's caches.
+_SAMPLES_AT_ONCE = 1 << 18
+# Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
+_END_ORDER = 3
+_PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
+
+
+@dataclass(frozen=True)
+class Order:
+    """A diffraction order of a sensor plane: direction sines (τ_x, τ_y) = (m_x, m_y) λ/p, and complex amplitude."""
+
+    direction: tuple[float, float] = (0.0, 0.0)
+    amplitude: complex = 1.0
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A plane that reflects.
+
+    Parameters
+    ----------
+    image_distance
+        z, its distance from the lens in metres, reduced by the index of what lies between. A tensor carries gradients.
+    orders
+        What it returns; a mirror has one order of direction 0.
+    phase
+        Of its reflection against the others', in radians: twice the optical path by which it is nearer, times -k.
+    """
+
+    image_distance: torch.Tensor | float
+    orders: tuple[Order, ...] = (Order(),)
+    phase: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """What a surface needs at every gaze."""
+
+    z: torch.Tensor
+    table: RadialTable
+    exit: torch.Tensor
+    orders: tuple[Order, ...]
+    phase: float
+    moves: dict[str, torch.Tensor] = field(default_factory=dict[str, torch.Tensor])
+
+
+class RoundPass:
+    """The retro-reflection of a thin lens, for any number of gazes. Holding the instance is the cache.
+
+    Parameters
+    ----------
+    geometry
+        Lengths of the scene, as numbers.
+    plan
+        Its sampling.
+    output
+        Pixels of the probe's sensor.
+    surfaces
+        Planes that reflect, summed coherently. One mirror at the geometry's image distance when left out.
+    distance, probe_radius
+        Both given, the light travels the distance and through the probe's round aperture, in metres; the plan must
+        have been made for it (`optics.sampling.through_aperture`). Left out, all of it reaches the probe's sensor.
+    lit_radius
+        Of the light that enters, in metres, where the beam is narrower than the aperture.
+    parameters
+        Tensors in place of the geometry's numbers where gradients shall flow: `focal_length`, `radius`, `wavelength`,
+        `curvature`, `probe_focal_length`; a surface carries its own image distance.
+    dtype
+        complex64 or complex128.
+    device
+        Where to compute.
+    """
+
+    def __init__(
+        self,
+        geometry: DoublePassGeometry,
+        plan: RoundPlan,
+        output: Grid,
+        surfaces: Sequence[Surface] = (),
+        *,
+        distance: torch.Tensor | float | None = None,
+        probe_radius: float | None = None,
+        lit_radius: float | None = None,
+        dtype: torch.dtype = torch.complex64,
+        device: torch.device | str = "cpu",
+        **parameters: torch.Tensor | float,
+    ) -> None:
+        self.geometry, self.plan, self.output, self.dtype = geometry, plan, output, dtype
+        self.device = torch.device(device)
+        self._real = torch.float32 if dtype == torch.complex64 else torch.float64
+        numbers: dict[str, torch.Tensor | float] = {**vars(geometry), **parameters}
+        values = {name: self._scalar(numbers[name]) for name in _PARAMETERS}
+        surfaces = tuple(surfaces) or (Surface(geometry.image_distance),)
+        lengths = [self._scalar(one.image_distance) for one in surfaces]
+        if distance is not None:
+            lengths.append(self._scalar(distance))
+        self.differentiable = any(value.requires_grad for value in (*values.values(), *lengths))
+        self._values = values
+        self._k = 2 * math.pi / values["wavelength"]
+        disc = disc_quadrature(1.0, plan.columns, plan.rows, _END_ORDER)
+        radius = values["radius"]
+        self._x, self._y = disc.x.to(self.device) * radius, disc.y.to(self.device) * radius
+        self._rho_squared = disc.rho_squared().to(self.device) * radius**2
+        self._weights = disc.weights.to(self.device) * radius**2
+        self._path = ProbePath(
+            geometry,
+            plan,
+            output,
+            self._x,
+            self._y,
+            wavelength=values["wavelength"],
+            probe_focal_length=values["probe_focal_length"],
+            distance=distance,
+            probe_radius=probe_radius,
+            dtype=dtype,
+            device=self.device,
+        )
+        directions = [math.hypot(*order.direction) for one in surfaces for order in one.orders]
+        self._steepest = geometry.sine + max(directions, default=0.0) / 2
+        # One plane mirror needs no phase of its own: nothing interferes with it.
+        self._interferes = sum(len(one.orders) for one in surfaces) > 1
+        self._lit: torch.Tensor | None = None
+        if lit_radius is not None and lit_radius < geometry.radius:
+            self._lit = self._scalar(lit_radius)
+        self._surfaces = [self._prepare(one) for one in surfaces]
+
+    def _scalar(self, value: torch.Tensor | float) -> torch.Tensor:
+        return torch.as_tensor(value, dtype=torch.float64, device=self.device)
+
+    def _prepare(self, surface: Surface) -> _Prepared:
+        values, z = self._values, self._scalar(surface.image_distance)
+        lit = values["radius"] if self._lit is None else self._lit
+        wavelength, radius, z_now = (float(v.detach()) for v in (values["wavelength"], values["radius"], z))
+        vergence = values["curvature"] - 1 / values["focal_length"]
+        table = returning_field(
+            wavelength,
+            float(lit.detach()),
+            z_now,
+            float(vergence.detach()),
+            # Beyond the pupil's edge only the end correction reads: a few samples.
+            1.05 * radius + 2 * z_now * self._steepest * (1 + 1e-6),
+            (self.plan.flat_slope, self.plan.end_slope),
+            partials=self.differentiable,
+        ).to(self.device, self.dtype)
+        moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
+        moves = {name: value - value.detach() for name, value in moving.items() if value.requires_grad}
+        bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) * self._rho_squared
+        # Constants ride along, so that the hot loop is look-ups and products alone.
+        leaving = (self._weights * phasor(bend + self._path.pupil_phase(self._rho_squared))).to(self.dtype)
+        return _Prepared(z, table, leaving * self._path.constant.to(self.dtype), surface.orders, surface.phase, moves)
+
+    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Irradiance on the probe's pixels for an illumination of 1 W/m² and surfaces of the amplitudes given.
+
+        Parameters
+        ----------
+        sines
+            [B, 2] sines of the tilt along x and y.
+        centres
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+
+        Returns
+        -------
+        torch.Tensor
+            [B, H, W], W/m².
+        """
+        u = self.field(sines, centres)
+        return u.real**2 + u.imag**2
+
+    def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
+        sines = sines.to(self.device, torch.float64)
+        if centres is not None:
+            centres = centres.to(self.device, torch.float64)
+        if self.differentiable or sines.requires_grad:
+            return self._field(sines, centres)
+        size = max(1, _SAMPLES_AT_ONCE // (self.plan.columns * self.plan.rows))
+        parts = [
+            self._field(sines[i : i + size], None if centres is None else centres[i : i + size])
+            for i in range(0, len(sines), size)
+        ]
+        return torch.cat(parts) if len(parts) != 1 else parts[0]
+
+    def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights."""
+        sines = sines.to(self.device, torch.float64)
+        constant = self._path.constant * phasor(self._path.pupil_phase(self._rho_squared))
+        inside = self._weights != 0
+        field = self._pupil(sines, slice(0, self.plan.rows), False) / constant.to(self.dtype)
+        safe = torch.where(inside, self._weights, torch.ones_like(self._weights))
+        return torch.where(inside, field / safe.to(self.dtype), 0), self._x, self._y, self._weights
+
+    def _field(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+        twist = foreshortens(self, sines)
+        # A pupil too large for the caches is taken in bands of rows.
+        whole = self.differentiable or sines.requires_grad
+        band = self.plan.rows if whole else max(1, 4 * _SAMPLES_AT_ONCE // (len(sines) * self.plan.columns))
+        gathered: torch.Tensor | None = None
+        for start in range(0, self.plan.rows, band):
+            rows = slice(start, start + band)
+            part = self._path.gather(self._pupil(sines, rows, twist), rows, sines if twist else None, centres)
+            gathered = part if gathered is None else gathered + part
+        assert gathered is not None
+        return self._path.to_image(gathered, centres)
+
+    def _pupil(self, sines: torch.Tensor, rows: slice, twist: bool) -> torch.Tensor:
+        """Rows of the field that leaves the lens, with weights and constants: [B, rows, columns]."""
+        total: torch.Tensor | None = None
+        for one in self._surfaces:
+            of_orders: torch.Tensor | None = None
+            for order in one.orders:
+                tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
+                seen = sines + tau / 2
+                value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
+                if self._interferes:
+                    # The mirror's own phase k z s², and the order's: k z (s + τ/2)² - k z τ²/4.
+                    phase = self._k * one.z * ((sines**2).sum(-1) + (sines * tau).sum(-1)) + one.phase
+                    value = value * (phasor(phase) * order.amplitude).to(self.dtype)[:, None, None]
+                elif order.amplitude != 1:
+                    value = value * order.amplitude
+                of_orders = value if of_orders is None else of_orders + value
+            if of_orders is not None:
+                term = of_orders * one.exit[rows]
+                total = term if total is None else total + term
+        if total is None:
+            shape = (len(sines), len(self._y[rows]), len(self._x))
+            return torch.zeros(shape, dtype=self.dtype, device=self.device)
+        return total
+
+    def _looked_up(self, one: _Prepared, seen: torch.Tensor, rows: slice) -> torch.Tensor:
+        """F(|x - 2z s|) at the pupil's samples, [B, rows, columns]."""
+        offset = 2 * one.z * seen
+        across = ((self._x[None, :] - offset[:, 0:1]) / one.table.step) ** 2
+        down = ((self._y[None, rows] - offset[:, 1:2]) / one.table.step) ** 2
+        if self.differentiable or seen.requires_grad or self.dtype == torch.complex128:
+            # The root has no gradient at zero: a distance of nothing counts as a billionth of a step.
+            steps = torch.sqrt((down[:, :, None] + across[:, None, :]).clamp_min(1e-18))
+            return one.table.smooth(steps, **one.moves).to(self.dtype)
+        steps = (down.to(self._real)[:, :, None] + across.to(self._real)[:, None, :]).sqrt_()
+        return one.table.nearest(steps)
