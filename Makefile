@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_OUT ?= demo-out
 
-.PHONY: setup demo test test-all lint format bench docs models lock clean
+.PHONY: setup demo test test-all lint format bench validation docs models lock clean
 
 setup: $(VENV)/.ready
 
@@ -35,6 +35,10 @@ format: setup
 
 bench: setup
 	$(BIN)/python -m benchmarks
+
+# docs/validation.md, from the numbers that the tests check (some minutes).
+validation: setup
+	$(BIN)/python scripts/make_validation.py
 
 docs: setup
 	$(BIN)/mkdocs build --strict

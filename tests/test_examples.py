@@ -23,7 +23,13 @@ def example(name: str) -> Any:
 
 
 def test_every_example_is_tested():
-    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == {"fig4", "gradient", "track_photos"}
+    assert {path.stem for path in (ROOT / "examples").glob("*.py")} == {
+        "fig4",
+        "gradient",
+        "limits",
+        "movie_theater",
+        "track_photos",
+    }
 
 
 def test_fig4_draws_a_grid(tmp_path: Path):
@@ -60,3 +66,18 @@ def test_track_photos_of_real_beams(tmp_path: Path):
         shutil.copy(PHOTOGRAPHS / name, tmp_path)
     table = example("track_photos").main([str(tmp_path)])
     assert {name for name, _, _, _ in table} == set(chosen)
+
+
+def test_limits_fall_with_the_power(capsys: pytest.CaptureFixture[str]):
+    rows = example("limits").main(["--powers", "0.25", "1", "--set", "sampling.accuracy=0.01"])
+    (_, _, dim, dim_focus), (_, _, bright, bright_focus) = rows
+    assert 1.9 < dim / bright < 4 and 1.9 < dim_focus / bright_focus < 4
+    assert "focus" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_a_movie_theater_is_lit_more_evenly(tmp_path: Path):
+    cases = example("movie_theater").main(["-o", str(tmp_path / "theater.png")])
+    assert (tmp_path / "theater.png").stat().st_size > 10_000
+    (one_light, one_snr), (many_light, many_snr) = cases.values()
+    assert many_light.ratio < one_light.ratio and many_snr.ratio < one_snr.ratio

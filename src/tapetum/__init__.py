@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from tapetum.errors import InputError
     from tapetum.models import ResNet18, ZernikeRidge, load_model, pretrained, save_model
     from tapetum.record import Session, film, label_recording, open_frames, open_recording
-    from tapetum.simulate import Camera, Image, expose, retroreflect
+    from tapetum.simulate import Camera, Image, expose, fisher, link_budget, retroreflect
     from tapetum.track import detect, track
 
 _HOME = {
@@ -23,7 +23,7 @@ _HOME = {
     "errors": ("InputError",),
     "models": ("ResNet18", "ZernikeRidge", "load_model", "pretrained", "save_model"),
     "record": ("Session", "film", "label_recording", "open_frames", "open_recording"),
-    "simulate": ("Camera", "Image", "expose", "retroreflect"),
+    "simulate": ("Camera", "Image", "expose", "fisher", "link_budget", "retroreflect"),
     "track": ("detect", "track"),
 }
 _ROOM = {name: room for room, names in _HOME.items() for name in names}
@@ -40,7 +40,9 @@ __all__ = [
     "detect",
     "expose",
     "film",
+    "fisher",
     "label_recording",
+    "link_budget",
     "load_model",
     "load_scene",
     "open_dataset",

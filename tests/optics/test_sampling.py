@@ -29,7 +29,7 @@ PAPER = DoublePassGeometry(640e-9, 3e-3, 0.1, lens_numbers(0.1, 1.0)[0], 0.2, 4e
 def random_geometry(rng: np.random.Generator) -> tuple[DoublePassGeometry, Grid, torch.Tensor]:
     """Wavelength, lens, focus, illumination, tilt, probe and pixels drawn from what people use."""
     focal = 10 ** rng.uniform(-2, math.log10(0.15))
-    radius = min(focal / rng.uniform(4, 20) / 2, 2.5e-3)
+    radius = min(focal / rng.uniform(4, 20) / 2, 10 ** rng.uniform(-2.7, -2.2))
     z, _ = lens_numbers(focal, 2 * focal + 10 ** rng.uniform(-0.3, 1.3))
     sine = rng.choice([0.0, 1.0, 1.0]) * rng.uniform(0, 0.9) * radius / focal
     pixels = Grid(48, 48, 10 ** rng.uniform(-6.0, -5.0))

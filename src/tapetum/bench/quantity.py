@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+import re
 from functools import cache
 from typing import Annotated, Any
 
 from pydantic import BeforeValidator, Field, WithJsonSchema
 
 __all__ = ["Angle", "Current", "FocusDistance", "Length", "Power", "Time", "Vergence", "to_si"]
+
+
+# A number and a unit. Pint would work out any formula, `9**9**9 m` too, and never come back.
+_QUANTITY = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1?\s*/\s*)?([^\W\d]|[°%])[^\d+]{0,40}([\^*-]?\d)?\s*")
+_LONGEST = 80
 
 
 @cache
@@ -40,12 +46,16 @@ def to_si(value: object, unit: str) -> float:
         number = float(value)
     except ValueError:
         number = _with_unit(str(value), unit)
+    except OverflowError as error:
+        raise ValueError(f"a number of {len(str(value))} digits is out of range; give it in {unit}") from error
     if math.isnan(number) or (math.isinf(number) and unit != "m"):
         raise ValueError(f"{value!r} is not a finite number; give one, for example '{_example(unit)}'")
     return number
 
 
 def _with_unit(text: str, unit: str) -> float:
+    if len(text) > _LONGEST or _QUANTITY.fullmatch(text) is None:
+        raise ValueError(f"{_short(text)} is no quantity; write, for example, '{_example(unit)}'")
     registry = _registry()
     import pint
 
@@ -55,10 +65,14 @@ def _with_unit(text: str, unit: str) -> float:
         raise ValueError(f"{text!r} is no quantity; write, for example, '{_example(unit)}'") from error
     try:
         return float(quantity.to(unit).magnitude)
-    except (pint.DimensionalityError, AttributeError, TypeError) as error:
+    except (pint.PintError, AttributeError, TypeError, ValueError, ArithmeticError) as error:
         raise ValueError(
             f"{text!r} has the wrong dimension; give it in {unit}, for example '{_example(unit)}'"
         ) from error
+
+
+def _short(text: str) -> str:
+    return repr(text if len(text) <= _LONGEST else f"{text[:_LONGEST]}...")
 
 
 def _example(unit: str) -> str:
@@ -79,7 +93,8 @@ def _quantity(unit: str) -> Any:
 FocusDistance = Annotated[float, Field(gt=0, allow_inf_nan=True), *_quantity("m")]
 Length = Annotated[float, *_quantity("m")]
 Angle = Annotated[float, *_quantity("rad")]
-Power = Annotated[float, *_quantity("W"), Field(gt=0)]
-Time = Annotated[float, *_quantity("s"), Field(gt=0)]
-Current = Annotated[float, *_quantity("1/s"), Field(ge=0)]
-Vergence = Annotated[float, *_quantity("1/m")]
+# The bounds keep all that is made of these numbers finite in single precision; no bench comes near them.
+Power = Annotated[float, *_quantity("W"), Field(gt=0, le=1e9)]
+Time = Annotated[float, *_quantity("s"), Field(gt=0, le=1e6)]
+Current = Annotated[float, *_quantity("1/s"), Field(ge=0, le=1e12)]
+Vergence = Annotated[float, *_quantity("1/m"), Field(ge=-1e6, le=1e6)]

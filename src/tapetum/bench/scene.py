@@ -30,6 +30,7 @@ SCHEMA = "tapetum/scene/1"
 
 S = TypeVar("S", "TargetSensor", "ProbeSensor")
 Wavelength = Annotated[Length, Field(ge=200e-9, le=2e-6)]
+SmallAngle = Annotated[Angle, Field(gt=-0.2, lt=0.2)]
 Pixels = Annotated[tuple[int, int], Field(description="columns, rows")]
 
 
@@ -46,7 +47,7 @@ class SecondBeam:
     """
 
     ratio: Annotated[float, Field(ge=0, le=1)]
-    angle: tuple[Angle, Angle]
+    angle: tuple[SmallAngle, SmallAngle]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -116,8 +117,9 @@ class Illumination:
             raise ValueError(f"divergence has no meaning in mode '{self.mode}'; {remedy}")
         if self.mode == "diverging" and self.diameter is not None:
             raise ValueError("diameter has no meaning in mode 'diverging'; leave it out or use mode 'fixed_area'")
-        if self.bandwidth >= 0.5 * self.wavelength:
-            raise ValueError(f"bandwidth {self.bandwidth:g} m is no line at {self.wavelength:g} m; give a narrower one")
+        shortest = min(self.wavelength, *(line.wavelength for line in self.lines), math.inf)
+        if self.bandwidth >= 0.5 * shortest:
+            raise ValueError(f"bandwidth {self.bandwidth:g} m is no line at {shortest:g} m; give a narrower one")
         return self
 
 
@@ -140,6 +142,13 @@ class ThinLens:
     kind: Literal["thin"] = "thin"
     glass: Literal["N-BK7", "N-SF11", "fused silica", "PMMA"] | None = None
     design_wavelength: Wavelength = 587.56e-9
+
+    @model_validator(mode="after")
+    def _is_a_lens(self) -> ThinLens:
+        if self.aperture_radius > self.focal_length:
+            number = self.focal_length / (2 * self.aperture_radius)
+            raise ValueError(f"an F-number of {number:.2g} is that of no lens; keep aperture_radius below focal_length")
+        return self
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -257,15 +266,15 @@ class ProbeSensor:
     exposure: Time = 1e-5
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.5
     # Inferred for the MT9P031, the likely sensor of the paper's cameras: not confirmed by its maker.
-    full_well: Annotated[float, Field(gt=0)] = 6500.0
-    read_noise: Annotated[float, Field(ge=0)] = 2.0
-    background: Annotated[float, Field(ge=0)] = 0.0
+    full_well: Annotated[float, Field(ge=1, le=1e9)] = 6500.0
+    read_noise: Annotated[float, Field(ge=0, le=1e6)] = 2.0
+    background: Annotated[float, Field(ge=0, le=1e9)] = 0.0
     dark_current: Current = 0.0
-    offset: Annotated[float, Field(ge=0)] = 0.0
-    gain: Annotated[float, Field(gt=0)] | None = None
+    offset: Annotated[float, Field(ge=0, le=65535)] = 0.0
+    gain: Annotated[float, Field(gt=0, le=1e6)] | None = None
     hot_pixels: Share = 0.0
     hot_current: Current = 0.0
-    serial: Annotated[int, Field(ge=0)] = 0
+    serial: Annotated[int, Field(ge=0, lt=2**63)] = 0
 
     @model_validator(mode="after")
     def _has_pixels(self) -> ProbeSensor:

@@ -4,12 +4,22 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import ConfigDict, Field
+from pydantic import AfterValidator, ConfigDict, Field
 
 from tapetum.bench.quantity import Length
 
 __all__ = ["STRICT", "Positive", "Share"]
 
+_SMALLEST = 1e-9
+
+
+def _no_dust(length: float) -> float:
+    if length < _SMALLEST:
+        raise ValueError(f"{length:g} m is smaller than a nanometre; give at least 1e-9")
+    return length
+
+
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, ser_json_inf_nan="strings")
-Positive = Annotated[Length, Field(gt=0)]
+# A million kilometres is farther than any light here; what is next to nothing would overflow its own reciprocal.
+Positive = Annotated[Length, Field(gt=0, le=1e9), AfterValidator(_no_dust)]
 Share = Annotated[float, Field(ge=0, le=1)]

@@ -83,7 +83,7 @@ class Diffuse:
     """
 
     albedo: Share
-    spread: Annotated[Length, Field(ge=0)] = 0.0
+    spread: Annotated[Length, Field(ge=0, le=1)] = 0.0
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -179,13 +179,12 @@ class Layer:
 
     @model_validator(mode="after")
     def _keeps_energy(self) -> Layer:
-        if self.transmittance is None:
-            return self
-        tables = [t for t in (self.reflectance, self.transmittance) if isinstance(t, tuple)]
+        scattered = 0.0 if self.diffuse is None else self.diffuse.albedo
+        shares = {"reflectance": self.reflectance, "transmittance": self.transmittance or 0.0, "diffuse.albedo": scattered}
+        tables = [share for share in shares.values() if isinstance(share, tuple)]
         for wavelength in [w for table in tables for w, _ in table] or [640e-9]:
-            total = at_wavelength(self.reflectance, wavelength) + at_wavelength(self.transmittance, wavelength)
+            total = math.fsum(at_wavelength(share, wavelength) for share in shares.values())
             if total > 1 + 1e-9:
-                raise ValueError(
-                    f"reflectance and transmittance add up to {total:g} at {wavelength * 1e9:g} nm; lower one of them"
-                )
+                names = " and ".join(name for name, share in shares.items() if share)
+                raise ValueError(f"{names} add up to {total:g} at {wavelength * 1e9:g} nm; lower one of them")
         return self

@@ -21,6 +21,10 @@ def phasor(phase: torch.Tensor) -> torch.Tensor:
     return torch.complex(torch.cos(phase), torch.sin(phase))
 
 
+# Columns above which a row is summed in blocks of this many: fewer products, for a little more memory traffic.
+_LONG, _BLOCK = 1500, 64
+
+
 class MatrixFourier:
     """F(u) = Σ_ji field[j, i] exp(-i kappa (x_i u_x + y_j u_y)), for chosen x, y, u_x, u_y.
 
@@ -93,12 +97,28 @@ class BandLimitedFourier:
         kappa_now = abs(float(torch.as_tensor(kappa).detach()))
         self.ux, self._lift_x = _nodes(x.double(), ux.double(), kappa_now, dtype)
         self.uy, self._lift_y = _nodes(y.double(), uy.double(), kappa_now, dtype)
-        self.columns = phasor(-kappa * x.double()[:, None] * self.ux[None, :]).to(dtype)
         self.rows = phasor(-kappa * self.uy[:, None] * y.double()[None, :]).to(dtype)
+        self._kappa, self._blocks = kappa, None
+        self._places = x.double()
+        if len(x) > _LONG:
+            self._blocks = _Blocks(self._places, self.ux, kappa, dtype)
+            self._places = self._blocks.places
+        self.columns = self._kernel(self._places, None).to(dtype)
+
+    def _kernel(self, places: torch.Tensor, scale: torch.Tensor | None) -> torch.Tensor:
+        if scale is None:
+            return phasor(-self._kappa * places[:, None] * self.ux[None, :])
+        return phasor(-self._kappa * scale[:, None, None] * places[:, None] * self.ux[None, :])
+
+    def across(self, field: torch.Tensor, scale: torch.Tensor | None = None) -> torch.Tensor:
+        """The sum over columns alone, [..., Y, X] to [..., Y, U']; each of a batch with its own `scale` [B] of u_x."""
+        if self._blocks is not None:
+            field = self._blocks(field)
+        return field @ (self.columns if scale is None else self._kernel(self._places, scale).to(field.dtype))
 
     def at_nodes(self, field: torch.Tensor, start: int = 0) -> torch.Tensor:
         """What the rows of `field` from `start` on add to the transform at the nodes: [..., Y', X] to [..., V', U']."""
-        return self.rows[:, start : start + field.shape[-2]] @ (field @ self.columns)
+        return self.rows[:, start : start + field.shape[-2]] @ self.across(field)
 
     def lift(self, nodes: torch.Tensor) -> torch.Tensor:
         """From the nodes to the pixels wanted, [..., V', U'] to [..., V, U]."""
@@ -111,28 +131,58 @@ class BandLimitedFourier:
         return self.lift(self.at_nodes(field))
 
 
+class _Blocks:
+    """Rows of very many samples, summed block by block: within a block the kernel needs few terms."""
+
+    def __init__(self, x: torch.Tensor, u: torch.Tensor, kappa: float | torch.Tensor, dtype: torch.dtype) -> None:
+        count = math.ceil(len(x) / _BLOCK)
+        self._padding = count * _BLOCK - len(x)
+        step = (x[-1] - x[0]) / (len(x) - 1)
+        within = (torch.arange(_BLOCK, dtype=torch.float64, device=x.device) - (_BLOCK - 1) / 2) * step.detach()
+        middle = u.detach().abs().max()
+        phase = float(torch.as_tensor(kappa).detach() * within.abs().max() * middle)
+        nodes = _chebyshev(abs(phase), dtype, x.device) * within.abs().max()
+        self._gather = _barycentric(within, nodes).to(dtype)
+        starts = x[0] + torch.arange(count, dtype=torch.float64, device=x.device) * (_BLOCK * step) - within[0]
+        self.places = (starts[:, None] + nodes[None, :] * (step / step.detach())).flatten()
+
+    def __call__(self, field: torch.Tensor) -> torch.Tensor:
+        """From the samples [..., Y, X] to what stands for them at the blocks' nodes, [..., Y, places]."""
+        padded = torch.nn.functional.pad(field, (0, self._padding)) if self._padding else field
+        blocks = padded.reshape(*field.shape[:-1], -1, _BLOCK)
+        return (blocks @ self._gather).flatten(-2)
+
+
+def _chebyshev(phase: float, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+    """Nodes in -1 … 1 that carry exp(i phase t) to rounding: its Chebyshev coefficients are Bessel functions J_n."""
+    spare = 10.0 if dtype == torch.complex128 else 5.5
+    count = math.ceil(phase + spare * max(phase, 1.0) ** (1 / 3)) + 3
+    return torch.cos(math.pi * (torch.arange(count, dtype=torch.float64, device=device) + 0.5) / count)
+
+
+def _barycentric(at: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
+    """Matrix from values at Chebyshev nodes to values at other places (Berrut and Trefethen, SIAM Review 46, 501)."""
+    count = len(nodes)
+    angle = math.pi * (torch.arange(count, dtype=torch.float64, device=nodes.device) + 0.5) / count
+    weights = torch.sin(angle) * (1 - 2 * (torch.arange(count, device=nodes.device) % 2))
+    apart = at[:, None] - nodes[None, :]
+    exact = apart == 0
+    ratio = weights / torch.where(exact, torch.ones_like(apart), apart)
+    matrix = ratio / ratio.sum(1, keepdim=True)
+    return torch.where(exact.any(1, keepdim=True), exact.to(matrix.dtype), matrix)
+
+
 def _nodes(
     x: torch.Tensor, u: torch.Tensor, kappa: float, dtype: torch.dtype
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
     """Where to take the transform, and the matrix that carries it to `u`; None where `u` itself are few enough."""
     half = float(u.max() - u.min()) / 2
     reach = float(x.detach().abs().max())
-    phase = kappa * reach * half
-    # Chebyshev coefficients of exp(i phase t) are Bessel functions J_n(phase): nothing is left this far past n = phase.
-    spare = 10.0 if dtype == torch.complex128 else 5.5
-    count = math.ceil(phase + spare * max(phase, 1.0) ** (1 / 3)) + 3
-    if count > 0.75 * len(u):
+    nodes = _chebyshev(kappa * reach * half, dtype, u.device)
+    if len(nodes) > 0.75 * len(u):
         return u, None
-    angle = math.pi * (torch.arange(count, dtype=torch.float64, device=u.device) + 0.5) / count
-    nodes, middle = torch.cos(angle), float(u.max() + u.min()) / 2
-    # Barycentric interpolation (Berrut and Trefethen, SIAM Review 46, 501 (2004)).
-    weights = torch.sin(angle) * (1 - 2 * (torch.arange(count, device=u.device) % 2))
-    apart = ((u - middle) / half)[:, None] - nodes[None, :]
-    exact = apart == 0
-    ratio = weights / torch.where(exact, torch.ones_like(apart), apart)
-    lift = ratio / ratio.sum(1, keepdim=True)
-    lift = torch.where(exact.any(1, keepdim=True), exact.to(lift.dtype), lift)
-    return nodes * half + middle, lift.to(dtype)
+    places = nodes * half + float(u.max() + u.min()) / 2
+    return places, _barycentric(u, places).to(dtype)
 
 
 def naive_fourier(

@@ -162,7 +162,8 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     # A mask's detail turns the light by `spread` at the lens.
     spread = 0.0 if finest is None else g.wavelength * g.image_distance / finest
     bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.sine) + 4 * g.airy_step + spread / 2
-    if half > _NEAR_BOUND * bound:
+    # With a mask that costs too much, so near the bound.
+    if half > (_NEAR_BOUND if finest is None else 1.3) * bound:
         half, flat = 1.3 * bound, bound
     # The steepest slopes that the field has against the pupil, of rays and of the diffracted tail, in and out.
     rays = max(

@@ -21,7 +21,7 @@ import numpy.typing as npt
 import torch
 from scipy.special import bernoulli
 
-__all__ = ["END_ORDER", "Quadrature", "disc_quadrature"]
+__all__ = ["END_ORDER", "DiscRows", "Quadrature", "disc_quadrature"]
 
 # Degree of the polynomials that the end correction integrates exactly. Higher degrees gain nothing in practice:
 # their weights grow, and with them the rounding error and the demand on the smoothness of the integrand.
@@ -86,21 +86,70 @@ def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORD
     return Quadrature(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (x, y, weights)))
 
 
+class DiscRows:
+    """The same quadrature, its weights made for some rows at a time: a large pupil's do not fit into the caches.
+
+    Parameters
+    ----------
+    radius, columns, rows, order
+        As for `disc_quadrature`.
+    device
+        Of the tensors made.
+    """
+
+    def __init__(
+        self, radius: float, columns: int, rows: int, order: int = END_ORDER, device: torch.device | str = "cpu"
+    ) -> None:
+        self._step, self._order, self._columns = 2 * radius / columns, order, columns
+        x = np.asarray((np.arange(columns) - (columns - 1) / 2) * self._step, np.float64)
+        angle = math.pi * np.arange(1, rows + 1) / (rows + 1)
+        self.x = torch.from_numpy(x).to(device)
+        self.y = torch.from_numpy(radius * np.cos(angle)).to(device)
+        ends = radius * np.sin(angle)
+        last, corrections = _end_corrections(ends, x, self._step, order)
+        row_weight = math.pi / (rows + 1) * radius * np.sin(angle) * self._step
+        self._last, self._corrections, self._row_weight = (
+            torch.from_numpy(one).to(device) for one in (last, corrections, row_weight)
+        )
+        self._index = torch.arange(columns, device=device)
+
+    def weights(self, rows: slice, dtype: torch.dtype = torch.float64) -> torch.Tensor:
+        """Weights of some rows in m², [rows, columns]."""
+        last = self._last[rows, None]
+        first = self._columns - 1 - last
+        inside = ((self._index >= first) & (self._index <= last)).to(dtype)
+        # Where a chord is so short that its ends' corrections overlap they add, as both sides' sums do.
+        inside -= ((self._index < first) & (self._index > last)).to(dtype)
+        steps = torch.arange(self._order + 1, device=last.device)
+        corrections = self._corrections[rows].to(dtype)
+        inside.scatter_add_(1, last - steps, corrections)
+        inside.scatter_add_(1, first + steps, corrections)
+        return inside.mul_(self._row_weight[rows, None].to(dtype))
+
+
 def _weights_up_to(
     ends: npt.NDArray[np.float64], x: npt.NDArray[np.float64], step: float, order: int
 ) -> npt.NDArray[np.float64]:
     """Weights, in steps, of the integral from far left up to each of `ends` (positive), shape [ends, x]."""
+    last, corrections = _end_corrections(ends, x, step, order)
+    weights = (np.arange(len(x))[None, :] <= last[:, None]).astype(float)
+    for k in range(order + 1):
+        weights[np.arange(len(ends)), last - k] += corrections[:, k]
+    return weights
+
+
+def _end_corrections(
+    ends: npt.NDArray[np.float64], x: npt.NDArray[np.float64], step: float, order: int
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """The last sample before each end, [ends], and what to add to it and to those before it, [ends, order + 1]."""
     place = (ends - x[0]) / step
-    last = np.clip(np.rint(place), order, len(x) - 1).astype(int)
+    last = np.clip(np.rint(place), order, len(x) - 1).astype(np.int64)
     tau = (place - last)[:, None]
     power = np.arange(order + 1)
     moments = tau ** (power + 1) / (power + 1) - (-1.0) ** power * _zeta_at_minus(order) - (power == 0)
     vandermonde = (-power[None, :].astype(float)) ** power[:, None]
     corrections: npt.NDArray[np.float64] = np.linalg.solve(vandermonde, moments.T).T
-    weights = (np.arange(len(x))[None, :] <= last[:, None]).astype(float)
-    for k in power:
-        weights[np.arange(len(ends)), last - k] += corrections[:, k]
-    return weights
+    return last, corrections
 
 
 @cache

@@ -24,6 +24,8 @@ __all__ = [
     "RoundEffort",
     "RoundPlan",
     "aperture_samples",
+    "check_aperture",
+    "check_table",
     "disc_overlap",
     "plan_round",
     "plan_round_with",
@@ -85,34 +87,33 @@ class DoublePassGeometry:
         z, f = self.image_distance, self.focal_length
         slope_in = 1 / f - self.curvature
         gain = 1 - 2 * z * slope_in
-        if gain == 0:
-            return 0.0
-        # A ray that entered at x comes back at gain·x with slope -slope_in·x, and is bent by the lens once more.
-        slope_out = -slope_in / gain - 1 / f
-        return min(self.radius, abs(gain) * self.radius) * abs(slope_out)
+        # A ray that entered at x comes back at gain·x with slope -slope_in·x, and is bent by the lens once more. Where
+        # all rays come back through the lens's middle, gain = 0, they keep that slope.
+        return self.radius * abs(slope_in + gain / f) / max(1.0, abs(gain))
 
 
 
 @dataclass(frozen=True)
 class RoundEffort:
     """How finely an accuracy is sampled: its error in fractions of the peak, Airy rings kept, radians between two
-    samples along the rays and along the faintest light kept."""
+    samples along the rays and along the faintest light kept, and the slopes kept over the rays' own."""
 
     error: float
     rings: float
     ray_radians: float
     tail_radians: float
+    spread: float = 0.0
 
 
 # Measured on random scenes against the same computation at the reference's effort: tests/optics/test_sampling.py.
 _LADDER = (
-    RoundEffort(1e-2, 60, 1.5, 4.5),
-    RoundEffort(3e-3, 120, 1.3, 4.0),
-    RoundEffort(1e-3, 240, 1.2, 4.0),
-    RoundEffort(3e-4, 480, 0.9, 3.2),
-    RoundEffort(1e-4, 800, 0.8, 3.0),
+    RoundEffort(1e-2, 60, 1.5, 4.5, 0.5),
+    RoundEffort(3e-3, 120, 1.3, 4.0, 1.0),
+    RoundEffort(1e-3, 240, 1.05, 4.0, 1.5),
+    RoundEffort(3e-4, 480, 0.9, 3.2, 2.5),
+    RoundEffort(1e-4, 800, 0.8, 3.0, 4.0),
 )
-REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5)
+REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 4.0)
 # Of the light in the probe's aperture, where it is carried that far.
 _AT_APERTURE = RoundEffort(0.0, 0.0, 1.2, 4.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
@@ -122,11 +123,17 @@ _ROWS_A_COLUMN = 1.05
 # Share of the rings that is passed whole, before the light is faded out.
 _FLAT = 0.5
 _LEAST_COLUMNS = 48
+# Fewer samples than these cannot hold the end corrections of both sides.
+_FEWEST_FORCED = 12
 # Share of returning light below which the error grows against the fading peak.
 _FADING = 0.3
 _MOST_BYTES = 3 << 29
 # A sample of the pupil takes its weight, and for one gaze at a time its distance, its place and its field.
 _BYTES_A_SAMPLE = 8 + 24
+# A sample of the probe's aperture takes its weight, its phase, and the field before and after.
+_BYTES_AT_APERTURE = 64
+# An entry of the table of returning light, and one of the transform that makes it, take their spectra as well.
+_BYTES_AN_ENTRY = 48
 
 
 @dataclass(frozen=True)
@@ -222,7 +229,8 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
     g = geometry
     spot = g.spot_radius / g.image_distance
     rays = _ray_slope(g)
-    tail = effort.rings * g.wavelength / (2 * g.radius)
+    # A picture that shows a small part of a large RR shows its edges' waves beside a faint peak: more of them count.
+    tail = max(effort.rings * g.wavelength / (2 * g.radius), effort.spread * rays)
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.tail_radians)
     columns = max(math.ceil(4 * math.pi * g.radius / g.wavelength * turns), _LEAST_COLUMNS)
     return RoundPlan(
@@ -244,7 +252,7 @@ def _ray_slope(g: DoublePassGeometry) -> float:
 
 
 def _forced(plan: RoundPlan, g: DoublePassGeometry, columns: int) -> RoundPlan:
-    least = math.ceil(4 * g.radius / g.wavelength * _ray_slope(g))
+    least = max(math.ceil(4 * g.radius / g.wavelength * _ray_slope(g)), _FEWEST_FORCED)
     if columns < least:
         raise InputError(
             f"{columns} samples over the pupil would alias",
@@ -308,13 +316,74 @@ def aperture_samples(
     return columns, math.ceil(columns * _ROWS_A_COLUMN)
 
 
+def check_aperture(geometry: DoublePassGeometry, plan: RoundPlan, distance: float, probe_radius: float) -> None:
+    """Refuse a probe's aperture whose samples exceed the memory allowed; arguments as for `aperture_samples`.
+
+    Raises
+    ------
+    InputError
+        With the largest aperture that fits.
+    """
+
+    def needed(radius: float) -> int:
+        columns, rows = aperture_samples(geometry, plan, distance, radius)
+        return _BYTES_AT_APERTURE * columns * rows
+
+    if needed(probe_radius) <= _MOST_BYTES:
+        return
+    columns, rows = aperture_samples(geometry, plan, distance, probe_radius)
+    fitting = _largest(lambda share: needed(probe_radius * share) <= _MOST_BYTES)
+    raise InputError(
+        f"light that goes {distance:.3g} m to an aperture of {probe_radius:.3g} m needs {columns} x {rows} samples "
+        f"there, {needed(probe_radius) / 2**30:.1f} GiB, above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
+        where="probe.lens.aperture_radius",
+        remedy=(f"stop it down to {probe_radius * fitting * 1e3:.3g} mm, " if fitting else "")
+        + "or set sampling.propagation to 'far field', which has no aperture",
+    )
+
+
+def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) -> None:
+    """Refuse a scene whose table of returning light (optics/radial.py) exceeds the memory allowed.
+
+    Parameters
+    ----------
+    geometry, plan
+        Of the pass.
+    steepest
+        Sine of the steepest tilt, orders of a grating included.
+
+    Raises
+    ------
+    InputError
+        Where the light comes back far beside the lens, over a very long image distance.
+    """
+    g = geometry
+    k, z = 2 * math.pi / g.wavelength, g.image_distance
+    margin = 30 * g.wavelength / (plan.end_slope - plan.flat_slope)
+    reach = 1.05 * g.radius + 2 * z * steepest + margin
+    beta = abs(g.curvature - 1 / g.focal_length + 1 / (2 * z))
+    # Of the disc's projection, and of its transform: as `disc_transform` makes them.
+    count = max(4096.0, 32 / math.pi * k / (2 * z) * g.radius * max(reach, 2 * z * beta * g.radius))
+    length = max(4 * count, 10 / 3 * (reach + g.radius) / (2 * g.radius) * count)
+    step = g.wavelength * z / length * count / g.radius
+    entries = 2 * reach / step * max(1.0, 82 * k * plan.end_slope * step)
+    needed = _BYTES_AN_ENTRY * (length + entries)
+    if needed > _MOST_BYTES:
+        raise InputError(
+            f"light comes back {2 * z * steepest:.3g} m beside a lens whose sensor lies {z:.3g} m behind it: a table of "
+            f"{needed / 2**30:.3g} GiB, above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
+            where="target.object_distance",
+            remedy="focus it farther away, turn it less, or stop its aperture down",
+        )
+
+
 def disc_overlap(first: float, second: float, offset: float) -> float:
     """Area that two discs of these radii share at this distance of centres, in fractions of the first's."""
     if offset >= first + second:
         return 0.0
     small, large = sorted((first, second))
     if offset <= large - small:
-        return min(1.0, (second / first) ** 2) if first > 0 else 1.0
+        return min(1.0, second / first) ** 2 if first > 0 else 1.0
 
     def segment(radius: float, other: float) -> float:
         cosine = (offset**2 + radius**2 - other**2) / (2 * offset * radius)

@@ -14,22 +14,31 @@ from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.optics.grid_sampling import SamplingPlan, plan_double_pass
-from tapetum.optics.sampling import DoublePassGeometry, RoundPlan, plan_round, through_aperture
+from tapetum.optics.sampling import (
+    DoublePassGeometry,
+    RoundPlan,
+    check_aperture,
+    check_table,
+    plan_round,
+    through_aperture,
+)
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.light import directions, wavelengths
 from tapetum.simulate.radiometry import (
     beam_radius,
     illumination_curvature,
     irradiance_at_target,
-    return_radius_at_probe,
+    return_radius_by_rays,
 )
-from tapetum.simulate.reflections import Scatterer, scatterers, specular_groups
+from tapetum.simulate.reflections import Scatterer, mirrors, reaching_sensor, scatterers, specular_groups
 from tapetum.simulate.round_pass import RoundPass
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
 
 # Ring 12 of an Airy pattern is 1e-4 of its peak: less than the read noise of an unsaturated frame.
 _RINGS_SHOWN = 12
+# Wavelengths in the radius of an opening whose first dark ring is 0.12 rad from the axis.
+_LEAST_WIDTH = 5
 
 Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 
@@ -95,6 +104,8 @@ class Camera:
         _check_focus(float(self._focal_length.detach()), float(self._object_distance.detach()))
         # 1/z = 1/f - 1/x_d holds at infinity too, where x_i = f²/(x_d - f) would be 0/0 to its gradient.
         self._z = 1 / (1 / self._focal_length - 1 / self._object_distance)
+        _check_widths(scene)
+        self._return_radius = self._widest_return()
         self._finite = self._is_finite()
         light = scene.illumination
         self._directions = directions(light, light.wavelength / (2 * target.lens.aperture_radius))
@@ -117,7 +128,22 @@ class Camera:
             return False
         if wanted != "auto":
             return wanted == "finite"
-        return return_radius_at_probe(self.scene) > self.scene.probe.lens.aperture_radius
+        return self._return_radius > self.scene.probe.lens.aperture_radius
+
+    def _widest_return(self) -> float:
+        """Radius at the probe of the widest return, of all mirrors and wavelengths, by rays and diffraction, in metres.
+
+        A filter before a focused sensor returns a beam much wider than the sensor's.
+        """
+        scene, light = self.scene, self.scene.illumination
+        radius, distance = scene.target.lens.aperture_radius, float(self._distance.detach())
+        curvature, widest = float(self._scalar(self._curvature()).detach()), 0.0
+        for wavelength in (light.wavelength, *(line.wavelength for line in light.lines)):
+            focal = float(self._focal_at(wavelength).detach())
+            ring = 1.22 * wavelength * distance / (2 * min(radius, beam_radius(scene)))
+            for z in mirrors(scene, wavelength, float(self._z.detach())):
+                widest = max(widest, ring + return_radius_by_rays(radius, focal, z, curvature, distance))
+        return widest
 
     def _focal_at(self, wavelength: float) -> torch.Tensor:
         lens = self.scene.target.lens
@@ -154,6 +180,9 @@ class Camera:
                 pixels=self.output.rows * self.output.columns,
                 orders=tilt,
             )
+            check_table(at, plan, at.sine + tilt)
+            if distance is not None:
+                check_aperture(at, plan, float(distance.detach()), scene.probe.lens.aperture_radius)
             self._plans.append(plan)
             passes.append(
                 RoundPass(
@@ -184,6 +213,13 @@ class Camera:
 
         sensor, sampling = self.scene.target.sensor, self.scene.sampling
         assert sensor.mask is not None
+        beam = beam_radius(self.scene)
+        if beam < geometry.radius:
+            raise InputError(
+                f"a beam {2 * beam:.4g} m wide does not fill the target's aperture, which is sampled whole with a mask",
+                where="illumination",
+                remedy=f"widen it to {2 * geometry.radius:.4g} m, or use an array for a mask",
+            )
         plan = plan_double_pass(
             geometry,
             max(self._accuracy, 6e-4),
@@ -193,13 +229,14 @@ class Camera:
             finest=sensor.mask.pitch,
         )
         self._plans.append(plan)
+        bare, passed = reflectance_at(sensor, wavelength), math.sqrt(reaching_sensor(self.scene, wavelength))
         return DoublePass(
             geometry,
             plan,
             self.output,
             focal,
             self._z,
-            mask=reflectance_at(sensor, wavelength),
+            mask=lambda x, y: bare(x, y) * passed,
             dtype=self._dtype,
             device=self._device,
         )
@@ -295,6 +332,7 @@ class Camera:
                 albedo=scatterer.diffuse.albedo * scatterer.transmittance,
                 spread=scatterer.diffuse.spread,
                 image_distance=scatterer.image_distance,
+                lit_radius=min(line.geometry.radius, beam_radius(self.scene)),
                 centre=place,
             )
             for place in places
@@ -316,7 +354,7 @@ class Camera:
     def metadata(self) -> dict[str, Any]:
         """The sampling, the error it should give, and the radiometry, by name."""
         scene = self.scene
-        returning = return_radius_at_probe(scene)
+        returning = self._return_radius
         overfills = returning > scene.probe.lens.aperture_radius
         way = "finite distance, through the probe's aperture" if self._finite else "far field"
         if overfills and not self._finite:
@@ -369,6 +407,21 @@ def pick_device(device: torch.device | str) -> torch.device:
     if str(device) != "auto":
         return torch.device(device)
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def _check_widths(scene: Scene) -> None:
+    """Refuse light that is no beam: it would leave an opening of a few wavelengths under any angle."""
+    light = scene.illumination
+    least = _LEAST_WIDTH * max(light.wavelength, *(line.wavelength for line in light.lines), 0.0)
+    beam = "divergence" if light.divergence is not None else "diameter"
+    for radius, where in (
+        (scene.target.lens.aperture_radius, "target.lens.aperture_radius"),
+        (scene.probe.lens.aperture_radius, "probe.lens.aperture_radius"),
+        (beam_radius(scene), f"illumination.{beam}"),
+    ):
+        if radius < least:
+            what = f"a radius of {radius:.3g} m is too small for light that stays near its axis"
+            raise InputError(what, where=where, remedy=f"give it a radius of {least:.2g} m or more")
 
 
 def _check_focus(focal_length: float, object_distance: float) -> None:

@@ -163,11 +163,11 @@ class DoublePass:
         # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
         _, t = foreshortening(sines)
         qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
-        row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * self._y[None, None, :])
-        mix = phasor(-self._kappa * t[:, 0, 1, None, None] * qy[None, :, None] * self._x[None, None, :])
+        # x t00 qx + y (t10 qx + t11 qy): columns first, for qx stands beside both x and y.
         column = phasor(-self._kappa * t[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :])
-        half = (row.to(self.dtype) @ pupil) * mix.to(self.dtype)
-        return half @ column.to(self.dtype)
+        mix = phasor(-self._kappa * t[:, 1, 0, None, None] * self._y[None, :, None] * qx[None, None, :])
+        row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * self._y[None, None, :])
+        return row.to(self.dtype) @ ((pupil @ column.to(self.dtype)) * mix.to(self.dtype))
 
     def _foreshortened_in_place(self, pupil: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
         # M as it is: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Of its four phases the one of y and qx fits into no

@@ -38,15 +38,15 @@ def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
 
 
 def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Rotation R and upper triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
+    """Rotation R and lower triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
     square = (sines**2).sum(-1)
     # (1 - cosθ)/sin²θ = 1/(1 + cosθ): no division by zero at zero tilt.
     scale = 1 / (1 + torch.sqrt(1 - square))
     eye = torch.eye(2, dtype=sines.dtype, device=sines.device)
     m = eye - scale[:, None, None] * sines[:, :, None] * sines[:, None, :]
-    length = torch.sqrt(m[:, 0, 0] ** 2 + m[:, 1, 0] ** 2)
-    c, s = m[:, 0, 0] / length, m[:, 1, 0] / length
-    rotation = torch.stack([torch.stack([c, -s], -1), torch.stack([s, c], -1)], -2)
+    length = torch.sqrt(m[:, 0, 1] ** 2 + m[:, 1, 1] ** 2)
+    c, s = m[:, 1, 1] / length, m[:, 0, 1] / length
+    rotation = torch.stack([torch.stack([c, s], -1), torch.stack([-s, c], -1)], -2)
     return rotation, rotation.mT @ m
 
 

@@ -6,6 +6,7 @@ import torch
 
 from tapetum.bench import Scene
 from tapetum.simulate.camera import Camera
+from tapetum.simulate.exposure import gain_of
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 
@@ -43,7 +44,7 @@ def sign_dprime(scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3) -> 
     camera = Camera(scene, steepest, accuracy=accuracy, output=output)
     sensor, wavelength = scene.probe.sensor, scene.illumination.wavelength
     # A digital number's rounding adds a uniform error of one step.
-    step = sensor.full_well / (2**sensor.bits - 1)
+    step = 1 / gain_of(sensor)
     noise = sensor.read_noise**2 + step**2 / 12
     results: list[torch.Tensor] = []
     x, y = output.x(), output.y()

@@ -57,28 +57,24 @@ class ProbePath:
         qx, qy = output.x(device=device), output.y(device=device)
         # Every constant of the way, to be multiplied in once.
         self.constant = 1 / (1j * wavelength * probe_focal_length)
+        # What the way adds to the pupil's phase, in radians per m²: the Fresnel chirp of a finite distance.
+        self.chirp = torch.zeros((), dtype=torch.float64, device=device)
         self._aperture: torch.Tensor | None = None
         if distance is None or probe_radius is None:
-            self._distance = None
             self._kappa = self._to_pixels
             self._first = BandLimitedFourier(x, y, qx, qy, self._kappa, dtype)
             return
-        self._distance = torch.as_tensor(distance, dtype=torch.float64, device=device)
-        columns, rows = aperture_samples(geometry, plan, float(self._distance.detach()), probe_radius)
+        way = torch.as_tensor(distance, dtype=torch.float64, device=device)
+        columns, rows = aperture_samples(geometry, plan, float(way.detach()), probe_radius)
         disc = disc_quadrature(probe_radius, columns, rows)
         self._far_x, self._far_y = disc.x.to(device), disc.y.to(device)
-        self._kappa = self._k / self._distance
+        self._kappa = self._k / way
+        self.chirp = self._kappa / 2
         self._first = BandLimitedFourier(x, y, self._far_x, self._far_y, self._kappa, dtype)
-        bend = self._k * disc.rho_squared().to(device) / (2 * self._distance)
+        bend = self.chirp * disc.rho_squared().to(device)
         self._aperture = (disc.weights.to(device) * phasor(bend)).to(dtype)
         self._second = BandLimitedFourier(self._far_x, self._far_y, qx, qy, self._to_pixels, dtype)
-        self.constant = self.constant / (1j * wavelength * self._distance)
-
-    def pupil_phase(self, rho_squared: torch.Tensor) -> torch.Tensor:
-        """What the way adds to the pupil's phase at squared radii in m²: the Fresnel chirp of a finite distance."""
-        if self._distance is None:
-            return torch.zeros_like(rho_squared)
-        return self._k * rho_squared / (2 * self._distance)
+        self.constant = self.constant / (1j * wavelength * way)
 
     def gather(
         self, pupil: torch.Tensor, rows: slice, tilts: torch.Tensor | None, centres: torch.Tensor | None
@@ -95,11 +91,10 @@ class ProbePath:
         # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
         _, t = foreshortening(tilts)
         qx, qy, y = self._first.ux, self._first.uy, self._y[rows]
+        # x t00 qx + y (t10 qx + t11 qy): columns first, for qx stands beside both x and y.
+        mix = phasor(-self._kappa * t[:, 1, 0, None, None] * y[None, :, None] * qx[None, None, :])
         row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * y[None, None, :])
-        mix = phasor(-self._kappa * t[:, 0, 1, None, None] * qy[None, :, None] * self._x[None, None, :])
-        column = phasor(-self._kappa * t[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :])
-        half = (row.to(self.dtype) @ pupil) * mix.to(self.dtype)
-        return half @ column.to(self.dtype)
+        return row.to(self.dtype) @ (self._first.across(pupil, t[:, 0, 0]) * mix.to(self.dtype))
 
     def to_image(self, gathered: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         """From the first transform's nodes, all rows gathered, to the field on the pixels: [B, H, W]."""

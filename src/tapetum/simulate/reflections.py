@@ -12,7 +12,7 @@ from tapetum.simulate.light import coherence_length
 from tapetum.simulate.radiometry import layer_transmittance
 from tapetum.simulate.round_pass import Order, Surface
 
-__all__ = ["Scatterer", "scatterers", "specular_groups"]
+__all__ = ["Scatterer", "mirrors", "reaching_sensor", "scatterers", "specular_groups"]
 
 
 @dataclass(frozen=True)
@@ -86,6 +86,22 @@ def scatterers(scene: Scene, wavelength: float, image_distance: float) -> list[S
         for plane in _planes(scene, wavelength, at, 0.0)
         if plane.diffuse is not None and plane.diffuse.albedo > 0
     ]
+
+
+def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[float]:
+    """Reduced distances from the lens, in metres, of the planes that mirror; the sensor's own where none does."""
+    sensor = scene.target.sensor
+    found = [
+        image_distance - layer.depth / layer.index
+        for layer in sensor.layers
+        if at_wavelength(layer.reflectance, wavelength) > 0
+    ]
+    return [image_distance, *found] if sensor.reflectance > 0 or not found else found
+
+
+def reaching_sensor(scene: Scene, wavelength: float) -> float:
+    """Power that reaches the sensor through its layers and comes back through them, in fractions."""
+    return math.prod(layer_transmittance(layer, wavelength) ** 2 for layer in scene.target.sensor.layers)
 
 
 def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, widest: float) -> list[_Plane]:

@@ -15,13 +15,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import torch
 
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
-from tapetum.optics.pupil import disc_quadrature
+from tapetum.optics.pupil import DiscRows
 from tapetum.optics.radial import RadialTable, returning_field
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.foreshortening import foreshortens, twisted
@@ -31,6 +31,8 @@ __all__ = ["Order", "RoundPass", "Surface"]
 
 # Samples of pupils looked up at a time: what they take stays in the processor's caches.
 _SAMPLES_AT_ONCE = 1 << 18
+# Samples up to which the lens's phase and weights are kept: those of larger pupils are made anew for each band.
+_SAMPLES_KEPT = 1 << 24
 # Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
 _END_ORDER = 3
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
@@ -69,10 +71,11 @@ class _Prepared:
 
     z: torch.Tensor
     table: RadialTable
-    exit: torch.Tensor
+    bend: torch.Tensor
     orders: tuple[Order, ...]
     phase: float
     moves: dict[str, torch.Tensor] = field(default_factory=dict[str, torch.Tensor])
+    exit: torch.Tensor | None = None
 
 
 class RoundPass:
@@ -128,11 +131,8 @@ class RoundPass:
         self.differentiable = any(value.requires_grad for value in (*values.values(), *lengths))
         self._values = values
         self._k = 2 * math.pi / values["wavelength"]
-        disc = disc_quadrature(1.0, plan.columns, plan.rows, _END_ORDER)
-        radius = values["radius"]
-        self._x, self._y = disc.x.to(self.device) * radius, disc.y.to(self.device) * radius
-        self._rho_squared = disc.rho_squared().to(self.device) * radius**2
-        self._weights = disc.weights.to(self.device) * radius**2
+        self._disc = DiscRows(1.0, plan.columns, plan.rows, _END_ORDER, self.device)
+        self._x, self._y = self._disc.x * values["radius"], self._disc.y * values["radius"]
         self._path = ProbePath(
             geometry,
             plan,
@@ -175,10 +175,20 @@ class RoundPass:
         ).to(self.device, self.dtype)
         moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
         moves = {name: value - value.detach() for name, value in moving.items() if value.requires_grad}
-        bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) * self._rho_squared
-        # Constants ride along, so that the hot loop is look-ups and products alone.
-        leaving = (self._weights * phasor(bend + self._path.pupil_phase(self._rho_squared))).to(self.dtype)
-        return _Prepared(z, table, leaving * self._path.constant.to(self.dtype), surface.orders, surface.phase, moves)
+        bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) + self._path.chirp
+        prepared = _Prepared(z, table, bend, surface.orders, surface.phase, moves)
+        if self.plan.columns * self.plan.rows <= _SAMPLES_KEPT:
+            prepared = replace(prepared, exit=self._leaving(prepared, slice(0, self.plan.rows)))
+        return prepared
+
+    def _leaving(self, one: _Prepared, rows: slice) -> torch.Tensor:
+        """What the lens makes of light that passes it on its way out: weight, phase and constants, [rows, columns]."""
+        if one.exit is not None:
+            return one.exit[rows]
+        across = phasor(one.bend * self._x**2).to(self.dtype)
+        down = (phasor(one.bend * self._y[rows] ** 2) * self._path.constant).to(self.dtype)
+        weights = self._disc.weights(rows, torch.float64 if self.differentiable else self._real)
+        return (weights * self._values["radius"] ** 2).to(self._real) * down[:, None] * across[None, :]
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Irradiance on the probe's pixels for an illumination of 1 W/m² and surfaces of the amplitudes given.
@@ -215,11 +225,13 @@ class RoundPass:
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights."""
         sines = sines.to(self.device, torch.float64)
-        constant = self._path.constant * phasor(self._path.pupil_phase(self._rho_squared))
-        inside = self._weights != 0
-        field = self._pupil(sines, slice(0, self.plan.rows), False) / constant.to(self.dtype)
-        safe = torch.where(inside, self._weights, torch.ones_like(self._weights))
-        return torch.where(inside, field / safe.to(self.dtype), 0), self._x, self._y, self._weights
+        weights = self._disc.weights(slice(0, self.plan.rows)) * self._values["radius"] ** 2
+        rho_squared = self._x[None, :] ** 2 + self._y[:, None] ** 2
+        known = weights * phasor(self._path.chirp * rho_squared) * self._path.constant
+        inside = weights != 0
+        field = self._pupil(sines, slice(0, self.plan.rows), False)
+        field = torch.where(inside, field / torch.where(inside, known, torch.ones_like(known)).to(self.dtype), 0)
+        return field, self._x, self._y, weights
 
     def _field(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         twist = foreshortens(self, sines)
@@ -251,7 +263,7 @@ class RoundPass:
                     value = value * order.amplitude
                 of_orders = value if of_orders is None else of_orders + value
             if of_orders is not None:
-                term = of_orders * one.exit[rows]
+                term = of_orders * self._leaving(one, rows)
                 total = term if total is None else total + term
         if total is None:
             shape = (len(sines), len(self._y[rows]), len(self._x))

@@ -1,0 +1,87 @@
+"""Write docs/validation.md from the numbers that the tests themselves check: `make validation`."""
+
+from __future__ import annotations
+
+import datetime as dt
+import json
+import subprocess
+import sys
+import tempfile
+from collections import defaultdict
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+PAGE = ROOT / "docs" / "validation.md"
+HEAD = """# Validation
+
+Every line is a test that ran: what it compared, with what, how far apart the two were, and how far apart they may be.
+The numbers are written by the tests themselves; nobody types them. Where a quantity was compared at several settings
+the line gives the largest difference.
+
+    make validation
+
+runs those tests and writes this page anew{slow}. Errors are largest differences, by default in fractions of the peak.
+All of it is simulation against closed forms, independent methods and other packages. None of it says how far scalar,
+paraxial light and a thin lens are from a real camera.
+"""
+
+
+def main() -> int:
+    """Run the tests that validate something, and write the page; the tests' exit code."""
+    with tempfile.TemporaryDirectory() as folder:
+        kept = Path(folder) / "validation.json"
+        tests = sorted(
+            {str(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py") if "validated" in p.read_text()}
+        )
+        command = [sys.executable, "-m", "pytest", "-m", "slow or not slow", "--keep-validation", str(kept), *tests]
+        if "--quick" in sys.argv:
+            command[4] = "not slow"
+        code = subprocess.run(command, cwd=ROOT, check=False).returncode
+        if code:
+            return code
+        lines = json.loads(kept.read_text(encoding="utf-8"))
+    part = PAGE.with_suffix(".part")
+    part.write_text(page(lines), encoding="utf-8")
+    part.replace(PAGE)
+    print(f"{PAGE.relative_to(ROOT)}: {len(lines)} comparisons")
+    return 0
+
+
+def page(lines: list[dict]) -> str:
+    """The page for the lines that the tests kept."""
+    sections: dict[str, list[dict]] = defaultdict(list)
+    for line in lines:
+        sections[line["section"]].append(line)
+    text = [HEAD.format(slow=" (the slow ones too: some minutes)")]
+    for section in sorted(sections):
+        text += [
+            f"## {section}",
+            "",
+            "| quantity | against | error | allowed | of | test |",
+            "|---|---|--:|--:|---|---|",
+        ]
+        text += [_row(line) for line in _worst(sections[section])]
+        text.append("")
+    day = dt.datetime.now(dt.UTC).date().isoformat()
+    return "\n".join([*text, f"*{day}, {len(lines)} comparisons.*", ""])
+
+
+def _worst(lines: list[dict]) -> list[dict]:
+    """One line for each quantity: its largest share of the tolerance."""
+    found: dict[tuple[str, str], dict] = {}
+    for line in lines:
+        key = line["what"], line["against"]
+        if key not in found or line["error"] / line["tolerance"] > found[key]["error"] / found[key]["tolerance"]:
+            found[key] = line
+    return list(found.values())
+
+
+def _row(line: dict) -> str:
+    file = line["test"].partition("::")[0].removeprefix("tests/")
+    measure = line["measure"].removeprefix("of ")
+    cells = [line["what"], line["against"], f"{line['error']:.2g}", f"{line['tolerance']:.2g}", measure, f"`{file}`"]
+    return "| " + " | ".join(cell.replace("|", "\\|") for cell in cells) + " |"
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""`tapetum plan`: what a scene would give, before it is simulated or built."""
+
+from __future__ import annotations
+
+import json
+from typing import Annotated
+
+import typer
+
+from tapetum.bench import load_scene, scene_names
+from tapetum.errors import InputError
+
+
+def plan(
+    scene: Annotated[
+        str, typer.Argument(metavar="SCENE", help=f"A bundled scene ({', '.join(scene_names())}) or a YAML file.")
+    ],
+    changes: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="KEY=VALUE", help="Change any field of the scene; may be repeated."),
+    ] = None,
+    parameters: Annotated[
+        str | None,
+        typer.Option(
+            "--target-parameters",
+            metavar="NAMES",
+            help="What one frame shall tell, all of it together: gaze_x, gaze_y, object_distance, focal_length, "
+            "distance, power where left out; place_x and place_y, where on the probe's sensor the RR lies, besides.",
+        ),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+) -> None:
+    """Plan a bench: its geometry, link budget, sampling, limits of what a frame can tell, and eye safety.
+
+    Nothing is written. The limits are Cramér-Rao's: no unbiased estimate from one frame spreads less.
+
+    JSON, in SI units: "scene"; "geometry"; "link_budget", a list, one entry a wavelength; "sampling" with "plan",
+    "expected_error", "memory_bytes", "propagation" and "reason"; "limit" with "parameters", "units", "bounds" (all
+    others unknown), "alone" (all others known), "left_out" (and why) and "information", the Fisher matrix; "eye_safety"
+    with "computed", "reason" (why it was not), "laser_class", "at", "emission", "limits", "nohd", "aided_nohd" and
+    "notice". null stands for what is infinite (a limit: the frame holds no information; a nohd: the hazard has no end;
+    an expected error: no claim is made) and for what was not computed or is not there.
+    """
+    names = None if parameters is None else [name.strip() for name in parameters.split(",")]
+    if names is not None and not all(names):
+        remedy = "write names with commas between, such as gaze_x,gaze_y"
+        raise InputError(f"{parameters!r} has an empty name", where="--target-parameters", remedy=remedy)
+    known = load_scene(scene, changes or ())
+    # Torch takes a second to import.
+    from tapetum.simulate.planning import plan_bench
+
+    planned = plan_bench(known, names)
+    if as_json:
+        typer.echo(json.dumps({"scene": scene, **planned.as_dict()}, allow_nan=False))
+    else:
+        typer.echo("\n".join(planned.lines()))

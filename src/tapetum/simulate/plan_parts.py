@@ -1,0 +1,219 @@
+"""The parts of a bench's plan, and how each is said: geometry, sampling, eye safety."""
+
+from __future__ import annotations
+
+import math
+import textwrap
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, AtDistance, EyeSafety
+
+__all__ = ["LABEL", "EyeCheck", "Geometry", "Rows", "SamplingChoice", "in_si", "row", "wrapped"]
+
+LABEL = 18  # characters
+_WIDTH = 100
+_PREFIXES = ((1e9, "G"), (1e6, "M"), (1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p"))
+
+Rows = list[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Geometry:
+    """Where things stand, and the wave that meets the target. SI units, angles in degrees where the name says so.
+
+    Parameters
+    ----------
+    mode, wavelengths, powers
+        Of the illumination; its first line, then its further ones, in metres and watts.
+    wave_curvature
+        1/R of the wave at the target, in 1/m: 0 for a plane wave, positive from a source at R.
+    second_beam_ratio, second_beam_angle
+        Power over the first beam's and direction against it in radians; None without one.
+    distance, object_distance
+        From probe to target, and where the target is focused.
+    focal_length, f_number, image_distance
+        Of the target's lens, and from it to its sensor.
+    field_deg
+        Full angles of the target's field of view, across and down.
+    rotation_deg, gaze
+        About y and about x; and where the laser falls in the target's picture, in fractions of the field.
+    probe_focal_length, probe_aperture
+        Its aperture's diameter.
+    probe_pixels, probe_pitch, exposure
+        Columns and rows, their distance, and seconds a frame.
+    """
+
+    mode: str
+    wavelengths: tuple[float, ...]
+    powers: tuple[float, ...]
+    wave_curvature: float
+    second_beam_ratio: float | None
+    second_beam_angle: tuple[float, float] | None
+    distance: float
+    object_distance: float
+    focal_length: float
+    f_number: float
+    image_distance: float
+    field_deg: tuple[float, float]
+    rotation_deg: tuple[float, float]
+    gaze: tuple[float, float]
+    probe_focal_length: float
+    probe_aperture: float
+    probe_pixels: tuple[int, int]
+    probe_pitch: float
+    exposure: float
+
+    def rows(self) -> Rows:
+        """Label and text of each line."""
+        lines = [f"{in_si(p, 'W')} at {w * 1e9:g} nm" for w, p in zip(self.wavelengths, self.powers, strict=True)]
+        wave = "plane wave"
+        if self.wave_curvature:
+            way = "diverging from" if self.wave_curvature > 0 else "converging to"
+            wave = f"wave {way} a point {in_si(abs(1 / self.wave_curvature), 'm')} away"
+        rows = [("illumination", f"{self.mode}, {', '.join(lines)}, {wave}")]
+        if self.second_beam_ratio is not None and self.second_beam_angle is not None:
+            x, y = (1e3 * angle for angle in self.second_beam_angle)
+            rows.append(("second beam", f"{self.second_beam_ratio:g} of the power, ({x:.4g}, {y:.4g}) mrad aside"))
+        focus = "infinity" if math.isinf(self.object_distance) else in_si(self.object_distance, "m")
+        columns, down = self.probe_pixels
+        rows += [
+            (
+                "target",
+                f"{in_si(self.distance, 'm')} away, f = {in_si(self.focal_length, 'm')}, f/{self.f_number:.3g}, "
+                f"focused at {focus}, field {self.field_deg[0]:.3g} x {self.field_deg[1]:.3g} deg",
+            ),
+            (
+                "rotation",
+                f"({self.rotation_deg[0]:.4g}, {self.rotation_deg[1]:.4g}) deg about y and x: "
+                f"gaze ({self.gaze[0]:.4g}, {self.gaze[1]:.4g}) of the field",
+            ),
+            (
+                "probe",
+                f"f = {in_si(self.probe_focal_length, 'm')}, aperture {in_si(self.probe_aperture, 'm')} wide, "
+                f"{columns} x {down} pixels of {in_si(self.probe_pitch, 'm')}, {in_si(self.exposure, 's')} a frame",
+            ),
+        ]
+        return rows
+
+
+@dataclass(frozen=True)
+class SamplingChoice:
+    """How the simulator would compute the scene.
+
+    Parameters
+    ----------
+    plan
+        The planner's own numbers by name, its method among them.
+    expected_error
+        Largest error of the irradiance, in fractions of the peak; infinite where no claim is made.
+    claim
+        That error in words.
+    memory_bytes
+        For one image at a time, as the planner counts it.
+    wavelengths, planes
+        That are computed for themselves and summed: samples of the light's spectrum in metres, and how many reflecting
+        or scattering planes, or groups of them that interfere.
+    propagation, reason
+        From target to probe, as images' metadata say it, and why.
+    return_radius_at_probe, probe_aperture_radius
+        What decides it, in metres.
+    """
+
+    plan: dict[str, Any]
+    expected_error: float
+    claim: str
+    memory_bytes: int
+    wavelengths: tuple[float, ...]
+    planes: int
+    propagation: str
+    reason: str
+    return_radius_at_probe: float
+    probe_aperture_radius: float
+
+    def rows(self) -> Rows:
+        """Label and text of each line."""
+        shown = {k: v for k, v in self.plan.items() if k not in ("method", "expected_error")}
+        numbers = ", ".join(f"{k.replace('_', ' ')} {v:.4g}" for k, v in shown.items() if isinstance(v, int | float))
+        counts = {"wavelengths": len(self.wavelengths), "planes": self.planes}
+        summed = " and ".join(f"{count} {name}" for name, count in counts.items() if count > 1)
+        return [
+            (str(self.plan.get("method", "samples")), numbers + (f", summed over {summed}" if summed else "")),
+            ("expected error", self.claim),
+            ("memory", f"{in_si(self.memory_bytes, 'B')} an image"),
+            ("propagation", f"{self.propagation}: {self.reason}"),
+        ]
+
+
+@dataclass(frozen=True)
+class EyeCheck:
+    """What eye safety finds, or in `refused` why it says nothing: one of the two is None."""
+
+    found: EyeSafety | None
+    refused: str | None
+
+    def rows(self) -> Rows:
+        """Label and text of each line."""
+        found = self.found
+        if found is None:
+            return [("not computed", self.refused or "")]
+        # The wording of a class is eye safety's own.
+        meaning = next(line for line in found.lines() if line.startswith(f"Class {found.laser_class} by calc"))
+        naked, aided = (in_si(found.emission[condition], "W") for condition in ("3", "1"))
+        return [
+            ("class", meaning.removeprefix("Class ").rstrip(".")),
+            *((f"at {place.distance:g} m", _exposed(place)) for place in dict.fromkeys((found.nearest, *found.at))),
+            ("passes", f"7 mm pupil {naked}, 50 mm telescope {aided}"),
+            ("NOHD", f"naked eye {_reach(found.nohd)}, 50 mm telescope {_reach(found.aided_nohd)}"),
+            ("assumed", f"continuous light, exposure {found.exposure:g} s, nothing lost on the way"),
+        ]
+
+    def as_dict(self) -> dict[str, Any]:
+        """All numbers by name; the same names, with None, where nothing was computed."""
+        found = self.found
+        places = [] if found is None else list(dict.fromkeys((found.nearest, *found.at)))
+        return {
+            "computed": found is not None,
+            "reason": self.refused,
+            "laser_class": found and found.laser_class,
+            "beam": found and asdict(found.beam),
+            "exposure": found and found.exposure,
+            "class_exposure": found and found.class_exposure,
+            "at": [{**asdict(place), "safe": place.safe} for place in places],
+            "emission": found and found.emission,
+            "limits": found and found.limits,
+            "telescope_limits": found and found.telescope_limits,
+            "nohd": found and found.nohd,
+            "aided_nohd": found and found.aided_nohd,
+            "lines": found.lines() if found else [],
+            "notice": NOT_A_CERTIFICATE,
+        }
+
+
+def _exposed(place: AtDistance) -> str:
+    verdict = "within" if place.safe else "TOO MUCH for"
+    limit = f"the limit (MPE) of {in_si(place.mpe, 'W/m²')}, {place.irradiance / place.mpe:.3g} times it"
+    return f"{in_si(place.irradiance, 'W/m²')} over 7 mm: {verdict} {limit}"
+
+
+def _reach(distance: float) -> str:
+    return "no end" if math.isinf(distance) else in_si(distance, "m")
+
+
+def in_si(value: float, unit: str) -> str:
+    """A number with four digits and a prefix, 509.3 mW/m² for 0.5093 W/m²."""
+    for factor, prefix in _PREFIXES:
+        # What rounds up to the next prefix takes it.
+        if abs(value) >= 0.99995 * factor:
+            return f"{value / factor:.4g} {prefix}{unit}"
+    return f"{value:.4g} {unit}"
+
+
+def row(label: str, text: str) -> list[str]:
+    """A labelled line, or several where the text is long."""
+    return wrapped(f"{label:<{LABEL - 1}} {text}")
+
+
+def wrapped(line: str) -> list[str]:
+    """A line that has its label already, indented and no wider than 100 columns."""
+    return textwrap.wrap(line, _WIDTH, initial_indent="  ", subsequent_indent=" " * (LABEL + 2), break_on_hyphens=False)

@@ -1,0 +1,234 @@
+"""Everything worth knowing of a bench before the first image: geometry, link budget, sampling, limits, eye safety."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, cast
+
+import torch
+
+from tapetum.bench import Scene
+from tapetum.errors import InputError
+from tapetum.optics.grid import lens_numbers
+from tapetum.simulate.budget import LinkBudget, link_budget
+from tapetum.simulate.camera import Camera
+from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, beam_of, eye_safety
+from tapetum.simulate.information import FisherInformation, fisher
+from tapetum.simulate.gaze import gaze_of
+from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, wrapped
+from tapetum.simulate.radiometry import illumination_curvature
+
+__all__ = ["PARAMETERS", "Plan", "plan_bench"]
+
+PARAMETERS = ("gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power")
+
+_PREFIXED_UNITS = ("m", "W")
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What [`plan_bench`][tapetum.simulate.planning.plan_bench] finds.
+
+    Parameters
+    ----------
+    geometry, sampling, eye
+        See their classes.
+    budgets
+        One of each wavelength, the illumination's first one first.
+    limit
+        Fisher information and Cramér-Rao limits of one frame.
+    left_out
+        Which of `PARAMETERS` have no limit in this scene, and why.
+    """
+
+    geometry: Geometry
+    budgets: tuple[LinkBudget, ...]
+    sampling: SamplingChoice
+    limit: FisherInformation
+    left_out: dict[str, str]
+    eye: EyeCheck
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything as plain values that JSON knows, in SI units; None for what is not finite or not there."""
+        limit = self.limit
+        return _finite(
+            {
+                "geometry": asdict(self.geometry),
+                "link_budget": [budget.as_dict() for budget in self.budgets],
+                "sampling": asdict(self.sampling),
+                "limit": {
+                    "parameters": list(limit.parameters),
+                    "units": dict(limit.units),
+                    "bounds": dict(limit.bounds),
+                    "alone": dict(limit.alone),
+                    "left_out": dict(self.left_out),
+                    "information": [[float(one) for one in line] for line in limit.information],
+                },
+                "eye_safety": self.eye.as_dict(),
+            }
+        )
+
+    def lines(self) -> list[str]:
+        """The plan to read in a terminal 100 columns wide; the last line says what eye safety is not."""
+        first, *further = self.budgets
+        budget = [part for line in first.lines() for part in wrapped(line)]
+        for one in further:
+            arrives = f"{in_si(one.sensor_watts, 'W')} on its sensor, {one.electrons:.4g} electrons"
+            budget += row(f"{one.wavelength * 1e9:g} nm", f"{arrives}, SNR {one.snr:.4g} a frame")
+        return [
+            "Bench",
+            *(line for one in self.geometry.rows() for line in row(*one)),
+            "Link budget",
+            *budget,
+            "Sampling",
+            *(line for one in self.sampling.rows() for line in row(*one)),
+            *self._limit_lines(),
+            "Eye safety",
+            *(line for one in self.eye.rows() for line in row(*one)),
+            NOT_A_CERTIFICATE,
+        ]
+
+    def _limit_lines(self) -> list[str]:
+        limit = self.limit
+        rows = [("", "all others unknown", "all others known")]
+        for name in limit.parameters:
+            unit = limit.units[name]
+            rows.append((name, _estimate(limit.bounds[name], unit), _estimate(limit.alone[name], unit)))
+        wide = 2 + max(len(bound) for _, bound, _ in rows)
+        placed = "" if {"place_x", "place_y"} & set(limit.parameters) else ", RR's place known"
+        return [
+            f"Cramér-Rao limit of one frame: standard deviation of the best unbiased estimate{placed}",
+            *(f"  {name:<{LABEL}}{bound:<{wide}}{alone}" for name, bound, alone in rows),
+            *(line for name, why in self.left_out.items() for line in row(name, why)),
+        ]
+
+
+def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
+    """Plan a bench: what a scene would give, before it is simulated or built.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench; its own rotation counts.
+    parameters
+        Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of each
+        is that of estimating all of them from one frame. Where left out: `PARAMETERS`, but for an object distance that
+        is infinite.
+
+    Raises
+    ------
+    InputError
+        When the simulator refuses the scene, or for parameters unknown, given twice or missing. What eye safety refuses
+        does not raise: the plan says why.
+    """
+    left_out: dict[str, str] = {}
+    if parameters is None:
+        if math.isinf(scene.target.object_distance):
+            left_out["object_distance"] = "left out: the target is focused at infinity"
+        parameters = [name for name in PARAMETERS if name not in left_out]
+    light = scene.illumination
+    wavelengths = (light.wavelength, *(line.wavelength for line in light.lines))
+    budgets = tuple(link_budget(scene, wavelength) for wavelength in wavelengths)
+    # Keyword arguments are evaluated in their order: the planner refuses before derivatives of every pixel are taken.
+    return Plan(
+        geometry=_geometry(scene),
+        budgets=budgets,
+        sampling=_sampling(scene, budgets[0]),
+        limit=fisher(scene, parameters),
+        left_out=left_out,
+        eye=_eye(scene),
+    )
+
+
+def _geometry(scene: Scene) -> Geometry:
+    light, target, probe = scene.illumination, scene.target, scene.probe
+    lens = target.lens
+    z, _ = lens_numbers(lens.focal_length, target.object_distance)
+    across, down = (
+        math.degrees(2 * math.atan(count * target.sensor.pitch / (2 * z))) for count in target.sensor.pixels
+    )
+    sines = torch.tensor([math.sin(angle) for angle in target.rotation], dtype=torch.float64)
+    gaze = gaze_of(scene, sines)
+    second = light.second_beam
+    return Geometry(
+        mode=light.mode,
+        wavelengths=(light.wavelength, *(line.wavelength for line in light.lines)),
+        powers=(light.power, *(line.power for line in light.lines)),
+        wave_curvature=illumination_curvature(scene),
+        second_beam_ratio=second.ratio if second else None,
+        second_beam_angle=second.angle if second else None,
+        distance=scene.distance,
+        object_distance=target.object_distance,
+        focal_length=lens.focal_length,
+        f_number=lens.focal_length / (2 * lens.aperture_radius),
+        image_distance=z,
+        field_deg=(across, down),
+        rotation_deg=(math.degrees(target.rotation[0]), math.degrees(target.rotation[1])),
+        gaze=(float(gaze[0]), float(gaze[1])),
+        probe_focal_length=probe.lens.focal_length,
+        probe_aperture=2 * probe.lens.aperture_radius,
+        probe_pixels=probe.sensor.pixels,
+        probe_pitch=probe.sensor.pitch,
+        exposure=probe.sensor.exposure,
+    )
+
+
+def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
+    camera = Camera(scene, math.hypot(*(math.sin(angle) for angle in scene.target.rotation)))
+    known = camera.metadata()
+    error, returning = float(known["expected_error"]), float(known["return_radius_at_probe"])
+    claim = f"within {error:.1e} of the peak"
+    if not math.isfinite(error):
+        # Not known, or without meaning, for three reasons.
+        claim = "no claim: some of the light is past the cut-off"
+        if not any(one.returning for one in budget.reflections):
+            claim = "no light returns past the cut-off"
+        elif scene.sampling.pupil is not None or scene.sampling.sensor is not None:
+            claim = "unknown: sampled by hand more coarsely than planned"
+    aperture = scene.probe.lens.aperture_radius
+    reason = (
+        f"the return, {in_si(2 * returning, 'm')} wide at the probe, "
+        f"{'fits' if returning <= aperture else 'overfills'} its {in_si(2 * aperture, 'm')} aperture"
+    )
+    if scene.target.sensor.mask is not None:
+        reason += "; a mask on the target's sensor allows no other"
+    elif scene.sampling.propagation != "auto":
+        reason += "; sampling.propagation asks for it"
+    return SamplingChoice(
+        plan=camera.plan.as_dict(),
+        expected_error=error,
+        claim=claim,
+        memory_bytes=camera.plan.bytes_needed(1, camera.output.rows * camera.output.columns),
+        propagation=str(known["propagation"]),
+        reason=reason,
+        wavelengths=tuple(known["wavelengths"]),
+        planes=int(known["planes"]),
+        return_radius_at_probe=returning,
+        probe_aperture_radius=aperture,
+    )
+
+
+def _eye(scene: Scene) -> EyeCheck:
+    try:
+        return EyeCheck(eye_safety(beam_of(scene), (scene.distance,)), None)
+    except InputError as error:
+        return EyeCheck(None, str(error))
+
+
+def _estimate(value: float, unit: str) -> str:
+    if not math.isfinite(value):
+        return "no information"
+    # "m on the probe's sensor": the prefix belongs to the first word.
+    symbol, _, of_what = unit.partition(" ")
+    number = in_si(value, symbol) if symbol in _PREFIXED_UNITS else f"{value:.4g}"
+    return f"{number} {of_what}".rstrip()
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _finite(one) for key, one in cast("dict[str, Any]", value).items()}
+    if isinstance(value, list | tuple):
+        return [_finite(one) for one in cast("list[Any]", value)]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

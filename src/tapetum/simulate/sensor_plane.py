@@ -1,0 +1,391 @@
+"""The sensor plane Arr(x, y): photosites, microlenses, colour filters, or any mask from a file.
+
+A periodic plane is a grating. Its Fourier coefficients c_m, Arr(u) = Σ c_m exp(2πi m·u/P), are the amplitudes of the
+diffraction orders of directions m λ/P (docs/conventions.md, "The sensor plane"); a mask from a file is sampled where
+the light is. Both forms of an array are here, so that one can check the other.
+
+The cell is one pitch square: a photosite in its middle, what surrounds it, and over both a microlens. With a Bayer
+filter each cell is dimmed by its own colour, photosite and surround alike, and the period P is two pitches. Rows and
+columns begin at the sensor's upper left corner, so that a photosite's centre lies on the optical axis for odd counts of
+pixels, a corner of four for even ones. The array is taken to have no end.
+"""
+
+# SciPy and NumPy type these functions in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.special import fresnel, j1
+
+from tapetum.bench import TargetSensor
+from tapetum.errors import InputError
+from tapetum.simulate.round_pass import Order
+
+__all__ = ["Reflectance", "orders_of", "reflectance_at"]
+
+Reflectance = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
+Complex = npt.NDArray[np.complex128]
+Real = npt.NDArray[np.float64]
+
+# Samples a pitch of a cell without a closed form. At 512 the amplitudes of the orders are within 2e-5 of
+# those at 2048 (tests/simulate/test_sensor_plane.py).
+_FINE, _FINEST = 512, 1024
+# Lines across one of these samples along which the area under a round edge is summed.
+_LINES = 16
+# Power below which an order is left out, over the largest one's.
+_FAINT = 1e-6
+_MOST_ORDERS = 20_000
+# Second derivative from seven equally spaced values, exact to the sixth order (Fornberg, Math. Comp. 51, 699 (1988)).
+_SECOND_DERIVATIVE = (1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90)
+
+
+def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[Order, ...]:
+    """Diffraction orders of a sensor's photosites and microlenses.
+
+    Parameters
+    ----------
+    sensor
+        Its `array` and `microlens` are a grating; without them it is a mirror with one order.
+    wavelength
+        In metres.
+    widest
+        Largest direction sine wanted. The rays of orders within (r_out + r)/z + 2 sinθ find the aperture again, r_out
+        being the returning light's radius at the lens; orders beyond it still diffract into it, a few 1e-3 of the peak
+        where many overlap. Take a third more, or twice the first term.
+
+    Returns
+    -------
+    tuple of Order
+        From the axis outwards, amplitudes of the reflected field: sqrt(reflectance) times the cell's Fourier
+        coefficient, phases with respect to the optical axis. Orders of less than 1e-6 of the strongest one's power are
+        left out.
+
+    Raises
+    ------
+    InputError
+        For a sensor with a mask, which has no orders, and for more than 20 000 of them.
+
+    Notes
+    -----
+    Scalar diffraction at one plane: a photosite of side w = p sqrt(fill) has c_m = fill sinc(m_x w/p) sinc(m_y w/p), a
+    round one of radius a has c_m = (a/p) J1(2π a m/p)/m (Goodman, Introduction to Fourier Optics, chapters 2 and 4).
+    A microlens is a thin lens passed twice, exp(-ik ρ²/f_m) inside its diameter; outside the flat continues its rim.
+    """
+    if sensor.mask is not None:
+        what, remedy = "has no diffraction orders", "sample it, or describe the sensor by an array"
+        raise InputError(what, where="target.sensor.mask", remedy=remedy)
+    if sensor.reflectance == 0:
+        return ()
+    cell = _cell_of(sensor, wavelength)
+    if cell is None:
+        return (Order(amplitude=math.sqrt(sensor.reflectance)),)
+    step = wavelength / cell.period
+    most = int(widest / step * (1 + 1e-12))
+    if math.pi * most**2 > _MOST_ORDERS:
+        raise InputError(
+            f"a pitch of {cell.pitch * 1e6:.4g} um sends {math.pi * most**2:.0f} orders through the aperture",
+            where="target.sensor.array.pitch",
+            remedy="stop the target's aperture down, or take a finer pitch",
+        )
+    m = np.arange(-most, most + 1)
+    table = cell.coefficients(m, m)
+    strongest = np.abs(table).max()
+    found = [
+        (column**2 + row**2, int(row), int(column), complex(table[row + most, column + most]))
+        for row in m
+        for column in m
+        if math.hypot(column, row) * step <= widest * (1 + 1e-12)
+        and abs(table[row + most, column + most]) ** 2 > _FAINT * strongest**2
+    ]
+    return tuple(
+        Order((column * step, row * step), amplitude)
+        for _, row, column, amplitude in sorted(found, key=lambda o: o[:3])
+    )
+
+
+def reflectance_at(sensor: TargetSensor, wavelength: float) -> Reflectance:
+    """The sensor plane's complex reflectance as a function of place.
+
+    Parameters
+    ----------
+    sensor
+        What it is made of.
+    wavelength
+        In metres.
+
+    Returns
+    -------
+    Callable
+        (x [..., n], y [..., m]) in metres from the optical axis to complex amplitudes [..., m, n]. Columns and rows
+        must be equally spaced.
+
+    Raises
+    ------
+    InputError
+        For a file that is missing, is no array of numbers with two dimensions, or reflects more than all light.
+
+    Notes
+    -----
+    Arr has edges between the samples. A sample is the second derivative, by differences, of the reflectance integrated
+    twice: a mean by a hat two steps wide, sharpened so that a frequency f comes out right to (2π f dx)⁶/560, while what
+    is faster than the samples can tell is damped like 1/f². Files are interpolated bilinearly; outside of them nothing
+    is reflected.
+    """
+    amplitude = math.sqrt(sensor.reflectance)
+    if sensor.mask is not None:
+        return _Sampled(_read(Path(sensor.mask.file), sensor.reflectance) * amplitude, sensor.mask.pitch)
+    cell = _cell_of(sensor, wavelength)
+    if cell is None:
+        return lambda x, y: torch.full((*y.shape, x.shape[-1]), amplitude, dtype=torch.complex128, device=x.device)
+    return _Periodic(cell)
+
+
+@dataclass(frozen=True)
+class _Cell:
+    """One period of an array, its middle photosite's centre at the origin."""
+
+    pitch: float
+    side: float | None
+    radius: float | None
+    surround: complex
+    lens: tuple[float, float] | None
+    wavelength: float
+    tiles: Complex
+    corner: tuple[float, float]
+    reflectance: float
+
+    @property
+    def period(self) -> float:
+        return self.pitch * len(self.tiles)
+
+    def coefficients(self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]) -> Complex:
+        """c_m for the orders named, [rows, columns]."""
+        count = len(self.tiles)
+        plain = self._transform(columns / count, rows / count)
+        place = np.arange(count) + 0.5
+        # Centres of the photosites from the axis, in periods: turns too many are taken away while that is exact.
+        across = np.exp(-2j * np.pi * np.outer(columns, (place + self.corner[0] / self.pitch) / count % 1.0))
+        down = np.exp(-2j * np.pi * np.outer(rows, (place + self.corner[1] / self.pitch) / count % 1.0))
+        return math.sqrt(self.reflectance) * plain * (down @ self.tiles @ across.T) / count**2
+
+    def _transform(self, across: Real, down: Real) -> Complex:
+        """1/p² ∫ exp(-2πi ν·x/p) over one photosite and its surround, ν in orders of a single pitch."""
+        if self.lens is not None:
+            edges, values = self.fine()
+            return _of_steps(edges / self.pitch, down) @ values @ _of_steps(edges / self.pitch, across).T
+        all_of_it = np.outer(np.sinc(down), np.sinc(across))
+        if self.side is not None:
+            w = self.side / self.pitch
+            site = w**2 * np.outer(np.sinc(w * down), np.sinc(w * across))
+        else:
+            assert self.radius is not None
+            a = self.radius / self.pitch
+            nu = np.hypot(*np.meshgrid(across, down))
+            small = nu < 1e-9
+            safe = np.where(small, 1.0, nu)
+            site = np.where(small, math.pi * a**2, a * j1(2 * math.pi * a * safe) / safe)
+        return (1 - self.surround) * site + self.surround * all_of_it
+
+    def steps(self) -> tuple[Real, Complex]:
+        """Edges from one pitch's left to its right, and the cell's values between them, [rows, columns]: exact for
+        square photosites without a lens."""
+        if self.lens is not None or self.side is None:
+            return self.fine()
+        half, side = self.pitch / 2, self.side / 2
+        edges = np.array([-half, -side, side, half])
+        values = np.full((3, 3), self.surround, np.complex128)
+        values[1, 1] = 1.0
+        return edges, values
+
+    def fine(self, count: int | None = None) -> tuple[Real, Complex]:
+        """Means over small squares, edges by the area that they cover."""
+        p = self.pitch
+        if count is None:
+            turns = 0.0 if self.lens is None else p**2 / (self.wavelength * self.lens[0])
+            count = min(max(_FINE, 1 << math.ceil(math.log2(32 * max(turns, 1)))), _FINEST)
+        edges = np.linspace(-p / 2, p / 2, count + 1)
+        if self.side is not None:
+            inside = np.diff(np.clip(edges, -self.side / 2, self.side / 2)) * count / p
+            site = np.outer(inside, inside)
+        else:
+            assert self.radius is not None
+            site = _disc_cover(edges, self.radius)
+        values = self.surround + (1 - self.surround) * site
+        if self.lens is not None:
+            focal, radius = self.lens
+            bend = 2 * math.pi / (self.wavelength * focal)
+            line = _chirp_means(edges, bend)
+            cover, rim = _disc_cover(edges, radius), cmath.exp(-1j * bend * radius**2)
+            values = values * (cover * np.outer(line, line) + (1 - cover) * rim)
+        return edges, values.astype(np.complex128)
+
+
+def _cell_of(sensor: TargetSensor, wavelength: float) -> _Cell | None:
+    array, lens = sensor.array, sensor.microlens
+    if array is None and lens is None:
+        return None
+    pitch = sensor.pitch if array is None or array.pitch is None else array.pitch
+    fill = 1.0 if array is None else array.fill
+    round_sites = array is not None and array.shape == "round"
+    bayer = None if array is None else array.bayer
+    tiles = np.ones((1, 1)) if bayer is None else np.sqrt(np.array(bayer, np.float64).reshape(2, 2))
+    columns, rows = sensor.pixels
+    return _Cell(
+        pitch=pitch,
+        side=None if round_sites else pitch * math.sqrt(fill),
+        radius=pitch * math.sqrt(fill / math.pi) if round_sites else None,
+        surround=1.0 if array is None else cmath.rect(math.sqrt(array.surround), array.phase),
+        lens=None if lens is None else (lens.focal_length, lens.fill * pitch / 2),
+        wavelength=wavelength,
+        tiles=tiles.astype(np.complex128),
+        corner=(-columns * sensor.pitch / 2, -rows * sensor.pitch / 2),
+        reflectance=sensor.reflectance,
+    )
+
+
+def _of_steps(edges: Real, orders: Real) -> Complex:
+    """∫ exp(-2πi ν x) between neighbouring edges, [orders, intervals]."""
+    width, middle = np.diff(edges), (edges[1:] + edges[:-1]) / 2
+    integrals = width * np.sinc(np.outer(orders, width)) * np.exp(-2j * np.pi * np.outer(orders, middle))
+    return integrals.astype(np.complex128)
+
+
+def _disc_cover(edges: Real, radius: float) -> Real:
+    """Share of each square between the edges of an even number of steps about the origin that a disc there covers."""
+    step = edges[1] - edges[0]
+    # One quadrant stands for all.
+    edges = edges[len(edges) // 2 :]
+    y = (edges[:-1, None] + (np.arange(_LINES) + 0.5) / _LINES * step).ravel()
+    chord = np.sqrt(np.maximum(radius**2 - y**2, 0.0))
+    covered = np.diff(np.minimum(edges[None, :], chord[:, None]), axis=1) / step
+    quadrant = covered.reshape(len(edges) - 1, _LINES, -1).mean(1)
+    half = np.concatenate([quadrant[::-1], quadrant])
+    return np.concatenate([half[:, ::-1], half], axis=1)
+
+
+def _chirp_means(edges: Real, bend: float) -> Complex:
+    """Means of exp(-i bend x²) between neighbouring edges: Fresnel integrals."""
+    scale = math.sqrt(2 * bend / math.pi)
+    sine, cosine = fresnel(edges * scale)
+    means = np.diff(cosine) / np.diff(edges * scale) - 1j * (np.diff(sine) / np.diff(edges * scale))
+    return means.astype(np.complex128)
+
+
+class _Periodic:
+    """An array at any place."""
+
+    def __init__(self, cell: _Cell) -> None:
+        edges, values = cell.steps()
+        count = len(cell.tiles)
+        self._period = cell.period
+        # From the period's upper left corner on.
+        starts = edges[:-1] - edges[0]
+        self._low = torch.from_numpy(np.concatenate([starts + i * cell.pitch for i in range(count)]))
+        self._wide = torch.from_numpy(np.tile(np.diff(edges), count))
+        self._values = torch.from_numpy(np.kron(cell.tiles, values) * math.sqrt(cell.reflectance))
+        self._corner = cell.corner
+
+    def __call__(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        across = self._seen(x.double() - self._corner[0])
+        down = self._seen(y.double() - self._corner[1])
+        return _woven(down, self._values.to(x.device), across)
+
+    def _seen(self, u: torch.Tensor) -> torch.Tensor:
+        """How much of each step every sample sees, [..., n, steps]."""
+        padded, step = _padded(u)
+        p, low, h = self._period, self._low.to(u.device), self._wide.to(u.device)
+        within = torch.remainder(padded, p)[..., None]
+        # Integrated once a step is a ramp up to its width h, twice h a parabola and a line. Its mean, h/p, is left out
+        # of the integral and added at the end: what remains is periodic, and loses no digits far from the origin.
+        end = p - low - h
+        parabola = 0.5 * torch.minimum((within - low).clamp_min(0), h) ** 2 + h * (within - low - h).clamp_min(0)
+        level = (h**2 / 2 + h * end - h * p / 2) * within / p
+        return _second_derivative(parabola - h * within**2 / (2 * p) - level, step) + h / p
+
+
+class _Sampled:
+    """A mask from a file, interpolated bilinearly, its middle on the axis; nothing a pitch beyond its outer samples."""
+
+    def __init__(self, values: Complex, pitch: float) -> None:
+        self._values = torch.from_numpy(values)
+        self._pitch = pitch
+
+    def __call__(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        rows, columns = self._values.shape
+        across, some_columns = self._seen(x.double(), columns)
+        down, some_rows = self._seen(y.double(), rows)
+        return _woven(down, self._values[some_rows, some_columns].to(x.device), across)
+
+    def _seen(self, u: torch.Tensor, count: int) -> tuple[torch.Tensor, slice]:
+        """How much of each of the file's columns every sample sees, [..., n, columns], and which columns these are."""
+        padded, step = _padded(u)
+        h, middle = self._pitch, (count - 1) / 2
+        first = math.floor(float(padded.detach().min()) / h + middle)
+        last = math.ceil(float(padded.detach().max()) / h + middle)
+        some = slice(min(max(first, 0), count), min(max(last + 1, 0), count))
+        places = (torch.arange(some.start, some.stop, dtype=u.dtype, device=u.device) - middle) * h
+        apart = (padded[..., None] - places) / h
+        # Linear interpolation is a hat about each column; integrated twice it is made of cubes, and far on a line,
+        # which is written as such to lose no digits.
+        near = apart.clamp(-2, 2)
+        cubes = (near + 1).clamp_min(0) ** 3 - 2 * near.clamp_min(0) ** 3 + (near - 1).clamp_min(0) ** 3
+        return _second_derivative(h**2 * (cubes / 6 + (apart - near).clamp_min(0)), step), some
+
+
+def _padded(u: torch.Tensor) -> tuple[torch.Tensor, float]:
+    """Equally spaced places with those that the second derivative needs on both sides, and their distance."""
+    if u.shape[-1] < 2:
+        raise InputError("needs two columns and rows or more", where="reflectance", remedy="give places in equal steps")
+    step = float((u[..., -1] - u[..., 0]).detach().flatten()[0]) / (u.shape[-1] - 1)
+    more = len(_SECOND_DERIVATIVE) // 2
+    places = torch.arange(-more, u.shape[-1] + more, dtype=u.dtype, device=u.device)
+    return u[..., :1] + places * step, step
+
+
+def _second_derivative(values: torch.Tensor, step: float) -> torch.Tensor:
+    """Along the last but one axis, by differences."""
+    count = values.shape[-2] - len(_SECOND_DERIVATIVE) + 1
+    total = values[..., :count, :] * _SECOND_DERIVATIVE[0]
+    for i, weight in enumerate(_SECOND_DERIVATIVE[1:], 1):
+        total = total + values[..., i : i + count, :] * weight
+    return total / step**2
+
+
+def _woven(down: torch.Tensor, values: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
+    return (down.to(values.dtype) @ values) @ across.to(values.dtype).mT
+
+
+def _read(path: Path, reflectance: float) -> Complex:
+    where = "target.sensor.mask.file"
+    try:
+        values = np.load(path, allow_pickle=False)
+    except FileNotFoundError as error:
+        raise InputError(f"there is no file {path}", where=where, remedy="give the path of a .npy file") from error
+    except (OSError, ValueError, EOFError) as error:
+        remedy = "write it with numpy.save, as complex numbers"
+        raise InputError(f"{path} is no .npy of plain numbers", where=where, remedy=remedy) from error
+    if not isinstance(values, np.ndarray):
+        raise InputError(f"{path} holds several arrays", where=where, remedy="write one with numpy.save")
+    if values.dtype.kind not in "fciu" or values.ndim != 2 or values.size == 0:
+        what = f"{path} holds {values.dtype} of shape {values.shape}"
+        raise InputError(what, where=where, remedy="give complex amplitudes [rows, columns]")
+    values = values.astype(np.complex128)
+    if not np.isfinite(values).all():
+        raise InputError(
+            f"{path} holds values that are not finite", where=where, remedy="replace them, by 0 for example"
+        )
+    largest = float(np.abs(values).max())
+    if reflectance * largest**2 > 1 + 1e-6:
+        what = f"{path} reflects {reflectance * largest**2:.3g} of the light at its brightest"
+        raise InputError(what, where=where, remedy="scale its amplitudes, or lower the sensor's reflectance")
+    return values

@@ -1,0 +1,129 @@
+"""`tapetum plan`: text and JSON of the bundled scenes, and what cannot be planned."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import pytest
+
+from tapetum.bench import load_scene, scene_names
+from tapetum.simulate.budget import link_budget
+from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE
+from tapetum.simulate.information import fisher
+
+SMALL = ("--set", "probe.sensor.pixels=[40, 32]", "--set", "sampling.accuracy=0.01")
+TWO = ("--set", "illumination.lines=[{wavelength: 532 nm, power: 1 mW}]")
+KEYS = ["scene", "geometry", "link_budget", "sampling", "limit", "eye_safety"]
+NAMES = ["gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power"]
+
+
+def planned(run, *arguments: object) -> dict[str, Any]:
+    """What `--json` tells, which knows neither NaN nor Infinity."""
+    ran = run("plan", *arguments, "--json")
+    assert (ran.code, ran.err) == (0, "")
+
+    def refuse(text: str) -> None:
+        raise AssertionError(text)
+
+    return json.loads(ran.out, parse_constant=refuse)
+
+
+@pytest.mark.parametrize("scene", scene_names())
+def test_bundled_scenes_as_text(run, scene: str) -> None:
+    ran = run("plan", scene, *SMALL)
+    assert (ran.code, ran.err) == (0, "")
+    lines = ran.out.splitlines()
+    assert max(map(len, lines)) <= 100 and len(lines) <= 48
+    assert [line.split()[0] for line in lines if not line.startswith(" ")] == [
+        "Bench",
+        "Link",
+        "Sampling",
+        "Cramér-Rao",
+        "Eye",
+        "An",
+    ]
+    assert lines[-1] == NOT_A_CERTIFICATE
+    assert [line.split()[0] for line in lines if line.split()[0] in NAMES] == NAMES
+    known = load_scene(scene)
+    assert known.illumination.mode in ran.out and f"{link_budget(known).electrons:.4g} electrons" in ran.out
+
+
+@pytest.mark.parametrize("scene", scene_names())
+def test_bundled_scenes_as_json(run, scene: str) -> None:
+    told = planned(run, scene, *SMALL)
+    assert list(told) == KEYS and told["scene"] == scene
+    known = load_scene(scene, SMALL[1::2])
+    assert told["link_budget"] == [json.loads(json.dumps(link_budget(known).as_dict()))]
+    assert told["sampling"]["expected_error"] == 0.01 and told["sampling"]["propagation"].startswith("far field")
+    assert told["limit"]["parameters"] == NAMES
+    assert list(told["limit"]["bounds"]) == list(told["limit"]["alone"]) == list(told["limit"]["units"]) == NAMES
+    found = fisher(known, NAMES)
+    assert told["limit"]["information"] == found.information.tolist() and told["limit"]["units"] == found.units
+    # No image of parallel light depends on the distance.
+    assert (told["limit"]["bounds"]["distance"] is None) == (scene == "thin-lens")
+    assert told["eye_safety"]["computed"] is True and told["eye_safety"]["notice"] == NOT_A_CERTIFICATE
+
+
+def test_more_light_tells_more(run) -> None:
+    """Shot noise alone: four times the light, half of the spread; the power's own spread doubles."""
+    quiet = (*SMALL, "--set", "read_noise=0", "--set", "bits=16", "--set", "rotation=0.5")
+    names = ("--target-parameters", "gaze_y, power")
+    dim = planned(run, "thin-lens", *quiet, *names, "--set", "power=1 mW")["limit"]
+    bright = planned(run, "thin-lens", *quiet, *names, "--set", "power=4 mW")["limit"]
+    assert dim["parameters"] == ["gaze_y", "power"]
+    assert bright["bounds"]["gaze_y"] == pytest.approx(dim["bounds"]["gaze_y"] / 2, rel=1e-2)
+    assert bright["bounds"]["power"] == pytest.approx(dim["bounds"]["power"] * 2, rel=1e-2)
+    for name in dim["parameters"]:
+        assert 0 < dim["alone"][name] <= dim["bounds"][name] < math.inf
+
+
+def test_a_target_focused_at_infinity(run) -> None:
+    told = planned(run, "thin-lens", *SMALL, "--set", "object_distance=inf")
+    assert told["geometry"]["object_distance"] is None
+    assert told["limit"]["parameters"] == [name for name in NAMES if name != "object_distance"]
+    ran = run("plan", "thin-lens", *SMALL, "--set", "object_distance=inf", "--target-parameters", "object_distance")
+    assert ran.code == 2 and "leave object_distance out" in ran.complaint
+
+
+def test_changes_show(run) -> None:
+    told = planned(run, "thin-lens", *SMALL, "--set", "wavelength=532 nm", "--set", "rotation=0.5")
+    assert told["geometry"]["wavelengths"] == [5.32e-7]
+    assert told["geometry"]["rotation_deg"] == [0, pytest.approx(0.5)]
+    assert told["eye_safety"]["beam"]["wavelength"] == 5.32e-7
+
+
+def test_several_wavelengths_are_planned_without_eye_safety(run) -> None:
+    told = planned(run, "thin-lens", *SMALL, *TWO)
+    assert [one["wavelength"] for one in told["link_budget"]] == [6.4e-7, 5.32e-7]
+    assert told["eye_safety"]["computed"] is False and told["eye_safety"]["laser_class"] is None
+    assert told["eye_safety"]["reason"].startswith("illumination.lines: 2 wavelengths at once")
+    ran = run("plan", "thin-lens", *SMALL, *TWO)
+    assert ran.code == 0 and ran.err == ""
+    assert "not computed      illumination.lines: 2 wavelengths" in ran.out
+    assert ran.out.splitlines()[-1] == NOT_A_CERTIFICATE
+
+
+@pytest.mark.parametrize("form", [[], ["--json"]])
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["thin-lense"], "no such scene; give the path of a YAML file"),
+        (["thin-lens", "--set", "distance=-1"], "distance"),
+        (["thin-lens", "--set", "distanc=1"], "did you mean"),
+        (["thin-lens", "--set", "object_distance=0.05"], "not beyond the focal length"),
+        (["thin-lens", "--set", "sampling.accuracy=1e-9"], "finer than the engine's"),
+        (["thin-lens", "--target-parameters", "gaze_x,,power"], "--target-parameters: 'gaze_x,,power' has an empty"),
+        (["thin-lens", *SMALL, "--target-parameters", "power,power"], "twice"),
+        (["thin-lens", *SMALL, "--target-parameters", "colour"], "unknown parameter 'colour'"),
+        (
+            ["thin-lens", "--set", "target.lens.aperture_radius=30mm", "--set", "object_distance=0.3"],
+            "GiB allowed; stop the target's aperture down",
+        ),
+    ],
+)
+def test_what_cannot_be_planned(run, arguments: list[str], words: str, form: list[str]) -> None:
+    ran = run("plan", *arguments, *form)
+    assert ran.code == 2 and ran.out == ""
+    assert ran.complaint.startswith("error: ") and words in ran.complaint
