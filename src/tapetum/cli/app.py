@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from tapetum.cli import dataset, demo, evaluate, record, simulate, track, train
+from tapetum.cli import dataset, demo, evaluate, paper, plan, record, simulate, track, train
 from tapetum.cli.memory import keep_big_blocks
 from tapetum.errors import InputError, TapetumError
 
@@ -29,7 +29,7 @@ class _AsAdded(TyperGroup):
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
         del ctx
-        order = ("demo", "simulate", "record", "dataset", "train", "evaluate", "track")
+        order = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "track", "paper")
         return sorted(self.commands, key=lambda name: order.index(name) if name in order else len(order))
 
 
@@ -43,11 +43,13 @@ app = typer.Typer(
 )
 app.command("demo", short_help="The main job end to end, with a report.")(demo.demo)
 app.command("simulate", short_help="Retro-reflections of a scene, and sweeps.")(simulate.simulate)
+app.command("plan", short_help="What a scene would give: budget, limits, eye safety.")(plan.plan)
 app.command("record", short_help="Film a scene on the virtual bench.")(record.record)
 app.add_typer(dataset.app, name="dataset", short_help="Build datasets, and look into them.")
 app.command("train", short_help="Fit a model to a dataset.")(train.train)
 app.command("evaluate", short_help="A model's errors on a dataset.")(evaluate.evaluate)
 app.command("track", short_help="Find, follow and read retro-reflections.")(track.track)
+app.command("paper", short_help="The paper's figures, made anew.")(paper.paper)
 
 
 def _version(wanted: bool) -> None:

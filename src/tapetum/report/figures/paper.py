@@ -1,0 +1,201 @@
+"""The paper's Figs. 4 to 6, drawn from what `tapetum.report.paper` simulated."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure, SubFigure
+from matplotlib.ticker import FuncFormatter, NullFormatter
+from numpy.typing import ArrayLike, NDArray
+
+from tapetum.report.figures._style import (
+    INK,
+    LABEL,
+    NOTE,
+    QUIET,
+    TICK,
+    TITLE,
+    colour,
+    dress,
+    legend,
+    marker,
+    new_figure,
+)
+from tapetum.report.figures.retro import CMAP, stretched
+
+if TYPE_CHECKING:
+    from tapetum.report.paper.fig4 import Fig4
+    from tapetum.report.paper.fig5 import Fig5
+    from tapetum.report.paper.fig6 import Fig6
+
+__all__ = ["draw_fig4", "draw_fig5", "draw_fig6"]
+
+_TONE = "Each image to its own peak; brightness is the square root of the irradiance."
+
+
+def draw_fig4(found: Fig4, focal_lengths: ArrayLike, distances: ArrayLike, rotations: ArrayLike) -> Figure:
+    """Blocks of images, one a focal length: a row for each object distance, a column for each rotation.
+
+    The first block is drawn large, the others small beside it; each row has its own scale bar.
+    """
+    blocks, rows, columns = found.images.shape[:3]
+    figure = new_figure(9.9 if blocks > 1 else 6.6, 6.75)
+    lengths = [f"f = {1e3 * f:g} mm" for f in np.asarray(focal_lengths)]
+    parts: list[Figure | SubFigure] = [figure]
+    if blocks > 1:
+        first, rest = _parted(figure.subfigures(1, 2, width_ratios=(6.5, 3.4)))
+        parts = [first, *_parted(rest.subfigures(blocks - 1, 1, squeeze=False))]
+    for block, part in enumerate(parts):
+        large = block == 0
+        axes = part.subplots(rows, columns, squeeze=False)
+        part.suptitle(lengths[block], fontsize=TITLE if large else LABEL, color=INK, fontweight="bold")
+        for r, distance in enumerate(np.asarray(distances)):
+            for c, rotation in enumerate(np.asarray(rotations)):
+                ax = axes[r, c]
+                _picture(ax, found.images[block, r, c])
+                if r == 0:
+                    ax.set_title(f"θ = {rotation:g}°", fontsize=LABEL if large else NOTE, color=INK, pad=4)
+                if c == 0:
+                    name = rf"$x_d$ = {distance:g} m"
+                    ax.set_ylabel(name, fontsize=LABEL if large else NOTE, color=INK, labelpad=4)
+            _bar(axes[r, 0], found.windows[r], 0.3, small=not large)
+    figure.supxlabel(f"{_TONE} A row has one scale.", fontsize=NOTE, color=QUIET)
+    return figure
+
+
+def draw_fig5(found: Fig5) -> Figure:
+    """A strip of frames a case, and below them signal and size over the distance."""
+    distances = np.array(found.distances)
+    figure = new_figure(11.0, 7.2)
+    above, below = _parted(figure.subfigures(2, 1, height_ratios=(len(found.strips) * 1.2 + 0.2, 3.4)))
+    axes = above.subplots(len(found.strips), len(distances), squeeze=False)
+    for r, strip in enumerate(found.strips):
+        # All of a strip's images keep one scale, that of its largest.
+        wanted = min(found.window, 1.45 * float(strip.diameter.max()))
+        parts = _middle(strip.frames, wanted / found.window)
+        shown = found.window * parts.shape[-1] / strip.frames.shape[-1]
+        for c, part in enumerate(parts):
+            _picture(axes[r, c], np.maximum(part, 0.0))
+            if r == 0:
+                axes[r, c].set_title(f"{distances[c]:g} m", fontsize=LABEL, color=INK, pad=4)
+        axes[r, 0].set_ylabel(strip.name.replace(" at", "\nat").replace(" on", "\non"), fontsize=NOTE, color=INK)
+        _bar(axes[r, 0], shown, 0.5, small=True)
+    above.supxlabel(f"{_TONE} A row has one scale.", fontsize=NOTE, color=QUIET)
+    left, right = below.subplots(1, 2)
+    near = float(distances.min())
+    fine = np.geomspace(near, float(distances.max()), 50)
+    for index, strip in enumerate(found.strips):
+        # By the beam's area from the nearest distance on, as the paper expects it.
+        start = strip.signal[int(distances.argmin())]
+        left.plot(fine, start * (near / fine) ** 2, color=colour(index), linewidth=0.9, alpha=0.7)
+        text = f"{strip.name}: {_exponent(strip.measured.exponent, strip.measured.error)}"
+        left.plot(distances, strip.signal, marker(index), color=colour(index), markersize=5, label=text)
+        right.plot(
+            distances,
+            1e3 * strip.diameter,
+            "-",
+            marker=marker(index),
+            color=colour(index),
+            lw=1.0,
+            ms=4.5,
+            label=strip.name,
+        )
+    dress(left, title="signal (points) and 1/beam area (lines)", x="distance (m)", letter="a")
+    left.set_ylabel("sum above the noise floor (electrons)", fontsize=LABEL, color=INK)
+    left.set_xscale("log")
+    left.set_yscale("log")
+    _plain_x(left, distances)
+    dress(right, title="circle with 80 % of the light", x="distance (m)", y="diameter (mm)", letter="b")
+    right.set_ylim(bottom=0)
+    low, high = left.get_ylim()
+    left.set_ylim(low / 12, high)
+    legend(left, loc="lower left", title="fitted exponents", title_fontsize=NOTE)
+    legend(right, loc="upper right")
+    return figure
+
+
+def draw_fig6(found: Fig6) -> Figure:
+    """A row of images a surface, and below them size and brightness over the distance."""
+    shown = [surface for surface in found.surfaces if "," not in surface.name]
+    distances = np.array(found.distances)
+    figure = new_figure(9.0, 1.72 * len(shown) + 3.9)
+    above, below = _parted(figure.subfigures(2, 1, height_ratios=(1.72 * len(shown) + 0.3, 3.6)))
+    axes = above.subplots(len(shown), len(distances), squeeze=False)
+    for r, surface in enumerate(shown):
+        for c, image in enumerate(surface.images):
+            _picture(axes[r, c], image)
+            if r == 0:
+                axes[r, c].set_title(f"{distances[c]:g} m", fontsize=LABEL, color=INK, pad=4)
+        axes[r, 0].set_ylabel(surface.name.replace(" mm before", " mm\nbefore"), fontsize=LABEL, color=INK)
+        _bar(axes[r, 0], surface.window, 0.4, small=True)
+    above.supxlabel(f"{_TONE} A row has one scale.", fontsize=NOTE, color=QUIET)
+    left, right = below.subplots(1, 2)
+    left.plot(distances, 1e3 * found.aperture_image, color=QUIET, linewidth=1.0, label=r"$D_p\,f_p/d$")
+    for index, surface in enumerate(found.surfaces):
+        lines = 0.9 if "mirror" in surface.name or "no spread" in surface.name else 0.0
+        left.plot(
+            distances,
+            1e3 * surface.diameter,
+            marker=marker(index),
+            color=colour(index),
+            # The filter's marks lie on the cardboard's: both are to be seen.
+            markersize=9 if surface.name == "white cardboard" else 4.5,
+            linewidth=lines,
+            label=surface.name,
+        )
+        right.plot(distances, surface.peak, marker=marker(index), color=colour(index), markersize=5, linewidth=0.9)
+    for ax in (left, right):
+        ax.set_xscale("log")
+        ax.set_yscale("log")
+        _plain_x(ax, distances)
+    dress(left, title="size", x="distance (m)", y="diameter of the equal disc (mm)", letter="a")
+    dress(right, title="brightness", x="distance (m)", y="peak irradiance (W/m²)", letter="b")
+    left.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    left.set_ylim(0.04, 90)
+    legend(left, loc="upper right", ncols=2)
+    return figure
+
+
+def _picture(ax: Axes, image: ArrayLike) -> None:
+    # Averaged where several of its pixels fall on one of the figure's: rings would beat with these.
+    ax.imshow(stretched(image), cmap=CMAP, vmin=0, vmax=1, interpolation="antialiased", extent=(0, 1, 0, 1))
+    ax.set_xticks([])
+    ax.set_yticks([])
+    for spine in ax.spines.values():
+        spine.set_color(QUIET)
+        spine.set_linewidth(0.6)
+
+
+def _middle(frames: NDArray[np.float64], part: float) -> NDArray[np.float64]:
+    """Return that part of the frames' width and height about their middle."""
+    cut = (frames.shape[-1] - max(2, round(part * frames.shape[-1]))) // 2
+    return frames[:, cut:-cut, cut:-cut] if cut > 0 else frames
+
+
+def _parted(found: object) -> list[SubFigure]:
+    # Matplotlib gives one of them or an array, and types them as one.
+    return list(np.atleast_1d(np.asarray(found, dtype=object)).ravel())
+
+
+def _bar(ax: Axes, width: float, most: float, *, small: bool) -> None:
+    """Draw a scale bar of a round length, at most that part of the image's width, which is in metres."""
+    decade = 10.0 ** np.floor(np.log10(most * width))
+    length = max(step * decade for step in (1, 2, 5) if step * decade <= most * width)
+    text = f"{1e3 * length:g} mm" if length >= 1e-3 else f"{1e6 * length:g} µm"
+    ax.plot([0.06, 0.06 + length / width], [0.06, 0.06], color="white", linewidth=2.0, solid_capstyle="butt")
+    ax.text(0.06, 0.09, text, color="white", fontsize=TICK - 1 if small else TICK, va="bottom")
+    ax.set_xlim(0, 1)
+    ax.set_ylim(0, 1)
+
+
+def _plain_x(ax: Axes, distances: NDArray[np.float64]) -> None:
+    """Name a logarithmic axis' distances as they are, those that leave room for it."""
+    ticks = [d for d in (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0) if distances.min() <= d <= distances.max()]
+    ax.set_xticks(ticks, labels=[f"{d:g}" for d in ticks])
+    ax.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _exponent(value: float, error: float) -> str:
+    return f"{value:.3f} ± {error:.3f}".replace("-", "−")

@@ -1,0 +1,262 @@
+"""What is written beside each figure: what the paper reports, what was measured here, and what differs."""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.report.paper.fig4 import DISTANCES, ROTATIONS, Fig4
+from tapetum.report.paper.fig5 import LENS, Fig5
+from tapetum.report.paper.fig6 import Fig6
+from tapetum.report.paper.measure import PowerLaw
+
+__all__ = ["text_fig4", "text_fig5", "text_fig6"]
+
+
+def text_fig4(found: Fig4) -> str:
+    """The page fig4.md."""
+    focal = sorted({row["focal_length_mm"] for row in found.rows}, reverse=True)
+    rows = [
+        (
+            f"{f:g}",
+            f"{x_d:g}",
+            *(f"{found.row(f / 1e3, x_d, t)['diameter_mm']:.2f}" for t in ROTATIONS),
+            *(_apart(found.row(f / 1e3, x_d, t)) for t in ROTATIONS[1:]),
+            *(f"{100 * found.row(f / 1e3, x_d, t)['mirror_up_down']:.0f}" for t in ROTATIONS[1:]),
+        )
+        for f in focal
+        for x_d in DISTANCES
+    ]
+    names = (
+        "f (mm)",
+        "x_d (m)",
+        "80 % in (mm), 0°",
+        "0.5°",
+        "1°",
+        "rings apart (mm), 0.5°",
+        "1°",
+        "up/down (%), 0.5°",
+        "1°",
+    )
+    table = _table(names, rows)
+    first = focal[0] / 1e3
+    turned = [found.row(first, x_d, ROTATIONS[-1]) for x_d in DISTANCES]
+    windows = ", ".join(f"{1e3 * width:g}" for width in found.windows)
+    rim = max(row["rim_over_peak"] for row in found.rows)
+    left_right = max(row["mirror_left_right"] for row in found.rows)
+    stretch = ", ".join(f"{row['width_x_mm'] / row['width_y_mm']:.2f}" for row in turned)
+    focused = ", ".join(f"{x_d:g}" for x_d in DISTANCES)
+    side = found.images.shape[-1]
+    least, most = (edge(row["return_radius_at_probe_mm"] for row in found.rows) for edge in (min, max))
+    return _filled(f"""# Fig. 4: a thin lens, turned and refocused
+
+![Retro-reflections of three thin lenses, turned and refocused](fig4.png)
+
+**The paper** (section 4.1; f = 75 and 50 mm are in its supplement): looking straight at the probe the lens gives an
+Airy disc. At small rotations two patterns like Airy discs appear, symmetric across the line perpendicular to the
+rotation and farther apart as the rotation grows; at large ones often a long ellipse. The smaller x_d, the larger
+the RR, and the more it resembles the target's aperture. Simulation and experiment agree for f = 100 mm, "albeit
+with fewer details" in the experiment; for 75 and 50 mm only the general shapes do.
+
+**Here**: collimated light of 640 nm, the probe 5 m away with f_p = 200 mm, an aperture radius of 3 mm (assumed: the
+paper gives none), rotation about x. The windows are {windows} mm wide for x_d = 1, 2.5 and 5 m, in {side} pixels a
+side, so that each RR is seen whole: no pixel of a rim is above {100 * rim:.1f} % of its image's peak. The planner
+states an error of at most {found.expected_error:.0e} of the peak.
+
+{table}
+
+*80 % in*: diameter of the circle about the middle that holds 80 % of the light in the window. *Rings apart*:
+distance of the centres of the two ring systems on the middle column, and in brackets what rays expect: f_p · 2z
+tanθ · 2/(x_d + f), the returning pupil's displacement times the returning wave's curvature. Each centre is the
+column's highest maximum within 1.5 λ f_p/2r (32 µm) of that place. *Up/down*: light that the image and its mirrored
+self across the horizontal line do not share; a picture and something wholly apart from it would give 100.
+
+- The RR becomes smaller as x_d grows, at every focal length and rotation.
+- At 0° it lies in the middle and is round. A disc out of focus with rings in it: for none of these x_d is the
+  target in focus for parallel light, and an Airy disc would need x_d far beyond 5 m at this aperture.
+- Two ring systems part along the direction of rotation (up and down), in proportion to it. Across the horizontal
+  line, which is perpendicular to that direction, they are alike but not the same: see *up/down*. Left and right are
+  the same to {left_right:.0e} of the light.
+- At 1° the bright part is longer across the direction of rotation than along it: for f = {1e3 * first:g} mm by
+  {stretch} (widths with 80 % of the light, x_d = {focused} m), as the overlap of two displaced discs is. The paper
+  has its ellipse "in the direction of rotation"; if that is the axis turned about, both agree.
+
+**What differs**: the real lens has aberrations, and its target is a real sensor with pixels; neither is in this
+thin lens with a mirror. Nothing here was compared with the paper's images themselves, only with what it says of
+them. All of the return is shown, whatever the probe's aperture: at the probe its radius is {least:.1f} to
+{most:.1f} mm.
+""")
+
+
+def text_fig5(found: Fig5) -> str:
+    """The page fig5.md."""
+    first, last = found.distances[0], found.distances[-1]
+    rows = [
+        (
+            strip.name,
+            f"{1e6 * strip.exposure:.2g}",
+            _fitted(strip.measured),
+            _fitted(strip.without_floor),
+            f"{100 * strip.signal[-1] / strip.total[-1]:.0f}",
+            f"{1e3 * strip.diameter[0]:.2f}",
+            f"{1e3 * strip.diameter[-1]:.2f}",
+            f"{1e3 * strip.diameter.min():.2f} to {1e3 * strip.diameter.max():.2f}",
+        )
+        for strip in found.strips
+    ]
+    names = (
+        "target",
+        "exposure (µs)",
+        "exponent, above the floor",
+        "exponent, all light",
+        f"light kept at {last:g} m (%)",
+        f"80 % in (mm), {first:g} m",
+        f"{last:g} m",
+        "range",
+    )
+    strip, points = found.strips[0], len(found.distances)
+    middle = min(found.distances, key=lambda d: abs(d - 2.5))
+    from_middle = np.array(found.distances) >= middle
+    times = [_fold(one.diameter) for one in found.strips]
+    beyond = [_fold(one.diameter[from_middle]) for one in found.strips]
+    disc = 1e3 * LENS["aperture_radius"] * 0.2 / first
+    return _filled(f"""# Fig. 5: head-on, from {first:g} to {last:g} m
+
+![Frames, summed signal and size of a head-on retro-reflection over the distance](fig5.png)
+
+**The paper** (section 4.2): with a Fujinon DV3.4x3.8SA-1 and a diverging beam of 0.5° the RR's shape does not
+change much from 0.5 to 5 m, and the sum of all pixels above the noise floor falls as the beam's area grows, ∝ 1/d².
+
+**Here**: a thin lens of 3.8 mm at f/1.4, the widest and fastest setting of that zoom, before a mirror of
+reflectance 0.1; 1 mW at 640 nm from a point at the probe, 0.5° full angle. Frames have the noise of the bench's
+sensor (12 bit, full well 6500 e⁻, read noise 2 e⁻; background of 10 e⁻ a pixel assumed) and are means of 4. Each
+row has one exposure for all distances, chosen so that its brightest pixel is filled to 80 %: nothing saturates, at
+0.5 m neither. The noise floor is 5 standard deviations of the dark mean frame, {strip.floor:.1f} e⁻. Each exponent
+is a straight line through {points} points in logarithms; ± is its standard error from the residuals.
+
+{_table(names, rows)}
+
+- **Intensity**: the light that comes back follows 1/d², as the beam's area says: see *all light*. What is *above a
+  fixed floor* falls faster, for the outer rings of a dim RR drop below it; that error is systematic, and the ± does
+  not hold it. It is largest where the peak itself falls as 1/d² (flat wave), and smallest where the RR shrinks
+  while it dims.
+- **Shape**: it is constant for a flat wave, which is what the paper's simulation sends (its equation 1). A beam
+  that diverges from the probe is a spherical wave of radius d. A target focused on the probe (x_d = d, as in the
+  paper's Rotation videos) returns it converging on the probe, and a probe focused at infinity sees a disc of radius
+  r f_p/d, here {disc:.2f} mm at {first:g} m. A target left focused at 5 m returns parallel light at 2.5 m, and so
+  its smallest RR. So a thin lens lit this way does not quite keep its RR: over all distances its diameter changes
+  {times[0]:.1f}-fold (focused on the probe) and {times[1]:.1f}-fold (left at 5 m), from {middle:g} m on
+  {beyond[0]:.1f}-fold and {beyond[1]:.1f}-fold.
+
+**What differs**: the paper's lens has many elements and aberrations; where these widen its RR, the same wave
+changes it less, which was not simulated; which of its foci was used, and how far behind the probe's exit its beam
+seems to begin, the paper does not say (a source farther away makes the wave flatter). Which is why three cases are
+shown, and none is called the paper's.
+""")
+
+
+def text_fig6(found: Fig6) -> str:
+    """The page fig6.md."""
+    mirror, card = found.named("mirror"), found.named("white cardboard")
+    flat, bare, glass = found.named("mirror, flat wave"), found.named("white, no spread"), found.surfaces[-1]
+    first, last = found.distances[0], found.distances[-1]
+    near, far = 1e3 * bare.diameter[0], 1e3 * bare.diameter[-1]
+    changes = [1e3 * float(np.ptp(surface.diameter)) for surface in (mirror, card)]
+    brighter = [float(mirror.peak[i] / bare.peak[i]) for i in (0, -1)]
+    laws = [_fitted(surface.size) for surface in (card, glass, mirror, flat)]
+    rows = [
+        (
+            f"{d:g}",
+            f"{1e3 * mirror.diameter[i]:.3f}",
+            f"{1e3 * flat.diameter[i]:.3f}",
+            f"{1e3 * card.diameter[i]:.2f}",
+            f"{1e3 * glass.diameter[i]:.2f}",
+            f"{1e3 * found.aperture_image[i]:.2f}",
+            f"{mirror.peak[i] / card.peak[i]:.1e}",
+            f"{mirror.power[i] / card.power[i]:.1e}",
+        )
+        for i, d in enumerate(found.distances)
+    ]
+    names = (
+        "d (m)",
+        "mirror (mm)",
+        "mirror, flat wave",
+        "cardboard",
+        "filter",
+        "D_p f_p/d",
+        "mirror/cardboard, peak",
+        "power",
+    )
+    return _filled(f"""# Fig. 6: a mirror, white cardboard, and a filter
+
+![Retro-reflections of a mirror, of cardboard and of a filter over the distance](fig6.png)
+
+**The paper** (section 4.3): with a Fujinon DV3.4x3.8SA-1 the diffuse RR (white cardboard at the sensor plane) is
+larger, takes the shape of the probe's aperture and scales in size with d; the specular one (a mirror) is brighter
+and constant in size.
+
+**Here**: the thin lens of Fig. 5 (3.8 mm, f/1.4), focused at 5 m and left there; a diverging beam of 0.5°; a probe
+with an aperture of 20 mm. All assumed, the paper gives none of these: mirror of reflectance 0.9 without scattering;
+cardboard with an albedo of 0.8 and no mirror image, Lambertian, which carries light 0.3 mm (standard deviation)
+sideways. Images are expected irradiance: no noise and no speckle, which a laser on real cardboard has. The size is
+the diameter of the even disc that would hold half of its light in the same circle.
+
+{_table(names, rows)}
+
+Fitted size ∝ dⁿ: cardboard n = {laws[0]}, filter {laws[1]}, mirror {laws[2]}, mirror in a flat wave {laws[3]}.
+
+- **Diffuse**: an image of the probe's aperture, D_p f_p/d wide. The light leaves the target's lens in a cone that
+  overfills the probe by far; that is a condition, which the assumed 0.3 mm meet. A white plane that carries no
+  light sideways (*white, no spread*) scatters from the spot alone, and its light comes back through the lens as a
+  narrow beam, as a mirror's does: it is {near:.2f} to {far:.2f} mm wide from {first:g} to {last:g} m, and does not
+  show the aperture.
+- **Specular**: constant in a flat wave. In the diverging one its size changes by {changes[0]:.2f} mm between
+  {first:g} and {last:g} m, for the reason given beside Fig. 5; the cardboard's changes by {changes[1]:.1f} mm.
+- **Brighter**: in the table. The cardboard's brightness goes about as the inverse square of the assumed spread, so
+  the ratios are no prediction. Without any spread the mirror's peak is still {brighter[0]:.0f} and
+  {brighter[1]:.0f} times as high ({first:g} and {last:g} m).
+- **A filter is no cardboard, but looks like it**: 0.2 mm before the focus a plane of reflectance 0.04 (specular, no
+  scattering at all) returns light as if from a point near the lens. It too overfills the probe and shows its
+  aperture, D_p f_p/d wide. So a size ∝ 1/d alone does not prove that a reflection is diffuse; fine rings inside the
+  disc, and speckle, should tell them apart.
+
+**What differs**: the aberrations of the paper's lens, which widen the specular RR, and its unknown focus. The
+diffuse image leaves out coherence across the target's pupil where the probe's aperture clips (2 to 6 % of the peak,
+see the validation of the diffuse return).
+""")
+
+
+def _apart(row: dict[str, float | None]) -> str:
+    found, expected = row["ring_centres_apart_mm"], row["ring_centres_expected_mm"]
+    return f"{'–' if found is None else f'{found:.2f}'} ({expected:.2f})"
+
+
+def _fold(values: NDArray[np.float64]) -> float:
+    return float(values.max() / values.min())
+
+
+def _fitted(law: PowerLaw) -> str:
+    return f"{law.exponent:.3f} ± {law.error:.3f}".replace("-0.000", "0.000").replace("-", "−")
+
+
+def _table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [names, ["---"] * len(names), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _filled(page: str) -> str:
+    """Break a page's paragraphs and points at one width; headings, pictures and tables stay as they are."""
+    done: list[str] = []
+    for block in page.strip().split("\n\n"):
+        if block[0] in "#!|":
+            done.append(block)
+            continue
+        points = [" ".join(point.split()) for point in re.split(r"\n(?=- )", block)]
+        indent = "  " if block.startswith("- ") else ""
+        fill = textwrap.TextWrapper(120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False).fill
+        done.append("\n".join(fill(point) for point in points))
+    return "\n\n".join(done) + "\n"

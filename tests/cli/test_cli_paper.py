@@ -1,0 +1,62 @@
+"""`tapetum paper`: which figures are made where, and what cannot be made."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tapetum.cli import paper
+from tapetum.report.figures._style import new_figure
+from tapetum.report.paper import FIGURES
+from tapetum.report.paper import write as writing
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures of nothing: the real ones are tested with the report."""
+
+    def maker(name: str) -> Any:
+        return lambda progress: (new_figure(1, 1), f"# {name}\n", {"measured": len(list(progress(range(3), name)))})
+
+    for name in FIGURES:
+        monkeypatch.setitem(writing._MAKERS, name, maker(name))
+
+
+def test_it_offers_what_there_is() -> None:
+    assert paper.FIGURES == FIGURES
+
+
+def test_one_figure(run, tmp_path: Path, quick) -> None:
+    ran = run("paper", "fig5", "-o", tmp_path / "out")
+    assert ran.code == 0
+    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["fig5.json", "fig5.md", "fig5.png"]
+    assert "fig5.png" in ran.out and "fig5: 3 in" in ran.err
+
+
+@pytest.mark.parametrize("which", [[], ["all"]])
+def test_all_figures_as_json(run, tmp_path: Path, quick, which: list[str]) -> None:
+    ran = run("paper", *which, "-o", tmp_path, "--json")
+    assert ran.code == 0
+    told = json.loads(ran.out)
+    assert told["out"] == str(tmp_path) and [one["name"] for one in told["figures"]] == list(FIGURES)
+    for one in told["figures"]:
+        assert one["measured"] == 3 and all(Path(file).stat().st_size for file in one["files"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["fig7", "-o", "out"], "use one of fig4, fig5, fig6, all"),
+        (["fig4"], "Missing option"),
+        (["fig4", "-o", "f"], "f:"),
+    ],
+)
+def test_what_cannot_be_made(run, tmp_path: Path, monkeypatch, quick, arguments: list[str], words: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("f").write_text("")
+    ran = run("paper", *arguments)
+    assert ran.code == 2 and words in ran.complaint
+    assert [p.name for p in tmp_path.iterdir()] == ["f"] and Path("f").read_text() == ""
