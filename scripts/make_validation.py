@@ -20,7 +20,8 @@ the line gives the largest difference.
 
     make validation
 
-runs those tests and writes this page anew{slow}. Errors are largest differences, by default in fractions of the peak.
+runs those tests and writes this page anew; `scripts/make_validation.py --slow` runs the slow ones as well{slow}.
+Errors are largest differences, by default in fractions of the peak.
 All of it is simulation against closed forms, independent methods and other packages. None of it says how far scalar,
 paraxial light and a thin lens are from a real camera.
 """
@@ -28,31 +29,32 @@ paraxial light and a thin lens are from a real camera.
 
 def main() -> int:
     """Run the tests that validate something, and write the page; the tests' exit code."""
+    slow = "--slow" in sys.argv
     with tempfile.TemporaryDirectory() as folder:
         kept = Path(folder) / "validation.json"
         tests = sorted(
             {str(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py") if "validated" in p.read_text()}
         )
         command = [sys.executable, "-m", "pytest", "-m", "slow or not slow", "--keep-validation", str(kept), *tests]
-        if "--quick" in sys.argv:
+        if not slow:
             command[4] = "not slow"
         code = subprocess.run(command, cwd=ROOT, check=False).returncode
         if code:
             return code
         lines = json.loads(kept.read_text(encoding="utf-8"))
     part = PAGE.with_suffix(".part")
-    part.write_text(page(lines), encoding="utf-8")
+    part.write_text(page(lines, slow), encoding="utf-8")
     part.replace(PAGE)
     print(f"{PAGE.relative_to(ROOT)}: {len(lines)} comparisons")
     return 0
 
 
-def page(lines: list[dict]) -> str:
+def page(lines: list[dict], slow: bool) -> str:
     """The page for the lines that the tests kept."""
     sections: dict[str, list[dict]] = defaultdict(list)
     for line in lines:
         sections[line["section"]].append(line)
-    text = [HEAD.format(slow=" (the slow ones too: some minutes)")]
+    text = [HEAD.format(slow=", as here" if slow else "")]
     for section in sorted(sections):
         text += [
             f"## {section}",

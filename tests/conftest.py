@@ -26,8 +26,8 @@ def validated(request: pytest.FixtureRequest) -> Validated:
     """`validated(section, what, error, tolerance, against, measure="of the peak")`.
 
     Asserts that `error` is finite and at most `tolerance`, and keeps the line for docs/validation.md: `section` is the
-    table it belongs to, `what` the quantity with its conditions, `against` the closed form, method or package, `measure`
-    what the error is in fractions or units of.
+    table it belongs to, `what` the quantity with its conditions, `against` the closed form, method or package,
+    `measure` what the error is in fractions or units of.
     """
 
     def check(

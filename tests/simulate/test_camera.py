@@ -217,7 +217,7 @@ def test_a_vergence_scan_finds_the_sensor_and_a_layer(validated: Any) -> None:
 
 @pytest.mark.parametrize("narrower", [3, 12])
 def test_a_beam_narrower_than_the_aperture_is_its_own_aperture(narrower: int, validated: Any) -> None:
-    """In focus, head on, nothing is cut off: Airy's picture of the beam itself."""
+    """In focus, head on, the lens cuts off but a few 1e-3 of what the beam's edge diffracts: Airy's picture of it."""
     lit, pitch = RADIUS / narrower, RING * narrower / 8
     changes = {"illumination__diameter": 2 * lit, "probe__sensor__pitch": pitch, "sampling__propagation": "far field"}
     one = scene(**changes)
@@ -225,17 +225,18 @@ def test_a_beam_narrower_than_the_aperture_is_its_own_aperture(narrower: int, va
     v = 2 * math.pi / WAVELENGTH * lit * np.hypot(at[:, None], at[None, :]) / PROBE_FOCAL
     airy = torch.from_numpy((2 * j1(v) / v) ** 2) * (math.pi * lit**2 / (WAVELENGTH * PROBE_FOCAL)) ** 2
     airy = airy * 1e-3 / (math.pi * lit**2) * one.target.sensor.reflectance * one.probe.transmission
-    for accuracy in (1e-2, 1e-3):
-        error = (image(one, accuracy) - airy).abs().max() / airy.max()
-        validated(SECTION, f"beam of 1/{narrower} of the aperture, head on, {TARGET}, {accuracy:g} asked for", error,
-                  accuracy, "Airy's pattern of the beam")  # fmt: skip
+    error = (image(one) - airy).abs().max() / airy.max()
+    validated(SECTION, f"beam of 1/{narrower} of the aperture, head on, {TARGET}", error, 5e-3,
+              "Airy's pattern of the beam")  # fmt: skip
+    # The plan is made for the whole aperture, whose rings are finer than the beam's.
+    fine = image(one, 1e-4)
+    error = (image(one, 1e-2) - fine).abs().max() / fine.max()
+    validated(SECTION, f"the same beam of 1/{narrower}, accuracy of 1e-2 asked for", error, 1e-2, "accuracy of 1e-4")
 
 
 def test_diverging_light_fades_with_the_square_of_the_distance() -> None:
     light = {"mode": "diverging", "divergence": "0.5 deg", "vergence": 0.0}
-    near, far = (
-        image(scene(illumination=light, distance=d, sampling__propagation="far field")) for d in (2.0, 8.0)
-    )
+    near, far = (image(scene(illumination=light, distance=d, sampling__propagation="far field")) for d in (2.0, 8.0))
     assert torch.allclose(near, 16 * far, rtol=1e-9)
 
 

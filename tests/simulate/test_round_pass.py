@@ -117,6 +117,20 @@ def test_the_returning_pupil_is_displaced(degrees: float, validated: Any) -> Non
               abs(2 * middle / want - 1), 0.03, "2 z tanθ", "relative")  # fmt: skip
 
 
+@pytest.mark.parametrize("degrees", [0.4, 1.0])
+def test_the_return_leaves_along_the_light_that_came(degrees: float, validated: Any) -> None:
+    """Exit tilt −θ: with it taken out, the mean direction of the leaving light is that of the optical axis."""
+    g = geometry(sine=math.sin(math.radians(degrees)))
+    field, _, y, _ = RoundPass(g, plan_round(g), Grid(8, 8, 1e-5), dtype=torch.complex128).exit_pupil(
+        sines((0, degrees))
+    )
+    column = field[0, :, field.shape[2] // 2]
+    middle = (y.abs() - 2 * 0.1 * g.sine / 2).abs() < 0.3e-3
+    phase = np.unwrap(np.angle(column[middle & (y > 0)].numpy()))
+    slope = np.polyfit(y[middle & (y > 0)].numpy(), phase, 1)[0] / K
+    validated("Closed forms", f"exit tilt, {PAPER}, in focus, {degrees}°", abs(slope), 5e-5, "−θ, unrolled", "rad")
+
+
 def test_orders_are_tilted_mirrors() -> None:
     """An order of direction τ is the mirror seen from the tilt s + τ/2, times a phase."""
     g = geometry(distance=3.0, sine=0.02)

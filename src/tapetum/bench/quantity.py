@@ -13,7 +13,9 @@ __all__ = ["Angle", "Current", "FocusDistance", "Length", "Power", "Time", "Verg
 
 
 # A number and a unit. Pint would work out any formula, `9**9**9 m` too, and never come back.
-_QUANTITY = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1?\s*/\s*)?([^\W\d]|[°%])[^\d+]{0,40}([\^*-]?\d)?\s*")
+_QUANTITY = re.compile(
+    r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1?\s*/\s*)?([^\W\d]|[°%])[^\d+]{0,40}([\^*-]?\d)?\s*"
+)
 _LONGEST = 80
 
 

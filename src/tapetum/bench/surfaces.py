@@ -180,7 +180,11 @@ class Layer:
     @model_validator(mode="after")
     def _keeps_energy(self) -> Layer:
         scattered = 0.0 if self.diffuse is None else self.diffuse.albedo
-        shares = {"reflectance": self.reflectance, "transmittance": self.transmittance or 0.0, "diffuse.albedo": scattered}
+        shares = {
+            "reflectance": self.reflectance,
+            "transmittance": self.transmittance or 0.0,
+            "diffuse.albedo": scattered,
+        }
         tables = [share for share in shares.values() if isinstance(share, tuple)]
         for wavelength in [w for table in tables for w, _ in table] or [640e-9]:
             total = math.fsum(at_wavelength(share, wavelength) for share in shares.values())

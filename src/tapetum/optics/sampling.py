@@ -92,7 +92,6 @@ class DoublePassGeometry:
         return self.radius * abs(slope_in + gain / f) / max(1.0, abs(gain))
 
 
-
 @dataclass(frozen=True)
 class RoundEffort:
     """How finely an accuracy is sampled: its error in fractions of the peak, Airy rings kept, radians between two
@@ -128,8 +127,12 @@ _FEWEST_FORCED = 12
 # Share of returning light below which the error grows against the fading peak.
 _FADING = 0.3
 _MOST_BYTES = 3 << 29
-# A sample of the pupil takes its weight, and for one gaze at a time its distance, its place and its field.
-_BYTES_A_SAMPLE = 8 + 24
+# A sample of the pupil takes its weight, as long as weights are kept, and its distance, its place and its field while
+# it is at work; more samples than these are worked off in bands of rows.
+_BYTES_KEPT, _SAMPLES_KEPT = 8, 1 << 24
+_BYTES_AT_WORK, _SAMPLES_AT_WORK = 64, 1 << 20
+# More than this takes many seconds an image.
+_MOST_SAMPLES = 3 << 27
 # A sample of the probe's aperture takes its weight, its phase, and the field before and after.
 _BYTES_AT_APERTURE = 64
 # An entry of the table of returning light, and one of the transform that makes it, take their spectra as well.
@@ -162,8 +165,14 @@ class RoundPlan:
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
         """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
         pupil, side = self.columns * self.rows, 2 * math.isqrt(pixels)
-        kernels = (self.columns + self.rows) * side
-        return complex_size // 8 * (_BYTES_A_SAMPLE * batch * pupil + 8 * kernels + 24 * batch * pixels)
+        kept = _BYTES_KEPT * pupil if pupil <= _SAMPLES_KEPT else 0
+        at_work = _BYTES_AT_WORK * min(batch * pupil, _SAMPLES_AT_WORK)
+        kernels = 16 * (self.columns + self.rows) * side
+        return complex_size // 8 * (kept + at_work + kernels + 24 * batch * pixels)
+
+    def too_large(self, pixels: int) -> bool:
+        """Whether an image of `pixels` pixels is beyond the memory, or the time, that the engine allows itself."""
+        return self.bytes_needed(1, pixels) > _MOST_BYTES or self.columns * self.rows > _MOST_SAMPLES
 
     def as_dict(self) -> dict[str, float | int | str]:
         """The plan's numbers by name, for metadata."""
@@ -213,11 +222,11 @@ def plan_round(
         plan = replace(plan, expected_error=plan_round_with(nearest, effort).expected_error)
     if pupil_samples is not None:
         plan = _forced(plan, geometry, pupil_samples)
-    needed = plan.bytes_needed(1, pixels)
-    if needed > _MOST_BYTES:
+    if plan.too_large(pixels):
+        needed = plan.bytes_needed(1, pixels) / 2**30
         raise InputError(
-            f"the scene needs {plan.columns} x {plan.rows} samples over the pupil, {needed / 2**30:.1f} GiB an image, "
-            f"above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
+            f"the scene needs {plan.columns} x {plan.rows} samples over the pupil, {needed:.2g} GiB an image; allowed "
+            f"are {_MOST_SAMPLES / 1e6:.0f} million and {_MOST_BYTES / 2**30:.1f} GiB",
             where="sampling",
             remedy=_nearest_that_fits(geometry, effort, pixels),
         )
@@ -268,7 +277,7 @@ def _nearest_that_fits(g: DoublePassGeometry, effort: RoundEffort, pixels: int) 
     """What to change so that the memory suffices: the nearest aperture, focus and accuracy that fit."""
 
     def fits(one: DoublePassGeometry) -> bool:
-        return plan_round_with(one, effort).bytes_needed(1, pixels) <= _MOST_BYTES
+        return not plan_round_with(one, effort).too_large(pixels)
 
     ways: list[str] = []
     if radius := _largest(lambda share: fits(replace(g, radius=g.radius * share))):
@@ -280,7 +289,7 @@ def _nearest_that_fits(g: DoublePassGeometry, effort: RoundEffort, pixels: int) 
             distance = g.focal_length + g.focal_length**2 / (excess * nearer)
             ways.append(f"focus it at {distance:.3g} m or farther")
     for step in _LADDER:
-        if step.error > effort.error and plan_round_with(g, step).bytes_needed(1, pixels) <= _MOST_BYTES:
+        if step.error > effort.error and not plan_round_with(g, step).too_large(pixels):
             ways.append(f"ask for an accuracy of {step.error:g}")
             break
     return ", or ".join(ways) or "take fewer pixels of the probe"
@@ -370,8 +379,8 @@ def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) 
     needed = _BYTES_AN_ENTRY * (length + entries)
     if needed > _MOST_BYTES:
         raise InputError(
-            f"light comes back {2 * z * steepest:.3g} m beside a lens whose sensor lies {z:.3g} m behind it: a table of "
-            f"{needed / 2**30:.3g} GiB, above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
+            f"light comes back {2 * z * steepest:.3g} m beside a lens whose sensor lies {z:.3g} m behind it: a table "
+            f"of {needed / 2**30:.3g} GiB, above the {_MOST_BYTES / 2**30:.1f} GiB allowed",
             where="target.object_distance",
             remedy="focus it farther away, turn it less, or stop its aperture down",
         )

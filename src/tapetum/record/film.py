@@ -24,8 +24,8 @@ from tapetum.record.room import Room
 from tapetum.record.writer import RecordingWriter
 from tapetum.simulate import Camera, tilt_of_gaze
 from tapetum.simulate.exposure import digitise
-from tapetum.simulate.radiometry import electrons
 from tapetum.simulate.gaze import largest_sine
+from tapetum.simulate.radiometry import electrons
 
 __all__ = ["CameraClock", "Session", "film"]
 

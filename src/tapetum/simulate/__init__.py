@@ -5,10 +5,10 @@ from tapetum.simulate.camera import Camera
 from tapetum.simulate.diffuse import diffuse_return, speckle_return
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.exposure import count_variance, expected_counts, expose
-from tapetum.simulate.information import FisherInformation, fisher
 from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
 from tapetum.simulate.hypotheses import sign_dprime
 from tapetum.simulate.image import Image
+from tapetum.simulate.information import FisherInformation, fisher
 from tapetum.simulate.retroreflect import plan_scene, retroreflect
 from tapetum.simulate.round_pass import RoundPass
 

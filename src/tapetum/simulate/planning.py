@@ -15,8 +15,8 @@ from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.budget import LinkBudget, link_budget
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, beam_of, eye_safety
-from tapetum.simulate.information import FisherInformation, fisher
 from tapetum.simulate.gaze import gaze_of
+from tapetum.simulate.information import FisherInformation, fisher
 from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, wrapped
 from tapetum.simulate.radiometry import illumination_curvature
 
@@ -113,8 +113,8 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
     scene
         What stands on the bench; its own rotation counts.
     parameters
-        Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of each
-        is that of estimating all of them from one frame. Where left out: `PARAMETERS`, but for an object distance that
+        Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of
+        each is that of estimating all of them from one frame. Where left out: `PARAMETERS`, but for an object distance that
         is infinite.
 
     Raises

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import torch
 
+from tapetum.errors import InputError
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import DiscRows
@@ -35,6 +36,8 @@ _SAMPLES_AT_ONCE = 1 << 18
 _SAMPLES_KEPT = 1 << 24
 # Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
 _END_ORDER = 3
+# What automatic differentiation keeps for each sample of the pupil (some forty numbers), and may keep in all.
+_BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
 
 
@@ -237,6 +240,8 @@ class RoundPass:
         twist = foreshortens(self, sines)
         # A pupil too large for the caches is taken in bands of rows.
         whole = self.differentiable or sines.requires_grad
+        if whole:
+            self._check_graph(len(sines))
         band = self.plan.rows if whole else max(1, 4 * _SAMPLES_AT_ONCE // (len(sines) * self.plan.columns))
         gathered: torch.Tensor | None = None
         for start in range(0, self.plan.rows, band):
@@ -245,6 +250,17 @@ class RoundPass:
             gathered = part if gathered is None else gathered + part
         assert gathered is not None
         return self._path.to_image(gathered, centres)
+
+    def _check_graph(self, batch: int) -> None:
+        """Refuse gradients that would not fit: they keep every step of every sample."""
+        needed = _BYTES_OF_GRAPH * batch * self.plan.columns * self.plan.rows
+        if needed > _MOST_GRAPH:
+            raise InputError(
+                f"gradients over {self.plan.columns} x {self.plan.rows} samples and {batch} gazes need some "
+                f"{needed / 2**30:.0f} GiB, above the {_MOST_GRAPH / 2**30:.0f} GiB allowed",
+                where="sampling",
+                remedy="take fewer gazes at a time, ask for less accuracy, or stop the target's aperture down",
+            )
 
     def _pupil(self, sines: torch.Tensor, rows: slice, twist: bool) -> torch.Tensor:
         """Rows of the field that leaves the lens, with weights and constants: [B, rows, columns]."""

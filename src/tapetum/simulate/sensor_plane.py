@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import cmath
 import math
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -371,7 +372,7 @@ def _read(path: Path, reflectance: float) -> Complex:
         values = np.load(path, allow_pickle=False)
     except FileNotFoundError as error:
         raise InputError(f"there is no file {path}", where=where, remedy="give the path of a .npy file") from error
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
         remedy = "write it with numpy.save, as complex numbers"
         raise InputError(f"{path} is no .npy of plain numbers", where=where, remedy=remedy) from error
     if not isinstance(values, np.ndarray):
