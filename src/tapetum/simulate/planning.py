@@ -114,8 +114,8 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
         What stands on the bench; its own rotation counts.
     parameters
         Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of
-        each is that of estimating all of them from one frame. Where left out: `PARAMETERS`, but for an object distance that
-        is infinite.
+        each is that of estimating all of them from one frame. Where left out: `PARAMETERS`, but for an object distance
+        that is infinite.
 
     Raises
     ------
