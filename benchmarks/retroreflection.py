@@ -88,7 +88,7 @@ def _full_aperture(effort: Effort) -> Row:
     return Row(
         "the whole LA1509 lens, r = 12.7 mm, far field, cold",
         Figure.duration(timings.typical("ours")),
-        note=f"{plan['columns']} × {plan['rows']} samples; a process of its own takes {gigabytes:.2f} GB, torch included",
+        note=f"{plan['columns']} × {plan['rows']} samples; alone in a process {gigabytes:.2f} GB, torch included",
     )
 
 

@@ -106,10 +106,10 @@ class RoundEffort:
 
 # Measured on random scenes against the same computation at the reference's effort: tests/optics/test_sampling.py.
 _LADDER = (
-    RoundEffort(1e-2, 60, 1.5, 4.5, 0.5),
-    RoundEffort(3e-3, 120, 1.3, 4.0, 1.0),
-    RoundEffort(1e-3, 240, 1.05, 4.0, 1.5),
-    RoundEffort(3e-4, 480, 0.9, 3.2, 2.5),
+    RoundEffort(1e-2, 60, 1.5, 4.5, 2.0),
+    RoundEffort(3e-3, 120, 1.3, 4.0, 2.0),
+    RoundEffort(1e-3, 240, 1.05, 4.0, 2.5),
+    RoundEffort(3e-4, 480, 0.9, 3.2, 3.0),
     RoundEffort(1e-4, 800, 0.8, 3.0, 4.0),
 )
 REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 4.0)
