@@ -12,7 +12,7 @@ import tapetum as tp
 from .measure import Contender, Effort, Figure, Row, in_turns
 
 TITLE = "Growth with aperture and batch: f = 100 mm, x_d = 1 m, 256 × 256 pixels, far field, error ≤ 0.001"
-PEERS = ()
+PEERS: tuple[str, ...] = ()
 PICTURE = Path(__file__).parents[1] / "docs" / "images" / "growth.png"
 
 _RADII = (0.5e-3, 1e-3, 2e-3, 3e-3, 5e-3, 8e-3, 12.7e-3)
