@@ -22,6 +22,7 @@ from tapetum.optics.sampling import (
     plan_round,
     through_aperture,
 )
+from tapetum.simulate.diffuse import diffuse_return
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.light import directions, wavelengths
 from tapetum.simulate.radiometry import (
@@ -32,6 +33,7 @@ from tapetum.simulate.radiometry import (
 )
 from tapetum.simulate.reflections import Scatterer, mirrors, reaching_sensor, scatterers, specular_groups
 from tapetum.simulate.round_pass import RoundPass
+from tapetum.simulate.sensor_plane import reflectance_at
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
 
@@ -209,8 +211,6 @@ class Camera:
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry)
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
-        from tapetum.simulate.sensor_plane import reflectance_at
-
         sensor, sampling = self.scene.target.sensor, self.scene.sampling
         assert sensor.mask is not None
         beam = beam_radius(self.scene)
@@ -318,8 +318,6 @@ class Camera:
 
     def _scattered(self, line: _Line, scatterer: Scatterer, centres: torch.Tensor) -> torch.Tensor:
         """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target: no gaze changes it."""
-        from tapetum.simulate.diffuse import diffuse_return
-
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]

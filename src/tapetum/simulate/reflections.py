@@ -11,6 +11,7 @@ from tapetum.bench import Diffuse, Scene, at_wavelength
 from tapetum.simulate.light import coherence_length
 from tapetum.simulate.radiometry import layer_transmittance
 from tapetum.simulate.round_pass import Order, Surface
+from tapetum.simulate.sensor_plane import orders_of
 
 __all__ = ["Scatterer", "mirrors", "reaching_sensor", "scatterers", "specular_groups"]
 
@@ -116,8 +117,6 @@ def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, wides
         through *= layer_transmittance(layer, wavelength) ** 2
     orders: tuple[Order, ...] = ()
     if sensor.array is not None or sensor.microlens is not None:
-        from tapetum.simulate.sensor_plane import orders_of
-
         orders = orders_of(sensor, wavelength, widest)
     elif sensor.reflectance > 0 and sensor.mask is None:
         orders = (Order(amplitude=math.sqrt(sensor.reflectance)),)
