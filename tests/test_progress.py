@@ -32,3 +32,21 @@ def test_a_terminal_gets_a_bar(capsys: pytest.CaptureFixture[str], monkeypatch: 
     monkeypatch.setenv("FORCE_COLOR", "1")
     assert list(bar(range(4), "reading")) == [0, 1, 2, 3]
     assert "4/4" in capsys.readouterr().err
+
+
+class Endless:
+    """As a loader of an iterable dataset: it has a length and does not know it."""
+
+    def __len__(self) -> int:
+        raise TypeError("object has no len()")
+
+    def __iter__(self):
+        return iter("abc")
+
+
+def test_a_length_that_is_not_told(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert list(bar(Endless(), "reading")) == ["a", "b", "c"]
+    assert "reading: 3 in" in capsys.readouterr().err
+    monkeypatch.setenv("FORCE_COLOR", "1")
+    assert list(bar(Endless(), "reading")) == ["a", "b", "c"]
+    assert "3/?" in capsys.readouterr().err

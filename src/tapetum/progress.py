@@ -6,6 +6,7 @@ A function that works long takes `progress: Progress = quiet` and wraps its loop
 
 from __future__ import annotations
 
+import contextlib
 import time
 from collections.abc import Iterable, Iterator
 from typing import Protocol, TypeVar
@@ -40,8 +41,10 @@ def bar(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[
     )
     from rich.progress import Progress as RichProgress
 
-    if total is None and hasattr(items, "__len__"):
-        total = len(items)  # type: ignore[arg-type]
+    if total is None:
+        # What has a length may still refuse to tell it, as an iterable dataset's loader does.
+        with contextlib.suppress(TypeError, NotImplementedError):
+            total = len(items)  # type: ignore[arg-type]
     console = Console(stderr=True)
     if not console.is_terminal:
         # A log wants no frames of a bar, and a loop that failed says why by its error.

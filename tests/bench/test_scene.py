@@ -14,6 +14,8 @@ import pytest
 import yaml
 
 from tapetum.bench import (
+    PhoneTarget,
+    PrescriptionLens,
     Scene,
     field_path,
     load_scene,
@@ -84,13 +86,24 @@ def test_scenes_are_frozen() -> None:
         ("target.lens.aperture_radius", math.inf, "aperture_radius: must be finite, is inf"),
         ("target.lens.aperture_radius", "3 kg", "'3 kg' has the wrong dimension; give it in m"),
         ("target.lens.focal_length", None, "focal_length: None is no quantity"),
-        ("target.lens.kind", "thick", "target.lens.kind: unknown value 'thick'; use 'thin'"),
+        ("target.lens.kind", "thick", "target.lens.kind: unknown value 'thick'; use 'thin' or 'prescription'"),
+        ("target.lens.kind", 5, "target.lens.kind: unknown value '5'; use 'thin' or 'prescription'"),
+        ("target.kind", "phones", "target.kind: unknown value 'phones'; use 'camera' or 'phone'"),
+        # The kinds of a union are names that a file may hold as well.
+        ("camera", {}, "f.yaml: camera: unknown key; did you mean target.camera?"),
+        ("thin", 1, "f.yaml: thin: unknown key; use distance, illumination,"),
+        ("target.camera", "main", "target.camera: unknown key; it belongs to another kind; give the whole target of"),
+        ("target.lens.thin", 1, "f.yaml: target.lens.thin: unknown key; use aperture_radius,"),
+        ("probe.lens.prescription", 1, "f.yaml: probe.lens.prescription: unknown key; use aperture_radius,"),
+        ("target.lens.name", "phone-f", "target.lens.name: unknown key; it belongs to another kind; give the whole"),
+        ("target.lens", "phone-f", "target.lens: must be a mapping of fields, is 'phone-f'; give it a kind, thin or"),
         ("target.object_distance", "5 cm", "object_distance 0.05 m is not beyond the focal length 0.1 m; focus"),
         ("target.object_distance", "100 mm", "is not beyond the focal length"),
         ("target.rotation", ["40 deg", 0], "rotation of 40 deg is outside the paraxial model; stay below 30 deg"),
         ("target.rotation", ["1 deg"], "target.rotation: has 1 of the values it needs, is ['1 deg']; give all"),
         ("target.rotation", "1 deg", "target.rotation: must be a list of two values, is '1 deg'; write it in brackets"),
-        ("target", 5, "target: must be a mapping of fields, is 5; give it the fields lens, object_distance,"),
+        ("target", 5, "target: must be a mapping of fields, is 5; give it a kind, camera or phone, and the fields of"),
+        ("probe", 5, "probe: must be a mapping of fields, is 5; give it the fields lens, sensor, transmission"),
         ("target.sensor.reflectance", 1.5, "reflectance: 1.5 is out of range; give at most 1"),
         ("illumination.mode", "lamp", "unknown value 'lamp'; use 'collimated', 'diverging' or 'fixed_area'"),
         ("illumination.mode", "diverging", "mode 'diverging' needs a divergence; add"),
@@ -190,6 +203,38 @@ def test_changes_are_checked_with_the_whole() -> None:
     assert scene.illumination.second_beam is None
     with pytest.raises(InputError, match=r"thin-lens: target: object_distance 0\.05 m is not beyond"):
         load_scene("thin-lens", ["object_distance=5 cm"])
+
+
+def test_a_lens_and_a_phone_are_changed_by_name() -> None:
+    other = load_scene("rotation", ["target.lens.name=phone-f", "target.lens.focal_length=4.06 mm"])
+    assert isinstance(other.target.lens, PrescriptionLens) and other.target.lens.name == "phone-f"
+    real = load_scene("thin-lens", ["target.lens={kind: prescription, name: phone-f, f_number: 4}"])
+    assert isinstance(real.target.lens, PrescriptionLens) and real.target.lens.f_number == 4
+    # The file's own focal length is nobody's wish: another name brings its own.
+    again = with_values(real, {"target.lens.name": "phone-b", "lens.f_number": 5})
+    assert again.target.lens.focal_length == pytest.approx(5.11e-3, rel=2e-3)
+    phone = load_scene("phones", ["target.name=phone-03", "target.camera=tele", "imaging=false"])
+    assert isinstance(phone.target, PhoneTarget) and phone.target.name == "phone-03"
+    assert phone.target.unit.name == "tele" and not phone.target.imaging
+    instead = load_scene("thin-lens", ["target={kind: phone, name: phone-02, object_distance: 5}"])
+    assert isinstance(instead.target, PhoneTarget) and load_scene("phones").target.lens.kind == "prescription"
+
+
+@pytest.mark.parametrize(
+    ("scene", "changes", "words"),
+    [
+        ("rotation", ["target.lens.name=phone-x"], "target.lens: phone-x: no such lens; did you mean phone-"),
+        ("phones", ["target.name=phone-12"], "target: phone-12: no such phone; did you mean phone-1"),
+        ("phones", ["target.camera=back"], "target: phone-01 has no camera 'back'; use main"),
+        ("phones", ["target.lens.name=phone-f"], "target.lens: unknown key; it belongs to another kind; give the"),
+        ("focusing", ["target.lens.focal_length=200 mm"], "focal_length 200 mm is beyond this zoom; give one of 18."),
+        ("rotation", ["target.lens.f_number=0.9"], "f_number 0.9 is wider than cmount-12mm-f1.4 opens; give 1.4"),
+    ],
+)
+def test_a_lens_or_a_phone_that_cannot_be(scene: str, changes: list[str], words: str) -> None:
+    with pytest.raises(InputError) as raised:
+        load_scene(scene, changes)
+    assert words in str(raised.value) and "\n" not in str(raised.value)
 
 
 @pytest.mark.parametrize(

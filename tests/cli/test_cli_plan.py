@@ -8,14 +8,16 @@ from typing import Any
 
 import pytest
 
-from tapetum.bench import load_scene, scene_names
+from tapetum.bench import load_scene
 from tapetum.simulate.budget import link_budget
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE
 from tapetum.simulate.information import fisher
 
 SMALL = ("--set", "probe.sensor.pixels=[40, 32]", "--set", "sampling.accuracy=0.01")
+PLAIN = ("--set", "target.sensor={pixels: [648, 486], pitch: 8.8 um}")
 TWO = ("--set", "illumination.lines=[{wavelength: 532 nm, power: 1 mW}]")
 KEYS = ["scene", "geometry", "link_budget", "sampling", "limit", "eye_safety"]
+THIN = ("hand-held", "thin-lens")
 NAMES = ["gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power"]
 
 
@@ -30,7 +32,7 @@ def planned(run, *arguments: object) -> dict[str, Any]:
     return json.loads(ran.out, parse_constant=refuse)
 
 
-@pytest.mark.parametrize("scene", scene_names())
+@pytest.mark.parametrize("scene", THIN)
 def test_bundled_scenes_as_text(run, scene: str) -> None:
     ran = run("plan", scene, *SMALL)
     assert (ran.code, ran.err) == (0, "")
@@ -50,7 +52,7 @@ def test_bundled_scenes_as_text(run, scene: str) -> None:
     assert known.illumination.mode in ran.out and f"{link_budget(known).electrons:.4g} electrons" in ran.out
 
 
-@pytest.mark.parametrize("scene", scene_names())
+@pytest.mark.parametrize("scene", THIN)
 def test_bundled_scenes_as_json(run, scene: str) -> None:
     told = planned(run, scene, *SMALL)
     assert list(told) == KEYS and told["scene"] == scene
@@ -64,6 +66,34 @@ def test_bundled_scenes_as_json(run, scene: str) -> None:
     # No image of parallel light depends on the distance.
     assert (told["limit"]["bounds"]["distance"] is None) == (scene == "thin-lens")
     assert told["eye_safety"]["computed"] is True and told["eye_safety"]["notice"] == NOT_A_CERTIFICATE
+
+
+def test_a_real_lens_is_planned_by_what_its_rays_tell(run) -> None:
+    asked = ("rotation", "--set", "probe.sensor.pixels=[40, 32]", "--set", "sampling.accuracy=0.03", *PLAIN)
+    told = planned(run, *asked)
+    assert told["geometry"]["camera"] == "cmount-12mm-f1.4" and told["sampling"]["memory_bytes"] is None
+    # By real rays the field is not that of a thin lens.
+    thin = 2 * math.degrees(math.atan(648 * 8.8e-6 / 2 / 3.8e-3))
+    assert told["geometry"]["field_deg"][0] == pytest.approx(thin, rel=0.1)
+    assert told["limit"]["parameters"] == ["gaze_x", "gaze_y", "power"]
+    assert set(told["limit"]["left_out"]) == {"object_distance", "focal_length", "distance"}
+    assert any("counted as a thin lens" in note for note in told["link_budget"][0]["notes"])
+    ran = run("plan", *asked)
+    assert ran.code == 0 and "left out: not differentiated through a traced lens" in ran.out
+    refused = run("plan", *asked, "--target-parameters", "gaze_x,object_distance")
+    assert refused.code == 2 and "object_distance is not differentiated through a traced lens" in refused.complaint
+
+
+def test_a_phone_is_planned_without_limits(run) -> None:
+    asked = ("phones", "--set", "probe.sensor.pixels=[40, 32]", "--set", "target.name=phone-03")
+    told = planned(run, *asked)
+    assert told["geometry"]["camera"].startswith("phone-03 (main: phone-b")
+    assert told["limit"]["parameters"] == [] and set(told["limit"]["left_out"]) == set(NAMES)
+    assert any("the camera 'main' alone is counted, of 2" in note for note in told["link_budget"][0]["notes"])
+    ran = run("plan", *asked)
+    assert (ran.code, ran.err) == (0, "") and "not computed for a phone" in ran.out
+    refused = run("plan", *asked, "--target-parameters", "gaze_x")
+    assert refused.code == 2 and "take one of its cameras for the target" in refused.complaint
 
 
 def test_more_light_tells_more(run) -> None:

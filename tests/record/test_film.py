@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 import torch
@@ -11,8 +12,14 @@ import torch
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.record import HandMotion, Session, film, label_recording, open_recording
-from tapetum.record.film import CameraClock, probe_frames, without_second_beam
+from tapetum.record.beats import CameraClock
+from tapetum.record.clutter import draw_clutter
+from tapetum.record.film import without_second_beam
+from tapetum.record.laser import BlinkCode
 from tapetum.record.room import Room
+from tapetum.record.session import Placed
+from tapetum.record.shot import Shot, probe_frames
+from tapetum.record.stray import draw_stray
 from tapetum.simulate import Camera, tilt_of_gaze
 
 
@@ -64,9 +71,9 @@ def test_clocks_drift_jitter_and_lose_frames() -> None:
 
 
 def test_motion_covers_the_field_evenly_and_tells_nothing_by_place() -> None:
-    gaze, place = HandMotion().draw(4)
+    hand = HandMotion().draw(4)
     times = np.arange(0, 2000, 0.5)
-    where, sway = gaze(times), place(times)
+    where, sway = hand.gaze(times), hand.place(times)
     assert np.abs(where).max() < 0.5
     inner = (np.abs(where) < 0.24).mean()
     assert inner == pytest.approx(0.5, abs=0.08)
@@ -80,8 +87,7 @@ def test_a_frame_is_the_simulation_where_the_camera_is(small: Scene) -> None:
     gaze, place = np.array([[0.2, -0.1]]), np.array([[2e-3, -1e-3]])
     quiet = with_values(small, {"read_noise": 0.0, "background": 0.0, "probe.sensor.bits": 16})
     frame = next(iter(probe_frames(quiet, gaze, place, 0))).astype(float)
-    # (size - window)/2 rounds down: patches sit on whole pixels, half a one from the middle of an even frame.
-    centre = torch.from_numpy(place * 0.2 / 5.5) - 0.5 * quiet.probe.sensor.pitch
+    centre = torch.from_numpy(place * 0.2 / 5.5)
     camera = Camera(quiet, 0.03)
     whole = camera(tilt_of_gaze(quiet, torch.from_numpy(gaze)), centre)[0].numpy()
     assert np.corrcoef(frame.ravel(), whole.ravel())[0, 1] > 0.99
@@ -97,17 +103,55 @@ def test_without_the_second_beam_its_light_is_gone(small: Scene) -> None:
 def test_the_room_shows_the_laser_at_the_gaze() -> None:
     rng = np.random.default_rng(1)
     room = Room(200, 150, 3)
-    dark = Room(200, 150, 3, spot_peak=0.0)
     gaze = np.array([0.2, -0.3])
-    seen = room.picture(gaze, rng).astype(float) - dark.picture(gaze, rng).astype(float)
+    seen = room.picture(gaze, rng).astype(float) - room.picture(gaze, rng, laser=0.0).astype(float)
     row, column = np.unravel_index(seen.argmax(), seen.shape)
     assert abs(column - (99.5 + 40)) <= 1
     assert abs(row - (74.5 - 45)) <= 1
 
 
+def test_the_room_turns_against_the_camera_and_grows_as_it_comes_near() -> None:
+    room, gaze = Room(200, 150, 3), np.array([0.1, 0.1])
+    still = room.picture(gaze, np.random.default_rng(1), laser=0.0).astype(np.float32)
+    moved = room.picture(gaze, np.random.default_rng(2), laser=0.0, roll=0.3, nearer=1.1).astype(np.float32)
+    # The picture itself, turned the other way and enlarged about the laser, must be the new one.
+    c, s = 1.1 * np.cos(0.3), 1.1 * np.sin(0.3)
+    about = np.array([99.5 + 20, 74.5 + 15])
+    matrix = np.array([[c, s], [-s, c]])
+    expected = cv2.warpAffine(still, np.column_stack([matrix, about - matrix @ about]), (200, 150))
+    middle = (slice(50, 130), slice(70, 170))
+    assert np.corrcoef(moved[middle].ravel(), expected[middle].ravel())[0, 1] > 0.95
+    assert np.corrcoef(moved[middle].ravel(), still[middle].ravel())[0, 1] < 0.7
+
+
+def test_a_recording_says_all_that_was_drawn(small: Scene, tmp_path: Path) -> None:
+    session = Session(
+        0.4,
+        seed=2,
+        motion=HandMotion(roll=0.02, walk=(5.0, 4.5)),
+        code=BlinkCode(seed=5),
+        clutter=draw_clutter(small, 1),
+        stray=draw_stray(small, 1),
+        others=(Placed((0.01, 0.0)),),
+    )
+    recording = film(small, tmp_path / "a.rec", session)
+    meta, truth = recording.meta, recording.truth()
+    assert meta["laser"]["code"]["word"] == list(BlinkCode(seed=5).sent)
+    assert meta["motion"]["walk"] == [5.0, 4.5]
+    assert len(meta["clutter"]) == len(meta["stray"]) == 3
+    assert meta["others"][0]["offset"] == [0.01, 0.0]
+    assert truth is not None
+    assert {"roll", "distance", "exposure", "laser", "target", "x", "y"} <= set(truth.column_names)
+    shot = Shot(small, session)
+    assert np.array_equal(frames_of(tmp_path / "a.rec", "probe"), shot.probe(0, len(shot.beats["probe"])))
+
+
 def test_a_session_without_frames_and_a_name_taken_are_refused(small: Scene, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="seconds"):
         film(small, tmp_path / "a.rec", Session(0.01))
+    with pytest.raises(InputError, match="motion"):
+        film(small, tmp_path / "a.rec", Session(0.2, motion=HandMotion(walk=(0.2, 0.1))))
+    assert not (tmp_path / "a.rec").exists()
     film(small, tmp_path / "a.rec", Session(0.2))
     with pytest.raises(InputError, match=r"a\.rec"):
         film(small, tmp_path / "a.rec", Session(0.2))

@@ -10,9 +10,13 @@ from tapetum.bench.load import (
     scene_yaml,
     with_values,
 )
+from tapetum.bench.phone import CameraUnit, Dots, Phone, load_phone, phone_names
+from tapetum.bench.prescription import PrescriptionLens, lens_names, load_lens
 from tapetum.bench.scene import (
+    STEEPEST,
     Illumination,
     Line,
+    PhoneTarget,
     Probe,
     ProbeSensor,
     Sampling,
@@ -25,12 +29,18 @@ from tapetum.bench.scene import (
 from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask, at_wavelength
 
 __all__ = [
+    "STEEPEST",
+    "CameraUnit",
     "Diffuse",
+    "Dots",
     "Illumination",
     "Layer",
     "Line",
     "Microlens",
+    "Phone",
+    "PhoneTarget",
     "PixelArray",
+    "PrescriptionLens",
     "Probe",
     "ProbeSensor",
     "Sampling",
@@ -42,7 +52,11 @@ __all__ = [
     "ThinLens",
     "at_wavelength",
     "field_path",
+    "lens_names",
+    "load_lens",
+    "load_phone",
     "load_scene",
+    "phone_names",
     "scene_dict",
     "scene_from_dict",
     "scene_names",

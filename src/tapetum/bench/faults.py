@@ -14,6 +14,8 @@ from tapetum.errors import InputError
 __all__ = ["first_fault"]
 
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
+# Where pydantic puts the kind that was meant into a path, and the kinds.
+_TAGS = {("target",): ("camera", "phone"), ("target", "lens"): ("thin", "prescription")}
 _BOUNDS = {
     "greater_than": ("gt", "more than"),
     "greater_than_equal": ("ge", "at least"),
@@ -37,7 +39,7 @@ def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, .
     found = error.errors(include_url=False)
     # A misspelt key makes its field missing as well: the key is what to mend.
     first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
-    steps = [step for step in first["loc"] if not str(step).startswith(("function-", "tuple["))]
+    steps = _plain(first["loc"])
     kind, given, context = first["type"], first.get("input"), first.get("ctx", {})
     if kind in ("missing", "missing_argument") and steps and isinstance(steps[-1], int):
         # A list that is too short: its own path helps, that of the absent item does not.
@@ -49,10 +51,29 @@ def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, .
         what, remedy = "unknown key", _nearest(steps, paths)
     else:
         what, remedy = _value_fault(kind, str(first["msg"]), given, context)
-        if kind == "dataclass_type":
+        if kind == "union_tag_invalid":
+            steps.append("kind")
+        elif kind == "dataclass_type" and tuple(steps) in _TAGS:
+            remedy = f"give it a kind, {' or '.join(_TAGS[tuple(map(str, steps))])}, and the fields of that"
+        elif kind == "dataclass_type":
             inner = sorted({path[len(steps)] for path in paths if len(path) > len(steps) and _at(path, steps)})
             remedy = f"give it the fields {', '.join(inner)}"
     return InputError(what, where=": ".join(filter(None, (where, ".".join(map(str, steps))))), remedy=remedy)
+
+
+def _plain(steps: Sequence[int | str]) -> list[int | str]:
+    """A path as a file has it, without what pydantic puts between its keys: kinds of a union, validators."""
+    found: list[int | str] = []
+    tagged: int | None = None
+    for step in steps:
+        if str(step).startswith(("function-", "tuple[")):
+            continue
+        # The key after a kind may well be of the same name.
+        if tagged != len(found) and step in _TAGS.get(tuple(map(str, found)), ()):
+            tagged = len(found)
+            continue
+        found.append(step)
+    return found
 
 
 def _value_fault(kind: str, message: str, given: object, context: dict[str, Any]) -> tuple[str, str]:
@@ -65,6 +86,8 @@ def _value_fault(kind: str, message: str, given: object, context: dict[str, Any]
         key, words = _BOUNDS[kind]
         bound = f"{words} {context[key]:g}"
         return f"{given!r} is out of range", f"give {bound}"
+    if kind == "union_tag_invalid":
+        return f"unknown value {context['tag']!r}", f"use {context['expected_tags'].replace(',', ' or')}"
     if kind == "literal_error":
         return f"unknown value {given!r}", f"use {context['expected']}"
     if kind == "dataclass_type":
@@ -87,9 +110,14 @@ def _at(path: tuple[str, ...], steps: Sequence[object]) -> bool:
 def _nearest(steps: Sequence[object], paths: Sequence[tuple[str, ...]]) -> str:
     """Guess which field an unknown key meant: its neighbours first, then the same word anywhere."""
     steps = [step for step in steps if not isinstance(step, int)]
+    if not steps:
+        return "remove it"
+    if tuple(steps) in paths:
+        whole = ".".join(map(str, steps[:-1]))
+        return f"it belongs to another kind; give the whole {whole} of that kind"
     last = str(steps[-1])
     beside = [path for path in paths if len(path) == len(steps) and _at(path, steps[:-1])]
-    near = difflib.get_close_matches(last, [path[-1] for path in beside], n=1, cutoff=0.5)
+    near = difflib.get_close_matches(last, [path[-1] for path in beside], n=1)
     same = sorted((path for path in paths if path[-1] == last), key=len)
     found = [path for path in beside if path[-1] in near] or [path for path in same if len(path) == len(same[0])]
     if found:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import functools
 import json
 import math
 import os
-import typing
 from collections.abc import Iterable, Mapping
 from importlib import resources
 from pathlib import Path
@@ -18,6 +16,7 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from tapetum.bench.faults import first_fault
+from tapetum.bench.plain_yaml import UniqueKeys, field_paths
 from tapetum.bench.scene import SCHEMA, Scene
 from tapetum.errors import InputError
 
@@ -72,7 +71,7 @@ def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> S
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"cannot be read as text ({error})", where=name, remedy="give a YAML file") from error
     try:
-        content = yaml.load(text, _Loader)
+        content = yaml.load(text, UniqueKeys)
     except yaml.YAMLError as error:
         raise InputError(f"is no YAML ({error})", where=name, remedy="mend the line it names") from error
     if not isinstance(content, dict):
@@ -202,20 +201,8 @@ def _indexed(key: str, words: tuple[str, ...]) -> tuple[str, ...]:
 def _paths(lists: bool = False) -> tuple[tuple[str, ...], ...]:
     """Every field of a scene; with those of the members of its lists, too, where asked for."""
 
-    def walk(kind: type, at: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
-        for field in dataclasses.fields(kind):
-            here = (*at, field.name)
-            yield here
-            for one in _inner(typing.get_type_hints(kind)[field.name], lists):
-                yield from walk(one, here)
-
-    return tuple(walk(Scene, ()))
-
-
-def _inner(hint: Any, lists: bool) -> list[type]:
-    if typing.get_origin(hint) is tuple and not lists:
-        return []
-    return [one for one in (hint, *typing.get_args(hint)) if dataclasses.is_dataclass(one)]  # pyright: ignore[reportReturnType]
+    # The kinds of target and of lens share some fields.
+    return tuple(dict.fromkeys(field_paths(Scene, lists=lists)))
 
 
 def _parsed(changes: Iterable[str]) -> dict[str, Any]:
@@ -225,24 +212,11 @@ def _parsed(changes: Iterable[str]) -> dict[str, Any]:
         if not sign or not key:
             raise InputError(f"{change!r} is no change", where="--set", remedy="write KEY=VALUE")
         try:
-            values[key.strip()] = yaml.load(text, _Loader)
+            values[key.strip()] = yaml.load(text, UniqueKeys)
         except yaml.YAMLError as error:
             remedy = "write it as in a scene file: 5, '75 mm', [1, 2]"
             raise InputError(f"{text!r} is no value", where=f"--set {key}", remedy=remedy) from error
     return values
-
-
-class _Loader(yaml.SafeLoader):
-    """YAML that refuses a key given twice: the first one would be lost without a word."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if isinstance(key, yaml.ScalarNode) and key.tag != "tag:yaml.org,2002:merge":
-                if key.value in seen:
-                    raise yaml.MarkedYAMLError(problem=f"key {key.value!r} twice", problem_mark=key.start_mark)
-                seen.add(key.value)
-        return super().construct_mapping(node, deep)
 
 
 def _rotation(value: object) -> object:

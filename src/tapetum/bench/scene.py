@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import math
-from typing import Annotated, Literal, TypeVar
+from dataclasses import replace
+from typing import Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.quantity import Angle, Current, FocusDistance, Length, Power, Time, Vergence
-from tapetum.bench.strict import STRICT, Positive, Share
-from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask
+from tapetum.bench.phone import CameraUnit, Phone, load_phone
+from tapetum.bench.prescription import PrescriptionLens
+from tapetum.bench.quantity import Angle, FocusDistance, Length, Power, Vergence
+from tapetum.bench.sensors import ProbeSensor, TargetSensor
+from tapetum.bench.strict import STRICT, Positive
 
 __all__ = [
     "SCHEMA",
+    "STEEPEST",
     "Illumination",
     "Line",
+    "PhoneTarget",
     "Probe",
     "ProbeSensor",
     "Sampling",
@@ -27,11 +32,11 @@ __all__ = [
 ]
 
 SCHEMA = "tapetum/scene/1"
+# Rotations from which a target of each kind is refused, in radians.
+STEEPEST = {"thin": math.pi / 6, "prescription": math.pi / 3}
 
-S = TypeVar("S", "TargetSensor", "ProbeSensor")
 Wavelength = Annotated[Length, Field(ge=200e-9, le=2e-6)]
 SmallAngle = Annotated[Angle, Field(gt=-0.2, lt=0.2)]
-Pixels = Annotated[tuple[int, int], Field(description="columns, rows")]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -151,44 +156,14 @@ class ThinLens:
         return self
 
 
-@dataclass(frozen=True, config=STRICT)
-class TargetSensor:
-    """The target's image sensor: what it reflects, and what it sees.
+def _kind_of_lens(value: Any) -> str:
+    return str(value.get("kind", "thin") if isinstance(value, dict) else getattr(value, "kind", "thin"))
 
-    Parameters
-    ----------
-    reflectance
-        Power reflectance of its plane, taken as a mirror.
-    pixels, pitch
-        Columns and rows, and their distance in metres: together the field of view.
-    array, microlens
-        The photosites as a grating, and the lenses over them; a flat mirror without.
-    mask
-        Any complex reflectance in their place.
-    diffuse
-        A scattered share, besides.
-    layers
-        Further reflecting planes before the sensor.
-    """
 
-    reflectance: Share = 0.1
-    # The paper's STC-MBA5MUSB3, 4 by 4 binned: 5.7 by 4.3 mm.
-    pixels: Pixels = (648, 486)
-    pitch: Positive = 8.8e-6
-    array: PixelArray | None = None
-    microlens: Microlens | None = None
-    mask: SensorMask | None = None
-    diffuse: Diffuse | None = None
-    layers: tuple[Layer, ...] = ()
-
-    @model_validator(mode="after")
-    def _has_pixels(self) -> TargetSensor:
-        if self.mask is not None and (self.array is not None or self.microlens is not None):
-            raise ValueError("a mask takes the place of array and microlens; leave one of them out")
-        if self.diffuse is not None and self.reflectance + self.diffuse.albedo > 1:
-            total = self.reflectance + self.diffuse.albedo
-            raise ValueError(f"reflectance and diffuse.albedo add up to {total:g}; keep them below 1")
-        return _with_pixels(self)
+# A lens is thin unless it says otherwise.
+Lens = Annotated[
+    Annotated[ThinLens, Tag("thin")] | Annotated[PrescriptionLens, Tag("prescription")], Discriminator(_kind_of_lens)
+]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -205,10 +180,11 @@ class Target:
         About y and about x, in radians: positive values put the probe's laser at a positive gaze, right and down.
     """
 
-    lens: ThinLens
+    lens: Lens
     object_distance: FocusDistance
     rotation: tuple[Angle, Angle] = (0.0, 0.0)
     sensor: TargetSensor = Field(default_factory=TargetSensor)
+    kind: Literal["camera"] = "camera"
 
     @model_validator(mode="after")
     def _can_focus_and_look(self) -> Target:
@@ -218,10 +194,11 @@ class Target:
                 f"{self.lens.focal_length:g} m; focus farther away or shorten the focal length"
             )
         angle = math.hypot(*self.rotation)
-        if angle >= math.pi / 6:
-            raise ValueError(
-                f"rotation of {math.degrees(angle):.4g} deg is outside the paraxial model; stay below 30 deg"
-            )
+        steepest = STEEPEST[self.lens.kind]
+        if angle >= steepest:
+            model = "the paraxial model" if self.lens.kind == "thin" else "what any lens sees here"
+            most = math.degrees(steepest)
+            raise ValueError(f"rotation of {math.degrees(angle):.4g} deg is outside {model}; stay below {most:.0f} deg")
         for layer in self.sensor.layers:
             if layer.depth / layer.index >= 0.9 * self.lens.focal_length:
                 raise ValueError(f"a layer {layer.depth:g} m before the sensor lies in the lens; move it nearer")
@@ -229,56 +206,82 @@ class Target:
 
 
 @dataclass(frozen=True, config=STRICT)
-class ProbeSensor:
-    """The probe's image sensor, from photons to digital numbers.
+class PhoneTarget:
+    """A phone looked at: one of its cameras is held on the scene, all of them answer.
 
     Parameters
     ----------
-    pixels, pitch
-        Columns and rows, and their distance in metres.
-    bits
-        Of a digital number.
-    exposure
-        In seconds.
-    quantum_efficiency
-        Electrons a photon.
-    full_well, read_noise
-        In electrons.
-    gain
-        Digital numbers an electron; where it is left out the digital range spans the full well.
-    background
-        Mean stray light a pixel and frame, in electrons.
-    dark_current
-        Electrons a pixel and second.
-    offset
-        Digital number of no light.
-    hot_pixels
-        Share of pixels with a dark current far above the others', at places that belong to the sensor.
-    hot_current
-        Mean of the hot pixels' dark current, exponentially distributed, in electrons a pixel and second.
-    serial
-        Number of the sensor: it decides where its hot pixels are.
+    name
+        Of the catalogue, or the path of a YAML file.
+    object_distance
+        Where its cameras are focused, in metres; `inf` for infinity.
+    kind
+        What tells it from a single camera.
+    camera
+        Name of the camera whose field the gaze is in; the first one when left out.
+    imaging
+        Whether that camera images (its app is open). Sensors answer while they image, filters always.
+    rotation
+        As of a `Target`.
     """
 
-    pixels: Pixels = (256, 256)
-    pitch: Positive = 2.2e-6
-    bits: Annotated[int, Field(ge=1, le=16)] = 8
-    exposure: Time = 1e-5
-    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.5
-    # Inferred for the MT9P031, the likely sensor of the paper's cameras: not confirmed by its maker.
-    full_well: Annotated[float, Field(ge=1, le=1e9)] = 6500.0
-    read_noise: Annotated[float, Field(ge=0, le=1e6)] = 2.0
-    background: Annotated[float, Field(ge=0, le=1e9)] = 0.0
-    dark_current: Current = 0.0
-    offset: Annotated[float, Field(ge=0, le=65535)] = 0.0
-    gain: Annotated[float, Field(gt=0, le=1e6)] | None = None
-    hot_pixels: Share = 0.0
-    hot_current: Current = 0.0
-    serial: Annotated[int, Field(ge=0, lt=2**63)] = 0
+    name: str
+    object_distance: FocusDistance
+    kind: Literal["phone"]
+    camera: str | None = None
+    imaging: bool = True
+    rotation: tuple[Angle, Angle] = (0.0, 0.0)
 
     @model_validator(mode="after")
-    def _has_pixels(self) -> ProbeSensor:
-        return _with_pixels(self)
+    def _is_a_phone(self) -> PhoneTarget:
+        names = [unit.name for unit in self.phone.cameras]
+        if self.camera is not None and self.camera not in names:
+            raise ValueError(f"{self.name} has no camera {self.camera!r}; use {' or '.join(names)}")
+        # Each of them must be able to focus there.
+        self.cameras()
+        return self
+
+    @property
+    def phone(self) -> Phone:
+        """The phone itself."""
+        return load_phone(self.name)
+
+    @property
+    def unit(self) -> CameraUnit:
+        """The camera whose field the gaze is in."""
+        return next(unit for unit in self.phone.cameras if self.camera in (None, unit.name))
+
+    @property
+    def lens(self) -> PrescriptionLens:
+        """That camera's lens."""
+        return self.unit.lens
+
+    @property
+    def sensor(self) -> TargetSensor:
+        """That camera's sensor, as it is while it images."""
+        return self.unit.sensor
+
+    def cameras(self) -> tuple[tuple[Target, tuple[float, float]], ...]:
+        """Every camera as a target of its own, and its place on the back plate against the one that gazes."""
+        gazing, found = self.unit, list[tuple[Target, tuple[float, float]]]()
+        for unit in self.phone.cameras:
+            images = self.imaging and unit.name == gazing.name
+            sensor = unit.sensor
+            if not images:
+                sensor = replace(sensor, reflectance=0.0, array=None, microlens=None, mask=None, diffuse=None)
+            place = (unit.position[0] - gazing.position[0], unit.position[1] - gazing.position[1])
+            found.append((Target(unit.lens, self.object_distance, self.rotation, sensor), place))
+        return tuple(found)
+
+
+def _kind_of_target(value: Any) -> str:
+    return str(value.get("kind", "camera") if isinstance(value, dict) else getattr(value, "kind", "camera"))
+
+
+# A target is a single camera unless it says otherwise.
+AnyTarget = Annotated[
+    Annotated[Target, Tag("camera")] | Annotated[PhoneTarget, Tag("phone")], Discriminator(_kind_of_target)
+]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -332,14 +335,8 @@ class Scene:
     """
 
     distance: Positive
-    target: Target
+    target: AnyTarget
     probe: Probe
     illumination: Illumination = Field(default_factory=Illumination)
     sampling: Sampling = Field(default_factory=Sampling)
     schema: Literal["tapetum/scene/1"] = SCHEMA
-
-
-def _with_pixels(sensor: S) -> S:
-    if min(sensor.pixels) < 1 or max(sensor.pixels) > 16384:
-        raise ValueError(f"pixels {list(sensor.pixels)} are out of range; give 1 to 16384 a side")
-    return sensor

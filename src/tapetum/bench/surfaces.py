@@ -130,10 +130,15 @@ class Microlens:
         Of one microlens, in metres.
     fill
         Diameter over the pitch; between the lenses light passes a flat.
+    shift
+        How far a microlens stands off its photosite towards the sensor's middle, in metres a metre of image height.
+        For a gap g of index n between them and an exit pupil R before the sensor, g/(nR) lets chief rays meet the
+        photosites.
     """
 
     focal_length: Positive
     fill: Annotated[float, Field(gt=0, le=1)] = 1.0
+    shift: Annotated[float, Field(ge=-0.05, le=0.05)] = 0.0
 
 
 @dataclass(frozen=True, config=STRICT)

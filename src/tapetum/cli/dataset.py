@@ -4,16 +4,29 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
+from tapetum.cli.dataset_import import import_data
+from tapetum.cli.dataset_synth import synth
 from tapetum.cli.inputs import check_replaceable
+from tapetum.errors import InputError
 from tapetum.progress import bar
 
 app = typer.Typer(
     help="Build datasets from recordings, and look into them.", no_args_is_help=True, rich_markup_mode=None
 )
+app.command("synth", short_help="Film the paper's three sets.")(synth)
+app.command("import", short_help="Make a dataset of data taken elsewhere.")(import_data)
+
+
+def check_drawable(sheet: Path | None) -> None:
+    """Refuse early, before every crop is looked at, what cannot be drawn."""
+    kinds = (".png", ".pdf", ".svg")
+    if sheet is not None and sheet.suffix.lower() not in kinds:
+        what = f"cannot draw a {sheet.suffix or 'nameless'} file"
+        raise InputError(what, where=sheet, remedy=f"use one of {', '.join(kinds)}")
 
 
 @app.command("build", short_help="Cut crops out of labelled recordings.")
@@ -43,41 +56,38 @@ def build(
     typer.echo(f"{out}: {dataset.tp.train.sizes['frame']} to train on, {dataset.tp.test.sizes['frame']} to test")
 
 
-@app.command("info", short_help="Counts, splits and label ranges.")
+@app.command("info", short_help="What a dataset holds, and what is wrong with it.")
 def info(
     path: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
+    sheet: Annotated[
+        Path | None, typer.Option("--sheet", metavar="FILE", help="Draw a contact sheet: .png, .pdf or .svg.")
+    ] = None,
 ) -> None:
-    """Print counts, splits and label ranges."""
-    from tapetum.data import open_dataset
+    """Look at every crop: counts, labels, duplicates, saturated and empty frames, centring, leaks.
 
+    A leak is a label that can be read from anything but the picture of the retro-reflection.
+    """
+    from tapetum.cli.dataset_info import as_told, lines
+    from tapetum.data import open_dataset
+    from tapetum.data.corners import CornerReader
+    from tapetum.data.leaks import score_leaks
+    from tapetum.data.quality import inspect_dataset
+
+    check_drawable(sheet)
     dataset = open_dataset(path)
-    told: dict[str, Any] = {
-        "frames": dataset.sizes["frame"],
-        "train": dataset.tp.train.sizes["frame"],
-        "test": dataset.tp.test.sizes["frame"],
-        "side": dataset.tp.side,
-        "full_scale": dataset.tp.full_scale,
-        "labels": {
-            name: {
-                "unit": dataset[name].attrs.get("units", ""),
-                "least": float(dataset[name].min()),
-                "mean": float(dataset[name].mean()),
-                "most": float(dataset[name].max()),
-            }
-            for name in dataset.tp.targets
-        },
-        "recordings": dataset.tp.recordings,
-    }
+    corners = CornerReader(dataset)
+    quality = inspect_dataset(dataset, also=[corners.add], progress=bar)
+    leaks = score_leaks(dataset, corners.read(), progress=bar)
     if as_json:
-        typer.echo(json.dumps(told, default=str))
-        return
-    split = f"{told['train']} to train on, {told['test']} to test"
-    typer.echo(f"{path}: {told['frames']} crops of {told['side']} px: {split}")
-    for name, label in told["labels"].items():
-        span = f"{label['least']:.3f} to {label['most']:.3f}, mean {label['mean']:.3f}"
-        typer.echo(f"  {name}: {span} ({label['unit']})")
-    for one in told["recordings"]:
-        left = ", ".join(f"{why} {count}" for why, count in one["left_out"].items() if count)
-        tail = f" (left out: {left})" if left else ""
-        typer.echo(f"  {one['name']}: {one['used']} of {one['frames']} frames{tail}")
+        typer.echo(json.dumps(as_told(dataset, quality, leaks)))
+    else:
+        for line in lines(str(path), dataset, quality, leaks):
+            typer.echo(line)
+    if sheet is not None:
+        from tapetum.cli.dataset_info import noticed
+        from tapetum.report.figures import save_figure
+        from tapetum.report.figures.contact_sheet import fig_contact_sheet
+
+        save_figure(fig_contact_sheet(dataset, quality, name=path.name, notes=noticed(quality, leaks)), sheet)
+        typer.echo(f"contact sheet: {sheet}", err=as_json)

@@ -4,6 +4,7 @@ from tapetum.data.build import build_dataset
 from tapetum.data.crop import Peak, crop, crop_batch, find_centre, find_peak
 from tapetum.data.dataset import (
     DatasetAccessor,
+    class_variable,
     content_hash,
     dataset_from_arrays,
     image_batches,
@@ -14,6 +15,7 @@ __all__ = [
     "DatasetAccessor",
     "Peak",
     "build_dataset",
+    "class_variable",
     "content_hash",
     "crop",
     "crop_batch",

@@ -9,7 +9,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +18,17 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
 from tapetum.data.crop import SIGMA, crop, find_centre, find_peak
-from tapetum.data.dataset import FORMAT, QUANTITIES, TEST, TRAIN, VERSION, finish_hash, split_variable
+from tapetum.data.dataset import (
+    DEVICE,
+    FORMAT,
+    QUANTITIES,
+    TEST,
+    TRAIN,
+    VERSION,
+    class_variable,
+    finish_hash,
+    split_variable,
+)
 from tapetum.errors import InputError
 from tapetum.files import atomic_folder
 from tapetum.progress import Progress, quiet
@@ -35,7 +45,7 @@ _RING_SIGMA = 4.0
 
 
 @dataclass(frozen=True)
-class _Labels:
+class Labels:
     """The labels of one recording by probe frame."""
 
     names: tuple[str, ...]
@@ -43,18 +53,18 @@ class _Labels:
 
 
 @dataclass(frozen=True)
-class _Rules:
+class Rules:
     """Which frames are kept, how they are cut and where they go: the arguments of `build_dataset`."""
 
-    side: int
-    test_fraction: float
-    min_quality: float
-    min_snr: float
-    sigma: float
+    side: int = 400
+    test_fraction: float = 0.2
+    min_quality: float = 0.5
+    min_snr: float = 6.0
+    sigma: float = SIGMA
 
 
 @dataclass
-class _Kept:
+class Kept:
     """What grows while frames are kept; the images go to the store at once."""
 
     columns: dict[str, list[float]] = field(default_factory=dict)
@@ -64,13 +74,19 @@ class _Kept:
             self.columns.setdefault(name, []).append(value)
 
 
-class _Images:
+class Sink(Protocol):
+    """Where crops go, one after the other."""
+
+    def add(self, image: NDArray[np.generic], /) -> None: ...
+
+
+class Images:
     """Appends crops to an array of the store, whole chunks at a time, and sums them up."""
 
     def __init__(self, group: zarr.Group, side: int, dtype: np.dtype[Any]) -> None:
         self.digest = hashlib.sha256()
         self._buffer: list[NDArray[np.generic]] = []
-        self._array = _array(group, "image", (0, side, side), (CHUNK, side, side), dtype, ("frame", "y", "x"))
+        self._array = make_array(group, "image", (0, side, side), (CHUNK, side, side), dtype, ("frame", "y", "x"))
         self._array.attrs["units"] = "count"
         self._array.attrs["long_name"] = "crop around the retro-reflection"
 
@@ -86,7 +102,7 @@ class _Images:
             self._buffer.clear()
 
 
-def _array(
+def make_array(
     group: zarr.Group,
     name: str,
     shape: tuple[int, ...],
@@ -108,7 +124,22 @@ def _array(
     )
 
 
-def _labels(recording: Recording) -> _Labels:
+def _classes(recordings: Sequence[Recording]) -> list[str]:
+    """Names of all devices that the recordings are labelled with, sorted: their numbers are their places."""
+    tables = (recording.labels() for recording in recordings)
+    columns = (table.column(DEVICE).to_pylist() for table in tables if table and DEVICE in table.column_names)
+    return sorted({str(name) for column in columns for name in column if name is not None})
+
+
+def _values(table: pa.Table, name: str, classes: list[str]) -> NDArray[np.float32]:
+    """Return a label's column; a null is NaN."""
+    if name != DEVICE:
+        return table.column(name).to_numpy(zero_copy_only=False).astype(np.float32)
+    number = {one: n for n, one in enumerate(classes)}
+    return np.array([np.nan if one is None else number[str(one)] for one in table.column(name).to_pylist()], np.float32)
+
+
+def labels_of(recording: Recording, classes: list[str]) -> Labels:
     where = Path(recording.path) / "labels.parquet"
     table: pa.Table | None = recording.labels()
     if table is None:
@@ -117,23 +148,25 @@ def _labels(recording: Recording) -> _Labels:
             where=where,
             remedy="label it first: tapetum.record.label_recording",
         )
-    names = tuple(name for name in QUANTITIES if name in table.column_names)
+    names = tuple(name for name in (*QUANTITIES, DEVICE) if name in table.column_names)
     if "frame" not in table.column_names or not names:
         raise InputError(
-            f"expected columns frame and one of {', '.join(QUANTITIES)}", where=where, remedy="label it again"
+            f"expected columns frame and one of {', '.join((*QUANTITIES, DEVICE))}",
+            where=where,
+            remedy="label it again",
         )
     frames = table.column("frame").to_numpy()
-    values = np.stack([table.column(n).to_numpy(zero_copy_only=False).astype(np.float32) for n in names], axis=1)
+    values = np.stack([_values(table, name, classes) for name in names], axis=1)
     quality = np.ones(len(frames))
     if "quality" in table.column_names:
         quality = table.column("quality").to_numpy(zero_copy_only=False).astype(np.float64)
     # A null is a NaN here: no label.
     good = np.isfinite(values).all(axis=1) & np.isfinite(quality)
     rows = zip(frames[good], values[good], quality[good], strict=True)
-    return _Labels(names, {int(f): (v, float(q)) for f, v, q in rows})
+    return Labels(names, {int(f): (v, float(q)) for f, v, q in rows})
 
 
-def _checked(recordings: Sequence[str | os.PathLike[str]], rules: _Rules) -> list[Recording]:
+def _checked(recordings: Sequence[str | os.PathLike[str]], rules: Rules) -> list[Recording]:
     if isinstance(recordings, str | os.PathLike):
         recordings = [recordings]
     if not recordings:
@@ -209,9 +242,10 @@ def build_dataset(
         When no recording is given, one has no labels, depths or labelled quantities differ, or nothing (or
         nothing for one of the two parts) is left. Nothing is written then.
     """
-    rules = _Rules(side, test_fraction, min_quality, min_snr, sigma)
+    rules = Rules(side, test_fraction, min_quality, min_snr, sigma)
     opened = _checked(recordings, rules)
-    labels = [_labels(recording) for recording in opened]
+    classes = _classes(opened)
+    labels = [labels_of(recording, classes) for recording in opened]
     if len({label.names for label in labels}) > 1:
         found = "; ".join(f"{Path(r.path).name}: {', '.join(b.names)}" for r, b in zip(opened, labels, strict=True))
         raise InputError(f"recordings are labelled with different quantities ({found})", where="recordings")
@@ -225,42 +259,63 @@ def build_dataset(
     names = labels[0].names
     with atomic_folder(out, overwrite=overwrite) as folder:
         group = zarr.create_group(str(folder), zarr_format=3)
-        images, kept = _Images(group, side, dtype), _Kept()
+        images, kept = Images(group, side, dtype), Kept()
         told = [
-            _add(recording, number, label, images, kept, rules, progress)
+            add_frames(recording, number, label, images, kept, rules, _count(recording), progress)
             for number, (recording, label) in enumerate(zip(opened, labels, strict=True))
         ]
-        images.flush()
-        _check_parts(kept, told, test_fraction)
-        variables = _write_columns(group, kept, names)
-        group.attrs.update(
-            {
-                "format": FORMAT,
-                "version": VERSION,
-                "targets": list(names),
-                "full_scale": full_scale,
-                "centre_sigma": sigma,
-                "min_quality": min_quality,
-                "min_snr": min_snr,
-                "test_fraction": test_fraction,
-                "recordings": json.dumps(told),
-                "sha256": finish_hash(images.digest, variables),
-            }
-        )
+        finish(group, images, kept, told, rules, names, classes, full_scale)
     return Path(out)
 
 
-def _add(
+def finish(
+    group: zarr.Group,
+    images: Images,
+    kept: Kept,
+    told: list[dict[str, Any]],
+    rules: Rules,
+    names: tuple[str, ...],
+    classes: list[str],
+    full_scale: int,
+) -> None:
+    """Write what is left of the images, the variables along ``frame``, and the store's attributes.
+
+    Raises
+    ------
+    InputError
+        When nothing, or nothing for one of the two parts, was kept.
+    """
+    images.flush()
+    _check_parts(kept, told, rules.test_fraction)
+    variables = _write_columns(group, kept, names, classes)
+    group.attrs.update(
+        {
+            "format": FORMAT,
+            "version": VERSION,
+            "targets": list(names),
+            "full_scale": full_scale,
+            "centre_sigma": rules.sigma,
+            "min_quality": rules.min_quality,
+            "min_snr": rules.min_snr,
+            "test_fraction": rules.test_fraction,
+            "recordings": json.dumps(told),
+            "sha256": finish_hash(images.digest, variables),
+        }
+    )
+
+
+def add_frames(
     recording: Recording,
     number: int,
-    labels: _Labels,
-    images: _Images,
-    kept: _Kept,
-    rules: _Rules,
-    progress: Progress,
+    labels: Labels,
+    images: Sink,
+    kept: Kept,
+    rules: Rules,
+    total: int,
+    progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Add the frames of one recording; return what became of them."""
-    name, total = Path(recording.path).name, _count(recording)
+    """Add the frames of one recording, of which the whole video has `total`; return what became of them."""
+    name = Path(recording.path).name
     # Rounded, so that 0.8 of 10 frames is 8 whatever the last bit of 1 - 0.2 is.
     first_test = round((1 - rules.test_fraction) * total, 6)
     left_out = {"no label": 0, "poor label": 0, "no visible RR": 0}
@@ -303,7 +358,7 @@ def _add(
     }
 
 
-def _check_parts(kept: _Kept, told: list[dict[str, Any]], test_fraction: float) -> None:
+def _check_parts(kept: Kept, told: list[dict[str, Any]], test_fraction: float) -> None:
     split = kept.columns.get("split", [])
     why = "; ".join(
         f"{t['name']}: {t['frames']} frames, {', '.join(f'{k} {v}' for k, v in t['left_out'].items())}" for t in told
@@ -328,13 +383,18 @@ _COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
 }
 
 
-def _write_columns(group: zarr.Group, kept: _Kept, names: tuple[str, ...]) -> dict[str, NDArray[np.generic]]:
+def _write_columns(
+    group: zarr.Group, kept: Kept, names: tuple[str, ...], classes: list[str]
+) -> dict[str, NDArray[np.generic]]:
     """Write the variables along ``frame``; return them as they are stored."""
-    kinds = {**{n: (np.float32, {"units": QUANTITIES[n]}) for n in names}, **_COLUMNS}
+    kinds = {**{n: (np.float32, {"units": QUANTITIES[n]}) for n in names if n != DEVICE}, **_COLUMNS}
     written: dict[str, NDArray[np.generic]] = {}
     attributes: dict[str, dict[str, Any]] = {}
     for name, (kind, attrs) in kinds.items():
         written[name], attributes[name] = np.asarray(kept.columns[name], dtype=kind), dict(attrs)
+    if DEVICE in names:
+        device = class_variable([classes[int(number)] for number in kept.columns[DEVICE]], classes)
+        written[DEVICE], attributes[DEVICE] = device.values, dict(device.attrs)
     split = split_variable(np.asarray(kept.columns["split"], dtype=np.int8))
     written["split"], attributes["split"] = split.values, dict(split.attrs)
     for name, values in written.items():
@@ -342,7 +402,7 @@ def _write_columns(group: zarr.Group, kept: _Kept, names: tuple[str, ...]) -> di
             raise InputError(
                 f"{name} holds values that are not finite", where="recordings", remedy="report this as a bug"
             )
-        array = _array(group, name, values.shape, values.shape, values.dtype, ("frame",))
+        array = make_array(group, name, values.shape, values.shape, values.dtype, ("frame",))
         array[:] = values
         array.attrs.update(attributes[name])
     return written

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -21,12 +21,14 @@ from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 
 __all__ = [
+    "DEVICE",
     "FORMAT",
     "QUANTITIES",
     "TEST",
     "TRAIN",
     "VERSION",
     "DatasetAccessor",
+    "class_variable",
     "content_hash",
     "dataset_from_arrays",
     "image_batches",
@@ -43,6 +45,9 @@ QUANTITIES = {
     "focal_length": "m",
 }
 """What a frame may be labelled with, and the unit of each."""
+
+DEVICE = "device"
+"""The one label that is a class: whole numbers whose names are the variable's attribute ``classes``."""
 
 _NEEDED = ("image", "split", "recording")
 
@@ -126,6 +131,32 @@ def split_variable(split: NDArray[np.int8]) -> xr.Variable:
     return xr.Variable(("frame",), split, {"flag_values": [TRAIN, TEST], "flag_meanings": "train test"})
 
 
+def class_variable(names: Sequence[str], classes: Sequence[str] | None = None) -> xr.Variable:
+    """Return names, one a frame, as the variable `device`: int32 numbers with the attribute ``classes``.
+
+    Parameters
+    ----------
+    names
+        [N], the model of every frame's target.
+    classes
+        All names, in the order of their numbers; by default those that occur, sorted.
+
+    Raises
+    ------
+    InputError
+        When a name is empty or not among the classes, or a class is named twice.
+    """
+    known = sorted(set(map(str, names))) if classes is None else [str(name) for name in classes]
+    number = {name: n for n, name in enumerate(known)}
+    strange = next((str(name) for name in names if str(name) not in number), "" if "" in number else None)
+    if strange is not None:
+        raise InputError(f"{strange!r} is not among the classes", where=DEVICE, remedy=f"use {', '.join(known)}")
+    if len(number) < len(known):
+        raise InputError("names a class twice", where=DEVICE, remedy="name every class once")
+    values = np.array([number[str(name)] for name in names], dtype=np.int32)
+    return xr.Variable(("frame",), values, {"long_name": "model of the target", "classes": known})
+
+
 def dataset_from_arrays(
     images: ArrayLike,
     targets: Mapping[str, ArrayLike],
@@ -141,7 +172,8 @@ def dataset_from_arrays(
     images
         [N, side, side] crops, uint8, uint16 or float counts.
     targets
-        Name of a quantity to its [N] values in SI units (gaze in fractions of the field of view).
+        Name of a quantity to its [N] values in SI units (gaze in fractions of the field of view); `device` to
+        [N] names.
     full_scale
         Largest count of the camera; 255 for uint8 where left out.
     split
@@ -170,6 +202,12 @@ def dataset_from_arrays(
         full_scale = 255
     columns: dict[str, xr.Variable] = {}
     for name, values in targets.items():
+        if name == DEVICE:
+            names = np.asarray(values).ravel()
+            if len(names) != len(array) or names.dtype.kind not in "UO":
+                raise InputError(f"expected {len(array)} names, got shape {names.shape}", where=name)
+            columns[name] = class_variable([str(one) for one in names])
+            continue
         column = np.asarray(values, dtype=np.float32)
         if column.shape != (len(array),) or not np.isfinite(column).all():
             raise InputError(f"expected {len(array)} finite values, got shape {column.shape}", where=name)
@@ -244,6 +282,8 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         missing = [name for name in (*_NEEDED, *_listed(attributes)) if name not in dataset]
         if missing:
             raise InputError(f"damaged: lacks {', '.join(missing)}", where=address, remedy=remedy)
+        if DEVICE in _listed(attributes) and not _named(dataset[DEVICE]):
+            raise InputError(f"damaged: {DEVICE} lacks names for its numbers", where=address, remedy=remedy)
         for name in dataset.variables if local else ():
             array = group[str(name)]
             # Zarr reads a chunk that is not there as zeros, without a word.
@@ -284,6 +324,12 @@ def _check_format(attributes: Mapping[str, Any], address: str) -> None:
         raise InputError("damaged: no full_scale or targets", where=address, remedy="build the dataset again")
 
 
+def _named(device: xr.DataArray) -> bool:
+    """Whether every number of a class label has its name."""
+    classes, numbers = device.attrs.get("classes"), np.asarray(device.values)
+    return isinstance(classes, list) and (not numbers.size or 0 <= numbers.min() <= numbers.max() < len(classes))
+
+
 def _listed(attributes: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(str(name) for name in attributes.get("targets", ()))
 
@@ -313,6 +359,11 @@ class DatasetAccessor:
     def targets(self) -> tuple[str, ...]:
         """Names of the quantities that every frame is labelled with."""
         return _listed(self._dataset.attrs)
+
+    @property
+    def classes(self) -> tuple[str, ...]:
+        """Names of the numbers in `device`; empty where the frames have no such label."""
+        return tuple(self._dataset[DEVICE].attrs["classes"]) if DEVICE in self._dataset else ()
 
     @property
     def full_scale(self) -> float:

@@ -1,21 +1,24 @@
-"""How a hand holds a camera: a gaze that wanders over the field, a body that sways, a tremor on both."""
+"""How a hand holds a camera: a gaze that wanders over the field, a body that sways or walks, a tremor on both."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-__all__ = ["HandMotion"]
+from tapetum.errors import InputError
+
+__all__ = ["Hand", "HandMotion", "Waves"]
 
 Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Spectrum and extent of a hand-held camera's motion. Gaze and sway are independent of each other.
+    """Spectrum and extent of a hand-held camera's motion. Its parts are independent of each other.
 
     Parameters
     ----------
@@ -30,12 +33,25 @@ class HandMotion:
     sway
         Root mean square of the camera's sideways position, in metres.
     sway_band
-        Its frequencies, in Hz.
+        Its frequencies, in Hz. Those of quiet standing: nearly all power of the centre of pressure lies below 1 Hz
+        (Prieto et al., IEEE Trans. Biomed. Eng. 43, 956 (1996)).
+    roll
+        Root mean square of the turn about the target's optical axis, in radians. Some 0.02 for a camera held with care.
+    roll_band
+        Its frequencies, in Hz: assumed those of the sway.
+    reach
+        Root mean square of the position along the line of sight, in metres. Some 0.01 for a hand.
+    reach_band
+        Its frequencies, in Hz: assumed those of the sway.
+    walk
+        Distances from the probe between which the target is carried during the recording, in metres; None where it
+        stays at the scene's. It starts and stops gently (a raised cosine of time).
 
     Notes
     -----
-    Each is a sum of sinusoids with random phases, so a motion can be read at any time of either camera's clock. The
-    sweep's normal distribution is mapped to a uniform one: every part of the field is visited alike.
+    Each is a sum of sinusoids with random phases, of even power over its band, so a motion can be read at any time of
+    either camera's clock. The sweep's normal distribution is mapped to a uniform one: every part of the field is
+    visited alike.
     """
 
     extent: float = 0.48
@@ -44,17 +60,38 @@ class HandMotion:
     tremor: float = 0.002
     sway: float = 3e-3
     sway_band: tuple[float, float] = (0.05, 0.6)
+    roll: float = 0.0
+    roll_band: tuple[float, float] = (0.05, 0.6)
+    reach: float = 0.0
+    reach_band: tuple[float, float] = (0.05, 0.6)
+    walk: tuple[float, float] | None = None
 
-    def draw(self, seed: int) -> tuple[_Path, _Path]:
-        """Gaze (fractions of the field) and sideways position (metres), each a function of times [T] to [T, 2]."""
+    def __post_init__(self) -> None:
+        for name, value in asdict(self).items():
+            numbers = value if isinstance(value, tuple) else () if value is None else (value,)
+            if not all(math.isfinite(one) and one >= 0 for one in numbers):
+                raise InputError(f"must not be negative, is {value}", where=f"motion.{name}", remedy="give SI numbers")
+        if self.walk is not None and min(self.walk) <= 0:
+            raise InputError(f"must be positive, is {self.walk}", where="motion.walk", remedy="give two distances")
+
+    def draw(self, seed: int, distance: float = 1.0, seconds: float = 60.0) -> Hand:
+        """One such motion.
+
+        Parameters
+        ----------
+        seed
+            The same one gives the same motion.
+        distance
+            Of the target from the probe where it does not walk, in metres.
+        seconds
+            What a walk takes.
+        """
         rng = np.random.default_rng([seed, 1])
-        sweep = _Waves.draw(rng, self.sweep_band)
-        tremor = _Waves.draw(rng, self.tremor_band)
-        sway = _Waves.draw(rng, self.sway_band)
-        return (
-            _Path(sweep, self.extent, uniform=True, tremor=tremor, tremor_scale=self.tremor),
-            _Path(sway, self.sway, uniform=False),
-        )
+        sweep = Waves.draw(rng, self.sweep_band)
+        tremor = Waves.draw(rng, self.tremor_band)
+        sway = Waves.draw(rng, self.sway_band)
+        roll, reach = Waves.draw(rng, self.roll_band), Waves.draw(rng, self.reach_band)
+        return Hand(self, sweep, tremor, sway, roll, reach, self.walk or (distance, distance), seconds)
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for a recording."""
@@ -62,33 +99,51 @@ class HandMotion:
 
 
 @dataclass(frozen=True)
-class _Waves:
+class Waves:
     """Two independent Gaussian processes of unit variance, as sums of sinusoids."""
 
     frequency: Array
     phase: Array
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, band: tuple[float, float], count: int = 24) -> _Waves:
+    def draw(cls, rng: np.random.Generator, band: tuple[float, float], count: int = 24) -> Waves:
+        """One such pair, of even power over a band of frequencies in Hz."""
         return cls(rng.uniform(*band, size=(count, 2)), rng.uniform(0, 2 * np.pi, size=(count, 2)))
 
     def __call__(self, times: Array) -> Array:
+        """Both of them at times [T] in seconds: [T, 2]."""
         angle = 2 * np.pi * self.frequency * times[:, None, None] + self.phase
         return np.sqrt(2 / len(self.frequency)) * np.cos(angle).sum(axis=1)
 
 
 @dataclass(frozen=True)
-class _Path:
-    waves: _Waves
-    scale: float
-    uniform: bool
-    tremor: _Waves | None = None
-    tremor_scale: float = 0.0
+class Hand:
+    """A motion that was drawn: where a target is and looks, at any times [T] in seconds from the start."""
 
-    def __call__(self, times: Array) -> Array:
-        """Positions [T, 2] at times [T], in seconds."""
-        values = self.waves(times)
-        values = self.scale * (2 * ndtr(values) - 1 if self.uniform else values)
-        if self.tremor is not None:
-            values = values + self.tremor_scale * self.tremor(times)
-        return values
+    motion: HandMotion
+    _sweep: Waves
+    _tremor: Waves
+    _sway: Waves
+    _roll: Waves
+    _reach: Waves
+    _walk: tuple[float, float]
+    _seconds: float
+
+    def gaze(self, times: Array) -> Array:
+        """Where the probe's laser falls in the target's field, [T, 2] in fractions of it."""
+        swept = self.motion.extent * (2 * ndtr(self._sweep(times)) - 1)
+        return swept + self.motion.tremor * self._tremor(times)
+
+    def place(self, times: Array) -> Array:
+        """Sideways position, [T, 2] in metres."""
+        return self.motion.sway * self._sway(times)
+
+    def roll(self, times: Array) -> Array:
+        """Turn about the optical axis, [T] in radians, from x towards y."""
+        return self.motion.roll * self._roll(times)[:, 0]
+
+    def distance(self, times: Array) -> Array:
+        """Distance from the probe, [T] in metres."""
+        first, last = self._walk
+        gone = (1 - np.cos(np.pi * np.clip(times / self._seconds, 0, 1))) / 2
+        return first + (last - first) * gone + self.motion.reach * self._reach(times)[:, 0]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -23,43 +25,72 @@ class Room:
     spot_sigma
         Width of the laser's image, in pixels.
     spot_peak
-        Its height above the scene, in digital numbers; above 255 it saturates.
-    second
-        Offset of the second beam's spot from the first in pixels and its relative height, or None.
+        Its height above the scene at full power, in digital numbers; above 255 it saturates.
     """
 
     def __init__(
-        self,
-        columns: int,
-        rows: int,
-        seed: int,
-        *,
-        spot_sigma: float = 1.2,
-        spot_peak: float = 320.0,
-        second: tuple[float, float, float] | None = None,
+        self, columns: int, rows: int, seed: int, *, spot_sigma: float = 1.2, spot_peak: float = 320.0
     ) -> None:
         self.columns, self.rows = columns, rows
-        self.spot_sigma, self.spot_peak, self.second = spot_sigma, spot_peak, second
+        self.spot_sigma, self.spot_peak = spot_sigma, spot_peak
         self._wall = _furnish(2 * columns + 64, 2 * rows + 64, np.random.default_rng([seed, 2]))
 
-    def picture(self, gaze: npt.NDArray[np.float64], rng: np.random.Generator) -> npt.NDArray[np.uint8]:
-        """The room as seen with the laser at `gaze` (fractions of the field): [rows, columns], 8 bit, with noise."""
+    def picture(
+        self,
+        gaze: npt.NDArray[np.float64],
+        rng: np.random.Generator,
+        *,
+        roll: float = 0.0,
+        nearer: float = 1.0,
+        laser: float = 1.0,
+        exposure: float = 1.0,
+        second: tuple[float, float, float] | None = None,
+    ) -> npt.NDArray[np.uint8]:
+        """The room as the target sees it, with noise.
+
+        Parameters
+        ----------
+        gaze
+            Where the laser is, [2] in fractions of the field.
+        rng
+            Of the noise.
+        roll
+            Turn of the camera about its axis, in radians from x to y: the room turns the other way.
+        nearer
+            How much larger the room looks than at the scene's distance.
+        laser, exposure
+            The laser's power and the camera's exposure, over the usual ones.
+        second
+            Offset of the second beam's spot from the first, at no roll and in pixels, and its relative height.
+
+        Returns
+        -------
+        numpy.ndarray
+            [rows, columns], 8 bit.
+        """
         x = (self.columns - 1) / 2 + gaze[0] * self.columns
         y = (self.rows - 1) / 2 + gaze[1] * self.rows
         height, width = self._wall.shape
-        shift = np.array([[1, 0, x - width / 2], [0, 1, y - height / 2]], dtype=np.float64)
+        c, s = math.cos(roll), math.sin(roll)
+        matrix = nearer * np.array([[c, s], [-s, c]])
+        matrix = np.column_stack([matrix, (x, y) - matrix @ (width / 2, height / 2)])
         size = (self.columns, self.rows)
-        moved = cv2.warpAffine(self._wall, shift, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+        moved = cv2.warpAffine(self._wall, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         scene = np.asarray(moved, np.float32)
-        if self.spot_peak:
-            self._add_spot(scene, x, y, 1.0)
-            if self.second is not None:
-                self._add_spot(scene, x + self.second[0], y + self.second[1], self.second[2])
+        if laser:
+            self._add_spot(scene, x, y, laser)
+            if second is not None:
+                dx, dy, ratio = second
+                self._add_spot(scene, x + c * dx + s * dy, y - s * dx + c * dy, ratio * laser)
+        if exposure != 1:
+            scene *= np.float32(exposure)
         # Shot noise of a 6500 electron well read at 8 bits, and 2 electrons of read noise.
         scale = 255 / 6500
         noise = rng.standard_normal(scene.shape, dtype=np.float32)
-        scene += noise * np.sqrt(np.maximum(scene, 0) * scale + (2 * scale) ** 2, dtype=np.float32)
-        return np.clip(np.rint(scene), 0, 255).astype(np.uint8)
+        noise *= np.sqrt(scene * np.float32(scale) + np.float32((2 * scale) ** 2))
+        scene += noise
+        np.rint(scene, out=scene)
+        return np.clip(scene, 0, 255, out=scene).astype(np.uint8)
 
     def _add_spot(self, scene: npt.NDArray[np.float32], x: float, y: float, share: float) -> None:
         left, top = max(0, int(x) - _SPOT_REACH), max(0, int(y) - _SPOT_REACH)

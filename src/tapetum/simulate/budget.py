@@ -7,10 +7,10 @@ probe's aperture takes in. An estimate before any simulation: no image is comput
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from tapetum.bench import Scene, at_wavelength
+from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, at_wavelength
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import lens_numbers
 from tapetum.optics.sampling import DoublePassGeometry, disc_overlap
@@ -204,7 +204,24 @@ def link_budget(scene: Scene, wavelength: float | None = None) -> LinkBudget:
     that leaves. The brightest pixel: the power over the sum of the areas of
     diffraction, (λ f_p)²/A for an exit pupil of area A, of a quarter of the geometric disc (on the axis a defocused
     round pupil reaches four times its disc's mean: Born and Wolf, section 8.8), of the source, and of the pixel.
+
+    A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field the gaze is
+    in; the notes say so.
     """
+    notes: list[str] = []
+    if isinstance(scene.target, PhoneTarget):
+        phone = scene.target
+        count = len(phone.phone.cameras)
+        if count > 1:
+            notes.append(f"the camera {phone.unit.name!r} alone is counted, of {count}")
+        if not phone.imaging:
+            notes.append("its sensor returns nothing while its app is closed")
+        scene = replace(scene, target=next(target for target, place in phone.cameras() if place == (0.0, 0.0)))
+    if isinstance(scene.target.lens, PrescriptionLens):
+        notes.append(
+            f"{scene.target.lens.name} is counted as a thin lens of its focal length and aperture: "
+            "its aberrations and what its rims cut off are left out"
+        )
     light, target, probe = scene.illumination, scene.target, scene.probe
     wavelength, watts = line_of(scene, wavelength)
     f = focal_length_at(target.lens.focal_length, target.lens.glass, target.lens.design_wavelength, wavelength)
@@ -268,7 +285,7 @@ def link_budget(scene: Scene, wavelength: float | None = None) -> LinkBudget:
         noise_electrons=noise,
         snr=electrons / noise,
         saturation=(peak + dark) / most if most > 0 else math.inf,
-        notes=_notes(scene, lit, wavelength, one.radius_on_sensor),
+        notes=(*notes, *_notes(scene, lit, wavelength, one.radius_on_sensor)),
     )
 
 

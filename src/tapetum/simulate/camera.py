@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import torch
 
-from tapetum.bench import Scene
+from tapetum.bench import PrescriptionLens, Scene
 from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
@@ -34,6 +35,8 @@ from tapetum.simulate.radiometry import (
 from tapetum.simulate.reflections import Scatterer, mirrors, reaching_sensor, scatterers, specular_groups
 from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_plane import reflectance_at
+from tapetum.simulate.traced_lens import TracedLens
+from tapetum.simulate.traced_plan import TracedPlan
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
 
@@ -111,12 +114,29 @@ class Camera:
         self._finite = self._is_finite()
         light = scene.illumination
         self._directions = directions(light, light.wavelength / (2 * target.lens.aperture_radius))
-        first = self._geometry(light.wavelength, steepest)
-        self.geometry = first
+        self._lens: TracedLens | None = None
+        if isinstance(target.lens, PrescriptionLens):
+            if any(self._scalar(one).requires_grad for one in (self._focal_length, self._object_distance)):
+                what = "carries gradients, which a traced lens has for the gaze alone"
+                raise InputError(what, where="object_distance", remedy="give a number, or use a thin lens")
+            self._lens = TracedLens(scene, float(self._object_distance), steepest)
+            self._return_radius = max(self._return_radius, self._lens.return_radius)
+            self._finite = self._is_finite()
+        self._steepest = steepest
+        self.geometry = self._geometry(light.wavelength, steepest)
+        self._plans: list[RoundPlan | SamplingPlan | TracedPlan] = []
+
+    @cached_property
+    def _lines(self) -> list[_Line]:
+        light, first = self.scene.illumination, self.geometry
         rings = first.exit_angle / (light.wavelength / (2 * first.radius)) + _RINGS_SHOWN
-        self._plans: list[RoundPlan | SamplingPlan] = []
-        self._lines = [self._line(length, watts, steepest) for length, watts in wavelengths(light, rings)]
-        self.plan = max(self._plans, key=lambda plan: (plan.expected_error, plan.columns))
+        return [self._line(length, watts, self._steepest) for length, watts in wavelengths(light, rings)]
+
+    @cached_property
+    def plan(self) -> RoundPlan | SamplingPlan | TracedPlan:
+        """The sampling of the plane that is computed least accurately. Planning is left to the first use."""
+        assert self._lines
+        return max(self._plans, key=lambda plan: (plan.expected_error, plan.columns))
 
     def _scalar(self, value: torch.Tensor | float) -> torch.Tensor:
         return torch.as_tensor(value, dtype=torch.float64, device=self._device)
@@ -161,6 +181,8 @@ class Camera:
     def _line(self, wavelength: float, watts: float, steepest: float) -> _Line:
         scene, geometry = self.scene, self._geometry(wavelength, steepest)
         sensor, radius = scene.target.sensor, geometry.radius
+        if self._lens is not None:
+            return self._traced_line(self._lens, wavelength, watts, geometry)
         # Beyond this a diffraction order finds no way out of the lens again.
         widest = 2 * (geometry.return_radius + radius) / geometry.image_distance + 2 * geometry.sine
         focal = self._focal_at(wavelength)
@@ -207,6 +229,29 @@ class Camera:
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
             # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
+            self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry)
+
+    def _traced_line(self, lens: TracedLens, wavelength: float, watts: float, geometry: DoublePassGeometry) -> _Line:
+        scene = self.scene
+        passes: list[Pass] = []
+        # Beyond twice the aperture and the steepest tilt no order finds its way out again.
+        widest = 4 * lens.aperture_sine(wavelength)
+        for group in specular_groups(scene, wavelength, self._z, widest):
+            one = lens.group(
+                group,
+                self.output,
+                wavelength,
+                self._accuracy,
+                float(self._distance) if self._finite else None,
+                dtype=self._dtype,
+                device=self._device,
+            )
+            self._plans.append(one.plan)
+            passes.append(one)
+        share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
+        found = scatterers(scene, wavelength, geometry.image_distance)
+        if not self._plans:
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry)
 
@@ -343,7 +388,12 @@ class Camera:
         With a margin it holds the second beam's RR too, wherever the first one's lies within a window's quarter.
         """
         g, second = self.geometry, self.scene.illumination.second_beam
-        angle = g.exit_angle + _RINGS_SHOWN * g.wavelength / (2 * g.radius)
+        exit_angle = g.exit_angle if self._lens is None else self._lens.exit_angle
+        angle = exit_angle + _RINGS_SHOWN * g.wavelength / (2 * g.radius)
+        if self._finite:
+            # No more than the probe's aperture lets through, and the fringes about its edge.
+            distance, radius = float(self._distance.detach()), self.scene.probe.lens.aperture_radius
+            angle = min(angle, (radius + g.radius) / distance + 4 * math.sqrt(g.wavelength / distance))
         if margin:
             angle = 1.25 * angle + (math.hypot(*second.angle) if second is not None else 0.0)
         side = 2 * math.ceil(self.scene.probe.lens.focal_length * angle / self.output.pitch) + 1

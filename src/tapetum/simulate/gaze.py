@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 
-from tapetum.bench import Scene
+from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
+from tapetum.simulate.field_map import FieldMap, field_map
 
 __all__ = ["gaze_of", "largest_sine", "tilt_of_gaze"]
+
+_NO_TILT = 1e-12
 
 
 def largest_sine(sines: torch.Tensor) -> float:
@@ -17,17 +22,53 @@ def largest_sine(sines: torch.Tensor) -> float:
 
 def gaze_of(scene: Scene, sines: torch.Tensor) -> torch.Tensor:
     """Gaze, in fractions of the field, for tilts given as sines: both [..., 2]."""
-    return sines / torch.sqrt(1 - (sines**2).sum(-1, keepdim=True)) * _field_factor(scene)
+    size = torch.sqrt((sines**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
+    traced = _traced(scene)
+    if traced is not None:
+        place = sines / size * traced.image(size[..., 0])[..., None]
+    else:
+        place = sines / torch.sqrt(1 - size**2) * _image_distance(scene)
+    return (place + _axis(scene)) / _field(scene)
 
 
 def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
-    """Sines of the tilt for a gaze in fractions of the field: both [..., 2]."""
-    tangents = gaze / _field_factor(scene)
+    """Sines of the tilt for a gaze in fractions of the field: both [..., 2].
+
+    Raises
+    ------
+    InputError
+        For a gaze beyond what a traced lens covers.
+    """
+    place = gaze * _field(scene) - _axis(scene)
+    traced = _traced(scene)
+    if traced is not None:
+        height = torch.sqrt((place**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
+        return place / height * traced.sine(height[..., 0])[..., None]
+    tangents = place / _image_distance(scene)
     return tangents / torch.sqrt(1 + (tangents**2).sum(-1, keepdim=True))
 
 
-def _field_factor(scene: Scene) -> torch.Tensor:
+def _field(scene: Scene) -> torch.Tensor:
+    """Width and height of the target's sensor, in metres."""
+    sensor = scene.target.sensor
+    return torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
+
+
+def _axis(scene: Scene) -> torch.Tensor:
+    """Where the lens's axis meets the sensor, from its middle, in metres: gaze counts from the middle."""
+    return torch.tensor(scene.target.sensor.decentre, dtype=torch.float64)
+
+
+def _image_distance(scene: Scene) -> float:
+    z, _ = lens_numbers(scene.target.lens.focal_length, scene.target.object_distance)
+    return z
+
+
+def _traced(scene: Scene) -> FieldMap | None:
     target = scene.target
-    z, _ = lens_numbers(target.lens.focal_length, target.object_distance)
-    columns, rows = target.sensor.pixels
-    return z / target.sensor.pitch / torch.tensor([columns, rows], dtype=torch.float64)
+    if not isinstance(target.lens, PrescriptionLens):
+        return None
+    sensor = target.sensor
+    # From the lens's axis to the corner farthest from it.
+    half_diagonal = math.hypot(*sensor.pixels) * sensor.pitch / 2 + math.hypot(*sensor.decentre)
+    return field_map(target.lens, scene.illumination.wavelength, target.object_distance, half_diagonal)

@@ -4,16 +4,37 @@ from __future__ import annotations
 
 import torch
 
-from tapetum.bench import Scene
+from tapetum.bench import PrescriptionLens, Scene
+from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import gain_of
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 
-__all__ = ["sign_dprime"]
+__all__ = ["point_of_symmetry", "sign_dprime"]
 
 
-def sign_dprime(scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3) -> torch.Tensor:
+def point_of_symmetry(scene: Scene) -> torch.Tensor:
+    """The gaze, in fractions of the field, at which light meets a perfect sensor squarely: [2], float64.
+
+    The middle of the field, unless the sensor is tilted by a or the lens decentred: then it lies -a R from the lens's
+    axis, R being the distance of the exit pupil. Two gazes that stand opposite each other about it look the same.
+    """
+    target = scene.target
+    if isinstance(target.lens, PrescriptionLens):
+        focused = target.lens.focused(scene.illumination.wavelength, target.object_distance)
+        pupil = focused.image - focused.exit_pupil
+    else:
+        pupil, _ = lens_numbers(target.lens.focal_length, target.object_distance)
+    sensor = target.sensor
+    field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
+    tilt = torch.tensor(sensor.tilt, dtype=torch.float64)
+    return (torch.tensor(sensor.decentre, dtype=torch.float64) - tilt * pupil) / field
+
+
+def sign_dprime(
+    scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3, centre: torch.Tensor | None = None
+) -> torch.Tensor:
     """d' of telling a gaze from its opposite in one frame, by the best detector, the RR's place being unknown.
 
     Parameters
@@ -24,6 +45,8 @@ def sign_dprime(scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3) -> 
         [N, 2], in fractions of the field.
     accuracy
         Of the simulation, in fractions of the peak: differences below it are not resolved.
+    centre
+        [2], the gaze about which the opposite one lies; the middle of the field when left out.
 
     Returns
     -------
@@ -36,8 +59,10 @@ def sign_dprime(scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3) -> 
     camera stands is unknown, so the part of the difference that a shift of the picture explains is projected out, after
     both pictures have been laid on each other by their centres of light.
     """
-    sines = tilt_of_gaze(scene, gaze.to(torch.float64))
-    steepest = largest_sine(sines)
+    gaze = gaze.to(torch.float64)
+    opposite = -gaze if centre is None else 2 * centre - gaze
+    sines = torch.stack([tilt_of_gaze(scene, gaze), tilt_of_gaze(scene, opposite)], 1)
+    steepest = largest_sine(sines.flatten(0, 1))
     rough = Camera(scene, steepest, accuracy=accuracy)
     # Room for the second beam's RR beside the first one's.
     output = rough.window(margin=True)
@@ -48,8 +73,7 @@ def sign_dprime(scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3) -> 
     noise = sensor.read_noise**2 + step**2 / 12
     results: list[torch.Tensor] = []
     x, y = output.x(), output.y()
-    for one in sines:
-        both = torch.stack([one, -one])
+    for both in sines:
         light = camera(both).double()
         total = light.sum((1, 2)).clamp_min(torch.finfo(torch.float64).tiny)
         middle = torch.stack([(light.sum(1) @ x) / total, (light.sum(2) @ y) / total], -1)

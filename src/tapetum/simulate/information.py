@@ -10,15 +10,15 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from tapetum.bench import ProbeSensor, Scene
+from tapetum.bench import PhoneTarget, PrescriptionLens, ProbeSensor, Scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import count_moments, gain_of, hot_currents
-from tapetum.simulate.gaze import gaze_of, largest_sine
+from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import beam_radius, electrons
 
-__all__ = ["PARAMETERS", "FisherInformation", "expected_electrons", "fisher", "true_values"]
+__all__ = ["PARAMETERS", "FisherInformation", "expected_electrons", "fisher", "not_told", "true_values"]
 
 PARAMETERS = {
     "gaze_x": "fraction of the field",
@@ -118,8 +118,8 @@ def fisher(
     ------
     InputError
         For unknown or repeated parameters, an object distance at infinity among them, parameters by which the chain is
-        not differentiated (scattered light by other than gaze and power; distance, where a diverging beam underfills
-        the target or meets a mask), and as `retroreflect`.
+        not differentiated (a traced lens by other than gaze and power, scattered light likewise; distance, where a
+        diverging beam underfills the target or meets a mask), phones, and as `retroreflect`.
 
     Notes
     -----
@@ -185,10 +185,13 @@ def expected_electrons(
     own = {name: torch.tensor(value, dtype=torch.float64) for name, value in true_values(scene, PARAMETERS).items()}
     at = own | given
     sensor = scene.target.sensor
-    field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
-    inverse_z = 1 / at["focal_length"] - 1 / at["object_distance"]
-    tangents = torch.stack([at["gaze_x"], at["gaze_y"]]) * field * inverse_z
-    sines = (tangents / torch.sqrt(1 + tangents.square().sum()))[None, :]
+    gaze = torch.stack([at["gaze_x"], at["gaze_y"]])
+    if isinstance(scene.target.lens, PrescriptionLens):
+        sines = tilt_of_gaze(scene, gaze)[None, :]
+    else:
+        field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
+        tangents = gaze * field * (1 / at["focal_length"] - 1 / at["object_distance"])
+        sines = (tangents / torch.sqrt(1 + tangents.square().sum()))[None, :]
     places = torch.stack([at["place_x"], at["place_y"]])[None, :]
     camera = Camera(
         scene,
@@ -287,8 +290,22 @@ def _where_it_matters(scene: Scene) -> Grid | None:
 _STEP = 0.02
 # Information from which an inverse, or a share of one parameter's own, is told from rounding.
 _ROUNDING = 1e-10
+# What the traced lens is differentiated by.
+_TRACED = ("gaze_x", "gaze_y", "power")
 # What may be zero is counted in units of its own.
 _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
+
+
+def not_told(scene: Scene, name: str) -> str | None:
+    """Why there is no limit for a parameter in a scene; None where there is one."""
+    target = scene.target
+    if isinstance(target, PhoneTarget):
+        return "not computed for a phone, of which several cameras may answer"
+    if isinstance(target.lens, PrescriptionLens) and name not in _TRACED:
+        return "not differentiated through a traced lens"
+    if name == "object_distance" and target.object_distance == float("inf"):
+        return "infinite: no step from there is finite"
+    return None
 
 
 def _checked(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
@@ -298,13 +315,14 @@ def _checked(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
             raise InputError(f"unknown parameter {name!r}", where="parameters", remedy=f"use {', '.join(PARAMETERS)}")
     if not names or len(set(names)) < len(names):
         raise InputError(f"{list(names)} names none, or one twice", where="parameters", remedy="name each once")
+    for name in names:
+        why = not_told(scene, name)
+        if why is not None:
+            other = "focus at a finite distance" if "infinite" in why else "take a thin lens"
+            if isinstance(scene.target, PhoneTarget):
+                other = "take one of its cameras for the target"
+            raise InputError(f"{name} is {why}", where="parameters", remedy=f"leave {name} out, or {other}")
     _check_derivatives(scene, names)
-    if "object_distance" in names and scene.target.object_distance == float("inf"):
-        raise InputError(
-            "the object distance is infinite: no step from there is finite",
-            where="parameters",
-            remedy="leave object_distance out, or focus at a finite distance",
-        )
     return names
 
 

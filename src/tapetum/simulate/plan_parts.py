@@ -32,10 +32,13 @@ class Geometry:
         Power over the first beam's and direction against it in radians; None without one.
     distance, object_distance
         From probe to target, and where the target is focused.
+    camera
+        What the target is where it is more than a thin lens: a prescription's name, or a phone and its camera.
     focal_length, f_number, image_distance
-        Of the target's lens, and from it to its sensor.
+        Of the target's lens, and from it to its sensor: a thin lens's distance, for a traced lens an approximation.
     field_deg
-        Full angles of the target's field of view, across and down.
+        Full angles of the target's field of view, across and down; by real rays for a traced lens, None where its
+        field does not reach the sensor's edges.
     rotation_deg, gaze
         About y and about x; and where the laser falls in the target's picture, in fractions of the field.
     probe_focal_length, probe_aperture
@@ -52,10 +55,11 @@ class Geometry:
     second_beam_angle: tuple[float, float] | None
     distance: float
     object_distance: float
+    camera: str | None
     focal_length: float
     f_number: float
     image_distance: float
-    field_deg: tuple[float, float]
+    field_deg: tuple[float, float] | None
     rotation_deg: tuple[float, float]
     gaze: tuple[float, float]
     probe_focal_length: float
@@ -76,12 +80,16 @@ class Geometry:
             x, y = (1e3 * angle for angle in self.second_beam_angle)
             rows.append(("second beam", f"{self.second_beam_ratio:g} of the power, ({x:.4g}, {y:.4g}) mrad aside"))
         focus = "infinity" if math.isinf(self.object_distance) else in_si(self.object_distance, "m")
+        field = "field smaller than its sensor"
+        if self.field_deg is not None:
+            field = f"field {self.field_deg[0]:.3g} x {self.field_deg[1]:.3g} deg"
         columns, down = self.probe_pixels
         rows += [
             (
                 "target",
+                f"{'' if self.camera is None else f'{self.camera}, '}"
                 f"{in_si(self.distance, 'm')} away, f = {in_si(self.focal_length, 'm')}, f/{self.f_number:.3g}, "
-                f"focused at {focus}, field {self.field_deg[0]:.3g} x {self.field_deg[1]:.3g} deg",
+                f"focused at {focus}, {field}",
             ),
             (
                 "rotation",
@@ -110,7 +118,7 @@ class SamplingChoice:
     claim
         That error in words.
     memory_bytes
-        For one image at a time, as the planner counts it.
+        For one image at a time, as the planner counts it; None for a traced lens, whose planner does not.
     wavelengths, planes
         That are computed for themselves and summed: samples of the light's spectrum in metres, and how many reflecting
         or scattering planes, or groups of them that interfere.
@@ -123,7 +131,7 @@ class SamplingChoice:
     plan: dict[str, Any]
     expected_error: float
     claim: str
-    memory_bytes: int
+    memory_bytes: int | None
     wavelengths: tuple[float, ...]
     planes: int
     propagation: str
@@ -140,7 +148,7 @@ class SamplingChoice:
         return [
             (str(self.plan.get("method", "samples")), numbers + (f", summed over {summed}" if summed else "")),
             ("expected error", self.claim),
-            ("memory", f"{in_si(self.memory_bytes, 'B')} an image"),
+            *([("memory", f"{in_si(self.memory_bytes, 'B')} an image")] if self.memory_bytes is not None else []),
             ("propagation", f"{self.propagation}: {self.reason}"),
         ]
 

@@ -9,16 +9,17 @@ from typing import Any, cast
 
 import torch
 
-from tapetum.bench import Scene
+from tapetum.bench import PhoneTarget, PrescriptionLens, Scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.budget import LinkBudget, link_budget
-from tapetum.simulate.camera import Camera
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, beam_of, eye_safety
-from tapetum.simulate.gaze import gaze_of
-from tapetum.simulate.information import FisherInformation, fisher
+from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
+from tapetum.simulate.information import FisherInformation, fisher, not_told
+from tapetum.simulate.phone import open_camera
 from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, wrapped
 from tapetum.simulate.radiometry import illumination_curvature
+from tapetum.simulate.traced_plan import TracedPlan
 
 __all__ = ["PARAMETERS", "Plan", "plan_bench"]
 
@@ -38,7 +39,7 @@ class Plan:
     budgets
         One of each wavelength, the illumination's first one first.
     limit
-        Fisher information and Cramér-Rao limits of one frame.
+        Fisher information and Cramér-Rao limits of one frame; None where no parameter has one.
     left_out
         Which of `PARAMETERS` have no limit in this scene, and why.
     """
@@ -46,7 +47,7 @@ class Plan:
     geometry: Geometry
     budgets: tuple[LinkBudget, ...]
     sampling: SamplingChoice
-    limit: FisherInformation
+    limit: FisherInformation | None
     left_out: dict[str, str]
     eye: EyeCheck
 
@@ -59,12 +60,12 @@ class Plan:
                 "link_budget": [budget.as_dict() for budget in self.budgets],
                 "sampling": asdict(self.sampling),
                 "limit": {
-                    "parameters": list(limit.parameters),
-                    "units": dict(limit.units),
-                    "bounds": dict(limit.bounds),
-                    "alone": dict(limit.alone),
+                    "parameters": list(limit.parameters) if limit else [],
+                    "units": dict(limit.units) if limit else {},
+                    "bounds": dict(limit.bounds) if limit else {},
+                    "alone": dict(limit.alone) if limit else {},
                     "left_out": dict(self.left_out),
-                    "information": [[float(one) for one in line] for line in limit.information],
+                    "information": [[float(one) for one in line] for line in limit.information] if limit else [],
                 },
                 "eye_safety": self.eye.as_dict(),
             }
@@ -92,6 +93,9 @@ class Plan:
 
     def _limit_lines(self) -> list[str]:
         limit = self.limit
+        if limit is None:
+            reasons = list(dict.fromkeys(self.left_out.values()))
+            return ["Cramér-Rao limit of one frame", *(line for why in reasons for line in row("left out", why))]
         rows = [("", "all others unknown", "all others known")]
         for name in limit.parameters:
             unit = limit.units[name]
@@ -101,7 +105,7 @@ class Plan:
         return [
             f"Cramér-Rao limit of one frame: standard deviation of the best unbiased estimate{placed}",
             *(f"  {name:<{LABEL}}{bound:<{wide}}{alone}" for name, bound, alone in rows),
-            *(line for name, why in self.left_out.items() for line in row(name, why)),
+            *(line for name, why in self.left_out.items() for line in row(name, f"left out: {why}")),
         ]
 
 
@@ -114,8 +118,8 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
         What stands on the bench; its own rotation counts.
     parameters
         Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of
-        each is that of estimating all of them from one frame. Where left out: `PARAMETERS`, but for an object distance
-        that is infinite.
+        each is that of estimating all of them from one frame. Where left out: those of `PARAMETERS` that have a limit
+        in this scene; the plan says why the others have none.
 
     Raises
     ------
@@ -125,8 +129,8 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
     """
     left_out: dict[str, str] = {}
     if parameters is None:
-        if math.isinf(scene.target.object_distance):
-            left_out["object_distance"] = "left out: the target is focused at infinity"
+        reasons = {name: not_told(scene, name) for name in PARAMETERS}
+        left_out = {name: why for name, why in reasons.items() if why is not None}
         parameters = [name for name in PARAMETERS if name not in left_out]
     light = scene.illumination
     wavelengths = (light.wavelength, *(line.wavelength for line in light.lines))
@@ -136,7 +140,8 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
         geometry=_geometry(scene),
         budgets=budgets,
         sampling=_sampling(scene, budgets[0]),
-        limit=fisher(scene, parameters),
+        # A person's own choice is refused rather than left out.
+        limit=fisher(scene, parameters) if parameters or not left_out else None,
         left_out=left_out,
         eye=_eye(scene),
     )
@@ -146,9 +151,6 @@ def _geometry(scene: Scene) -> Geometry:
     light, target, probe = scene.illumination, scene.target, scene.probe
     lens = target.lens
     z, _ = lens_numbers(lens.focal_length, target.object_distance)
-    across, down = (
-        math.degrees(2 * math.atan(count * target.sensor.pitch / (2 * z))) for count in target.sensor.pixels
-    )
     sines = torch.tensor([math.sin(angle) for angle in target.rotation], dtype=torch.float64)
     gaze = gaze_of(scene, sines)
     second = light.second_beam
@@ -161,10 +163,11 @@ def _geometry(scene: Scene) -> Geometry:
         second_beam_angle=second.angle if second else None,
         distance=scene.distance,
         object_distance=target.object_distance,
+        camera=_camera(scene),
         focal_length=lens.focal_length,
         f_number=lens.focal_length / (2 * lens.aperture_radius),
         image_distance=z,
-        field_deg=(across, down),
+        field_deg=_field(scene),
         rotation_deg=(math.degrees(target.rotation[0]), math.degrees(target.rotation[1])),
         gaze=(float(gaze[0]), float(gaze[1])),
         probe_focal_length=probe.lens.focal_length,
@@ -175,9 +178,25 @@ def _geometry(scene: Scene) -> Geometry:
     )
 
 
+def _camera(scene: Scene) -> str | None:
+    target = scene.target
+    if isinstance(target, PhoneTarget):
+        return f"{target.name} ({target.unit.name}: {target.lens.name})"
+    return target.lens.name if isinstance(target.lens, PrescriptionLens) else None
+
+
+def _field(scene: Scene) -> tuple[float, float] | None:
+    """Full angles of the field across and down, in degrees."""
+    try:
+        edges = tilt_of_gaze(scene, torch.tensor([[0.5, 0.0], [0.0, 0.5]], dtype=torch.float64))
+    except InputError:
+        return None
+    return math.degrees(2 * math.asin(edges[0, 0])), math.degrees(2 * math.asin(edges[1, 1]))
+
+
 def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
-    camera = Camera(scene, math.hypot(*(math.sin(angle) for angle in scene.target.rotation)))
-    known = camera.metadata()
+    camera = open_camera(scene, math.hypot(*(math.sin(angle) for angle in scene.target.rotation)))
+    known, plan, pixels = camera.metadata(), camera.plan, camera.output.rows * camera.output.columns
     error, returning = float(known["expected_error"]), float(known["return_radius_at_probe"])
     claim = f"within {error:.1e} of the peak"
     if not math.isfinite(error):
@@ -197,10 +216,10 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
     elif scene.sampling.propagation != "auto":
         reason += "; sampling.propagation asks for it"
     return SamplingChoice(
-        plan=camera.plan.as_dict(),
+        plan=plan.as_dict(),
         expected_error=error,
         claim=claim,
-        memory_bytes=camera.plan.bytes_needed(1, camera.output.rows * camera.output.columns),
+        memory_bytes=None if isinstance(plan, TracedPlan) else plan.bytes_needed(1, pixels),
         propagation=str(known["propagation"]),
         reason=reason,
         wavelengths=tuple(known["wavelengths"]),

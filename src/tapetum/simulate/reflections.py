@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 
@@ -34,6 +34,9 @@ class _Plane:
     transmittance: float
     orders: tuple[Order, ...]
     diffuse: Diffuse | None
+    depth: float = 0.0
+    index: float = 1.0
+    tilt: tuple[float, float] = (0.0, 0.0)
 
 
 def specular_groups(
@@ -70,8 +73,11 @@ def specular_groups(
         tuple(
             Surface(
                 plane.image_distance,
-                _scaled(plane.orders, math.sqrt(plane.transmittance)),
+                tuple(order.scaled(math.sqrt(plane.transmittance)) for order in plane.orders),
                 -2 * k * plane.nearer,
+                plane.depth,
+                plane.index,
+                plane.tilt,
             )
             for plane in group
         )
@@ -113,16 +119,22 @@ def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, wides
         reflectance = at_wavelength(layer.reflectance, wavelength)
         orders = (Order(amplitude=math.sqrt(reflectance)),) if reflectance > 0 else ()
         reached = image_distance - layer.depth / layer.index
-        planes.append(_Plane(reached, layer.index * layer.depth, through, orders, layer.diffuse))
+        nearer = layer.index * layer.depth
+        planes.append(_Plane(reached, nearer, through, orders, layer.diffuse, layer.depth, layer.index))
         through *= layer_transmittance(layer, wavelength) ** 2
     orders: tuple[Order, ...] = ()
     if sensor.array is not None or sensor.microlens is not None:
-        orders = orders_of(sensor, wavelength, widest)
+        # A tilted plane turns orders towards the aperture that a straight one sends past it.
+        orders = orders_of(sensor, wavelength, widest + 2 * math.hypot(*sensor.tilt))
     elif sensor.reflectance > 0 and sensor.mask is None:
         orders = (Order(amplitude=math.sqrt(sensor.reflectance)),)
-    planes.append(_Plane(image_distance, 0.0, through, orders, sensor.diffuse))
+    if sensor.tilt != (0.0, 0.0):
+        orders = tuple(_turned(order, sensor.tilt) for order in orders)
+    planes.append(_Plane(image_distance, 0.0, through, orders, sensor.diffuse, tilt=sensor.tilt))
     return planes
 
 
-def _scaled(orders: tuple[Order, ...], factor: float) -> tuple[Order, ...]:
-    return orders if factor == 1 else tuple(Order(order.direction, order.amplitude * factor) for order in orders)
+def _turned(order: Order, tilt: tuple[float, float]) -> Order:
+    """An order of a plane that lies a·u farther at the place u: its reflection gains exp(2ik a·u)."""
+    across, down = order.direction
+    return replace(order, direction=(across + 2 * tilt[0], down + 2 * tilt[1]))

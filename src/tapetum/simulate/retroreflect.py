@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -9,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from tapetum.bench import Scene
+from tapetum.bench import STEEPEST, Scene
 from tapetum.errors import InputError
-from tapetum.simulate.camera import Camera
 from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.image import Image
+from tapetum.simulate.phone import open_camera
 
 if TYPE_CHECKING:
     from tapetum.optics.grid_sampling import SamplingPlan
@@ -73,7 +74,7 @@ def retroreflect(
         raise InputError(f"unknown dtype {dtype}", where="dtype", remedy="use torch.complex64 or torch.complex128")
     degrees = _degrees(scene, rotation)
     tilt = torch.sin(torch.deg2rad(degrees))
-    camera = Camera(
+    camera = open_camera(
         scene,
         largest_sine(tilt),
         object_distance=object_distance,
@@ -94,7 +95,7 @@ def retroreflect(
 
 def plan_scene(scene: Scene, steepest: float, accuracy: float | None = None) -> RoundPlan | SamplingPlan:
     """The sampling that `retroreflect` would use for this scene."""
-    return Camera(scene, steepest, accuracy=accuracy).plan
+    return open_camera(scene, steepest, accuracy=accuracy).plan
 
 
 def _degrees(scene: Scene, rotation: Rotation | None) -> torch.Tensor:
@@ -110,10 +111,11 @@ def _degrees(scene: Scene, rotation: Rotation | None) -> torch.Tensor:
         raise InputError(f"has shape {shape}", where="rotation", remedy="give a number, [B] or [B, 2] in degrees")
     if not bool(torch.isfinite(degrees).all()):
         raise InputError("holds a value that is not finite", where="rotation", remedy="give degrees")
-    if float(degrees.detach().abs().max()) >= 30:
+    most = math.degrees(STEEPEST[scene.target.lens.kind])
+    if float(degrees.detach().abs().max()) >= most:
         raise InputError(
-            f"{float(degrees.detach().abs().max()):g} deg is outside the paraxial model",
+            f"{float(degrees.detach().abs().max()):g} deg is outside the model of the lens",
             where="rotation",
-            remedy="stay below 30 degrees",
+            remedy=f"stay below {most:.0f} degrees",
         )
     return degrees

@@ -17,6 +17,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+import numpy.typing as npt
 import torch
 
 from tapetum.errors import InputError
@@ -28,7 +30,7 @@ from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.foreshortening import foreshortens, twisted
 from tapetum.simulate.probe_path import ProbePath
 
-__all__ = ["Order", "RoundPass", "Surface"]
+__all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
 # Samples of pupils looked up at a time: what they take stays in the processor's caches.
 _SAMPLES_AT_ONCE = 1 << 18
@@ -41,12 +43,57 @@ _BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
 
 
+@dataclass(frozen=True, eq=False)
+class PlaceSeries:
+    """An amplitude that depends on the place of the spot: Σ c_b exp(iκ b·u), c [rows, columns] of b = -n to n.
+
+    Parameters
+    ----------
+    coefficients
+        [2n + 1, 2n + 1].
+    wavenumber
+        κ, in 1/m.
+    """
+
+    coefficients: npt.NDArray[np.complex128]
+    wavenumber: float
+
+    def __call__(self, places: torch.Tensor) -> torch.Tensor:
+        """Amplitudes [B] at places [B, 2] from the optical axis, in metres."""
+        most = len(self.coefficients) // 2
+        turns = self.wavenumber * torch.arange(-most, most + 1, dtype=torch.float64, device=places.device)
+        down, across = phasor(places[:, 1:2] * turns), phasor(places[:, 0:1] * turns)
+        return ((down @ torch.from_numpy(self.coefficients).to(places.device)) * across).sum(-1)
+
+
 @dataclass(frozen=True)
 class Order:
-    """A diffraction order of a sensor plane: direction sines (τ_x, τ_y) = (m_x, m_y) λ/p, and complex amplitude."""
+    """A diffraction order of a sensor plane.
+
+    Parameters
+    ----------
+    direction
+        Its sines (τ_x, τ_y), (m_x, m_y) λ/p for a grating; a plane tilted by a adds 2a.
+    amplitude
+        Complex; on the optical axis where it depends on the place.
+    series
+        Its amplitude by the place of the spot, where it depends on it.
+    """
 
     direction: tuple[float, float] = (0.0, 0.0)
     amplitude: complex = 1.0
+    series: PlaceSeries | None = None
+
+    def scaled(self, factor: float) -> Order:
+        """The same order of a plane reached by so much of the amplitude."""
+        if factor == 1:
+            return self
+        series = self.series and replace(self.series, coefficients=self.series.coefficients * factor)
+        return replace(self, amplitude=self.amplitude * factor, series=series)
+
+    def at(self, places: torch.Tensor) -> torch.Tensor | complex:
+        """Its amplitude, [B] where it depends on the places [B, 2] of the spot."""
+        return self.amplitude if self.series is None else self.series(places)
 
 
 @dataclass(frozen=True)
@@ -61,11 +108,21 @@ class Surface:
         What it returns; a mirror has one order of direction 0.
     phase
         Of its reflection against the others', in radians: twice the optical path by which it is nearer, times -k.
+    depth, index
+        Where it lies before the sensor, in metres, and the refractive index between: image_distance and phase follow
+        from them for a thin lens, a traced one takes them as they are.
+    tilt
+        Of its plane, a in radians, which the orders' directions already hold (2a). The plane lies a·u0 farther at the
+        spot u0: a traced lens is computed with that change of focus, a thin one without. For a tilt of half a degree
+        and a spot 2 mm from the axis that is 17 um.
     """
 
     image_distance: torch.Tensor | float
     orders: tuple[Order, ...] = (Order(),)
     phase: float = 0.0
+    depth: float = 0.0
+    index: float = 1.0
+    tilt: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -271,12 +328,15 @@ class RoundPass:
                 tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
                 seen = sines + tau / 2
                 value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
+                amplitude = order.at(one.z * sines)
                 if self._interferes:
                     # The mirror's own phase k z s², and the order's: k z (s + τ/2)² - k z τ²/4.
                     phase = self._k * one.z * ((sines**2).sum(-1) + (sines * tau).sum(-1)) + one.phase
-                    value = value * (phasor(phase) * order.amplitude).to(self.dtype)[:, None, None]
-                elif order.amplitude != 1:
-                    value = value * order.amplitude
+                    value = value * (phasor(phase) * amplitude).to(self.dtype)[:, None, None]
+                elif isinstance(amplitude, torch.Tensor):
+                    value = value * amplitude.to(self.dtype)[:, None, None]
+                elif amplitude != 1:
+                    value = value * amplitude
                 of_orders = value if of_orders is None else of_orders + value
             if of_orders is not None:
                 term = of_orders * self._leaving(one, rows)

@@ -4,6 +4,10 @@ A periodic plane is a grating. Its Fourier coefficients c_m, Arr(u) = Σ c_m exp
 diffraction orders of directions m λ/P (docs/conventions.md, "The sensor plane"); a mask from a file is sampled where
 the light is. Both forms of an array are here, so that one can check the other.
 
+Microlenses that stand off their photosites by more and more towards the field's edge make the coefficients depend on
+the place w on the sensor. Over the spot that is a constant: with the photosites' coefficients s and the lenses' l,
+c_m(w) = Σ s_(m-b) l_b exp(2πi shift b·w/p), a series that an order carries with it.
+
 The cell is one pitch square: a photosite in its middle, what surrounds it, and over both a microlens. With a Bayer
 filter each cell is dimmed by its own colour, photosite and surround alike, and the period P is two pitches. Rows and
 columns begin at the sensor's upper left corner, so that a photosite's centre lies on the optical axis for odd counts of
@@ -20,7 +24,7 @@ import cmath
 import math
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +34,7 @@ from scipy.special import fresnel, j1
 
 from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
-from tapetum.simulate.round_pass import Order
+from tapetum.simulate.round_pass import Order, PlaceSeries
 
 __all__ = ["Reflectance", "orders_of", "reflectance_at"]
 
@@ -46,6 +50,10 @@ _LINES = 16
 # Power below which an order is left out, over the largest one's.
 _FAINT = 1e-6
 _MOST_ORDERS = 20_000
+_MOST_SHIFTED = 2000
+# Fourier coefficients of a microlens to either side that a shift is carried out with: amplitudes then are within 1e-3
+# of the shifted cell's (tests/simulate/test_tolerances.py).
+_HARMONICS = 24
 # Second derivative from seven equally spaced values, exact to the sixth order (Fornberg, Math. Comp. 51, 699 (1988)).
 _SECOND_DERIVATIVE = (1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90)
 
@@ -74,7 +82,8 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     Raises
     ------
     InputError
-        For a sensor with a mask, which has no orders, and for more than 20 000 of them.
+        For a sensor with a mask, which has no orders, and for more than 20 000 of them (2000 where microlenses are
+        shifted).
 
     Notes
     -----
@@ -90,6 +99,7 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     cell = _cell_of(sensor, wavelength)
     if cell is None:
         return (Order(amplitude=math.sqrt(sensor.reflectance)),)
+    shift = 0.0 if sensor.microlens is None else sensor.microlens.shift
     step = wavelength / cell.period
     most = int(widest / step * (1 + 1e-12))
     if math.pi * most**2 > _MOST_ORDERS:
@@ -106,8 +116,11 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
         for row in m
         for column in m
         if math.hypot(column, row) * step <= widest * (1 + 1e-12)
-        and abs(table[row + most, column + most]) ** 2 > _FAINT * strongest**2
+        # A shift may make an order strong elsewhere that is faint on the axis.
+        and (shift != 0 or abs(table[row + most, column + most]) ** 2 > _FAINT * strongest**2)
     ]
+    if shift != 0:
+        return _shifted_orders(cell, sorted(found, key=lambda o: o[:3]), shift, sensor.decentre, strongest)
     return tuple(
         Order((column * step, row * step), amplitude)
         for _, row, column, amplitude in sorted(found, key=lambda o: o[:3])
@@ -133,7 +146,8 @@ def reflectance_at(sensor: TargetSensor, wavelength: float) -> Reflectance:
     Raises
     ------
     InputError
-        For a file that is missing, is no array of numbers with two dimensions, or reflects more than all light.
+        For a file that is missing, is no array of numbers with two dimensions, or reflects more than all light, and for
+        shifted microlenses.
 
     Notes
     -----
@@ -144,7 +158,12 @@ def reflectance_at(sensor: TargetSensor, wavelength: float) -> Reflectance:
     """
     amplitude = math.sqrt(sensor.reflectance)
     if sensor.mask is not None:
-        return _Sampled(_read(Path(sensor.mask.file), sensor.reflectance) * amplitude, sensor.mask.pitch)
+        plane = _Sampled(_read(Path(sensor.mask.file), sensor.reflectance) * amplitude, sensor.mask.pitch)
+        across, down = sensor.decentre
+        return lambda x, y: plane(x + across, y + down)
+    if sensor.microlens is not None and sensor.microlens.shift != 0:
+        what = "a plane of shifted microlenses has no period and is not sampled"
+        raise InputError(what, where="target.sensor.microlens.shift", remedy="use its orders")
     cell = _cell_of(sensor, wavelength)
     if cell is None:
         return lambda x, y: torch.full((*y.shape, x.shape[-1]), amplitude, dtype=torch.complex128, device=x.device)
@@ -249,9 +268,44 @@ def _cell_of(sensor: TargetSensor, wavelength: float) -> _Cell | None:
         lens=None if lens is None else (lens.focal_length, lens.fill * pitch / 2),
         wavelength=wavelength,
         tiles=tiles.astype(np.complex128),
-        corner=(-columns * sensor.pitch / 2, -rows * sensor.pitch / 2),
+        corner=(-columns * sensor.pitch / 2 - sensor.decentre[0], -rows * sensor.pitch / 2 - sensor.decentre[1]),
         reflectance=sensor.reflectance,
     )
+
+
+def _shifted_orders(
+    cell: _Cell,
+    found: list[tuple[int, int, int, complex]],
+    shift: float,
+    decentre: tuple[float, float],
+    strongest: float,
+) -> tuple[Order, ...]:
+    """Orders whose amplitudes follow the place of the spot, and those that are faint everywhere left out."""
+    if len(found) > _MOST_SHIFTED:
+        raise InputError(
+            f"{len(found)} orders are too many to follow over the field",
+            where="target.sensor.microlens.shift",
+            remedy="leave it out, stop the target's aperture down, or take a finer pitch",
+        )
+    assert cell.lens is not None
+    sites = replace(cell, lens=None)
+    b = np.arange(-_HARMONICS, _HARMONICS + 1)
+    # The lenses alone, over photosites that fill the plane.
+    lenses = replace(cell, surround=1.0)._transform(b, b)
+    # The places of the lenses count from the sensor's middle, those of the spot from the lens's axis.
+    turn = 2 * np.pi * shift / cell.pitch
+    to_axis = np.outer(np.exp(1j * turn * b * decentre[1]), np.exp(1j * turn * b * decentre[0]))
+    count, step = len(cell.tiles), cell.wavelength / cell.period
+    place = np.arange(count) + 0.5
+    orders: list[Order] = []
+    for _, row, column, amplitude in found:
+        down = np.exp(-2j * np.pi * (row * (place + cell.corner[1] / cell.pitch) / count % 1.0))
+        across = np.exp(-2j * np.pi * (column * (place + cell.corner[0] / cell.pitch) / count % 1.0))
+        tiles = math.sqrt(cell.reflectance) * (down @ cell.tiles @ across) / count**2
+        series = tiles * to_axis * lenses * sites._transform(column / count - b, row / count - b)
+        if np.abs(series).sum() ** 2 > _FAINT * strongest**2:
+            orders.append(Order((column * step, row * step), amplitude, PlaceSeries(series, turn)))
+    return tuple(orders)
 
 
 def _of_steps(edges: Real, orders: Real) -> Complex:

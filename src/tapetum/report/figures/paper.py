@@ -1,4 +1,4 @@
-"""The paper's Figs. 4 to 6, drawn from what `tapetum.report.paper` simulated."""
+"""The paper's Figs. 4 to 8, drawn from what `tapetum.report.paper` simulated."""
 
 from __future__ import annotations
 
@@ -26,12 +26,17 @@ from tapetum.report.figures._style import (
 from tapetum.report.figures.retro import CMAP, stretched
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tapetum.report.paper.fig4 import Fig4
     from tapetum.report.paper.fig5 import Fig5
     from tapetum.report.paper.fig6 import Fig6
+    from tapetum.report.paper.fig7 import Fig7, Sample
+    from tapetum.report.paper.fig8 import Fig8
 
-__all__ = ["draw_fig4", "draw_fig5", "draw_fig6"]
+__all__ = ["draw_fig4", "draw_fig5", "draw_fig6", "draw_fig7", "draw_fig8"]
 
+_FRAMES = "Frames with their noise, 400 x 400 pixels; brightness is the square root of counts over full scale."
 _TONE = "Each image to its own peak; brightness is the square root of the irradiance."
 
 
@@ -156,6 +161,53 @@ def draw_fig6(found: Fig6) -> Figure:
     left.set_ylim(0.04, 90)
     legend(left, loc="upper right", ncols=2)
     return figure
+
+
+def draw_fig7(found: Fig7) -> Figure:
+    """Three rows: gaze, object distance and focal length; what cannot be simulated is left empty."""
+    names = {"a": "gaze below the middle", "b": "object distance, f = 135 mm", "c": "focal length, 5.5 m"}
+    columns = max(len(samples) for _, samples in found.rows())
+    figure = new_figure(1.42 * columns + 0.4, 5.6)
+    axes = figure.subplots(3, columns, squeeze=False)
+    for r, (letter, samples) in enumerate(found.rows()):
+        _samples(axes[r], samples, found.full_scale, found.pitch)
+        axes[r, 0].set_ylabel(f"({letter}) {names[letter]}", fontsize=NOTE, color=INK)
+    figure.suptitle("Simulated; stand-ins for the paper's lenses", fontsize=LABEL, color=INK)
+    figure.supxlabel(_FRAMES, fontsize=NOTE, color=QUIET)
+    return figure
+
+
+def draw_fig8(found: Fig8) -> Figure:
+    """The phones in two rows, and below them those with the camera app shut."""
+    columns = max(2, -(-len(found.opened) // 2))
+    rows = [found.opened[:columns], found.opened[columns:], found.shut]
+    names = ["app open", "app open", "app shut"]
+    shown = [(name, row) for name, row in zip(names, rows, strict=True) if row]
+    figure = new_figure(1.55 * columns + 0.4, 1.8 * len(shown) + 0.6)
+    axes = figure.subplots(len(shown), columns, squeeze=False)
+    for r, (name, row) in enumerate(shown):
+        _samples(axes[r], row, found.full_scale, found.pitch)
+        axes[r, 0].set_ylabel(name, fontsize=LABEL, color=INK)
+    figure.suptitle("Simulated phones of the catalogue, none of them the paper's", fontsize=LABEL, color=INK)
+    figure.supxlabel(_FRAMES, fontsize=NOTE, color=QUIET)
+    return figure
+
+
+def _samples(axes: NDArray[np.object_], samples: Sequence[Sample], full_scale: int, pitch: float) -> None:
+    """A row of crops on one scale of brightness, the square root of the part of the full scale."""
+    for c, ax in enumerate(axes):
+        if c >= len(samples):
+            ax.set_axis_off()
+            continue
+        one = samples[c]
+        shown = np.sqrt(one.counts.astype(np.float64) / full_scale)
+        ax.imshow(shown, cmap=CMAP, vmin=0, vmax=1, interpolation="antialiased", extent=(0, 1, 0, 1))
+        ax.set_xticks([])
+        ax.set_yticks([])
+        ax.set_title(one.name, fontsize=LABEL, color=INK, pad=3)
+        if one.refused:
+            ax.text(0.5, 0.5, "not simulated", color="white", fontsize=TICK, ha="center", va="center")
+    _bar(axes[0], samples[0].counts.shape[1] * pitch, 0.4, small=True)
 
 
 def _picture(ax: Axes, image: ArrayLike) -> None:

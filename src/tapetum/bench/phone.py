@@ -1,0 +1,178 @@
+"""Phones: several cameras on one back plate, each with its lens, its filter and its sensor, and a dot projector."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+import itertools
+import math
+from importlib import resources
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic.dataclasses import dataclass
+
+from tapetum.bench.faults import first_fault
+from tapetum.bench.plain_yaml import field_paths, read_mapping
+from tapetum.bench.prescription import PrescriptionLens
+from tapetum.bench.quantity import Angle, Length, Power, Time
+from tapetum.bench.sensors import TargetSensor
+from tapetum.bench.strict import STRICT
+from tapetum.errors import InputError
+
+__all__ = ["PHONE_SCHEMA", "CameraUnit", "Dots", "Phone", "load_phone", "phone_names"]
+
+PHONE_SCHEMA = "tapetum/phone/1"
+Place = Annotated[Length, Field(gt=-0.1, lt=0.1)]
+Wide = Annotated[Angle, Field(gt=0, lt=math.pi)]
+# Two camera modules cannot stand nearer to each other, centre to centre, in metres.
+_NEAREST = 4e-3
+
+
+@dataclass(frozen=True, config=STRICT)
+class CameraUnit:
+    """One of a phone's cameras.
+
+    Parameters
+    ----------
+    name
+        Its purpose: `main`, `wide`, `tele`, `macro`.
+    position
+        Of its optical axis on the back plate, (x, y) in metres: x right and y down as the probe sees it.
+    lens, sensor
+        Its optics. The filter is the first of the sensor's layers.
+    """
+
+    name: str
+    position: tuple[Place, Place]
+    lens: PrescriptionLens
+    sensor: TargetSensor
+
+    @model_validator(mode="after")
+    def _fits_together(self) -> CameraUnit:
+        focused = self.lens.focused(self.lens.design_wavelength, math.inf)
+        # Behind the last surface that bends light there is room for plates.
+        bends = (focused.lens.curvature != 0) | (focused.lens.asphere != 0).any(-1)
+        room = focused.image - float(focused.lens.z[bends].max())
+        for layer in self.sensor.layers:
+            if layer.depth >= room:
+                what = (
+                    f"a layer {layer.depth:g} m before the sensor lies in the lens, which ends {room:.3g} m before it"
+                )
+                raise ValueError(f"{what}; move it nearer")
+        return self
+
+
+@dataclass(frozen=True, config=STRICT)
+class Dots:
+    """A LiDAR's dot projector: pulses of light in a grid of narrow beams.
+
+    Parameters
+    ----------
+    position
+        On the back plate, as a camera's.
+    wavelength
+        In metres.
+    power
+        Of all beams together while a pulse lasts, in watts.
+    period, pulse
+        From one pulse to the next, and how long one lasts, in seconds.
+    columns, rows
+        Of the grid.
+    field
+        Full angles that the grid spans, in radians.
+    tilt
+        Of the grid's rows against the plate's x, in radians.
+    """
+
+    position: tuple[Place, Place]
+    power: Power
+    period: Time
+    pulse: Time
+    columns: Annotated[int, Field(ge=1, le=1000)]
+    rows: Annotated[int, Field(ge=1, le=1000)]
+    field: tuple[Wide, Wide]
+    wavelength: Annotated[Length, Field(ge=200e-9, le=2e-6)] = 940e-9
+    tilt: Angle = 0.0
+
+    @model_validator(mode="after")
+    def _pulses_end(self) -> Dots:
+        if self.pulse > self.period:
+            raise ValueError(f"a pulse of {self.pulse:g} s outlasts the period of {self.period:g} s; shorten it")
+        return self
+
+
+@dataclass(frozen=True, config=STRICT)
+class Phone:
+    """A model of phone as a probe meets it: its back.
+
+    Parameters
+    ----------
+    name
+        A neutral one.
+    cameras
+        One to six; positions count from wherever their file says, the plate's x right and y down.
+    dots
+        Its dot projector, if it has one.
+    assumed
+        What no source says, and what kind of source the rest has.
+    """
+
+    name: str
+    cameras: Annotated[tuple[CameraUnit, ...], Field(min_length=1, max_length=6)]
+    dots: Dots | None = None
+    assumed: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _has_room(self) -> Phone:
+        names = [camera.name for camera in self.cameras]
+        if len(set(names)) < len(names):
+            raise ValueError(f"two cameras share a name, {', '.join(names)}; tell them apart")
+        for one, other in itertools.combinations(self.cameras, 2):
+            apart = math.dist(one.position, other.position)
+            if apart < _NEAREST:
+                raise ValueError(f"{one.name} and {other.name} are {apart:g} m apart; place them 4 mm apart or more")
+        return self
+
+
+def phone_names() -> list[str]:
+    """Names of the phones that come with the package."""
+    folder = resources.files("tapetum.bench") / "phones"
+    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+
+
+def load_phone(source: str) -> Phone:
+    """A phone by its name in the catalogue, or from a YAML file.
+
+    Raises
+    ------
+    InputError
+        For an unknown name (with the nearest ones), a file that cannot be read, and a phone that cannot be: with the
+        field's path and the remedy.
+    """
+    if source in phone_names():
+        return _bundled(source)
+    path = Path(source)
+    if not path.is_file():
+        near = difflib.get_close_matches(source, phone_names(), n=3, cutoff=0.6)
+        remedy = f"did you mean {' or '.join(near)}?" if near else f"use a file, or one of {', '.join(phone_names())}"
+        raise InputError("no such phone", where=source, remedy=remedy)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"cannot be read as text ({error})", where=source, remedy="give a YAML file") from error
+    return _phone(text, source)
+
+
+@functools.cache
+def _bundled(name: str) -> Phone:
+    return _phone((resources.files("tapetum.bench") / "phones" / f"{name}.yaml").read_text(encoding="utf-8"), name)
+
+
+def _phone(text: str, where: str) -> Phone:
+    content = read_mapping(text, PHONE_SCHEMA, where)
+    try:
+        return TypeAdapter(Phone).validate_python(content)
+    except ValidationError as error:
+        raise first_fault(error, where, tuple(field_paths(Phone))) from error

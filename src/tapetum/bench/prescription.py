@@ -1,0 +1,207 @@
+"""The lens of a target by its prescription: which one, at what focal length and F-number, and how it is focused."""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
+
+from pydantic import Field, SerializerFunctionWrapHandler, WrapValidator, model_serializer, model_validator
+from pydantic.dataclasses import dataclass
+
+from tapetum.bench.lens_data import LensState, Prescription, Surface, build_lens, clearance
+from tapetum.bench.lens_file import lens_names, load_lens
+from tapetum.bench.quantity import Length
+from tapetum.bench.strict import STRICT, Positive
+from tapetum.bench.zoom import focal_range, surfaces_at
+from tapetum.errors import InputError
+
+if TYPE_CHECKING:
+    from tapetum.optics.focus import FocusedLens
+    from tapetum.optics.rays import Lens
+
+__all__ = ["LensState", "Prescription", "PrescriptionLens", "Surface", "lens_names", "load_lens"]
+
+# A left-out focal length is the file's own, filled in when the lens is built: whoever reads it gets a number.
+FocalLength = Annotated[Positive, WrapValidator(lambda value, handler: None if value is None else handler(value))]
+# F-numbers are stated with two digits.
+_ROUNDED = 5e-3
+
+
+@dataclass(frozen=True, config=STRICT)
+class PrescriptionLens:
+    """A real lens, traced ray by ray.
+
+    Parameters
+    ----------
+    name
+        Of the catalogue, or the path of a `.yaml` or `.zmx` file.
+    focal_length
+        In metres, at the design wavelength. A prime lens is scaled to it; a zoom is set to it, and needs one. Left
+        out, it is the prescription's own.
+    f_number
+        To stop it down to: its focal length over the diameter of parallel light that it takes in along its axis.
+    design_wavelength
+        Of the light that it is focused in, in metres: a phone focuses what its user sees, and is then out of focus
+        at 785 nm.
+    focus
+        `unit` moves the whole lens against the sensor, `group` what the prescription names; left out, as it says.
+    """
+
+    name: str
+    kind: Literal["prescription"] = "prescription"
+    focal_length: FocalLength = cast(float, None)
+    f_number: Annotated[float, Field(gt=0.3, lt=200)] | None = None
+    design_wavelength: Annotated[Length, Field(ge=405e-9, le=1e-6)] = 587.56e-9
+    focus: Literal["unit", "group"] | None = None
+
+    @model_validator(mode="after")
+    def _can_be_built(self) -> PrescriptionLens:
+        prescription = load_lens(self.name)
+        if cast(Any, self.focal_length) is None:
+            surfaces_at(prescription, None, self.design_wavelength)
+            object.__setattr__(self, "focal_length", focal_range(prescription, self.design_wavelength)[0])
+        if self.focus == "group" and prescription.focus == "unit":
+            raise ValueError(f"{self.name} names no group that focuses; use 'focus: unit'")
+        if self.f_number is not None:
+            # Torch takes a second to import: a command's help does not wait for it.
+            from tapetum.optics.focus import pupil_height
+
+            own = self.focal_length / (2 * pupil_height(_wide_open(self, prescription)))
+            if self.f_number < own * (1 - _ROUNDED):
+                raise ValueError(f"f_number {self.f_number:g} is wider than {self.name} opens; give {own:.3g} or more")
+        # It must let light through, not only be a list of numbers.
+        _sensor(self, prescription)
+        return self
+
+    @model_serializer(mode="wrap")
+    def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        # The file's own focal length is left out: another name in its scene must not be scaled to this one's.
+        plain = handler(self)
+        own = focal_range(load_lens(self.name), self.design_wavelength)
+        if len(own) == 1 and self.focal_length == own[0]:
+            del plain["focal_length"]
+        return plain
+
+    @property
+    def aperture_radius(self) -> float:
+        """Radius of the bundle of parallel light that it takes in along its axis, in metres, by real rays."""
+        return _aperture(self, load_lens(self.name))
+
+    @property
+    def glass(self) -> None:
+        """None: its glasses are the prescription's."""
+
+    def focused(self, wavelength: float, object_distance: float) -> FocusedLens:
+        """The lens at a wavelength, with the sensor where it is in focus at the design wavelength.
+
+        Parameters
+        ----------
+        wavelength
+            In metres.
+        object_distance
+            From the object to the entrance pupil, in metres; `inf` allowed.
+
+        Raises
+        ------
+        InputError
+            For a distance that it cannot focus on, and a wavelength at which a glass has no index.
+        """
+        return _focused(self, load_lens(self.name), float(wavelength), float(object_distance))
+
+
+# The prescription stands beside the lens in what follows: a file may change under its name.
+
+
+@functools.lru_cache(maxsize=256)
+def _wide_open(lens: PrescriptionLens, prescription: Prescription) -> Lens:
+    surfaces, scale = surfaces_at(prescription, lens.focal_length, lens.design_wavelength)
+    return build_lens(surfaces, lens.design_wavelength, scale)
+
+
+@functools.lru_cache(maxsize=256)
+def _design(lens: PrescriptionLens, prescription: Prescription) -> Lens:
+    """At the design wavelength, with its stop as asked, focused at infinity."""
+    from tapetum.optics.focus import pupil_height, stopped_down
+
+    wide = _wide_open(lens, prescription)
+    if lens.f_number is None or lens.f_number <= lens.focal_length / (2 * pupil_height(wide)):
+        return wide
+    return stopped_down(wide, lens.f_number)
+
+
+@functools.lru_cache(maxsize=256)
+def _sensor(lens: PrescriptionLens, prescription: Prescription) -> float:
+    """z of the sensor on which infinity is in focus."""
+    from tapetum.optics.focus import best_focus
+
+    return best_focus(_design(lens, prescription), math.inf)
+
+
+@functools.lru_cache(maxsize=256)
+def _aperture(lens: PrescriptionLens, prescription: Prescription) -> float:
+    from tapetum.optics.focus import pupil_height
+
+    return pupil_height(_design(lens, prescription))
+
+
+@functools.lru_cache(maxsize=512)
+def _focused(
+    lens: PrescriptionLens, prescription: Prescription, wavelength: float, object_distance: float
+) -> FocusedLens:
+    import torch
+
+    from tapetum.optics.focus import FocusedLens, best_focus
+    from tapetum.optics.paraxial import paraxial
+
+    design, sensor = _design(lens, prescription), _sensor(lens, prescription)
+    if lens.focus != "unit" and prescription.focus != "unit":
+        design, image = _with_group(design, prescription.focus, sensor, object_distance)
+    else:
+        image = sensor if math.isinf(object_distance) else best_focus(design, object_distance)
+    surfaces = prescription.surfaces
+    index = torch.tensor([1.0, *(one.index_at(wavelength) for one in surfaces)], dtype=torch.float64)
+    real = replace(design, index=index)
+    cardinal = paraxial(real)
+    return FocusedLens(
+        lens=real,
+        image=image,
+        entrance_pupil=cardinal.entrance_pupil,
+        exit_pupil=cardinal.exit_pupil,
+        entrance_radius=cardinal.entrance_radius,
+        focal_length=cardinal.focal_length,
+    )
+
+
+def _with_group(lens: Lens, group: tuple[int, int], sensor: float, distance: float) -> tuple[Lens, float]:
+    """The lens with its group where an object's image falls on the sensor that infinity is focused on."""
+    from tapetum.optics.focus import best_focus, moved_group, paraxial_image
+    from tapetum.optics.paraxial import paraxial
+
+    if math.isinf(distance):
+        return lens, sensor
+    first, last = group
+    low, high = -clearance(lens, first - 1, first)[0], clearance(lens, last, last + 1)[0]
+    places = [low + (high - low) * i / _STEPS for i in range(_STEPS + 1)]
+    misses = [paraxial_image(moved_group(lens, group, at), distance) - paraxial(lens).focus for at in places]
+    found = [i for i in range(_STEPS) if math.isfinite(misses[i] + misses[i + 1]) and misses[i] * misses[i + 1] <= 0]
+    if not found:
+        what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
+        raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")
+    # The way from infinity's place is the shortest one.
+    i = min(found, key=lambda i: abs(places[i] + places[i + 1]))
+    shift, other = places[i], places[i + 1]
+    value = best_focus(moved_group(lens, group, shift), distance) - sensor
+    for _ in range(30):
+        behind = best_focus(moved_group(lens, group, other), distance) - sensor
+        if behind == value or abs(behind) < 1e-12:
+            break
+        shift, other, value = other, other - behind * (other - shift) / (behind - value), behind
+    if not low <= other <= high:
+        what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
+        raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")
+    return moved_group(lens, group, other), sensor
+
+
+_STEPS = 40

@@ -1,0 +1,131 @@
+"""Image sensors: the target's, which reflects, and the probe's, which counts photons. All values in SI units."""
+
+from __future__ import annotations
+
+from typing import Annotated, TypeVar
+
+from pydantic import Field, model_validator
+from pydantic.dataclasses import dataclass
+
+from tapetum.bench.quantity import Angle, Current, Length, Time
+from tapetum.bench.strict import STRICT, Positive, Share
+from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask
+
+__all__ = ["ProbeSensor", "TargetSensor"]
+
+S = TypeVar("S", "TargetSensor", "ProbeSensor")
+Pixels = Annotated[tuple[int, int], Field(description="columns, rows")]
+SmallTilt = Annotated[Angle, Field(ge=-0.1, le=0.1)]
+Offset = Annotated[Length, Field(ge=-0.01, le=0.01)]
+
+
+@dataclass(frozen=True, config=STRICT)
+class TargetSensor:
+    """The target's image sensor: what it reflects, and what it sees.
+
+    Parameters
+    ----------
+    reflectance
+        Power reflectance of its plane, taken as a mirror.
+    pixels, pitch
+        Columns and rows, and their distance in metres: together the field of view.
+    array, microlens
+        The photosites as a grating, and the lenses over them; a flat mirror without.
+    mask
+        Any complex reflectance in their place.
+    diffuse
+        A scattered share, besides.
+    layers
+        Further reflecting planes before the sensor.
+    tilt
+        Of its plane against the lens's image plane, (a_x, a_y) in radians: at the place u from the lens's axis it lies
+        a·u behind it. Layers keep their place. A lens tilted as a whole is the same as a sensor tilted the other way
+        and a change of gaze, so it needs no field of its own.
+    decentre
+        Where the lens's axis meets the sensor, (x, y) in metres from its middle. Gaze counts from the sensor's middle.
+    """
+
+    reflectance: Share = 0.1
+    # The paper's STC-MBA5MUSB3, 4 by 4 binned: 5.7 by 4.3 mm.
+    pixels: Pixels = (648, 486)
+    pitch: Positive = 8.8e-6
+    array: PixelArray | None = None
+    microlens: Microlens | None = None
+    mask: SensorMask | None = None
+    diffuse: Diffuse | None = None
+    layers: tuple[Layer, ...] = ()
+    tilt: tuple[SmallTilt, SmallTilt] = (0.0, 0.0)
+    decentre: tuple[Offset, Offset] = (0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _has_pixels(self) -> TargetSensor:
+        if self.mask is not None and (self.array is not None or self.microlens is not None):
+            raise ValueError("a mask takes the place of array and microlens; leave one of them out")
+        if self.mask is not None and self.tilt != (0.0, 0.0):
+            raise ValueError("a mask is not tilted by itself; multiply it by exp(2ik a·u) and leave tilt out")
+        for name, axis, offset in zip("xy", self.pixels, self.decentre, strict=True):
+            if abs(offset) > axis * self.pitch / 2:
+                raise ValueError(f"decentre {offset:g} m puts the lens's axis off the sensor along {name}; lower it")
+        if self.diffuse is not None and self.reflectance + self.diffuse.albedo > 1:
+            total = self.reflectance + self.diffuse.albedo
+            raise ValueError(f"reflectance and diffuse.albedo add up to {total:g}; keep them below 1")
+        return _with_pixels(self)
+
+
+@dataclass(frozen=True, config=STRICT)
+class ProbeSensor:
+    """The probe's image sensor, from photons to digital numbers.
+
+    Parameters
+    ----------
+    pixels, pitch
+        Columns and rows, and their distance in metres.
+    bits
+        Of a digital number.
+    exposure
+        In seconds.
+    quantum_efficiency
+        Electrons a photon.
+    full_well, read_noise
+        In electrons.
+    gain
+        Digital numbers an electron; where it is left out the digital range spans the full well.
+    background
+        Mean stray light a pixel and frame, in electrons.
+    dark_current
+        Electrons a pixel and second.
+    offset
+        Digital number of no light.
+    hot_pixels
+        Share of pixels with a dark current far above the others', at places that belong to the sensor.
+    hot_current
+        Mean of the hot pixels' dark current, exponentially distributed, in electrons a pixel and second.
+    serial
+        Number of the sensor: it decides where its hot pixels are.
+    """
+
+    pixels: Pixels = (256, 256)
+    pitch: Positive = 2.2e-6
+    bits: Annotated[int, Field(ge=1, le=16)] = 8
+    exposure: Time = 1e-5
+    quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.5
+    # Inferred for the MT9P031, the likely sensor of the paper's cameras: not confirmed by its maker.
+    full_well: Annotated[float, Field(ge=1, le=1e9)] = 6500.0
+    read_noise: Annotated[float, Field(ge=0, le=1e6)] = 2.0
+    background: Annotated[float, Field(ge=0, le=1e9)] = 0.0
+    dark_current: Current = 0.0
+    offset: Annotated[float, Field(ge=0, le=65535)] = 0.0
+    gain: Annotated[float, Field(gt=0, le=1e6)] | None = None
+    hot_pixels: Share = 0.0
+    hot_current: Current = 0.0
+    serial: Annotated[int, Field(ge=0, lt=2**63)] = 0
+
+    @model_validator(mode="after")
+    def _has_pixels(self) -> ProbeSensor:
+        return _with_pixels(self)
+
+
+def _with_pixels(sensor: S) -> S:
+    if min(sensor.pixels) < 1 or max(sensor.pixels) > 16384:
+        raise ValueError(f"pixels {list(sensor.pixels)} are out of range; give 1 to 16384 a side")
+    return sensor

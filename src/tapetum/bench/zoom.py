@@ -1,0 +1,94 @@
+"""A prescription at the focal length that was asked for: scaled, or between two states of a zoom."""
+
+from __future__ import annotations
+
+import functools
+import itertools
+import math
+from dataclasses import replace
+
+from tapetum.bench.lens_data import Prescription, Surface, build_lens, with_moves
+from tapetum.errors import InputError
+
+__all__ = ["focal_range", "surfaces_at"]
+
+# Focal lengths are typed with a few digits: this much beyond the ends is meant to be the end.
+_SLACK = 1e-3
+
+
+@functools.lru_cache(maxsize=256)
+def focal_range(prescription: Prescription, wavelength: float) -> tuple[float, ...]:
+    """Paraxial focal length of every state, in metres, at a wavelength.
+
+    Raises
+    ------
+    InputError
+        For a lens without a positive focal length, and for states that are not in the order of theirs.
+    """
+    from tapetum.optics.paraxial import paraxial
+
+    lenses = [build_lens(prescription.state(k), wavelength) for k in range(len(prescription.states))]
+    found = tuple(paraxial(lens).focal_length for lens in lenses)
+    if not all(math.isfinite(one) and one > 0 for one in found):
+        shown = ", ".join(f"{one:.4g} m" for one in found)
+        raise InputError(f"has the focal length {shown}", where=prescription.name, remedy="use a converging lens")
+    if any(b <= a for a, b in itertools.pairwise(found)):
+        shown = ", ".join(f"{one:.4g}" for one in found)
+        raise InputError(f"has states of f = {shown} m", where=prescription.name, remedy="sort them by focal length")
+    return found
+
+
+@functools.lru_cache(maxsize=256)
+def surfaces_at(
+    prescription: Prescription, focal_length: float | None, wavelength: float
+) -> tuple[tuple[Surface, ...], float]:
+    """The surfaces for a focal length, and the factor on all of their lengths.
+
+    A prime lens is scaled. In a zoom the gaps that move, and the stop's opening, run smoothly with the logarithm of
+    the focal length through the states (monotone cubics, so that no two groups meet between them).
+
+    Raises
+    ------
+    InputError
+        For a zoom without a focal length, or one beyond its range.
+    """
+    own = focal_range(prescription, wavelength)
+    if len(own) == 1:
+        return prescription.state(0), 1.0 if focal_length is None else focal_length / own[0]
+    spoken = f"{own[0] * 1e3:.4g} to {own[-1] * 1e3:.4g} mm"
+    if focal_length is None:
+        raise InputError("a zoom needs a focal_length", where=prescription.name, remedy=f"give one of {spoken}")
+    if not own[0] * (1 - _SLACK) <= focal_length <= own[-1] * (1 + _SLACK):
+        what = f"focal_length {focal_length * 1e3:.4g} mm is beyond this zoom"
+        raise InputError(what, where=prescription.name, remedy=f"give one of {spoken}")
+    import torch
+    from scipy.interpolate import PchipInterpolator
+    from scipy.optimize import brentq
+
+    from tapetum.optics.paraxial import paraxial
+
+    logs = [math.log(one) for one in own]
+    states = [prescription.state(k) for k in range(len(own))]
+    moving = [i for i in range(len(states[0])) if len({one[i].thickness for one in states}) > 1]
+    opening = [i for i in range(len(states[0])) if len({one[i].semi_diameter for one in states}) > 1]
+    gaps = {i: PchipInterpolator(logs, [one[i].thickness for one in states]) for i in moving}
+    openings = {i: PchipInterpolator(logs, [one[i].semi_diameter for one in states]) for i in opening}
+
+    base = build_lens(states[0], wavelength)
+
+    def gaps_at(t: float) -> dict[int, float]:
+        return {i: float(curve(t)) for i, curve in gaps.items()}
+
+    def miss(t: float) -> float:
+        moved = gaps_at(t)
+        steps = [moved.get(i, one.thickness) for i, one in enumerate(states[0][:-1])]
+        lens = replace(base, z=torch.tensor([0.0, *itertools.accumulate(steps)], dtype=torch.float64))
+        return math.log(paraxial(lens).focal_length) - wanted
+
+    wanted = min(max(math.log(focal_length), logs[0]), logs[-1])
+    # At its ends the curve gives the states but for rounding: no sign changes there.
+    ends = miss(logs[0]), miss(logs[-1])
+    if ends[0] >= 0 or ends[1] <= 0:
+        return states[0 if ends[0] >= 0 else -1], 1.0
+    t = float(brentq(miss, logs[0], logs[-1], xtol=1e-14, rtol=1e-14))  # pyright: ignore[reportArgumentType]
+    return with_moves(states[0], gaps_at(t), {i: float(curve(t)) for i, curve in openings.items()}), 1.0

@@ -1,0 +1,96 @@
+"""`tapetum dataset import`: a dataset from videos, images or arrays that were taken elsewhere."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tapetum.cli.inputs import check_replaceable
+from tapetum.errors import InputError
+from tapetum.files import atomic_file
+from tapetum.progress import bar
+
+if TYPE_CHECKING:
+    from tapetum.data.importing import ImportMapping
+
+
+def import_data(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(metavar="FOLDER_OR_FILES...", help="Where videos, images, arrays and tables are."),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
+    mapping: Annotated[
+        Path | None,
+        typer.Option(metavar="YAML", help="What the files mean; without it, a mapping is proposed."),
+    ] = None,
+    yes: Annotated[bool, typer.Option("--yes", "-y", help="Import by the proposed mapping without asking.")] = False,
+    side: Annotated[
+        int | None, typer.Option(metavar="PX", help="Pixels along an edge of a crop, in place of the mapping's.", min=8)
+    ] = None,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dataset of this name.")] = False,
+) -> None:
+    """Make a dataset of data that was not taken with Tapetum.
+
+    Without --mapping it lists what it finds, proposes a mapping, and asks. What it prints is a mapping file: save it,
+    correct it, and pass it with --mapping.
+    """
+    check_replaceable(out, overwrite, "zarr.json", "tapetum-dataset")
+    from tapetum.data.importing import common_root, import_dataset, load_mapping
+
+    root = common_root(sources)
+    chosen = load_mapping(mapping) if mapping is not None else _proposed(sources, out, yes)
+    if chosen is None:
+        return
+    if side is not None:
+        chosen = replace(chosen, side=side)
+    for line in import_dataset(chosen, root, out, progress=bar, overwrite=overwrite):
+        typer.echo(line)
+    _tell(out)
+
+
+def _proposed(sources: list[Path], out: Path, yes: bool) -> ImportMapping | None:
+    """Say what was found and propose a mapping of it; None where a person would not have it."""
+    from tapetum.data.importing import look_into, propose
+
+    found = look_into(sources)
+    typer.echo(f"# found in {found.root}:")
+    for line in found.lines:
+        typer.echo(f"#   {line}")
+    if found.faults:
+        raise found.faults[0]
+    proposal = propose(found)
+    typer.echo(proposal.text)
+    if yes:
+        return proposal.mapping(str(found.root))
+    if not proposal.gaps and _at_terminal():
+        if typer.confirm("Import it like this?"):
+            return proposal.mapping(str(found.root))
+        kept = out.with_suffix(".yaml")
+        if not kept.exists():
+            with atomic_file(kept) as part:
+                part.write_text(proposal.text, encoding="utf-8")
+            typer.echo(f"nothing imported; correct {kept} and pass it with --mapping")
+        return None
+    what = f"the proposal lacks the {proposal.gaps[0]}" if proposal.gaps else "nothing is imported without a yes"
+    remedy = "save what was printed as map.yaml, correct it and pass --mapping map.yaml"
+    raise InputError(what, where=found.root, remedy=remedy if proposal.gaps else f"pass --yes, or {remedy}")
+
+
+def _at_terminal() -> bool:
+    return sys.stdin.isatty() and sys.stdout.isatty()
+
+
+def _tell(out: Path) -> None:
+    from tapetum.data import open_dataset
+
+    dataset = open_dataset(out)
+    typer.echo(f"{out}: {dataset.tp.train.sizes['frame']} to train on, {dataset.tp.test.sizes['frame']} to test")
+    for one in dataset.tp.recordings:
+        left = ", ".join(f"{why} {count}" for why, count in one["left_out"].items() if count)
+        if left:
+            typer.echo(f"  {one['name']}: {one['used']} of {one['frames']} pictures (left out: {left})")

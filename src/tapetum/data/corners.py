@@ -1,0 +1,173 @@
+"""What a crop shows far from its retro-reflection: level, noise and fixed pattern of its four corners.
+
+An RR has no edge: its rings and the light its edges diffract fall off as a power of the distance and reach the
+corners too. So each corner comes with its *halo*, the light by which a patch of the same size on the same diagonal,
+1.75 times nearer to the middle, is brighter. What the RR puts into the corner is at most `FALL_OFFS` of that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from tapetum.data.dataset import TEST, TRAIN, image_batches
+from tapetum.progress import Progress, quiet
+
+__all__ = ["FALL_OFFS", "MOST_TEST", "MOST_TRAIN", "CornerReader", "Corners", "evenly", "read_corners"]
+
+_NEARER = 1.75
+FALL_OFFS: tuple[float, ...] = (0.0, *(1 / (_NEARER**power - 1) for power in (4, 3, 2, 1.5)))
+"""What share of a halo may be the RR's own light in the corner: none, or that of light that falls off as the 4th, 3rd
+(the rings of a round pupil), 2nd (spikes of straight edges, wide scatter) or 1.5th power of the distance."""
+
+MOST_TRAIN, MOST_TEST = 2000, 1000
+"""Frames of each part that leaks are looked for in, spread evenly: more would not change what is found."""
+
+_LARGEST = 32
+# Pixels this many standard deviations over their neighbours are no noise; nor are steps of fewer counts than four.
+_HOT, _HOT_COUNTS = 10.0, 4.0
+# No pixel outshouts all others together in the fixed pattern.
+_LOUDEST = 30.0
+
+
+@dataclass(frozen=True)
+class Corners:
+    """The corners of every frame.
+
+    Parameters
+    ----------
+    level
+        [N, 6]: mean of the upper left, upper right, lower left and lower right corner (counts), variance of their
+        pixels (counts squared), share of hot ones.
+    halo
+        [N, 6]: by how much the same is larger nearer to the RR; 0 for hot pixels, which are no light.
+    noise
+        Standard deviation of a pixel, counts.
+    frames
+        [M] numbers of the frames that `pattern` shows.
+    pattern
+        [M, P] pixels of the corners over the median of their neighbours, in standard deviations: hot pixels and the
+        sensor's fixed pattern, without level and shading.
+    hot
+        [M, H] where the frame shows a hot pixel at each of H places of the *probe's* frame 10, else 0 (standard
+        deviations, about); H = 0 where there are none or the set does not tell where its crops were cut.
+    """
+
+    level: NDArray[np.float64]
+    halo: NDArray[np.float64]
+    noise: float
+    frames: NDArray[np.int64]
+    pattern: NDArray[np.float32]
+    hot: NDArray[np.float32]
+
+
+def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
+    """Return at most `most` of the numbers, spread evenly."""
+    if len(numbers) <= most:
+        return numbers
+    return numbers[np.linspace(0, len(numbers) - 1, most).round().astype(int)]
+
+
+class CornerReader:
+    """Gathers the corners while the images pass by: `add` every batch, then `read`."""
+
+    def __init__(self, dataset: xr.Dataset) -> None:
+        count, side = dataset.sizes["frame"], dataset.tp.side
+        self._size = int(np.clip(side // 8, 2, _LARGEST))
+        split = np.asarray(dataset["split"].values)
+        parts = ((TRAIN, MOST_TRAIN), (TEST, MOST_TEST))
+        self._frames = np.sort(np.concatenate([evenly(np.flatnonzero(split == p), n) for p, n in parts]))
+        self._row = np.full(count, -1)
+        self._row[self._frames] = np.arange(len(self._frames))
+        self._level, self._halo = np.zeros((count, 6)), np.zeros((count, 6))
+        self._pattern = np.zeros((len(self._frames), 4 * self._size**2), dtype=np.float32)
+        self._noise: list[float] = []
+        self._hot: list[tuple[int, int, int]] = []
+        self._corner = _patches(side, self._size, 1.0)
+        self._inner = _patches(side, self._size, _NEARER)
+        self._origin: NDArray[np.int64] | None = None
+        if "centre_x" in dataset and "centre_y" in dataset:
+            # As `crop` cuts.
+            centre = np.stack([dataset["centre_x"].values, dataset["centre_y"].values], axis=1).astype(np.float64)
+            self._origin = np.floor(centre - (side - 1) / 2 + 0.5).astype(np.int64)
+
+    def add(self, start: int, images: NDArray[np.generic]) -> None:
+        """Take the images [n, side, side] of the frames from number `start` on."""
+        rows = slice(start, start + len(images))
+        corner, inner = (_cut(images, places, self._size) for places in (self._corner, self._inner))
+        self._level[rows, :4], self._level[rows, 4] = corner.mean((2, 3)), _variance(corner)
+        self._halo[rows, :4], self._halo[rows, 4] = inner.mean((2, 3)), _variance(inner)
+        self._halo[rows, :5] -= self._level[rows, :5]
+        noise = _noise(corner)
+        self._noise.append(noise)
+        for n, patches in enumerate(corner, start):
+            above = np.stack([patch - cv2.medianBlur(patch, 3) for patch in patches])
+            hot = above > max(_HOT * noise, _HOT_COUNTS)
+            self._level[n, 5] = hot.mean()
+            row = self._row[n]
+            if row < 0:
+                continue
+            above -= above.mean(axis=(1, 2), keepdims=True)
+            self._pattern[row] = np.clip(above / noise, -_LOUDEST, _LOUDEST).ravel()
+            if self._origin is not None:
+                for which, y, x in np.argwhere(hot).tolist():
+                    top, left = self._corner[which]
+                    self._hot.append((row, int(self._origin[n, 0]) + left + x, int(self._origin[n, 1]) + top + y))
+
+    def read(self) -> Corners:
+        """Return what the batches showed."""
+        noise = float(np.median(self._noise))
+        return Corners(self._level, self._halo, noise, self._frames, self._pattern, self._hot_places())
+
+    def _hot_places(self, most: int = 500) -> NDArray[np.float32]:
+        """Return [M, H]: places of the probe's frame that were hot in three frames or more, the most frequent ones."""
+        if not self._hot:
+            return np.zeros((len(self._frames), 0), dtype=np.float32)
+        found = np.asarray(self._hot)
+        _, which, counts = np.unique(found[:, 1:], axis=0, return_inverse=True, return_counts=True)
+        kept = np.argsort(-counts, kind="stable")[:most]
+        kept = kept[counts[kept] >= 3]
+        column = np.full(len(counts), -1)
+        column[kept] = np.arange(len(kept))
+        shown = np.zeros((len(self._frames), len(kept)), dtype=np.float32)
+        good = column[which] >= 0
+        shown[found[good, 0], column[which][good]] = _HOT
+        return shown
+
+
+def read_corners(dataset: xr.Dataset, progress: Progress = quiet) -> Corners:
+    """Read the corners of every frame of a dataset, a batch at a time."""
+    reader, start = CornerReader(dataset), 0
+    total = -(-dataset.sizes["frame"] // 64)
+    for images in progress(image_batches(dataset, 64), "reading the corners", total=total):
+        reader.add(start, images)
+        start += len(images)
+    return reader.read()
+
+
+def _patches(side: int, size: int, nearer: float) -> list[tuple[int, int]]:
+    """Return the first row and column of four patches whose centres stand on the diagonals, so many times nearer."""
+    low = round((side - size) / 2 * (1 - 1 / nearer))
+    high = side - size - low
+    return [(low, low), (low, high), (high, low), (high, high)]
+
+
+def _cut(images: NDArray[np.generic], places: list[tuple[int, int]], size: int) -> NDArray[np.float32]:
+    cut = np.stack([images[:, y : y + size, x : x + size] for y, x in places], axis=1)
+    return np.nan_to_num(cut.astype(np.float32))
+
+
+def _variance(patches: NDArray[np.float32]) -> NDArray[np.float64]:
+    """Return the variance of a pixel by the differences of neighbours: shading does not count."""
+    return np.square(np.diff(patches, axis=-1)).mean(axis=(1, 2, 3), dtype=np.float64) / 2
+
+
+def _noise(patches: NDArray[np.float32]) -> float:
+    """Return the standard deviation of a pixel, whatever hot ones there are; of a quantum at least."""
+    apart = np.abs(np.diff(patches, axis=-1))
+    return max(float(np.quantile(apart, 0.6827)) / math.sqrt(2), 1 / math.sqrt(12))

@@ -1,0 +1,112 @@
+"""Guesses from names and values: what a column is, what gaze is counted in, how deep pictures are."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import PurePosixPath
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.data.crop import find_centre
+from tapetum.data.importing.columns import Reader, numbers
+from tapetum.data.importing.fields import Column
+from tapetum.errors import InputError
+
+__all__ = ["WORDS", "constants", "depth", "gaze_unit", "key", "length_unit", "looks_centred", "meaning"]
+
+WORDS = {
+    "gaze_x": ("gazex", "gx", "x", "spotx", "laserx", "targetx", "posx", "xpx", "labelx", "theta"),
+    "gaze_y": ("gazey", "gy", "y", "spoty", "lasery", "targety", "posy", "ypx", "labely", "phi"),
+    "gaze": ("gaze", "xy", "labels", "label", "targets", "target", "positions", "position", "spot", "laser", "angles"),
+    "object_distance": ("objectdistance", "xd", "distance", "focusdistance", "focus", "depth"),
+    "focal_length": ("focallength", "ft", "focal", "f"),
+    "device": ("device", "phone", "model", "phonemodel", "camera", "class"),
+    "recording": ("recording", "video", "clip", "session", "sequence", "videoid", "take"),
+    "order": ("frame", "index", "frameindex", "framenumber", "order", "idx"),
+    "time": ("time", "timestamp", "t", "seconds"),
+    "split": ("split", "subset", "partition", "set"),
+    "names": ("file", "filename", "image", "imagefile", "img", "path", "name"),
+}
+"""Names under which people keep things, without case and signs; the first that fits wins."""
+
+_NOISE = re.compile(
+    r"(images?|imgs?|frames?|crops?|rrs?|probe|labels?|targets?|gaze|positions?|xy|data|timestamps?|times?|[-_. ])",
+    re.IGNORECASE,
+)
+_SCALES = (255, 1023, 4095, 16383, 65535)
+
+
+def meaning(name: str) -> str | None:
+    """What a column or array of this name may hold: a key of `WORDS`."""
+    plain = re.sub(r"[^a-z0-9]", "", PurePosixPath(name).name.casefold())
+    return next((what for what, words in WORDS.items() if plain in words), None)
+
+
+def key(path: str) -> str:
+    """What files that belong together have in common: the name without words such as images and labels."""
+    return _NOISE.sub("", PurePosixPath(path).stem).casefold()
+
+
+def constants(path: str) -> dict[str, str]:
+    """Focal length and object distance that a path tells: `50mm/3.5m.mp4`."""
+    plain = path.replace("_", " ")
+    focal = re.search(r"(\d+(?:\.\d+)?) ?mm(?![a-z])", plain, re.IGNORECASE)
+    distance = re.search(r"(\d+(?:\.\d+)?) ?m(?![a-z0-9])", plain, re.IGNORECASE)
+    found = {"object_distance": distance and f"{distance[1]} m", "focal_length": focal and f"{focal[1]} mm"}
+    return {name: value for name, value in found.items() if value}
+
+
+def gaze_unit(column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
+    """Guess what gaze is counted in from its values; return what to add to the column, and a note."""
+    values = _values(column, reader, count)
+    if values is None or not np.isfinite(values).any():
+        return {}, "unit unknown"
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
+    span = f"{low:.3g} to {high:.3g}"
+    if -0.75 <= low < 0 and high <= 0.75:
+        return {}, f"{span}: taken as fractions of the field from its centre"
+    if low >= 0 and high <= 1:
+        return {"origin": "corner"}, f"{span}: taken as fractions of the field from its upper left corner"
+    return {"unit": "px", "size": None}, f"{span}: taken as pixels; write the target frame's size in place of null"
+
+
+def length_unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
+    """Guess the unit of a length from its values."""
+    values = _values(column, reader, count)
+    if values is None or not np.isfinite(values).any():
+        return {}, "unit unknown"
+    high = float(np.nanmax(values))
+    # Focal lengths beyond 1.5 m and object distances beyond 100 m are millimetres, on every bench.
+    unit = "mm" if high > (1.5 if name == "focal_length" else 100) else "m"
+    return {"unit": unit}, f"up to {high:.4g}: taken as {unit}"
+
+
+def _values(column: dict[str, Any], reader: Reader, count: int) -> NDArray[np.float64] | None:
+    try:
+        return numbers(reader.values(Column(**column), count), str(column))
+    except InputError:
+        return None
+
+
+def depth(sample: Sequence[NDArray[Any]]) -> int:
+    """The full scale that fits the largest count of some pictures."""
+    high = max((float(picture.max()) for picture in sample), default=0.0)
+    if all(picture.dtype.kind == "f" for picture in sample) and high <= 1:
+        return 1
+    return next((scale for scale in _SCALES if high <= scale), 65535)
+
+
+def looks_centred(sample: Sequence[NDArray[Any]]) -> bool:
+    """Whether pictures are square, with the brightest point of most in their middle."""
+    if any(picture.shape[0] != picture.shape[1] for picture in sample):
+        return False
+
+    def near(picture: NDArray[Any]) -> bool:
+        x, y = find_centre(picture)
+        off = np.hypot(x - (picture.shape[1] - 1) / 2, y - (picture.shape[0] - 1) / 2)
+        return bool(off < 0.12 * min(picture.shape))
+
+    return bool(sample) and float(np.mean([near(picture) for picture in sample])) > 0.8

@@ -1,0 +1,183 @@
+"""Pairs of videos become recordings: two streams on one clock, labelled by the laser in the target's video."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import NDArray
+
+from tapetum.data.build import build_dataset
+from tapetum.data.dataset import DEVICE
+from tapetum.data.importing.align import Alignment, align_blink, brightness
+from tapetum.data.importing.columns import Reader, label_values, seconds
+from tapetum.data.importing.fields import Column
+from tapetum.data.importing.mapping import ImportMapping, Pair
+from tapetum.errors import InputError
+from tapetum.files import atomic_folder
+from tapetum.progress import Progress
+from tapetum.record import label_recording, open_frames, open_recording
+from tapetum.record.recording import RecordingWriter, StreamInfo, is_recording
+from tapetum.record.source import Frame, FrameSource
+from tapetum.record.video import VideoSource, count_frames
+
+__all__ = ["recordings_beside", "write_videos"]
+
+
+@dataclass(frozen=True)
+class _Stream:
+    """One video of a pair: its frames, the first of them, and the second of every frame by its own clock."""
+
+    source: FrameSource
+    first: Frame
+    times: NDArray[np.float64] | None
+
+    @property
+    def where(self) -> str:
+        return self.source.name
+
+    def info(self, rate: float) -> StreamInfo:
+        full_scale = int(self.first.full_scale or 0)
+        height, width = self.first.image.shape
+        return StreamInfo(height, width, full_scale.bit_length(), full_scale, rate)
+
+    @property
+    def rate(self) -> float:
+        return float(getattr(self.source, "rate", 15.0))
+
+    def time(self, frame: Frame) -> float:
+        if self.times is None:
+            return frame.time
+        if frame.index >= len(self.times):
+            what = f"holds more frames than there are times ({len(self.times)})"
+            raise InputError(what, where=self.where, remedy="give the table of this video")
+        return float(self.times[frame.index])
+
+
+def recordings_beside(out: Path) -> Path:
+    """The folder for the recordings that a dataset is cut from: `NAME-recordings` beside `NAME.zarr`."""
+    return out.with_name(f"{out.stem}-recordings")
+
+
+def pair_name(pair: Pair) -> str:
+    """What a pair's recording is called: its name, or that of the probe's file without the word probe."""
+    stem = Path(pair.probe).stem
+    bare = re.sub(r"(?i)[-_. ]*probe[-_. ]*", "", stem) or Path(pair.probe).parent.name or stem
+    return re.sub(r"[^\w.+-]+", "-", pair.name or bare)
+
+
+def _opened(name: str, column: Column | None, reader: Reader) -> _Stream:
+    place = reader.root / name
+    source = open_frames(place)
+    frames = iter(source)
+    first = next(frames, None)
+    if first is None:
+        raise InputError("holds no frame", where=place, remedy="copy it again")
+    frames.close()  # type: ignore[attr-defined]
+    times = None
+    if column is not None:
+        count = count_frames(place) if isinstance(source, VideoSource) else len(source)
+        where = f"{reader.place(column, None)}: {column.column}"
+        times = seconds(reader.values(column, None), column, where)
+        if len(times) != count:
+            what = f"has {len(times)} times for the {count} frames of {place}"
+            raise InputError(what, where=where, remedy="copy both again, or give the table of this video")
+        back = np.flatnonzero(np.diff(times) <= 0)
+        if len(back):
+            raise InputError(f"time does not rise at row {back[0] + 1}", where=where, remedy="correct it")
+    return _Stream(source, first, times)
+
+
+def _aligned(pair: Pair, probe: _Stream, target: _Stream, progress: Progress) -> Alignment | None:
+    if pair.align != "blink":
+        return None
+    levels = [brightness(one.source, progress, f"blinking of {Path(one.where).name}") for one in (probe, target)]
+    return align_blink(levels[0], levels[1], where=f"{probe.where} and {target.where}")
+
+
+def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, progress: Progress) -> str:
+    """Write one recording with its labels; return what to tell of it."""
+    probe = _opened(pair.probe, pair.probe_times, reader)
+    target = _opened(pair.target, pair.target_times, reader)
+    if min(probe.first.image.shape) < mapping.side and not mapping.pad:
+        shape = probe.first.image.shape
+        what = f"frames of {shape[1]} x {shape[0]} px are smaller than the crops of {mapping.side} px"
+        raise InputError(what, where=probe.where, remedy=f"set 'side: {min(shape)}' (--side), or 'pad: true'")
+    alignment = _aligned(pair, probe, target, progress)
+    offset = pair.offset + (alignment.offset if alignment else 0.0)
+    streams = {"probe": (probe, 0.0), "target": (target, offset)}
+    begin = min(one.time(one.first) + later for one, later in streams.values())
+    # Times that are no dates count from 1970: nobody knows when the videos were taken.
+    dated = all(one.times is not None and one.times[0] > 1e8 for one, _ in streams.values())
+    start = round(begin * 1e9) if dated else 0
+    told: dict[str, Any] = {"align": pair.align, "offset": offset, "probe": pair.probe, "target": pair.target}
+    if alignment is not None:
+        told["blink"] = vars(alignment)
+    rate = probe.rate
+    with RecordingWriter(
+        path,
+        streams={name: one.info(one.rate) for name, (one, _) in streams.items()},
+        rate=rate,
+        hardware={"imported": {"probe": pair.probe, "target": pair.target}},
+        extra={"imported": told},
+        start_utc_ns=start,
+    ) as writer:
+        for name, (one, later) in streams.items():
+            frames = progress(iter(one.source), f"copying {Path(one.where).name}", total=one.source.count)
+            for frame in frames:
+                moment = round((one.time(frame) + later - begin) * 1e9)
+                writer.write(name, frame.image, monotonic_ns=moment, utc_ns=start + moment)
+    recording = open_recording(path)
+    try:
+        summary = label_recording(recording, progress)
+    except InputError as error:
+        # The recording is still in a temporary folder, of which nobody should read.
+        raise InputError(error.what, where=f"{probe.where} with {target.where}", remedy=error.remedy) from error
+    _add_constants(path, pair)
+    text = f"{path.name}: {pair.align}, " + (alignment.text if alignment else f"target {offset:+.4f} s")
+    return f"{text}; labelled {summary.labelled} of {summary.n} frames"
+
+
+def _add_constants(path: Path, pair: Pair) -> None:
+    """Add what is the same for the whole video to the labels that the laser gave."""
+    values, classes = label_values(pair.labels, Reader(path), 1)
+    if not values:
+        return
+    recording = open_recording(path)
+    table = recording.labels()
+    assert table is not None  # just made
+    for name, value in values.items():
+        column = [classes[0] if name == DEVICE else float(value[0])] * len(table)
+        table = table.append_column(name, pa.array(column))
+    recording.write_labels(table)
+
+
+def write_videos(
+    mapping: ImportMapping, root: Path, out: Path, progress: Progress, overwrite: bool
+) -> tuple[Path, list[str]]:
+    """Write recordings and a dataset from the pairs of a mapping; see `import_dataset`."""
+    reader, folder = Reader(root), recordings_beside(out)
+    names = [pair_name(pair) for pair in mapping.videos]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice is not None:
+        raise InputError(f"two recordings would be called {twice!r}", where="videos", remedy="give them a 'name'")
+    if folder.exists() and not (overwrite and all(map(is_recording, folder.iterdir()))):
+        raise InputError("exists already", where=folder, remedy="choose another name or remove it first")
+    with atomic_folder(folder, overwrite=overwrite) as part:
+        told, paths = [], []
+        for name, pair in zip(names, mapping.videos, strict=True):
+            paths.append(part / f"{name}.rec")
+            told.append(_write_pair(pair, mapping, reader, paths[-1], progress))
+        build_dataset(
+            paths,
+            out,
+            side=mapping.side,
+            test_fraction=mapping.test_fraction,
+            progress=progress,
+            overwrite=overwrite,
+        )
+    return folder, told

@@ -1,0 +1,274 @@
+"""What a dataset holds and what is wrong with it: counts, labels, doubles, overexposed and empty frames, centring.
+
+The images pass by once, a batch at a time; a set far larger than the memory is no trouble.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from tapetum.data.crop import SIGMA, find_peak
+from tapetum.data.dataset import TEST, TRAIN, image_batches
+from tapetum.data.doubles import CELLS, Doubles, digest, exact_pairs, fingerprint, near_pairs, summed_up
+from tapetum.errors import InputError
+from tapetum.progress import Progress, quiet
+
+__all__ = [
+    "EMPTY_SNR",
+    "OFF_CENTRE",
+    "SATURATED_SHARE",
+    "DatasetQuality",
+    "LabelSummary",
+    "Spread",
+    "class_names",
+    "inspect_dataset",
+]
+
+SATURATED_SHARE = 1e-4
+"""A frame counts as saturated when more than this share of its pixels stands at full scale: 16 of 400 x 400, more than
+a sensor has hot pixels in such a crop."""
+
+EMPTY_SNR = 6.0
+"""A frame counts as empty when its brightest smoothed point stands less than this over the noise: noise alone gives 4.
+"""
+
+OFF_CENTRE = 0.05
+"""A frame counts as off centre when its brightest smoothed point lies this part of the side or more from the middle."""
+
+_BATCH = 64
+_BINS = 24
+# Labels beyond these cannot be: gaze is a fraction of the field of view, lengths are positive.
+_POSSIBLE = {
+    "gaze_x": (-0.5, 0.5),
+    "gaze_y": (-0.5, 0.5),
+    "object_distance": (1e-12, np.inf),
+    "focal_length": (1e-12, np.inf),
+}
+
+
+@dataclass(frozen=True)
+class Spread:
+    """How a quantity is distributed over the frames: finite values only, NaN where there are none."""
+
+    least: float
+    median: float
+    mean: float
+    most: float
+    counts: tuple[int, ...]
+    edges: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class LabelSummary:
+    """One label: its distribution, how many values are none, and how many cannot be."""
+
+    unit: str
+    spread: Spread
+    not_finite: int
+    out_of_range: int
+    distinct: int
+
+
+@dataclass(frozen=True)
+class DatasetQuality:
+    """What `inspect_dataset` found; every count is a number of frames.
+
+    Parameters
+    ----------
+    frames, train, test
+        Counts.
+    side, full_scale
+        Pixels along an edge, and the camera's largest count.
+    per_recording
+        (train, test) of each number in ``recording``, in order.
+    recordings
+        Names, in the same order.
+    labels
+        By target.
+    classes
+        Frames of each class of the label ``device``, empty without one.
+    exact, near
+        Equal images, and nearly equal ones that are not equal; see `tapetum.data.doubles`.
+    saturated
+        Frames with more pixels at full scale than `SATURATED_SHARE`.
+    saturated_share
+        Distribution of the share of pixels at full scale.
+    empty
+        Frames of an SNR under `EMPTY_SNR`.
+    snr, off_centre, quality
+        Distributions: SNR; distance of the brightest smoothed point from the middle, in pixels; the label's
+        quality, None where the set does not tell it.
+    badly_centred
+        Frames that `OFF_CENTRE` calls so.
+    not_finite
+        Frames with pixels that are not finite.
+    interleaved
+        Test frames that lie between train frames of their own recording: neighbours in time look alike.
+    """
+
+    frames: int
+    train: int
+    test: int
+    side: int
+    full_scale: float
+    per_recording: tuple[tuple[int, int], ...]
+    recordings: tuple[str, ...]
+    labels: dict[str, LabelSummary]
+    classes: dict[str, int]
+    exact: Doubles
+    near: Doubles
+    saturated: int
+    saturated_share: Spread
+    empty: int
+    snr: Spread
+    off_centre: Spread
+    badly_centred: int
+    quality: Spread | None
+    not_finite: int
+    interleaved: int
+
+
+def class_names(dataset: xr.Dataset, name: str) -> list[str]:
+    """Return the names of a label's classes, from its attribute ``classes``; none for a label that is a number."""
+    classes = dataset[name].attrs.get("classes", ())
+    return [str(c) for c in (classes.split() if isinstance(classes, str) else classes)]
+
+
+def inspect_dataset(
+    dataset: xr.Dataset,
+    *,
+    also: Sequence[Callable[[int, NDArray[np.generic]], None]] = (),
+    progress: Progress = quiet,
+) -> DatasetQuality:
+    """Look at every frame once and sum up.
+
+    Parameters
+    ----------
+    dataset
+        A dataset, stored or in memory.
+    also
+        Called with the number of the first frame and the images [n, side, side] of every batch, for other
+        measures that need the images: reading them is most of the work.
+    progress
+        Shown over the batches.
+
+    Raises
+    ------
+    InputError
+        When it holds no frame, or a part cannot be read.
+    """
+    frames = dataset.sizes["frame"]
+    if frames == 0:
+        raise InputError("holds no frame", where=dataset.encoding.get("source", "dataset"))
+    digests = np.zeros(frames, dtype="S16")
+    prints = np.zeros((frames, CELLS * CELLS), dtype=bool)
+    share, off, snr = (np.zeros(frames) for _ in range(3))
+    finite = np.ones(frames, dtype=bool)
+    top = dataset.tp.full_scale
+    sigma = float(dataset.attrs.get("centre_sigma", SIGMA))
+    known = np.asarray(dataset["snr"].values, dtype=float) if "snr" in dataset else None
+    start = 0
+    total = -(-frames // _BATCH)
+    for images in progress(image_batches(dataset, _BATCH), "looking at the crops", total=total):
+        for n, image in enumerate(images, start):
+            finite[n] = bool(np.isfinite(image).all())
+            calm = image if finite[n] else np.nan_to_num(image.astype(np.float64), posinf=0.0, neginf=0.0)
+            digests[n] = digest(image)
+            prints[n] = fingerprint(calm)
+            share[n] = np.count_nonzero(calm >= top) / calm.size
+            peak = find_peak(calm, sigma)
+            off[n] = np.hypot(peak.x - (calm.shape[1] - 1) / 2, peak.y - (calm.shape[0] - 1) / 2)
+            # The whole frame knows its noise better than the crop, which the RR may fill.
+            snr[n] = find_peak(calm, 4.0).snr if known is None else known[n]
+            if calm.min() == calm.max():
+                snr[n] = 0.0
+        for look in also:
+            look(start, images)
+        start += len(images)
+    split, recording = (np.asarray(dataset[name].values) for name in ("split", "recording"))
+    exact = exact_pairs(digests, split)
+    repeats = np.zeros(frames, dtype=bool)
+    repeats[[later for _, later in exact]] = True
+    near = list(near_pairs(prints, ~repeats, progress))
+    numbers = np.unique(recording).tolist()
+    return DatasetQuality(
+        frames=frames,
+        train=int(np.count_nonzero(split == TRAIN)),
+        test=int(np.count_nonzero(split == TEST)),
+        side=dataset.tp.side,
+        full_scale=top,
+        per_recording=tuple(_parts(split[recording == number]) for number in numbers),
+        recordings=tuple(_recording_name(dataset, number) for number in numbers),
+        labels={name: _label(dataset, name) for name in dataset.tp.targets},
+        classes=_classes(dataset),
+        exact=summed_up(exact, split),
+        near=summed_up(near, split),
+        saturated=int(np.count_nonzero(share > SATURATED_SHARE)),
+        saturated_share=_spread(share),
+        empty=int(np.count_nonzero(snr < EMPTY_SNR)),
+        snr=_spread(snr),
+        off_centre=_spread(off),
+        badly_centred=int(np.count_nonzero(off >= OFF_CENTRE * dataset.tp.side)),
+        quality=_spread(np.asarray(dataset["quality"].values)) if "quality" in dataset else None,
+        not_finite=int(np.count_nonzero(~finite)),
+        interleaved=_interleaved(dataset, split, recording),
+    )
+
+
+def _spread(values: NDArray[np.generic]) -> Spread:
+    numbers = np.asarray(values, dtype=np.float64)
+    numbers = numbers[np.isfinite(numbers)]
+    if numbers.size == 0:
+        return Spread(np.nan, np.nan, np.nan, np.nan, (), ())
+    counts, edges = np.histogram(numbers, bins=_BINS)
+    least, median, mean, most = (float(f(numbers)) for f in (np.min, np.median, np.mean, np.max))
+    return Spread(least, median, mean, most, tuple(counts.tolist()), tuple(edges.tolist()))
+
+
+def _label(dataset: xr.Dataset, name: str) -> LabelSummary:
+    values = np.asarray(dataset[name].values, dtype=np.float64)
+    finite = values[np.isfinite(values)]
+    low, high = _POSSIBLE.get(name, (-np.inf, np.inf))
+    if names := class_names(dataset, name):
+        low, high = 0, len(names) - 1
+    return LabelSummary(
+        unit=str(dataset[name].attrs.get("units", "")),
+        spread=_spread(values),
+        not_finite=int(values.size - finite.size),
+        out_of_range=int(np.count_nonzero((finite < low) | (finite > high))),
+        distinct=int(np.unique(finite).size),
+    )
+
+
+def _classes(dataset: xr.Dataset) -> dict[str, int]:
+    if "device" not in dataset:
+        return {}
+    numbers = np.asarray(dataset["device"].values).astype(int)
+    names = class_names(dataset, "device") or [str(n) for n in range(int(numbers.max(initial=-1)) + 1)]
+    return {name: int(np.count_nonzero(numbers == n)) for n, name in enumerate(names)}
+
+
+def _parts(split: NDArray[np.integer]) -> tuple[int, int]:
+    return int(np.count_nonzero(split == TRAIN)), int(np.count_nonzero(split == TEST))
+
+
+def _recording_name(dataset: xr.Dataset, number: int) -> str:
+    told = dataset.tp.recordings
+    return str(told[number]["name"]) if 0 <= number < len(told) else f"recording {number}"
+
+
+def _interleaved(dataset: xr.Dataset, split: NDArray[np.integer], recording: NDArray[np.integer]) -> int:
+    if "time" not in dataset:
+        return 0
+    time, total = np.asarray(dataset["time"].values), 0
+    for number in np.unique(recording):
+        own = recording == number
+        train, test = time[own & (split == TRAIN)], time[own & (split == TEST)]
+        if train.size and test.size:
+            total += int(np.count_nonzero((test >= train.min()) & (test <= train.max())))
+    return total

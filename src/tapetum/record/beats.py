@@ -1,0 +1,64 @@
+"""When cameras take their frames: clocks that jitter, drift and lose some."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+__all__ = ["Beat", "CameraClock"]
+
+
+@dataclass(frozen=True)
+class Beat:
+    """The frames that a camera kept.
+
+    Parameters
+    ----------
+    times
+        [T] seconds from the recording's start.
+    dropped_before
+        [T] frames lost since the one before.
+    """
+
+    times: npt.NDArray[np.float64]
+    dropped_before: npt.NDArray[np.int64]
+
+    def __len__(self) -> int:
+        return len(self.times)
+
+
+@dataclass(frozen=True)
+class CameraClock:
+    """When a camera takes its frames, and what its own clock says.
+
+    Parameters
+    ----------
+    offset
+        Of the first frame after the recording's start, in seconds.
+    jitter
+        Root mean square of a frame's time about its even beat, in seconds.
+    drift
+        Of its monotonic clock, in parts of one.
+    loss
+        Probability that a frame is lost.
+    """
+
+    offset: float = 0.0
+    jitter: float = 1.5e-3
+    drift: float = 2e-5
+    loss: float = 0.004
+
+    def draw(self, count: int, rate: float, rng: np.random.Generator) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Times of the frames that were kept, in seconds from the start, and the number lost before each."""
+        times = self.offset + np.arange(count) / rate
+        # A quarter of the beat at the most: frames never change places.
+        times = times + np.clip(self.jitter * rng.standard_normal(count), -0.25 / rate, 0.25 / rate)
+        kept = np.flatnonzero(np.r_[True, rng.random(count - 1) >= self.loss] if count else [])
+        return times[kept], np.diff(kept, prepend=kept[:1]) - np.r_[0, np.ones(len(kept) - 1, int)]
+
+    def beat(self, count: int, rate: float, rng: np.random.Generator) -> Beat:
+        """As `draw`, in one piece."""
+        return Beat(*self.draw(count, rate, rng))

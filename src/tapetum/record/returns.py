@@ -1,0 +1,313 @@
+"""The retro-reflections of one target, frame by frame, as patches on the probe's sensor."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.ndimage import affine_transform
+
+from tapetum.bench import PhoneTarget, Scene
+from tapetum.errors import InputError
+from tapetum.optics.grid import Grid
+from tapetum.record.patch import Patch
+from tapetum.simulate import Camera, tilt_of_gaze
+from tapetum.simulate import dots as dot_light
+from tapetum.simulate.gaze import largest_sine
+from tapetum.simulate.phone import phone_scenes, seen_from_probe
+from tapetum.simulate.radiometry import photoelectrons, photon_energy
+
+__all__ = ["Flashes", "Returns", "flashes_of", "returns_of"]
+
+Array = npt.NDArray[np.float64]
+
+# Frames rendered together: always the same ones, so that a frame does not depend on what else was asked for.
+_BATCH = 8
+_CAMERAS_KEPT, _BATCHES_KEPT = 32, 2
+# Part of a beam's peak below which its flank is not drawn.
+_FAINT = 1e-3
+
+
+class Returns:
+    """A target that moves before a probe, ready for any frame of it.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench; its own rotation is not used.
+    tilts
+        [T, 2] of the target against the light, as sines, before it rolls.
+    place
+        [T, 2] of the target sideways, in metres.
+    roll
+        [T] turn of the target about its optical axis, in radians from x to y. Everything turns with it; light of the
+        second beam does not.
+    distance
+        [T] from the probe, in metres.
+
+    Notes
+    -----
+    Light that arrives with a curvature (diverging, fixed area) needs a simulation for each distance. They are made for
+    nodes of 1/d so close that the wave at the lens's edge, kr²/2 times the change of 1/d, is never off by more than the
+    scene's accuracy, in radians; the irradiance, which goes by 1/d² where light diverges, is each frame's own. Where
+    the return overfills the probe's aperture R, its cut moves with the distance as well: r² + 2rR in place of r².
+    """
+
+    def __init__(self, scene: Scene, tilts: torch.Tensor, place: Array, roll: Array, distance: Array) -> None:
+        self.scene, self._roll, self._distance = scene, roll, distance
+        sensor = scene.probe.sensor
+        self._sines = _turned(tilts, roll)
+        # A camera moved to the right in the probe's view shifts its RR by f_p/d times that.
+        self._centres = torch.from_numpy(place * (scene.probe.lens.focal_length / distance)[:, None])
+        columns, rows = sensor.pixels
+        self.pixels = (np.array([columns, rows]) - 1) / 2 + self._centres.numpy() / sensor.pitch
+        self._electrons = float(
+            photoelectrons(torch.ones((), dtype=torch.float64), sensor, scene.illumination.wavelength)
+        )
+        if distance.min() < 4 * scene.target.lens.focal_length:
+            what = f"the target comes as near as {distance.min():.3g} m, which its lens cannot be simulated at"
+            raise InputError(what, where="motion", remedy="walk less far, or reach out less")
+        self._steepest, self._round = largest_sine(tilts), _is_round(scene)
+        self._window, finite = self._widest()
+        self._node = self._nodes(finite)
+        # Cubic splines err by less than 1e-3 of the peak where the finest fringes are 7 pixels wide, quintic ones 4.
+        fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * _radius(scene))
+        self._order = 3 if fringe >= 7 * sensor.pitch else 5
+        self._cameras: OrderedDict[float, Camera] = OrderedDict()
+        self._batches: OrderedDict[int, list[list[Patch]]] = OrderedDict()
+
+    def patches(self, frame: int) -> list[Patch]:
+        """What every beam makes of a frame at the scene's power and exposure."""
+        number, inside = divmod(frame, _BATCH)
+        return _kept(self._batches, number, lambda: self._render(number), _BATCHES_KEPT)[inside]
+
+    def _widest(self) -> tuple[Grid, bool]:
+        """Pixels that hold the RR at every distance, and whether the probe's aperture cuts it at any."""
+        ends = {float(self._distance.min()), float(self._distance.max())}
+        cameras = [_camera(replace(self.scene, distance=one), self._steepest) for one in ends]
+        # Only the RR's own neighbourhood is computed: light beyond it would not make one electron.
+        windows = [camera.window() for camera in cameras]
+        finite = any(str(camera.metadata().get("propagation")).startswith("finite") for camera in cameras)
+        return max(windows, key=lambda grid: grid.rows), finite
+
+    def _nodes(self, finite: bool) -> Array:
+        """Distance that each frame is simulated at, [T] in metres."""
+        light, d = self.scene.illumination, self._distance
+        if light.mode == "collimated" and not finite:
+            return np.full_like(d, self.scene.distance)
+        if np.ptp(d) == 0:
+            return d
+        radius, aperture = _radius(self.scene), self.scene.probe.lens.aperture_radius
+        area = radius**2 + (2 * radius * aperture if finite else 0.0)
+        # Half a step off at the most: (2π/λ) area/2 · step/2 radians.
+        step = 2 * self.scene.sampling.accuracy * light.wavelength / (math.pi * area)
+        return 1 / (np.maximum(1, np.rint(1 / (d * step))) * step)
+
+    def _render(self, number: int) -> list[list[Patch]]:
+        frames = np.arange(number * _BATCH, min((number + 1) * _BATCH, len(self._distance)))
+        found: list[list[Patch]] = [[] for _ in frames]
+        nodes = self._node[frames]
+        for node in np.unique(nodes):
+            these = frames[nodes == node]
+            with _one_thread():
+                for frame, patch in self._render_at(float(node), these):
+                    found[frame - frames[0]].append(patch)
+        return found
+
+    def _render_at(self, node: float, frames: npt.NDArray[np.int64]) -> Iterator[tuple[int, Patch]]:
+        camera = _kept(
+            self._cameras,
+            node,
+            lambda: _camera(replace(self.scene, distance=node), self._steepest, self._window),
+            _CAMERAS_KEPT,
+        )
+        sensor = self.scene.probe.sensor
+        gain = np.full(len(frames), self._electrons)
+        if self.scene.illumination.mode == "diverging":
+            gain *= (node / self._distance[frames]) ** 2
+        turned = not self._round and bool(self._roll[frames].any())
+        middle = (np.array(sensor.pixels) - 1) / 2
+        half = (np.array([self._window.columns, self._window.rows]) - 1) / 2
+        for tilts, places, share in camera.beams(self._sines[frames], self._centres[frames]):
+            # Patches lie on whole pixels; what is left of the place is rendered.
+            corner = np.rint(middle + places.numpy() / sensor.pitch - half)
+            rest = middle + places.numpy() / sensor.pitch - half - corner
+            if turned:
+                own = _turned(tilts, -self._roll[frames])
+                images = camera.render(own, torch.zeros_like(places), share, equivalent=True).numpy()
+                turns = zip(images, self._roll[frames], rest, strict=True)
+                images = [_turn(one, roll, shift, self._order) for one, roll, shift in turns]
+            else:
+                offset = torch.from_numpy(rest * sensor.pitch)
+                images = camera.render(tilts, offset, share, equivalent=True).numpy()
+            for frame, image, scale, (left, top) in zip(frames, images, gain, corner, strict=True):
+                yield int(frame), Patch(int(left), int(top), np.asarray(image * np.float32(scale), np.float32))
+
+
+def returns_of(scene: Scene, gaze: Array, place: Array, roll: Array, distance: Array) -> list[Returns]:
+    """The returns of a target, of a phone those of all its cameras: first that of the one whose gaze is given.
+
+    Parameters
+    ----------
+    scene, place, roll, distance
+        As for `Returns`.
+    gaze
+        [T, 2] where the laser falls in the target's field, in fractions of it.
+    """
+    tilts = tilt_of_gaze(scene, torch.from_numpy(gaze))
+    turned = _turned(tilts, roll)
+    found: list[Returns] = []
+    for unit in sorted(phone_scenes(scene), key=lambda unit: unit.place != (0.0, 0.0)):
+        on_plate = _turned(torch.tensor([unit.place], dtype=torch.float64).expand(len(gaze), -1), roll)
+        seen = seen_from_probe(on_plate, turned).numpy()
+        found.append(Returns(unit.scene, tilts, place + seen, roll, distance))
+    return found
+
+
+class Flashes:
+    """The dot projector of a phone that moves before a probe: what its beams put straight into frames.
+
+    Parameters
+    ----------
+    scene
+        Of the phone.
+    seconds
+        [T] that the projector shines during each frame.
+    tilts, place, roll, distance
+        As for `Returns`, of the camera that gazes.
+    """
+
+    def __init__(self, scene: Scene, seconds: Array, tilts: Array, place: Array, roll: Array, distance: Array) -> None:
+        assert isinstance(scene.target, PhoneTarget) and scene.target.phone.dots is not None
+        self._dots, self._probe = scene.target.phone.dots, scene.probe
+        self._seconds, self._distance, self._roll = seconds, distance, roll
+        self._offsets = dot_light.beam_offsets(dot_light.beam_directions(self._dots), tilts, distance)
+        gazing = scene.target.unit.position
+        apart = [one - other for one, other in zip(self._dots.position, gazing, strict=True)]
+        on_plate = _turned(torch.tensor([apart], dtype=torch.float64).expand(len(tilts), -1), roll)
+        seen = seen_from_probe(on_plate, _turned(torch.from_numpy(tilts), roll)).numpy()
+        self._centres = (place + seen) * (scene.probe.lens.focal_length / distance)[:, None]
+
+    def patch(self, frame: int) -> Patch | None:
+        """Electrons in a frame; None where no pulse or no beam meets it."""
+        lens, sensor, dots = self._probe.lens, self._probe.sensor, self._dots
+        distance, offsets = float(self._distance[frame]), self._offsets[frame]
+        waist = dot_light.waist_at(distance)
+        past = np.maximum(0.0, np.hypot(offsets[:, 0], offsets[:, 1]) - lens.aperture_radius) / waist
+        met = np.exp(-2 * past**2) > _FAINT
+        if not self._seconds[frame] or not met.any():
+            return None
+        window = dot_light.dot_window(distance, lens.aperture_radius, lens.focal_length, dots.wavelength, sensor.pitch)
+        middle = (np.array(sensor.pixels) - 1) / 2 + self._centres[frame] / sensor.pitch
+        corner = np.rint(middle - (window.columns - 1) / 2)
+        rest = (middle - (window.columns - 1) / 2 - corner) * sensor.pitch
+        with _one_thread():
+            light = dot_light.dot_image(
+                window,
+                _turned(torch.from_numpy(offsets[met]), np.full(int(met.sum()), self._roll[frame])).numpy(),
+                power=dots.power / (dots.columns * dots.rows),
+                divergence=dot_light.DIVERGENCE,
+                wavelength=dots.wavelength,
+                distance=distance,
+                radius=lens.aperture_radius,
+                focal_length=lens.focal_length,
+                centre=(float(rest[0]), float(rest[1])),
+            ).numpy()
+        kept = self._probe.transmission * dot_light.PASSED * dot_light.EFFICIENCY
+        gain = kept * sensor.pitch**2 * self._seconds[frame] / photon_energy(dots.wavelength)
+        return Patch(int(corner[0]), int(corner[1]), np.asarray(gain * light, np.float32))
+
+
+def flashes_of(
+    scene: Scene,
+    times: Array,
+    exposure: Array,
+    phase: float,
+    held: tuple[Array, Array, Array, Array],
+) -> Flashes | None:
+    """The flashes of a phone with a dot projector, while its camera app is open; None for any other target.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench.
+    times, exposure
+        [T] middle and length of the probe's exposures, in seconds.
+    phase
+        Of the pulses, from 0 to 1 of their period.
+    held
+        Gaze, place, roll and distance, as for `returns_of`.
+    """
+    target = scene.target
+    if not isinstance(target, PhoneTarget) or target.phone.dots is None or not target.imaging:
+        return None
+    gaze, place, roll, distance = held
+    seconds = dot_light.lit_time(target.phone.dots, times, exposure, phase * target.phone.dots.period)
+    return Flashes(scene, seconds, tilt_of_gaze(scene, torch.from_numpy(gaze)).numpy(), place, roll, distance)
+
+
+def _camera(scene: Scene, steepest: float, window: Grid | None = None) -> Camera:
+    # A frame is to be the same wherever it is made: a GPU would round its light differently.
+    return Camera(scene, steepest, output=window, device="cpu")
+
+
+def _radius(scene: Scene) -> float:
+    """Of the light that the target sends back, in metres."""
+    return scene.target.lens.aperture_radius
+
+
+def _is_round(scene: Scene) -> bool:
+    """Whether turning the target about its axis is the same as turning the light that it meets."""
+    sensor = scene.target.sensor
+    return sensor.array is None and sensor.microlens is None and sensor.mask is None
+
+
+def _turned(sines: torch.Tensor, angle: Array) -> torch.Tensor:
+    """Vectors [T, 2] turned from x to y by angles [T]."""
+    if not angle.any():
+        return sines
+    c, s = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))
+    return torch.stack([c * sines[:, 0] - s * sines[:, 1], s * sines[:, 0] + c * sines[:, 1]], dim=-1)
+
+
+def _turn(image: npt.NDArray[np.float32], angle: float, shift: Array, order: int) -> npt.NDArray[np.float32]:
+    """A picture turned from x to y about its middle and moved by part of a pixel, by splines of an order.
+
+    OpenCV would be four times as fast, but reads between pixels at steps of 1/32 only: up to 1e-2 of the peak.
+    """
+    c, s = math.cos(angle), math.sin(angle)
+    middle = (np.array(image.shape) - 1) / 2
+    # Of rows and columns, from the new picture to the old one.
+    back = np.array([[c, -s], [s, c]])
+    offset: Any = middle - back @ (middle + shift[::-1])
+    turned = affine_transform(image, back, offset, order=order, mode="constant")
+    return np.maximum(np.asarray(turned, np.float32), 0)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """The last bits of a product depend on how many threads share it; frames must not."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(threads)
+
+
+def _kept(cache: OrderedDict[Any, Any], key: Any, make: Any, most: int) -> Any:
+    """A value of a cache, made where it is missing; the oldest goes."""
+    if key not in cache:
+        cache[key] = make()
+        if len(cache) > most:
+            cache.popitem(last=False)
+    else:
+        cache.move_to_end(key)
+    return cache[key]

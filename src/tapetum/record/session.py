@@ -1,0 +1,134 @@
+"""What a take of the virtual bench is to be like."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, field
+from datetime import UTC, datetime
+from typing import Any
+
+from tapetum.bench import Target
+from tapetum.errors import InputError
+from tapetum.record.beats import CameraClock
+from tapetum.record.clutter import Clutter
+from tapetum.record.laser import BlinkCode, Exposure
+from tapetum.record.motion import HandMotion
+from tapetum.record.stray import Stray
+
+__all__ = ["Placed", "Session"]
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A further target before the same probe.
+
+    Parameters
+    ----------
+    offset
+        Of its place from the first one's, along x and y in the probe's picture, in metres at the target.
+    target
+        What it is; None for another like the first.
+    distance
+        From the probe, in metres; None for the first one's own.
+    motion
+        How it is held.
+    seed
+        Of its motion, together with the session's and its place among the others.
+    """
+
+    offset: tuple[float, float]
+    target: Target | None = None
+    distance: float | None = None
+    motion: HandMotion = field(default_factory=HandMotion)
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Session:
+    """How long to film, how the target is held, how clocks and light run, and what else is in the picture.
+
+    Parameters
+    ----------
+    seconds, rate
+        Length and frames a second of both cameras.
+    seed
+        Of everything random. The same scene, session and seed give the same frames.
+    motion
+        How the target is held.
+    probe_clock, target_clock
+        The two cameras' clocks.
+    start
+        UTC of the beginning.
+    laser
+        Whether the target sees the probe's laser.
+    code
+        Blinks of the laser; None where it shines throughout.
+    power_jitter
+        Root mean square of the laser's power from frame to frame, in parts of one.
+    exposure, target_exposure
+        Of the two cameras, over time.
+    stray
+        Light in the probe's frame besides the scene's even background, and the sensor's fixed pattern.
+    clutter
+        Things in the probe's frame that are no camera.
+    others
+        Further targets. Labels are the first one's: only its camera films.
+    """
+
+    seconds: float = 60.0
+    rate: float = 15.0
+    seed: int = 0
+    motion: HandMotion = field(default_factory=HandMotion)
+    probe_clock: CameraClock = field(default_factory=CameraClock)
+    target_clock: CameraClock = field(default_factory=lambda: CameraClock(offset=0.021, drift=-3e-5))
+    start: datetime = datetime(2026, 1, 1, tzinfo=UTC)
+    laser: bool = True
+    code: BlinkCode | None = None
+    power_jitter: float = 0.0
+    exposure: Exposure = field(default_factory=Exposure)
+    target_exposure: Exposure = field(default_factory=Exposure)
+    stray: tuple[Stray, ...] = ()
+    clutter: tuple[Clutter, ...] = ()
+    others: tuple[Placed, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.seed < 0:
+            raise InputError(f"must not be negative, is {self.seed}", where="seed", remedy="give 0 or more")
+        if not 0 <= self.power_jitter < 0.3:
+            what = f"must lie from 0 to 0.3, is {self.power_jitter}"
+            raise InputError(what, where="power_jitter", remedy="give the laser's noise in parts of one")
+
+    @property
+    def frames(self) -> int:
+        """Beats of each camera.
+
+        Raises
+        ------
+        InputError
+            When there is none.
+        """
+        count = round(self.seconds * self.rate)
+        if count < 1:
+            raise InputError(f"{self.seconds:g} s hold no frame", where="seconds", remedy="film longer")
+        return count
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain values, for a recording; None where a thing is not there."""
+        clocks = {"probe": self.probe_clock, "target": self.target_clock}
+        return {
+            "seed": self.seed,
+            "seconds": self.seconds,
+            "motion": self.motion.as_dict(),
+            "clocks": {name: vars(clock) for name, clock in clocks.items()},
+            "laser": {
+                "seen_by_target": self.laser,
+                "power_jitter": self.power_jitter,
+                "code": self.code and {**asdict(self.code), "word": list(self.code.sent)},
+            },
+            "exposure": {"probe": asdict(self.exposure), "target": asdict(self.target_exposure)},
+            "stray": [_named(one) for one in self.stray],
+            "clutter": [_named(one) for one in self.clutter],
+        }
+
+
+def _named(one: Any) -> dict[str, Any]:
+    return {"kind": type(one).__name__.lower(), **asdict(one)}

@@ -1,0 +1,125 @@
+"""Fig. 8: one retro-reflection of each phone, with the camera app open and shut."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from tapetum.bench import Scene, load_scene, phone_names, with_values
+from tapetum.progress import Progress, quiet
+from tapetum.report.paper.fig7 import Sample, measured
+from tapetum.report.paper.measure import holding_diameter
+from tapetum.simulate import Camera, Image, expose
+from tapetum.simulate.camera import sensor_grid
+from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
+from tapetum.simulate.phone import phone_scenes, seen_from_probe
+from tapetum.simulate.radiometry import photoelectrons
+
+__all__ = ["GAZE", "SHUT", "Fig8", "simulate_fig8"]
+
+GAZE = (0.03, 0.02)
+# Those whose filters let most of the light through: of the others' sensors nothing is left at 785 nm.
+SHUT = {"paper": ("phone-02", "phone-05", "phone-07", "phone-11"), "small": ("phone-02", "phone-11")}
+_SHARE = 0.5
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Fig8:
+    """The phones with the app open, and some of them with it shut; `disc` is D_p f_p/d in metres."""
+
+    opened: list[Sample]
+    shut: list[Sample]
+    disc: float
+    full_scale: int
+    pitch: float
+
+    def numbers(self) -> dict[str, Any]:
+        """What fig8.json holds."""
+        return {
+            "gaze": list(GAZE),
+            "aperture_image_um": 1e6 * self.disc,
+            "full_scale": self.full_scale,
+            "open": [{"name": one.name, **one.row} for one in self.opened],
+            "shut": [{"name": one.name, **one.row} for one in self.shut],
+        }
+
+
+def simulate_fig8(
+    *, size: str = "paper", names: tuple[str, ...] | None = None, seed: int = 1, progress: Progress = quiet
+) -> Fig8:
+    """Take the samples of the paper's section 4.5.
+
+    Parameters
+    ----------
+    size
+        `paper`, or `small` for fewer with the app shut.
+    names
+        Of phones in the catalogue; all of them when left out.
+    seed
+        Of the noise.
+    progress
+        Shows how far it is.
+    """
+    base, wanted = load_scene("phones"), names or tuple(phone_names())
+    opened, shut = list[Sample](), list[Sample]()
+    for number, name in enumerate(progress(wanted, "fig8", total=len(wanted))):
+        scene = with_values(base, {"target.name": name})
+        parts = _parts(scene)
+        row = _told(scene, parts)
+        if name in SHUT[size]:
+            idle = with_values(scene, {"target.imaging": False})
+            # The other cameras do not image in either case.
+            dark = [_parts(idle, first_only=True)[0], *parts[1:]]
+            row["flash_electrons"] = float((parts[0] - dark[0]).max())
+            shut.append(_taken(name, idle, dark, seed + 100 + number, _told(idle, dark)))
+        opened.append(_taken(name, scene, parts, seed + number, row))
+    probe = base.probe
+    disc = 2 * probe.lens.aperture_radius * probe.lens.focal_length / base.distance
+    return Fig8(opened, shut, disc, 2**probe.sensor.bits - 1, probe.sensor.pitch)
+
+
+def _parts(scene: Scene, *, first_only: bool = False) -> list[Array]:
+    """Electrons [H, W] that every camera of a phone makes, first the one that gazes."""
+    sines = tilt_of_gaze(scene, torch.tensor([GAZE], dtype=torch.float64))
+    scale = scene.probe.lens.focal_length / scene.distance
+    units = sorted(phone_scenes(scene), key=lambda unit: unit.place != (0.0, 0.0))
+    found: list[Array] = []
+    for unit in units[: 1 if first_only else None]:
+        camera = Camera(unit.scene, largest_sine(sines), output=sensor_grid(scene))
+        at = scale * seen_from_probe(torch.tensor([unit.place], dtype=torch.float64), sines)
+        light = photoelectrons(camera(sines, at)[0], scene.probe.sensor, scene.illumination.wavelength)
+        found.append(light.double().cpu().numpy())
+    return found
+
+
+def _told(scene: Scene, parts: list[Array]) -> dict[str, Any]:
+    """How many cameras are seen, and how wide the brightest one's return is."""
+    sensor = scene.probe.sensor
+    noise = np.sqrt(sensor.background + sensor.read_noise**2)
+    brightest = max(parts, key=lambda one: float(one.max()))
+    y, x = (
+        int(round(float((np.indices(brightest.shape)[axis] * brightest).sum() / brightest.sum()))) for axis in (0, 1)
+    )
+    half = min(150, y, x, brightest.shape[0] - 1 - y, brightest.shape[1] - 1 - x)
+    around = brightest[y - half : y + half + 1, x - half : x + half + 1]
+    return {
+        "cameras": len(parts),
+        "seen": sum(float(one.max()) > 3 * noise for one in parts),
+        "peaks_electrons": [float(one.max()) for one in parts],
+        "disc_um": 1e6 * holding_diameter(around, sensor.pitch, _SHARE) / np.sqrt(_SHARE),
+    }
+
+
+def _taken(name: str, scene: Scene, parts: list[Array], seed: int, row: dict[str, Any]) -> Sample:
+    sensor, wavelength = scene.probe.sensor, scene.illumination.wavelength
+    per_unit = float(photoelectrons(torch.ones((), dtype=torch.float64), sensor, wavelength))
+    light = sum(parts) / per_unit
+    image = Image(torch.from_numpy(light)[None], sensor.pitch, {"wavelength": wavelength})
+    counts, sizes = measured(expose(image, scene.probe, seed)[0], light, scene)
+    return Sample(name, counts, {**row, **sizes})

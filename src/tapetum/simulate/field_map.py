@@ -1,0 +1,108 @@
+"""Where a target's lens puts the light of a direction on its sensor: what a gaze means for it.
+
+A thin lens is free of distortion: tan θ. A traced one has the middles of its spots, as a polynomial of the tilt.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+
+import torch
+
+from tapetum.bench import PrescriptionLens
+from tapetum.errors import InputError
+from tapetum.simulate.pupil_fits import TiltNodes
+from tapetum.simulate.traced_bundle import trace_bundle
+
+__all__ = ["FieldMap", "field_map"]
+
+_COUNT = 21
+_NEWTON = 6
+_BISECTIONS = 12
+# Sine of the steepest tilt that is looked at.
+_STEEPEST = 0.95
+
+
+@dataclass(frozen=True)
+class FieldMap:
+    """Height of the spot on the sensor over the sine of the tilt.
+
+    Parameters
+    ----------
+    nodes
+        The tilts that were traced, up to the edge of the field that the lens covers or the sensor holds.
+    height
+        [T] Chebyshev coefficients, in metres.
+    """
+
+    nodes: TiltNodes
+    height: torch.Tensor
+
+    def image(self, size: torch.Tensor) -> torch.Tensor:
+        """Height in metres for sines of the tilt [...]."""
+        return (self.nodes.terms(size) * self.height.to(size.device)).sum(-1)
+
+    def sine(self, height: torch.Tensor) -> torch.Tensor:
+        """Sine of the tilt for heights [...] in metres; differentiable.
+
+        Raises
+        ------
+        InputError
+            Beyond the field.
+        """
+        steepest = torch.tensor(self.nodes.steepest, dtype=torch.float64)
+        most = float(self.image(steepest))
+        if float(height.detach().max()) > most * (1 + 1e-6):
+            asked = float(height.detach().max())
+            raise InputError(
+                f"a spot {asked * 1e3:.3g} mm from the axis lies outside the field of the lens, {most * 1e3:.3g} mm",
+                where="gaze",
+                remedy="stay nearer to the middle",
+            )
+        with torch.no_grad():
+            found = height.detach() / most * steepest
+            for _ in range(_NEWTON):
+                found = (found - (self.image(found) - height.detach()) / self._slope(found)).clamp(0, float(steepest))
+        # One more step, with gradients.
+        return found - (self.image(found) - height) / self._slope(found)
+
+    def _slope(self, size: torch.Tensor) -> torch.Tensor:
+        step = 1e-6 * self.nodes.steepest
+        return (self.image(size + step) - self.image(size - step)).detach() / (2 * step)
+
+
+@functools.lru_cache(maxsize=64)
+def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float, half_diagonal: float) -> FieldMap:
+    """Trace a lens's field up to a sensor's corner, or to where no ray gets through any more.
+
+    Parameters
+    ----------
+    lens, wavelength, object_distance
+        As for `PrescriptionLens.focused`.
+    half_diagonal
+        Of the sensor, in metres.
+    """
+    focused = lens.focused(wavelength, object_distance)
+
+    def height(sine: float) -> float:
+        try:
+            at = torch.tensor([sine], dtype=torch.float64)
+            return float(trace_bundle(focused, at, count=_COUNT).middle[0])
+        except InputError:
+            return math.nan
+
+    low, high = 0.0, min(_STEEPEST, 1.1 * half_diagonal / lens.focal_length)
+    reached = height(high)
+    if not reached < half_diagonal:
+        for _ in range(_BISECTIONS):
+            middle = (low + high) / 2
+            if height(middle) < half_diagonal:
+                low = middle
+            else:
+                high = middle
+        high = low if math.isnan(height(high)) else high
+    nodes = TiltNodes.up_to(high)
+    bundle = trace_bundle(focused, nodes.sines, count=_COUNT)
+    return FieldMap(nodes, nodes.coefficients(bundle.middle))

@@ -1,0 +1,94 @@
+"""A phone before the probe: several cameras on one plate, each with its own return."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import torch
+
+from tapetum.bench import PhoneTarget, Scene
+from tapetum.optics.grid import Grid
+from tapetum.simulate.camera import Camera, sensor_grid
+from tapetum.simulate.foreshortening import foreshortening
+
+__all__ = ["PhoneCamera", "Unit", "open_camera", "phone_scenes", "seen_from_probe"]
+
+
+@dataclass(frozen=True)
+class Unit:
+    """One camera of a phone as a scene of its own, and its place (x, y) on the plate against the one that gazes."""
+
+    scene: Scene
+    place: tuple[float, float]
+
+
+def phone_scenes(scene: Scene) -> tuple[Unit, ...]:
+    """The scene of every camera; of a single camera its own."""
+    if not isinstance(scene.target, PhoneTarget):
+        return (Unit(scene, (0.0, 0.0)),)
+    return tuple(Unit(replace(scene, target=target), place) for target, place in scene.target.cameras())
+
+
+def seen_from_probe(places: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
+    """Where the probe sees places [B or 1, 2] on a plate turned by tilts [B, 2], foreshortened: [B, 2] in metres."""
+    rotation, triangle = foreshortening(sines)
+    return (rotation @ triangle @ places.to(sines)[..., None])[..., 0]
+
+
+class PhoneCamera:
+    """All cameras of a phone, for any number of gazes. Their irradiances add.
+
+    Parameters
+    ----------
+    scene
+        With a `PhoneTarget`.
+    steepest, output
+        As for `Camera`.
+    options
+        Further arguments of `Camera`.
+
+    Notes
+    -----
+    Where the returns of two cameras overlap they would interfere in fringes of λ f_p over their distance, a few pixels
+    wide, that the least motion washes out: they are left out.
+    """
+
+    def __init__(self, scene: Scene, steepest: float, *, output: Grid | None = None, **options: Any) -> None:
+        self.scene, self.output = scene, output or sensor_grid(scene)
+        self.units = [
+            (Camera(unit.scene, steepest, output=self.output, **options), unit.place) for unit in phone_scenes(scene)
+        ]
+
+    def __call__(
+        self, sines: torch.Tensor, centres: torch.Tensor | None = None, *, equivalent: bool = False
+    ) -> torch.Tensor:
+        """As `Camera.__call__`; the centre is that of the camera that gazes."""
+        scale = self.scene.probe.lens.focal_length / self.scene.distance
+        total: torch.Tensor | None = None
+        for camera, place in self.units:
+            at = scale * seen_from_probe(torch.tensor([place]), sines.double())
+            image = camera(sines, at if centres is None else centres + at, equivalent=equivalent)
+            total = image if total is None else total + image
+        assert total is not None
+        return total
+
+    @property
+    def plan(self) -> Any:
+        """That of the camera whose plan claims the largest error."""
+        return max((camera.plan for camera, _ in self.units), key=lambda plan: plan.expected_error)
+
+    @property
+    def polychromatic(self) -> bool:
+        """Whether there is light of more than one wavelength."""
+        return any(camera.polychromatic for camera, _ in self.units)
+
+    def metadata(self) -> dict[str, Any]:
+        """Of the first camera, with the places of all."""
+        told = self.units[0][0].metadata()
+        return {**told, "expected_error": self.plan.expected_error, "cameras": [place for _, place in self.units]}
+
+
+def open_camera(scene: Scene, steepest: float, **options: Any) -> Camera | PhoneCamera:
+    """The target of a scene, one camera or a phone of several; arguments as for `Camera`."""
+    return (PhoneCamera if isinstance(scene.target, PhoneTarget) else Camera)(scene, steepest, **options)

@@ -1,0 +1,422 @@
+"""The pupil of a real lens as smooth functions, fitted to traced bundles: of the place in it and of the field angle.
+
+Along the tilt (y of the traced bundles) a lens is not symmetric, across it is: functions are even or odd there. They
+are polynomials in a box about the pupil, least squares over its rays; between the field angles that were traced, all
+their coefficients are Chebyshev polynomials of the tilt.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import torch
+
+from tapetum.optics.focus import FocusedLens
+from tapetum.simulate.traced_bundle import Bundle, Passing, limiting_surfaces, trace_bundle
+
+__all__ = [
+    "Fit",
+    "PupilFits",
+    "TiltNodes",
+    "chebyshev",
+    "fit_functions",
+    "fit_pupils",
+    "on_grid",
+    "on_tilt_grid",
+    "open_share",
+    "values_at",
+]
+
+# Degrees of the polynomials: a phase needs many, an edge must not swing between its rays.
+PHASE_DEGREE, MAP_DEGREE, SMOOTH_DEGREE = 12, 10, 8
+# Degree in the tilt of the box about a pupil, and how much larger it is.
+_BOX_DEGREE, _BOX_MARGIN = 6, 1.03
+# Rays farther out than this are not fitted, in half widths of the box.
+_FITTED = 1.15
+# Fields a radian of tilt: the interpolation between them is then far better than the fits (tests).
+_FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS = 33, 5, 21
+# Places evaluated at a time: what they take stays in the processor's caches.
+_PLACES_AT_ONCE = 1 << 15
+
+
+@dataclass(frozen=True)
+class TiltNodes:
+    """The field angles that are traced: Chebyshev nodes of the tilt's sine from 0 to `steepest`."""
+
+    steepest: float
+    count: int
+
+    @classmethod
+    def up_to(cls, steepest: float) -> TiltNodes:
+        """As many nodes as the range of tilts asks for."""
+        steepest = max(steepest, 1e-3)
+        return cls(steepest, min(_MOST_FIELDS, _LEAST_FIELDS + math.ceil(_FIELDS_A_SINE * steepest)))
+
+    @property
+    def places(self) -> torch.Tensor:
+        """[T] in -1 … 1."""
+        return torch.cos(torch.pi * (torch.arange(self.count, dtype=torch.float64) + 0.5) / self.count)
+
+    @property
+    def sines(self) -> torch.Tensor:
+        """[T] sines of the tilts."""
+        return self.steepest * (self.places + 1) / 2
+
+    def coefficients(self, values: torch.Tensor) -> torch.Tensor:
+        """Values at the nodes [T, ...] to Chebyshev coefficients [T, ...]: a discrete cosine transform."""
+        matrix = 2 / self.count * chebyshev(self.places, self.count).T
+        matrix[0] /= 2
+        return torch.tensordot(matrix, values, 1)
+
+    def terms(self, size: torch.Tensor) -> torch.Tensor:
+        """Chebyshev polynomials [B, T] at tilts of these sines [B]."""
+        return chebyshev(2 * size / self.steepest - 1, self.count)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Functions of a place in the pupil and of the tilt.
+
+    Parameters
+    ----------
+    centre, half
+        [T, 2] coefficients in the tilt of the box's middle and half widths, across and along the tilt.
+    even, odd
+        [K, T, M] coefficients of the functions even and odd across the tilt.
+    degrees
+        The largest degree of the even and of the odd ones.
+    """
+
+    centre: torch.Tensor
+    half: torch.Tensor
+    even: torch.Tensor
+    odd: torch.Tensor
+    degrees: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class PupilFits:
+    """What the double pass needs of a lens at one wavelength.
+
+    Parameters
+    ----------
+    nodes
+        The tilts that they hold for.
+    entering
+        Functions of s: Ψ, |∂e/∂s|, then the height at each surface that stops rays.
+    leaving
+        Functions of e: Ψ, s along the tilt, |∂s/∂e|, heights; and the odd one, s across.
+    middle, radius
+        Coefficients [T] in the tilt of y0 and R.
+    spread
+        The largest distance of a ray's landing from y0, in metres.
+    defocus, aberration
+        Landings about y0 are `defocus` times s about its middle, in metres a sine, but for so many metres.
+    misfit
+        Worst RMS of Ψ against its rays that pass, over all fields, in metres.
+    aperture
+        Largest half width of the pupil in s, and reach in e, in metres.
+    """
+
+    nodes: TiltNodes
+    entering: Fit
+    leaving: Fit
+    middle: torch.Tensor
+    radius: torch.Tensor
+    spread: float
+    defocus: float
+    aberration: float
+    misfit: float
+    aperture: tuple[float, float]
+
+
+def fit_pupils(
+    focused: FocusedLens, steepest: float, *, curvature: float = 0.0, nodes: TiltNodes | None = None
+) -> PupilFits:
+    """Trace bundles at tilts from 0 to `steepest` (a sine), and fit them.
+
+    Parameters
+    ----------
+    focused
+        The lens.
+    steepest
+        Sine of the steepest tilt.
+    curvature
+        Of the light that enters, in 1/m; what leaves is seen by a probe focused at infinity.
+    nodes
+        Tilts to trace, in place of a number that suits the range.
+
+    Raises
+    ------
+    InputError
+        Where no ray gets through the lens.
+    """
+    nodes = nodes or TiltNodes.up_to(steepest)
+    entering = trace_bundle(focused, nodes.sines, curvature=curvature)
+    leaving = entering if curvature == 0 else trace_bundle(focused, nodes.sines, middle=entering.middle)
+    rims = limiting_surfaces(entering)
+
+    def heights(bundle: Bundle) -> list[tuple[torch.Tensor, int]]:
+        return [(bundle.height[..., i], SMOOTH_DEGREE) for i in rims]
+
+    into, in_misfit = fit_functions(
+        nodes,
+        entering.s,
+        entering,
+        [(entering.psi, PHASE_DEGREE), (1 / entering.jacobian, SMOOTH_DEGREE), *heights(entering)],
+    )
+    out, out_misfit = fit_functions(
+        nodes,
+        leaving.e,
+        leaving,
+        [
+            (leaving.psi, PHASE_DEGREE),
+            (leaving.s[..., 1], MAP_DEGREE),
+            (leaving.jacobian, SMOOTH_DEGREE),
+            *heights(leaving),
+        ],
+        [(leaving.s[..., 0], MAP_DEGREE)],
+    )
+    spread, defocus, aberration = _landings(entering)
+    at_nodes = chebyshev(nodes.places, nodes.count)
+    return PupilFits(
+        nodes,
+        into,
+        out,
+        nodes.coefficients(entering.middle),
+        nodes.coefficients(entering.radius),
+        spread,
+        defocus,
+        aberration,
+        max(in_misfit, out_misfit),
+        (float((at_nodes @ into.half).max()), float(((at_nodes @ out.centre).abs() + at_nodes @ out.half).max())),
+    )
+
+
+def _landings(bundle: Bundle) -> tuple[float, float, float]:
+    """How far rays land from y0, how that grows with s, and what is left of it, in metres."""
+    passing = bundle.passing[..., None]
+    some = passing.sum(1, keepdim=True)
+    s = torch.where(passing, bundle.s, torch.zeros_like(bundle.s))
+    s = torch.where(passing, s - s.sum(1, keepdim=True) / some, torch.zeros_like(s))
+    apart = bundle.landing.clone()
+    apart[..., 1] -= bundle.middle[:, None]
+    apart = torch.where(passing, apart, torch.zeros_like(apart))
+    defocus = float((apart * s).sum() / (s**2).sum())
+    left = torch.linalg.vector_norm(apart - defocus * s, dim=-1)
+    return float(torch.linalg.vector_norm(apart, dim=-1).max()), defocus, float(left.max())
+
+
+def fit_functions(
+    nodes: TiltNodes,
+    places: torch.Tensor,
+    bundle: Passing,
+    even: Sequence[tuple[torch.Tensor, int]],
+    odd: Sequence[tuple[torch.Tensor, int]] = (),
+) -> tuple[Fit, float]:
+    """Fit functions of places [T, N, 2], each given as values [T, N] and a degree; with the RMS misfit of the first."""
+    # Rays that went astray may be anywhere, or nowhere.
+    places = torch.where(bundle.near[..., None], places, torch.zeros_like(places))
+    centre, half = _boxes(nodes, places, bundle.passing)
+    u = (places - centre[:, None]) / half[:, None]
+    used = bundle.near & (u.abs() <= _FITTED).all(-1)
+    degrees = max(degree for _, degree in even), max((degree for _, degree in odd), default=1)
+    fitted = []
+    for parity, functions in enumerate((even, odd)):
+        terms = _terms(degrees[parity], parity)
+        matrix = basis(u, terms)
+        order = torch.tensor([i + j for i, j in terms])
+        found = torch.zeros(len(functions), len(places), len(terms), dtype=torch.float64)
+        for degree in sorted({degree for _, degree in functions}):
+            some = order <= degree
+            chosen = [k for k, (_, own) in enumerate(functions) if own == degree]
+            values = torch.stack([functions[k][0] for k in chosen], -1)
+            solved = _least_squares(matrix[..., some], values, used)
+            for j, k in enumerate(chosen):
+                found[k][:, some] = solved[..., j]
+        fitted.append(found)
+        if parity == 0:
+            misfit = torch.einsum("fnm,fm->fn", matrix, found[0]) - even[0][0]
+    inside = bundle.passing & (u.abs() <= 1).all(-1)
+    square = torch.where(inside, misfit**2, torch.zeros_like(misfit)).sum(-1) / inside.sum(-1)
+    tilted = [nodes.coefficients(found.transpose(0, 1)).transpose(0, 1) for found in fitted]
+    fit = Fit(nodes.coefficients(centre), nodes.coefficients(half), tilted[0], tilted[1], degrees)
+    return fit, float(square.max().sqrt())
+
+
+def values_at(fit: Fit, tilt: torch.Tensor, places: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Even and odd functions [B, K, N] at places [B, N, 2], across and along tilts given as `TiltNodes.terms`."""
+    u = (places - (tilt @ fit.centre)[:, None]) / (tilt @ fit.half)[:, None]
+    return _even(fit, tilt, u), _odd(fit, tilt, u)
+
+
+def on_grid(
+    fit: Fit, tilt: torch.Tensor, toward: torch.Tensor, count: int
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A fit's functions on columns and rows about its pupil, whatever the azimuth of the tilt.
+
+    Parameters
+    ----------
+    fit
+        The functions.
+    tilt, toward
+        [B, T] as of `TiltNodes.terms`, and [B, 2] the unit vectors of the tilts.
+    count
+        Columns and rows.
+
+    Returns
+    -------
+    tuple
+        x and y [B, n]; even and odd functions [B, K, n, n]; where the places lie inside the fit's box [B, n, n].
+    """
+    unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
+    centre, half = tilt @ fit.centre, tilt @ fit.half
+    # Columns and rows that hold the box turned to the tilt; its corners hold no pupil.
+    c, s = toward[:, 0].abs(), toward[:, 1].abs()
+    x_wide = torch.hypot(half[:, 0] * s, half[:, 1] * c)
+    y_wide = torch.hypot(half[:, 0] * c, half[:, 1] * s)
+    wide = torch.stack([x_wide, y_wide], -1) * (1 + 0.25 * torch.minimum(c, s)[:, None])
+    wide = torch.minimum(wide, torch.stack([half[:, 0] * s + half[:, 1] * c, half[:, 0] * c + half[:, 1] * s], -1))
+    at = centre[:, 1:2] * toward
+    x, y = at[:, 0:1] + wide[:, 0:1] * unit, at[:, 1:2] + wide[:, 1:2] * unit
+
+    def scaled(columns: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
+        along = columns[:, None, :] * toward[:, 0, None, None] + rows[:, :, None] * toward[:, 1, None, None]
+        across = rows[:, :, None] * toward[:, 0, None, None] - columns[:, None, :] * toward[:, 1, None, None]
+        return torch.stack(
+            [across / half[:, 0, None, None], (along - centre[:, 1, None, None]) / half[:, 1, None, None]], -1
+        )
+
+    # Turned or not, a polynomial of this degree is known from as many columns and rows: so few places are evaluated.
+    order = max(fit.degrees) + 1
+    nodes = torch.cos(torch.pi * (torch.arange(order, dtype=torch.float64, device=tilt.device) + 0.5) / order)
+    few = scaled(at[:, 0:1] + wide[:, 0:1] * nodes, at[:, 1:2] + wide[:, 1:2] * nodes).flatten(1, 2)
+    shape = (len(tilt), -1, order, order)
+    lift = 2 / order * chebyshev(nodes, order)
+    lift[:, 0] /= 2
+    lift = chebyshev(unit, order) @ lift.T
+    even = lift @ _even(fit, tilt, few).reshape(shape) @ lift.T
+    odd = lift @ _odd(fit, tilt, few).reshape(shape) @ lift.T
+    return x, y, even, odd, (scaled(x, y).abs() <= 1).all(-1)
+
+
+def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A fit's even functions on columns across the tilt and rows along it: [B, n], [B, n] and [B, K, n, n].
+
+    Its whole box; two small products a function.
+    """
+    unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
+    centre, half = tilt @ fit.centre, tilt @ fit.half
+    table = _table(fit.even, fit.degrees[0], 0, tilt)
+    polynomials = chebyshev(unit, fit.degrees[0] + 1)
+    across = polynomials[:, 0::2][:, : table.shape[-2]]
+    values = polynomials @ (across @ table).mT
+    return centre[:, :1] + half[:, :1] * unit, centre[:, 1:] + half[:, 1:] * unit, values
+
+
+def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
+    """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]: a rim is straight there."""
+    # A lens may have no rim that covers anything: then there are no heights to take a shape from.
+    total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(torch.float64)
+    for height in heights.unbind(1):
+        gx, gy = torch.gradient(height, dim=(2, 1))
+        total = torch.minimum(total, _covered(1 - height, gx.abs(), gy.abs()))
+    return total
+
+
+def chebyshev(u: torch.Tensor, count: int) -> torch.Tensor:
+    """T_0 … T_(count-1) at u [...]: [..., count]."""
+    values = [torch.ones_like(u), u]
+    for _ in range(count - 2):
+        values.append(2 * u * values[-1] - values[-2])
+    return torch.stack(values[:count], -1)
+
+
+def basis(u: torch.Tensor, terms: Sequence[tuple[int, int]]) -> torch.Tensor:
+    """Products T_i(u_0) T_j(u_1), [..., M], at scaled places u [..., 2]."""
+    values = chebyshev(u, 1 + max(max(i, j) for i, j in terms))
+    across, along = values[..., 0, :], values[..., 1, :]
+    return across[..., [i for i, _ in terms]] * along[..., [j for _, j in terms]]
+
+
+def _terms(degree: int, parity: int) -> tuple[tuple[int, int], ...]:
+    """Degrees (across, along) of all products up to a total degree."""
+    return tuple((i, j) for i in range(parity, degree + 1, 2) for j in range(degree + 1 - i))
+
+
+def _even(fit: Fit, tilt: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+    return _of_terms(fit.even, fit.degrees[0], 0, tilt, u)
+
+
+def _odd(fit: Fit, tilt: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
+    return _of_terms(fit.odd, fit.degrees[1], 1, tilt, u)
+
+
+def _of_terms(
+    coefficients: torch.Tensor, degree: int, parity: int, tilt: torch.Tensor, u: torch.Tensor
+) -> torch.Tensor:
+    """[B, K, N] at scaled places u [B, N, 2]: summed along first, then across, never term by term."""
+    table = _table(coefficients, degree, parity, tilt)
+    parts: list[torch.Tensor] = []
+    for some in u.split(_PLACES_AT_ONCE, dim=1):
+        along = chebyshev(some[..., 1], degree + 1)
+        across = chebyshev(some[..., 0], degree + 1)[..., parity::2][..., : table.shape[-2]]
+        functions = [((along @ table[:, k].mT) * across).sum(-1) for k in range(table.shape[1])]
+        parts.append(torch.stack(functions, 1) if functions else some.new_zeros(len(some), 0, some.shape[1]))
+    return torch.cat(parts, -1) if len(parts) != 1 else parts[0]
+
+
+def _table(coefficients: torch.Tensor, degree: int, parity: int, tilt: torch.Tensor) -> torch.Tensor:
+    """Coefficients at tilts, by degree across and along: [B, K, I, J]."""
+    terms = _terms(degree, parity)
+    now = torch.einsum("bt,ktm->bkm", tilt, coefficients)
+    rows = len({i for i, _ in terms})
+    table = torch.zeros(*now.shape[:2], rows, degree + 1, dtype=now.dtype, device=now.device)
+    table[..., [(i - parity) // 2 for i, _ in terms], [j for _, j in terms]] = now
+    return table
+
+
+def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Middle and half widths [T, 2] of boxes about what passes: low polynomials of the tilt that hold all of it."""
+    far = torch.full_like(places, math.inf)
+    lower = torch.where(passing[..., None], places, far).amin(1)
+    upper = torch.where(passing[..., None], places, -far).amax(1)
+    # Left and right are alike.
+    wide = torch.maximum(upper[:, 0], -lower[:, 0])
+    lower, upper = torch.stack([-wide, lower[:, 1]], -1), torch.stack([wide, upper[:, 1]], -1)
+    step = (upper - lower) / math.sqrt(places.shape[1])
+    degree = min(_BOX_DEGREE, nodes.count)
+    terms = chebyshev(nodes.places, nodes.count)[:, :degree]
+    low = terms @ nodes.coefficients(lower - step)[:degree]
+    high = terms @ nodes.coefficients(upper + step)[:degree]
+    # What smoothing cuts off anywhere is added everywhere.
+    low = low - (low - lower).clamp_min(0).amax(0)
+    high = high + (upper - high).clamp_min(0).amax(0)
+    return (low + high) / 2, (high - low) / 2 * _BOX_MARGIN
+
+
+def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tensor) -> torch.Tensor:
+    """[T, M, K] for a matrix [T, N, M], values [T, N, K] and the rows used [T, N]."""
+    weights = used[..., None].to(torch.float64)
+    a = matrix * weights
+    b = torch.where(used[..., None], values, torch.zeros_like(values))
+    # A touch of damping: where a field's pupil is small its rays do not tell the highest terms apart.
+    scale = 1e-9 * torch.linalg.vector_norm(a, dim=(-2, -1), keepdim=True) / math.sqrt(a.shape[-1])
+    eye = torch.eye(a.shape[-1], dtype=torch.float64).expand(len(a), -1, -1) * scale
+    none = torch.zeros(len(b), a.shape[-1], b.shape[-1], dtype=torch.float64)
+    return torch.linalg.lstsq(torch.cat([a, eye], -2), torch.cat([b, none], -2), driver="gels").solution
+
+
+def _covered(value: torch.Tensor, gx: torch.Tensor, gy: torch.Tensor) -> torch.Tensor:
+    """Share of a unit square where value + gx u + gy w > 0 for u, w in -½ … ½: exact for a straight edge."""
+    a, b = torch.maximum(gx, gy).clamp_min(1e-12), torch.minimum(gx, gy)
+    # An edge along the samples has no second slope: a tiny one takes its place.
+    b = torch.maximum(b, 1e-5 * a)
+
+    def ramp(t: torch.Tensor) -> torch.Tensor:
+        return 0.5 * t.clamp_min(0) ** 2
+
+    near, far = (a + b) / 2, (a - b) / 2
+    return ((ramp(value + near) - ramp(value + far) - ramp(value - far) + ramp(value - near)) / (a * b)).clamp(0, 1)

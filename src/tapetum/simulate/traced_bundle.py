@@ -1,0 +1,239 @@
+"""Bundles of rays through a real lens, in the coordinates that its diffraction is computed in.
+
+A bundle of rays starts on the plane of the entrance pupil, at e, and goes through the lens. Behind it each ray is
+followed back to the plane of the exit pupil, to the point p. With y0 the middle of the spot on the sensor,
+
+    s = (y0 - p)/|y0 - p|      direction cosines in image space (transverse part)
+    Ψ = path(e … p) + |y0 - p| phase of the light from e, referred to y0, in metres
+
+and the field on the sensor at y0 + v is ∫ A exp(ikΨ(s)) exp(ik(s·v + v·Cv/2)) d²s, C = (1 - s_c s_cᵀ)/R: only what
+departs from a point image is left to be sampled. The lens is rotationally symmetric: tilts are along y.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+
+from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.rays import Rays, to_plane, trace
+
+__all__ = ["BEYOND", "Bundle", "Passing", "limiting_surfaces", "trace_bundle"]
+
+# Rays a side of a bundle, and of the coarse one that finds the pupil.
+_COARSE = 49
+# How far rays are followed beyond the pupil's edge, so that its polynomials hold on both sides of it.
+BEYOND = 1.06
+# A surface whose rim no ray comes nearer to than this (squared share) never stops one.
+_STOPS = 1.003
+# Farthest exit pupil before the sensor, in focal lengths: one farther away (or behind it) is as good as this.
+_FARTHEST_PUPIL = 40.0
+
+
+class Passing(Protocol):
+    """Rays that may be stopped."""
+
+    @property
+    def passing(self) -> torch.Tensor: ...
+    @property
+    def near(self) -> torch.Tensor: ...
+    @property
+    def good(self) -> torch.Tensor: ...
+    @property
+    def height(self) -> torch.Tensor: ...
+
+
+@dataclass(frozen=True)
+class Bundle:
+    """Rays of F fields, N each, tilted along y. Metres; s without unit.
+
+    Parameters
+    ----------
+    e
+        [F, N, 2] where they cross the plane of the entrance pupil.
+    s, psi
+        [F, N, 2] and [F, N], see the module.
+    jacobian
+        [F, N] |∂s/∂e|, in 1/m².
+    landing
+        [F, N, 2] where they meet the sensor.
+    middle
+        [F] y of y0 on the sensor.
+    radius
+        [F] distance R of y0 from the exit pupil's middle.
+    before
+        [F, N] path of the wave before e, in metres.
+    rays
+        Where the rays are behind the last surface.
+    """
+
+    e: torch.Tensor
+    s: torch.Tensor
+    psi: torch.Tensor
+    jacobian: torch.Tensor
+    landing: torch.Tensor
+    middle: torch.Tensor
+    radius: torch.Tensor
+    before: torch.Tensor
+    rays: Rays
+
+    @property
+    def near(self) -> torch.Tensor:
+        """[F, N] rays that pass, or miss by little: what a function of the pupil is fitted to."""
+        return self.good & (self.height <= BEYOND**2).all(-1)
+
+    @property
+    def height(self) -> torch.Tensor:
+        """[F, N, S] squared heights at the surfaces over squared semi-diameters."""
+        return self.rays.height
+
+    @property
+    def good(self) -> torch.Tensor:
+        """[F, N] whether they came through, vignetting apart."""
+        return self.rays.good
+
+    @property
+    def passing(self) -> torch.Tensor:
+        """[F, N] rays that no rim stops."""
+        return self.good & (self.height <= 1).all(-1)
+
+
+def trace_bundle(
+    focused: FocusedLens,
+    sines: torch.Tensor,
+    *,
+    curvature: float = 0.0,
+    middle: torch.Tensor | None = None,
+    count: int = 37,
+    box: tuple[torch.Tensor, torch.Tensor] | None = None,
+) -> Bundle:
+    """Trace the light of a far source (or of one at 1/curvature) under tilts along y.
+
+    Parameters
+    ----------
+    focused
+        The lens.
+    sines
+        [F] sines of the tilt.
+    curvature
+        Of the wave at the entrance pupil, in 1/m.
+    middle
+        [F] y of the points that phases are referred to; the spots' own when left out.
+    count
+        Rays a side of each bundle.
+    box
+        Corners [F, 2] of where rays start on the entrance pupil, in metres; all of it when left out.
+
+    Raises
+    ------
+    InputError
+        Where no ray gets through.
+    """
+    lower, upper = _pupil_boxes(focused, sines, curvature) if box is None else box
+    centre, half = (upper + lower) / 2, (upper - lower) / 2 * (BEYOND if box is None else 1.0)
+    line = torch.linspace(-1, 1, count, dtype=torch.float64)
+    grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
+    e = (centre[:, None, :] + half[:, None, :] * grid).requires_grad_()
+    with torch.enable_grad():
+        rays, before, s, psi, landing, middle, chief = _followed(focused, e, sines, curvature, middle)
+        # Every ray's s depends on its own e alone: two sums give the whole map's derivative.
+        x = torch.autograd.grad(s[..., 0].sum(), e, retain_graph=True)[0]
+        y = torch.autograd.grad(s[..., 1].sum(), e)[0]
+    jacobian = (x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]).abs()
+    found = [one.detach() for one in (e, s, psi, jacobian, landing, middle, chief, before)]
+    where = {name: value.detach() for name, value in vars(rays).items()}
+    where["good"] = rays.good & torch.isfinite(jacobian)
+    return Bundle(*found, rays=Rays(**where))
+
+
+def _followed(
+    focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float, middle: torch.Tensor | None
+) -> tuple[Rays, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    start, way, before = _incoming(focused, e, sines, curvature)
+    rays = trace(focused.lens, start, way)
+    landing, _ = to_plane(rays.position, rays.direction, focused.image)
+    passing = rays.good & (rays.height <= 1).all(-1)
+    if middle is None:
+        weights = passing.to(torch.float64)
+        middle = ((landing[..., 1] * weights).sum(-1) / weights.sum(-1)).detach()
+    p, back = to_plane(rays.position, rays.direction, _exit_plane(focused))
+    y0 = torch.stack([torch.zeros_like(middle), middle, torch.full_like(middle, focused.image)], -1)
+    apart = y0[:, None, :] - p
+    radius = torch.linalg.vector_norm(apart, dim=-1)
+    s = apart[..., :2] / radius[..., None]
+    # The index behind the lens is 1: the sensor stands in air.
+    psi = before + rays.path + back + radius
+    chief = torch.hypot(middle, torch.full_like(middle, focused.image - _exit_plane(focused)))
+    return rays, before, s, psi, landing[..., :2], middle, chief
+
+
+def _exit_plane(focused: FocusedLens) -> float:
+    """z of the exit pupil, or a plane far before the sensor that does as well where the lens is nearly telecentric."""
+    farthest = _FARTHEST_PUPIL * abs(focused.focal_length)
+    away = focused.image - focused.exit_pupil
+    if not math.isfinite(away) or away <= 0 or away > farthest:
+        away = farthest
+    return focused.image - away
+
+
+def _incoming(
+    focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Starting points [F, N, 3] on the entrance pupil's plane, directions and paths already gone."""
+    cosines = torch.sqrt(1 - sines**2)
+    axis = torch.stack([torch.zeros_like(sines), sines, cosines], -1)[:, None, :]
+    across = torch.cat([e, torch.zeros_like(e[..., :1])], -1)
+    start = across + torch.tensor([0.0, 0.0, focused.entrance_pupil], dtype=torch.float64)
+    along = (across * axis).sum(-1)
+    if curvature == 0:
+        return start, axis.expand_as(start), along
+    way = across * curvature + axis
+    length = torch.linalg.vector_norm(way, dim=-1, keepdim=True)
+    # |e - source| - D, without the difference of two large numbers.
+    before = (2 * along + curvature * (across**2).sum(-1)) / (length[..., 0] + 1)
+    return start, way / length, before
+
+
+def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Corners [F, 2] of the boxes that hold what passes of each field, smooth from field to field."""
+    reach = 2.2 * focused.entrance_radius
+    lower = torch.full((len(sines), 2), -reach, dtype=torch.float64)
+    upper = -lower
+    for _ in range(2):
+        line = torch.linspace(-1, 1, _COARSE, dtype=torch.float64)
+        grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
+        centre, half = (upper + lower) / 2, (upper - lower) / 2
+        e = centre[:, None, :] + half[:, None, :] * grid
+        start, way, _ = _incoming(focused, e, sines, curvature)
+        rays = trace(focused.lens, start, way)
+        passing = rays.good & (rays.height <= 1).all(-1)
+        if not bool(passing.any(-1).all()):
+            dark = float(torch.rad2deg(torch.asin(sines[~passing.any(-1)][0])))
+            raise InputError(
+                f"no ray gets through the lens at a tilt of {dark:.3g} deg",
+                where="target.lens",
+                remedy="stay within the field it covers, or check its semi-diameters",
+            )
+        # One step of the grid on either side: the edge lies between the last ray that passes and the next.
+        step = 2 * half / (_COARSE - 1)
+        big = torch.full_like(e, math.inf)
+        lower = torch.where(passing[..., None], e, big).amin(1) - step
+        upper = torch.where(passing[..., None], e, -big).amax(1) + step
+    # Left and right are alike.
+    wide = torch.maximum(upper[:, 0], -lower[:, 0])
+    lower, upper = torch.stack([-wide, lower[:, 1]], -1), torch.stack([wide, upper[:, 1]], -1)
+    return lower, upper
+
+
+def limiting_surfaces(bundle: Passing) -> list[int]:
+    """Numbers of the surfaces that stop rays which all others let pass."""
+    worst = bundle.height.sort(dim=-1, descending=True).values
+    first, second = worst[..., :1], worst[..., 1:2]
+    others = torch.where(bundle.height == first, second, first)
+    alone = bundle.good[..., None] & (others <= 1)
+    nearest = torch.where(alone, bundle.height, torch.zeros_like(bundle.height)).amax((0, 1))
+    return [i for i, value in enumerate(nearest.tolist()) if value > _STOPS]

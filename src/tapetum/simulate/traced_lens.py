@@ -1,0 +1,137 @@
+"""A scene's traced lens: its pupils at each wavelength, and the passes of what reflects behind it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import torch
+
+from tapetum.bench import PrescriptionLens, Scene, at_wavelength
+from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.grid import Grid
+from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
+from tapetum.simulate.radiometry import beam_radius, illumination_curvature
+from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.traced_bundle import trace_bundle
+from tapetum.simulate.traced_plan import TracedGroup, aperture_of, return_angle, traced_group
+
+__all__ = ["TracedLens"]
+
+_COUNT, _BISECTIONS = 21, 9
+
+
+class TracedLens:
+    """The target's lens of a scene, traced. Holding it is the cache.
+
+    Parameters
+    ----------
+    scene
+        With a `PrescriptionLens`.
+    object_distance
+        Where it is focused, in metres.
+    steepest
+        Sine of the steepest tilt that will be asked for, second beam and source included.
+
+    Raises
+    ------
+    InputError
+        For a lens that lets nothing through, and what a traced lens does not do: masks, beams narrower than the lens.
+    """
+
+    def __init__(self, scene: Scene, object_distance: float, steepest: float) -> None:
+        lens = scene.target.lens
+        assert isinstance(lens, PrescriptionLens)
+        if scene.target.sensor.mask is not None:
+            what = "a mask cannot be had behind a traced lens"
+            raise InputError(what, where="target.sensor.mask", remedy="use an array, or a thin lens")
+        if beam_radius(scene) < lens.aperture_radius:
+            raise InputError(
+                f"a beam {2 * beam_radius(scene):.4g} m wide does not fill a traced lens",
+                where="illumination",
+                remedy=f"widen it to {2.2 * lens.aperture_radius:.4g} m",
+            )
+        self._scene, self._lens, self._object_distance = scene, lens, object_distance
+        light = scene.illumination
+        second = math.hypot(*light.second_beam.angle) if light.second_beam is not None else 0.0
+        self._steepest = min(1.0, steepest + second + light.source_size / 2)
+        self._curvature = illumination_curvature(scene)
+        self._known: dict[float, tuple[FocusedLens, PupilFits]] = {}
+        focused, fits = self._at(light.wavelength)
+        depths = [0.0] if scene.target.sensor.reflectance > 0 else []
+        depths += [
+            layer.depth / layer.index
+            for layer in scene.target.sensor.layers
+            if at_wavelength(layer.reflectance, light.wavelength) > 0
+        ]
+        self.exit_angle = return_angle(focused, fits, depths or [0.0], self._curvature)
+        """Largest angle of a returning ray against its field's direction, in radians."""
+        self.return_radius = lens.aperture_radius + self.exit_angle * scene.distance
+        """Radius of the widest return at the probe, by rays, in metres."""
+
+    def _at(self, wavelength: float) -> tuple[FocusedLens, PupilFits]:
+        if wavelength not in self._known:
+            focused = self._lens.focused(wavelength, self._object_distance)
+            steepest = _covered(focused, self._steepest, self._curvature)
+            self._known[wavelength] = focused, fit_pupils(focused, steepest, curvature=self._curvature)
+        return self._known[wavelength]
+
+    def aperture_sine(self, wavelength: float) -> float:
+        """Largest half width of the pupil in direction sines."""
+        return self._at(wavelength)[1].aperture[0]
+
+    def group(
+        self,
+        surfaces: Sequence[Surface],
+        output: Grid,
+        wavelength: float,
+        accuracy: float,
+        distance: float | None,
+        *,
+        dtype: torch.dtype,
+        device: torch.device,
+    ) -> TracedGroup:
+        """The passes of planes that interfere, over the `distance` through the probe's aperture or to the far field."""
+        focused, fits = self._at(wavelength)
+        probe = self._scene.probe.lens
+        aperture = None
+        if distance is not None:
+            window = math.hypot(output.width, output.height) / 2 / probe.focal_length
+            aperture = aperture_of(distance, probe.aperture_radius, wavelength, window)
+        return traced_group(
+            focused,
+            fits,
+            surfaces,
+            output,
+            wavelength=wavelength,
+            probe_focal_length=probe.focal_length,
+            accuracy=accuracy,
+            curvature=self._curvature,
+            aperture=aperture,
+            dtype=dtype,
+            device=device,
+        )
+
+
+def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
+    """Sine of the steepest tilt, up to `steepest`, that a lens lets any light through at: none returns beyond."""
+
+    def passes(sine: float) -> bool:
+        try:
+            trace_bundle(focused, torch.tensor([sine], dtype=torch.float64), curvature=curvature, count=_COUNT)
+        except InputError:
+            return False
+        return True
+
+    if passes(steepest):
+        return steepest
+    low, high = 0.0, steepest
+    for _ in range(_BISECTIONS):
+        middle = (low + high) / 2
+        low, high = (middle, high) if passes(middle) else (low, middle)
+    if low == 0:
+        # Says what is wrong with it.
+        trace_bundle(focused, torch.zeros(1, dtype=torch.float64), curvature=curvature, count=_COUNT)
+    # At the very edge of the field a pupil is a sliver.
+    return 0.97 * low

@@ -1,0 +1,260 @@
+"""The double pass of a ray-traced lens before a plane mirror or grating, as waves.
+
+    G(v)   = 1/(iλ) ∫ A(s) exp(ikΨ(s)) exp(ik s·v) d²s               the spot, about y0
+    U3(s') = 1/(iλ) ∫ M(v) G(v) exp(ik vᵀCv) exp(ik s'·v) d²v        what comes back to the exit pupil
+    U3'(e) = A(e) exp(ikΨ(s(e))) U3(s(e))                            and leaves the entrance pupil
+
+A flat mirror takes s to -s, an order of direction τ to -s - τ. A(s) is the share of the pupil that no rim covers times
+the root of |∂e/∂s|, so that energy is kept; A(e) likewise with |∂s/∂e|. The wave that leaves lives in object space: it
+goes on from the entrance pupil (exit_path.py; docs/conventions.md, "Real lenses").
+
+A plane tilted by a takes s to -s - 2a cosθ, to first order in a, and lies a·y0 farther at the spot.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from tapetum.optics.fourier import phasor
+from tapetum.simulate.exit_path import ExitPath
+from tapetum.simulate.foreshortening import foreshortening
+from tapetum.simulate.pupil_fits import PupilFits, on_grid, on_tilt_grid, open_share
+from tapetum.simulate.round_pass import Surface
+
+__all__ = ["TracedGrids", "TracedPass", "tilt_and_azimuth"]
+
+# Gazes computed together.
+_AT_ONCE = 4
+_NO_TILT = 1e-11
+
+
+@dataclass(frozen=True)
+class TracedGrids:
+    """Samples of a traced pass.
+
+    Parameters
+    ----------
+    pupil
+        Columns and rows of the pupil.
+    sensor
+        Columns and rows about the spot.
+    half_width, flat
+        Of the sensor's window, and of what is kept whole of it before the light is faded out, in metres.
+    returning
+        Columns and rows of the field that comes back, which is interpolated.
+    leaving
+        Columns and rows of the pupil on the way out; those of `pupil` when 0.
+    """
+
+    pupil: int
+    sensor: int
+    half_width: float
+    flat: float
+    returning: int
+    leaving: int = 0
+
+
+class TracedPass:
+    """The retro-reflection of a traced lens off one plane, for any number of gazes. Holding the instance is the cache.
+
+    Parameters
+    ----------
+    fits
+        The lens's pupils.
+    grids
+        The sampling.
+    surface
+        The plane: its depth before the sensor, the index between, and its orders.
+    path
+        From the lens to the probe's pixels.
+    wavelength
+        In metres.
+    accepted
+        Largest angle under which light still reaches the picture, for fits that were `corrected` for it.
+    dtype, device
+        Of the fields.
+    """
+
+    def __init__(
+        self,
+        fits: PupilFits,
+        grids: TracedGrids,
+        surface: Surface,
+        path: ExitPath,
+        *,
+        wavelength: float,
+        accepted: float | None = None,
+        dtype: torch.dtype = torch.complex64,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.fits, self.grids, self.surface, self.path = fits, grids, surface, path
+        self.dtype, self.device, self.accepted = dtype, torch.device(device), accepted
+        self._wavelength, self._k = wavelength, 2 * math.pi / wavelength
+        self._real = torch.float32 if dtype == torch.complex64 else torch.float64
+        n, step = grids.sensor, 2 * grids.half_width / grids.sensor
+        self._v = (torch.arange(n, dtype=torch.float64, device=self.device) - (n - 1) / 2) * step
+        self._square = self._v[None, :] ** 2 + self._v[:, None] ** 2
+        fade = ((self._square.sqrt() - grids.flat) / (grids.half_width - grids.flat)).clamp(0, 1)
+        self._window = torch.cos(fade * (math.pi / 2)) ** 2
+        self._unit = step**2 / (1j * wavelength) ** 2
+
+    def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Complex amplitude on the probe's pixels for 1 W/m² at the target, [B, H, W], in W^½/m.
+
+        Parameters
+        ----------
+        sines
+            [B, 2] sines of the tilt along x and y.
+        centres
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+        """
+        sines = sines.to(self.device, torch.float64)
+        if centres is not None:
+            centres = centres.to(self.device, torch.float64)
+        parts = []
+        for i in range(0, len(sines), _AT_ONCE):
+            some = sines[i : i + _AT_ONCE]
+            pupil, x, y = self.exit_pupil(some)
+            parts.append(self.path(pupil, x, y, some, None if centres is None else centres[i : i + _AT_ONCE]))
+        return torch.cat(parts) if len(parts) != 1 else parts[0]
+
+    def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Field that leaves the lens, tilt removed, [B, n, n].
+
+        At columns x [B, n] and rows y [B, n] of the entrance pupil, in coordinates turned by the rotation of
+        `foreshortening`: so `ExitPath` wants them.
+        """
+        k, fits = self._k, self.fits
+        size, toward = tilt_and_azimuth(sines)
+        # Past the last tilt that returns anything the polynomials mean nothing.
+        returns = (size <= fits.nodes.steepest * (1 + 1e-9)).to(torch.float64)
+        size = size.clamp_max(fits.nodes.steepest)
+        tilt = fits.nodes.terms(size)
+        middle, radius = tilt @ fits.middle, tilt @ fits.radius
+        chief = middle / radius
+        # Of the plane before the sensor: less where it is tilted away.
+        depth = self.surface.depth - self._along(self.surface.tilt, toward) * middle
+
+        # The way in, across and along the tilt.
+        across, along, entering = on_tilt_grid(fits.entering, tilt, self.grids.pupil)
+        square = across[:, None, :] ** 2 + along[:, :, None] ** 2
+        psi = entering[:, 0] + self._taken(square, along[:, :, None], chief, depth)
+        share = torch.sqrt(entering[:, 1].clamp_min(0)) * open_share(entering[:, 2:])
+        # A tilted pupil catches less.
+        area = (across[:, 1] - across[:, 0]) * (along[:, 1] - along[:, 0]) * (1 - size**2) ** 0.25 * returns
+        wave = self._wave(share * area[:, None, None], psi)
+
+        v = self._v
+        spot = self._kernel(v, along) @ wave @ self._kernel(v, across).mT
+        bend = (self._square - (chief[:, None, None] * v[None, :, None]) ** 2) / radius[:, None, None]
+        spot = spot * (phasor(k * bend) * self._window * self._unit).to(self.dtype)
+        spot = spot * self._reflectance(middle, chief, toward, depth)
+
+        # The way out, on columns and rows of the probe's picture.
+        rotation, _ = foreshortening(sines)
+        turned = (rotation.mT @ toward[..., None])[..., 0]
+        x, y, even, odd, inside = on_grid(fits.leaving, tilt, turned, self.grids.leaving or self.grids.pupil)
+        out = torch.sqrt(even[:, 2].clamp_min(0))
+        if odd.shape[1] > 1:
+            out = out * open_share(even[:, 4:], inside) * self._accept(even[:, 3], odd[:, 1])
+        else:
+            out = out * open_share(even[:, 3:], inside)
+        s_along, s_across = even[:, 1], odd[:, 0]
+        psi = even[:, 0] + self._taken(s_along**2 + s_across**2, s_along, chief, depth)
+
+        # Where the pupil sees it, then at each sample's own direction.
+        columns, low_x, wide_x = self._line(s_across, inside)
+        rows, low_y, wide_y = self._line(s_along, inside)
+        back = self._kernel(rows, v[None]) @ spot @ self._kernel(columns, v[None]).mT
+        # Out of focus the field turns with the square of s': taken out before, put back after the interpolation.
+        bend = k / 2 * (fits.defocus - self.surface.depth / self.surface.index)
+        centre = chief[:, None, None]
+        back = back * phasor(bend * ((rows[:, :, None] + centre) ** 2 + columns[:, None, :] ** 2)).to(self.dtype)
+        psi = psi - bend / k * ((s_along + centre) ** 2 + s_across**2)
+        at = torch.stack(
+            [
+                2 * (s_across - low_x[:, None, None]) / wide_x[:, None, None] - 1,
+                2 * (s_along - low_y[:, None, None]) / wide_y[:, None, None] - 1,
+            ],
+            -1,
+        )
+        planes = torch.view_as_real(back).permute(0, 3, 1, 2)
+        seen = torch.nn.functional.grid_sample(planes, at.to(self._real), "bicubic", "border", align_corners=True)
+        return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi), x, y
+
+    def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
+        """Fades out what leaves under angles that the picture never sees."""
+        if self.accepted is None:
+            return torch.ones_like(along)
+        fade = (torch.hypot(along, across) / self.accepted - 2) / 2
+        return torch.cos(fade.clamp(0, 1) * (math.pi / 2)) ** 2
+
+    def _wave(self, amplitude: torch.Tensor, psi: torch.Tensor) -> torch.Tensor:
+        return (amplitude * phasor(self._k * psi)).to(self.dtype)
+
+    def _kernel(self, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """exp(ik row·column), [B, rows, columns]."""
+        return phasor(self._k * rows[..., :, None] * columns[..., None, :]).to(self.dtype)
+
+    def _line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Equal steps over the places inside, [B, m], with their first one and the whole length."""
+        far = torch.full_like(places, math.inf)
+        low = torch.where(inside, places, far).amin((1, 2))
+        wide = torch.where(inside, places, -far).amax((1, 2)) - low
+        line = torch.linspace(0, 1, self.grids.returning, dtype=torch.float64, device=self.device)
+        return low[:, None] + wide[:, None] * line, low, wide
+
+    @staticmethod
+    def _along(vector: tuple[float, float], toward: torch.Tensor) -> torch.Tensor:
+        return vector[0] * toward[:, 0] + vector[1] * toward[:, 1]
+
+    def _taken(
+        self, square: torch.Tensor, along: torch.Tensor, chief: torch.Tensor, depth: torch.Tensor
+    ) -> torch.Tensor:
+        """What a plane before the sensor takes off a path: n times its way in the medium, about a shifted spot."""
+        n = self.surface.index
+        if self.surface.depth == 0 and self.surface.tilt == (0.0, 0.0):
+            return torch.zeros((), dtype=torch.float64, device=self.device)
+        shift = depth * chief / torch.sqrt(n**2 - chief**2)
+        return -depth[:, None, None] * torch.sqrt((n**2 - square).clamp_min(0)) - shift[:, None, None] * along
+
+    def _reflectance(
+        self, middle: torch.Tensor, chief: torch.Tensor, toward: torch.Tensor, depth: torch.Tensor
+    ) -> torch.Tensor:
+        """What the orders make of the light at y0 + v: phases that turn slowly, the mask itself is never sampled."""
+        total = torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device)
+        tilt = self.surface.tilt
+        # What a tilt turns light by, 2a cosθ along the gaze and across it. Its phase at y0 is already in the path.
+        turn = 2 * torch.sqrt(1 - chief**2)
+        tilted = turn * self._along(tilt, toward), turn * self._along((tilt[1], -tilt[0]), toward)
+        # Where the chief ray meets the plane.
+        spot = middle - depth * chief / torch.sqrt(self.surface.index**2 - chief**2)
+        places = spot[:, None] * toward
+        for order in self.surface.orders:
+            tau = order.direction[0] - 2 * tilt[0], order.direction[1] - 2 * tilt[1]
+            at_spot = self._along(tau, toward)
+            along = (at_spot + tilted[0])[:, None]
+            across = (self._along((tau[1], -tau[0]), toward) + tilted[1])[:, None]
+            # What misses the pupil altogether would only come back as an alias.
+            meets = torch.hypot(along + 2 * chief[:, None], across) < 2.05 * self.fits.aperture[0]
+            if not bool(meets.any()):
+                continue
+            across = torch.where(meets, across, torch.zeros_like(across))
+            along = torch.where(meets, along, torch.zeros_like(along))
+            phase = phasor(self._k * at_spot * spot) * order.at(places)
+            amplitude = (phase[:, None] * meets).to(self.dtype)
+            columns = phasor(self._k * across * self._v).to(self.dtype)
+            rows = phasor(self._k * along * self._v).to(self.dtype)
+            total = total + (amplitude * rows)[:, :, None] * columns[:, None, :]
+        return total
+
+
+def tilt_and_azimuth(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Sizes [B] and unit vectors [B, 2] of tilts [B, 2]; none counts as along y, and keeps its gradient finite."""
+    size = torch.sqrt((sines**2).sum(-1).clamp_min(_NO_TILT**2))
+    along_y = torch.zeros_like(sines)
+    along_y[:, 1] = 1
+    return size, torch.where((size > 2 * _NO_TILT)[:, None], sines / size[:, None], along_y)

@@ -1,0 +1,309 @@
+"""Choose the samples of a traced lens's passes, measure the error that they leave, and refuse what they cannot hold.
+
+Unlike a thin lens, a real one has no closed form to plan by. A ladder of efforts is climbed instead: at each the image
+is computed at two tilts and compared with the next one's. What is left of the error the rays say (traced_return).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import ClassVar
+
+import torch
+
+from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.grid import Grid
+from tapetum.simulate.exit_path import ExitPath, ProbeAperture
+from tapetum.simulate.pupil_fits import PupilFits, chebyshev
+from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.traced_pass import TracedGrids, TracedPass
+from tapetum.simulate.traced_return import check_return, corrected
+
+__all__ = ["TracedGroup", "TracedPlan", "aperture_of", "return_angle", "traced_group"]
+
+
+@dataclass(frozen=True)
+class _Effort:
+    """Airy rings of the spot kept, samples over the pupil at the least, and over what the spot needs."""
+
+    rings: float
+    pupil: int
+    finer: float
+
+
+_LADDER = (
+    _Effort(10, 72, 1.2),
+    _Effort(20, 112, 1.4),
+    _Effort(40, 176, 1.6),
+    _Effort(80, 272, 1.8),
+    _Effort(160, 420, 2.0),
+)
+# The error measured between two efforts, times this, is claimed of the lesser one.
+_SAFETY = 1.5
+# Fresnel zones of the cone of light on the plane from which on every place of the pupil is left by one ray.
+_GEOMETRIC = 2.5
+# More light cannot come back than went in: aliasing shows as that.
+_MOST_POWER = 1.03
+# Share of the most light that a tilt must return for the claim to hold.
+_FADING = 0.3
+_MOST_PUPIL, _MOST_SENSOR = 2048, 4096
+_LARGEST_MISFIT = 0.02
+# How far light may turn between two samples of the probe's aperture, in radians.
+_APERTURE_RADIANS = 2.0
+
+
+@dataclass(frozen=True)
+class TracedPlan:
+    """Samples of a traced pass, and the error that they should leave.
+
+    Parameters
+    ----------
+    columns, rows
+        Samples over the pupil.
+    sensor
+        Samples a side about the spot.
+    departure
+        RMS of the rays' paths against the model's, in metres, before they correct it.
+    by_rays
+        Whether they do.
+    expected_error
+        Largest error of the irradiance, in fractions of the image's peak, measured against the next finer sampling; at
+        tilts that return 0.3 of the most light or more.
+    """
+
+    method: ClassVar[str] = "traced lens"
+    columns: int
+    rows: int
+    sensor: int
+    departure: float
+    by_rays: bool
+    expected_error: float
+
+    def as_dict(self) -> dict[str, float | int | str]:
+        """The plan's numbers by name, for metadata."""
+        return {"method": self.method, **asdict(self)}
+
+
+class TracedGroup:
+    """Planes of one traced lens whose returns interfere."""
+
+    def __init__(self, passes: Sequence[TracedPass], plan: TracedPlan) -> None:
+        self.passes, self.plan = tuple(passes), plan
+
+    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Irradiance [B, H, W] in W/m² for 1 W/m² at the target; arguments as for `TracedPass.field`."""
+        u = self.field(sines, centres)
+        return u.real**2 + u.imag**2
+
+    def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Complex amplitude [B, H, W] on the probe's pixels."""
+        total = self.passes[0].field(sines, centres)
+        for one in self.passes[1:]:
+            total = total + one.field(sines, centres)
+        return total
+
+
+def aperture_of(distance: float, radius: float, wavelength: float, window: float) -> ProbeAperture:
+    """The probe's aperture with the samples that a picture of half-diagonal `window` (an angle, in radians) needs."""
+    turn = 2 * math.pi / wavelength * radius * (radius / distance + window)
+    return ProbeAperture(distance, radius, max(64, math.ceil(2 * turn / _APERTURE_RADIANS)))
+
+
+def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
+    """Largest angle of a ray that returns from the sensor, or from a mirror at one of the depths (reduced to air)."""
+    sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
+    found = [check_return(focused, fits, sines, curvature=curvature, depth=depth).angle.max() for depth in depths]
+    return max(float(one) for one in found)
+
+
+def traced_group(
+    focused: FocusedLens,
+    fits: PupilFits,
+    surfaces: Sequence[Surface],
+    output: Grid,
+    *,
+    wavelength: float,
+    probe_focal_length: float,
+    accuracy: float,
+    curvature: float = 0.0,
+    aperture: ProbeAperture | None = None,
+    dtype: torch.dtype = torch.complex64,
+    device: torch.device | str = "cpu",
+) -> TracedGroup:
+    """Plan the passes of planes that interfere.
+
+    Parameters
+    ----------
+    focused, fits
+        The lens, and its pupils.
+    surfaces
+        The planes.
+    output
+        Pixels of the probe's sensor.
+    wavelength, probe_focal_length
+        In metres.
+    accuracy
+        Wanted largest error of the irradiance, in fractions of the peak.
+    curvature
+        Of the light that enters, in 1/m.
+    aperture
+        The probe's, where the return overfills it.
+    dtype, device
+        Of the fields.
+
+    Raises
+    ------
+    InputError
+        For a lens that its polynomials do not hold, light too far out of focus to be followed, and scenes too large.
+    """
+    if fits.misfit > _LARGEST_MISFIT * wavelength:
+        raise InputError(
+            f"its wavefront departs from smooth functions by {fits.misfit / wavelength:.2g} waves",
+            where="target.lens",
+            remedy="stop it down with f_number, or stay nearer to the middle of its field",
+        )
+    path = ExitPath(
+        output,
+        wavelength=wavelength,
+        probe_focal_length=probe_focal_length,
+        reach=1.3 * fits.aperture[1],
+        aperture=aperture,
+        dtype=dtype,
+        device=device,
+    )
+    seen = math.hypot(output.width, output.height) / 2 / probe_focal_length
+    accepted = None
+    if aperture is not None:
+        # Light under larger angles misses the probe's aperture, whatever the picture.
+        accepted = seen = (aperture.radius + fits.aperture[1]) / aperture.distance
+    passes, plans = [], []
+    for surface in surfaces:
+        one, plan = _planned(focused, fits, surface, path, wavelength, accuracy, curvature, accepted, seen)
+        passes.append(one)
+        plans.append(plan)
+    return TracedGroup(passes, max(plans, key=lambda plan: plan.expected_error))
+
+
+def _planned(
+    focused: FocusedLens,
+    fits: PupilFits,
+    surface: Surface,
+    path: ExitPath,
+    wavelength: float,
+    accuracy: float,
+    curvature: float,
+    accepted: float | None,
+    seen: float,
+) -> tuple[TracedPass, TracedPlan]:
+    depth = surface.depth / surface.index
+    sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
+    told = check_return(focused, fits, sines, curvature=curvature, depth=depth)
+    departure = float(torch.nan_to_num(told.opd).max())
+    angle = float(told.angle.max())
+    # A phase that is off by so much changes a picture by as much at the most.
+    unsure = 2 * math.pi * departure / wavelength
+    zones = abs(fits.defocus - depth) * fits.aperture[0] ** 2 / wavelength
+    pupils, by_rays = fits, False
+    if zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted)):
+        found = corrected(focused, fits, curvature=curvature, depth=depth, accepted=accepted)
+        # Rays that cross on their way out have several paths at a place: then the fit misses them.
+        if found is not None and found.misfit < departure:
+            pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
+    if not by_rays:
+        accepted = None
+    if unsure > accuracy:
+        raise InputError(
+            f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
+            where="target",
+            remedy=f"ask for an accuracy of {unsure:.1g}, focus nearer to the probe, or stop down with f_number",
+        )
+
+    def made(effort: _Effort) -> TracedPass:
+        grids = _grids(
+            pupils, surface, effort, wavelength, min(angle, math.inf if accepted is None else 4 * accepted) + seen
+        )
+        return TracedPass(
+            pupils,
+            grids,
+            surface,
+            path,
+            wavelength=wavelength,
+            accepted=accepted,
+            dtype=path.dtype,
+            device=path.device,
+        )
+
+    # Near the cut-off the peak fades with the light that still returns, the error with the light that entered: what is
+    # claimed is claimed of tilts that return enough.
+    bright = sines[told.overlap >= _FADING * told.overlap.max()].max()
+    steepest = min(float(bright), pupils.nodes.steepest)
+    tried = torch.tensor([[0.0, 0.15 * steepest], [0.65 * steepest, 0.65 * steepest]], dtype=torch.float64)
+    limit = sum(abs(order.amplitude) for order in surface.orders) ** 2
+    now = made(_LADDER[0])
+    image = now.field(tried).abs() ** 2
+    error = math.inf
+    for effort in _LADDER[1:]:
+        finer = made(effort)
+        better = finer.field(tried).abs() ** 2
+        peak = better.amax((1, 2)).clamp_min(1e-30)
+        error = _SAFETY * float(((image - better).abs().amax((1, 2)) / peak).max())
+        if error <= accuracy:
+            _check_power(now, tried, limit)
+            claimed = max(error, unsure)
+            plan = TracedPlan(now.grids.pupil, now.grids.pupil, now.grids.sensor, departure, by_rays, claimed)
+            return now, plan
+        now, image = finer, better
+    raise InputError(
+        f"{accuracy:g} of the peak is not reached with {now.grids.pupil} samples over the pupil",
+        where="sampling.accuracy",
+        remedy=f"ask for {2 * error:.1g} or more, or stop the lens down with f_number",
+    )
+
+
+def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float, angle: float) -> TracedGrids:
+    """The samples that an effort makes of a lens and a plane."""
+    nodes = fits.nodes
+    sine, reach = fits.aperture
+    at = chebyshev(nodes.places, nodes.count)
+    radius = float((at @ fits.radius).min())
+    chief = min(float(((at @ fits.middle) / (at @ fits.radius)).abs().max()), sine)
+    ring = wavelength / (2 * sine)
+    blur = (
+        abs(fits.defocus) * sine
+        + fits.aberration
+        + surface.depth * math.tan(math.asin(min(sine / surface.index, 0.99)))
+    )
+    half = blur + effort.rings * ring
+    # What returns lies about -s, or -s - τ, and is looked at about s.
+    apart = 2 * sine if len(surface.orders) > 1 else 2 * chief
+    step = 0.8 * wavelength / (2 * sine + 2 * half / radius + apart)
+    sensor = math.ceil(2 * half / step)
+    turns = 2 * sine * 2 * half / wavelength
+    # The edges of the pupil make the faint light far from the spot: they want more samples than its rays do.
+    pupil = max(effort.pupil, math.ceil(effort.finer * (turns + 2 * effort.rings)))
+    # Copies of the picture must lie beside it: seen and sent angles together.
+    leaving = max(effort.pupil, math.ceil(1.2 * effort.finer * 2 * reach * angle / wavelength))
+    if pupil > _MOST_PUPIL or sensor > _MOST_SENSOR or leaving > _MOST_PUPIL:
+        raise InputError(
+            f"light spread over {2 * blur * 1e3:.3g} mm of the sensor needs {pupil} samples over the pupil, {sensor} "
+            f"over the spot and {leaving} on the way out; allowed are {_MOST_PUPIL}, {_MOST_SENSOR} and {_MOST_PUPIL}",
+            where="target",
+            remedy="focus nearer to the probe, stop the lens down with f_number, or ask for less accuracy",
+        )
+    # What is left to interpolate once the defocus is taken out.
+    left = effort.rings * ring + fits.aberration
+    returning = max(2 * effort.pupil, math.ceil(3 * effort.finer * 2 * sine * 2 * left / wavelength))
+    return TracedGrids(pupil, sensor, half, half - effort.rings * ring / 2, returning, leaving)
+
+
+def _check_power(one: TracedPass, sines: torch.Tensor, limit: float) -> None:
+    pupil, x, y = one.exit_pupil(sines)
+    area = (x[:, 1] - x[:, 0]) * (y[:, 1] - y[:, 0])
+    power = (pupil.abs() ** 2).sum((1, 2)) * area
+    # The plain pupil's area, as its rays have it.
+    reach = math.pi * one.fits.aperture[1] ** 2
+    if float(power.max()) > _MOST_POWER * limit * 4 * reach:
+        raise InputError("more light would return than went in", where="sampling", remedy="ask for more accuracy")

@@ -1,0 +1,314 @@
+"""Rays into a lens, off a mirror, and out again through the lens reversed: a check of the waves, and their correction.
+
+The double pass of waves (traced_pass.py) takes the way out for the way in, reversed. That is exact for light that comes
+from y0, by reciprocity, and less so for light from far beside it, where the lens has other aberrations: `check_return`
+tells by how much. Light so far out of focus leaves each place of the pupil on one ray: what the wave's phase lacks
+there is what that ray's path has more (`corrected`).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import torch
+
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.rays import reversed_lens, to_plane, trace
+from tapetum.simulate.pupil_fits import (
+    MAP_DEGREE,
+    PHASE_DEGREE,
+    SMOOTH_DEGREE,
+    PupilFits,
+    TiltNodes,
+    fit_functions,
+    fit_pupils,
+    values_at,
+)
+from tapetum.simulate.traced_bundle import BEYOND, Bundle, limiting_surfaces, trace_bundle
+
+__all__ = ["Returned", "TracedReturn", "check_return", "corrected", "trace_return"]
+
+# Share of a bundle below which a return is not worth fitting: its few rays say little of it, and it is faint.
+_LEAST_SHARE, _BISECTIONS = 0.03, 7
+# Rays that a fit needs, and how far beyond the accepted angles light is kept.
+_FEWEST_RAYS, _KEPT = 60, 4.0
+_COARSE, _NARROWINGS = 25, 2
+# Squared height over a rim beyond which a ray says nothing of the light inside.
+_STRAY = 1.6
+
+
+@dataclass(frozen=True)
+class Returned:
+    """Rays that came back, F fields of N each.
+
+    Parameters
+    ----------
+    bundle
+        The way in.
+    mirror
+        [F, N, 2] where they met the mirror, in metres.
+    e
+        [F, N, 2] where they cross the plane of the entrance pupil again.
+    path
+        [F, N] the whole path there, the tilt taken out, in metres.
+    turned
+        [F, N, 2] direction cosines at the end, less those of exact retro-reflection.
+    height
+        [F, N, 2 S] heights at all surfaces, on the way in and on the way out.
+    good
+        [F, N] whether they came through, vignetting apart.
+    """
+
+    bundle: Bundle
+    mirror: torch.Tensor
+    e: torch.Tensor
+    path: torch.Tensor
+    turned: torch.Tensor
+    height: torch.Tensor
+    good: torch.Tensor
+
+    @property
+    def passing(self) -> torch.Tensor:
+        """[F, N] rays that no rim stops on either way."""
+        return self.good & (self.height <= 1).all(-1)
+
+
+@dataclass(frozen=True)
+class TracedReturn:
+    """What rays say of a return, for each field.
+
+    Parameters
+    ----------
+    opd
+        [F] RMS of real path less model's over the rays that return, piston apart, in metres; NaN where none returns.
+    overlap
+        [F] share of the light on the sensor that leaves the lens again.
+    angle
+        [F] largest angle of a returning ray against its field's direction, in radians.
+    """
+
+    opd: torch.Tensor
+    overlap: torch.Tensor
+    angle: torch.Tensor
+
+
+def trace_return(
+    focused: FocusedLens,
+    sines: torch.Tensor,
+    *,
+    curvature: float = 0.0,
+    depth: float = 0.0,
+    middle: torch.Tensor | None = None,
+    count: int = 37,
+) -> Returned:
+    """Trace bundles in, off a mirror, and out again.
+
+    Parameters
+    ----------
+    focused
+        The lens.
+    sines
+        [F] sines of the tilt along y.
+    curvature
+        Of the light that enters, in 1/m.
+    depth
+        Of the mirror before the sensor, reduced to air, in metres.
+    middle
+        As for `trace_bundle`.
+    count
+        Rays a side.
+    """
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count)
+    return _sent_back(focused, bundle, sines, depth)
+
+
+def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor, depth: float) -> Returned:
+    rays = bundle.rays
+    at, way = to_plane(rays.position, rays.direction, focused.image - depth)
+    # The lens turned round: z runs the other way, and so does the light.
+    end = focused.lens.z[-1]
+    start = torch.stack([at[..., 0], at[..., 1], end - at[..., 2]], -1)
+    back = trace(reversed_lens(focused.lens), start, rays.direction)
+    out, more = to_plane(back.position, back.direction, end - focused.entrance_pupil)
+    path = bundle.before + rays.path + way + back.path + more + sines[:, None] * out[..., 1]
+    turned = back.direction[..., :2] + torch.stack([torch.zeros_like(sines), sines], -1)[:, None, :]
+    # The same surfaces once more, in the same order.
+    height = torch.cat([rays.height, back.height.flip(-1)], -1)
+    return Returned(bundle, at[..., :2], out[..., :2], path, turned, height, bundle.good & back.good)
+
+
+def check_return(
+    focused: FocusedLens,
+    fits: PupilFits,
+    sines: torch.Tensor,
+    *,
+    curvature: float = 0.0,
+    depth: float = 0.0,
+) -> TracedReturn:
+    """Compare the paths of real rays with those that the double pass of waves takes for them.
+
+    Parameters
+    ----------
+    focused, fits
+        The lens, and the pupils that the model takes.
+    sines, curvature, depth
+        As for `trace_return`.
+    """
+    tilt = fits.nodes.terms(sines)
+    back = trace_return(focused, sines, curvature=curvature, depth=depth, middle=tilt @ fits.middle)
+    passing = back.passing
+    error = torch.where(passing, back.path - _model_path(fits, tilt, back, depth), torch.zeros_like(back.path))
+    some = passing.sum(-1)
+    mean = error.sum(-1) / some
+    square = torch.where(passing, (error - mean[:, None]) ** 2, torch.zeros_like(error))
+    angle = torch.where(passing, torch.linalg.vector_norm(back.turned, dim=-1), torch.zeros_like(error))
+    return TracedReturn(torch.sqrt(square.sum(-1) / some), some / back.bundle.passing.sum(-1), angle.amax(-1))
+
+
+def corrected(
+    focused: FocusedLens,
+    fits: PupilFits,
+    *,
+    curvature: float = 0.0,
+    depth: float = 0.0,
+    accepted: float | None = None,
+) -> PupilFits | None:
+    """Pupils whose light leaves with the paths of its real rays.
+
+    Parameters
+    ----------
+    focused, fits
+        The lens, and its pupils.
+    curvature, depth
+        As for `trace_return`.
+    accepted
+        Largest angle under which light still reaches the picture, in radians: places that send all of theirs under
+        angles beyond `_KEPT` times this are left out. None keeps all.
+
+    Returns
+    -------
+    PupilFits or None
+        `leaving` holds two more functions, the direction cosines at the end less those of retro-reflection (along the
+        tilt before the heights, across as the last odd one). Its tilts end where hardly any light returns. Its misfit
+        is large where rays cross on their way out, so that a place has no one path. None where too few rays return.
+    """
+    nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, depth, accepted))
+    tilt = fits.nodes.terms(nodes.sines)
+    middle = tilt @ fits.middle
+    box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, depth, middle, accepted)
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box)
+    back = _sent_back(focused, bundle, nodes.sines, depth)
+    # Of a part of the pupil all rays near it are fitted, whether a rim stops them or not: it may end within.
+    passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
+    if accepted is not None:
+        near = back.good & (back.height <= _STRAY).all(-1)
+        passing = near & (torch.linalg.vector_norm(back.turned, dim=-1) <= _KEPT * accepted)
+    if not bool((passing.sum(-1) >= _FEWEST_RAYS).all()):
+        return None
+    even, odd = values_at(fits.leaving, tilt, back.e)
+    path = even[:, 0] + back.path - _model_path(fits, tilt, back, depth)
+    surfaces = len(focused.lens)
+    rims = limiting_surfaces(bundle)
+    rays = _Rays(passing, near, back.height)
+    leaving, misfit = fit_functions(
+        nodes,
+        back.e,
+        rays,
+        [
+            (path, PHASE_DEGREE),
+            (even[:, 1], MAP_DEGREE),
+            (even[:, 2], SMOOTH_DEGREE),
+            (back.turned[..., 1], SMOOTH_DEGREE),
+            *((back.height[..., surfaces + i], SMOOTH_DEGREE) for i in rims),
+        ],
+        [(odd[:, 0], MAP_DEGREE), (back.turned[..., 0], SMOOTH_DEGREE)],
+    )
+    reach = torch.where(passing, torch.linalg.vector_norm(back.e, dim=-1), torch.zeros_like(path)).max()
+    # The way in is fitted again at the tilts that are left.
+    inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
+    return replace(
+        inwards, leaving=leaving, misfit=max(misfit, inwards.misfit), aperture=(inwards.aperture[0], float(reach))
+    )
+
+
+def _accepted_box(
+    focused: FocusedLens,
+    sines: torch.Tensor,
+    curvature: float,
+    depth: float,
+    middle: torch.Tensor,
+    accepted: float,
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Corners [F, 2] of where light enters that leaves under accepted angles, found by narrowing down."""
+    box = None
+    for _ in range(_NARROWINGS):
+        bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, count=_COARSE)
+        back = _sent_back(focused, bundle, sines, depth)
+        # Far outside its rims a lens may send light back as well, by surfaces that are not there.
+        good = back.good & (back.height <= _STRAY).all(-1)
+        near = good & (torch.linalg.vector_norm(back.turned, dim=-1) <= _KEPT * accepted)
+        # Where no ray falls within, the nearest ones stand for it.
+        angle = torch.where(good, torch.linalg.vector_norm(back.turned, dim=-1), torch.inf)
+        near = near | (angle <= angle.amin(-1, keepdim=True))
+        far = torch.full_like(bundle.e, torch.inf)
+        lower = torch.where(near[..., None], bundle.e, far).amin(1)
+        upper = torch.where(near[..., None], bundle.e, -far).amax(1)
+        step = (bundle.e.amax(1) - bundle.e.amin(1)) / (_COARSE - 1)
+        box = lower - 1.5 * step, upper + 1.5 * step
+    assert box is not None
+    wide = torch.maximum(box[1][:, 0], -box[0][:, 0])
+    return torch.stack([-wide, box[0][:, 1]], -1), torch.stack([wide, box[1][:, 1]], -1)
+
+
+def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned, depth: float) -> torch.Tensor:
+    """Path [F, N] that the double pass of waves takes for rays: stationary there, so small departures do not count."""
+    middle, radius = tilt @ fits.middle, tilt @ fits.radius
+    chief = middle / radius
+    cosine = torch.sqrt(1 - chief**2)
+    v = back.mirror - torch.stack([torch.zeros_like(middle), middle - depth * chief / cosine], -1)[:, None, :]
+    bend = ((v**2).sum(-1) - (chief[:, None] * v[..., 1]) ** 2) / radius[:, None]
+    even, odd = values_at(fits.leaving, tilt, back.e)
+    s_in, s_out = back.bundle.s, torch.stack([odd[:, 0], even[:, 1]], -1)
+    cosines = torch.sqrt(1 - (s_in**2).sum(-1)) + torch.sqrt((1 - (s_out**2).sum(-1)).clamp_min(0))
+    taken = depth * (cosines + (chief / cosine)[:, None] * (s_in[..., 1] + s_out[..., 1]))
+    return back.bundle.psi + even[:, 0] + ((s_in + s_out) * v).sum(-1) + bend - taken
+
+
+def _last_return(
+    focused: FocusedLens, steepest: float, curvature: float, depth: float, accepted: float | None
+) -> float:
+    """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns."""
+    low, high = 0.0, steepest
+    for tried in (steepest, *[None] * _BISECTIONS):
+        sine = (low + high) / 2 if tried is None else tried
+        at = torch.tensor([sine], dtype=torch.float64)
+        if accepted is None:
+            back = trace_return(focused, at, curvature=curvature, depth=depth, count=_COARSE)
+            share = int(back.passing.sum()) / int(back.bundle.passing.sum())
+        else:
+            middle = trace_bundle(focused, at, curvature=curvature, count=_COARSE).middle
+            box = _accepted_box(focused, at, curvature, depth, middle, accepted)
+            bundle = trace_bundle(focused, at, curvature=curvature, middle=middle, box=box, count=_COARSE)
+            back = _sent_back(focused, bundle, at, depth)
+            near = back.good & (torch.linalg.vector_norm(back.turned, dim=-1) <= _KEPT * accepted)
+            share = int((near & back.passing).sum()) / max(1, int(near.sum()))
+        if share > _LEAST_SHARE:
+            low = sine
+            if tried is not None:
+                break
+        else:
+            high = sine
+    return low
+
+
+@dataclass(frozen=True)
+class _Rays:
+    """What `fit_functions` asks of a bundle."""
+
+    passing: torch.Tensor
+    near: torch.Tensor
+    height: torch.Tensor
+
+    @property
+    def good(self) -> torch.Tensor:
+        return self.near

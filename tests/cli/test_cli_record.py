@@ -1,0 +1,66 @@
+"""What the virtual bench films, asked for on the command line, and what real sources have no use for."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapetum.record.frames import open_frames
+from tapetum.record.recording import open_recording
+
+LITTLE = (
+    *("--set", "probe.sensor.pixels=[160, 120]", "--set", "target.sensor.pixels=[162, 122]"),
+    *("--set", "target.sensor.pitch=35.2um", "--set", "sampling.accuracy=0.02"),
+)
+
+
+def test_the_benchs_motion_blinks_and_clutter(run, tmp_path: Path) -> None:
+    out, plain = tmp_path / "a.rec", tmp_path / "plain.rec"
+    asked = ("--roll", 3, "--walk", 5.5, 4, "--blink", 4, "--clutter", 2, "--stray")
+    assert run("record", "hand-held", "-o", out, "--seconds", 3, "--seed", 5, *asked, *LITTLE).code == 0
+    recording = open_recording(out)
+    told = recording.meta
+    assert told["motion"]["roll"] == pytest.approx(math.radians(3)) and list(told["motion"]["walk"]) == [5.5, 4]
+    assert told["laser"]["code"]["seed"] == 4 and len(told["clutter"]) == 2
+    assert {one["kind"] for one in told["stray"]} == {"dimroom", "gradient", "fixedpattern"}
+    assert run("record", "hand-held", "-o", plain, "--seconds", 3, "--seed", 5, "--no-labels", *LITTLE).code == 0
+    alone = open_recording(plain).meta
+    assert alone["motion"]["walk"] is None and alone["motion"]["roll"] == 0
+    assert alone["laser"]["code"] is None and alone["clutter"] == [] and alone["stray"] == []
+    # They are in the pictures, not only in the words.
+    light, dark = (np.stack([frame.image for frame in open_frames(path)]) for path in (out, plain))
+    assert np.median(light.max(0)) > np.median(dark.max(0)) + 1
+    target = [float(frame.image.max()) for frame in open_frames(out, "target")]
+    # The word holds off bits: without the laser the brightest pixel is a dimmer one.
+    assert min(target) < 0.7 * max(target)
+
+
+@pytest.mark.parametrize(
+    "option", [("--roll", 2), ("--walk", 5, 4), ("--blink", 1), ("--clutter", 3), ("--stray",), ("--seed", 1)]
+)
+def test_a_real_source_refuses_what_is_the_benchs(run, chain, tmp_path: Path, option: tuple[object, ...]) -> None:
+    probe = chain.recording / "probe.mkv"
+    ran = run("record", probe, "--target", "camera:1", "-o", tmp_path / "a.rec", *option)
+    assert ran.code == 2 and f"{option[0]}: belongs to scenes of the virtual bench" in ran.complaint
+    scene = run("record", "hand-held", "--target", "camera:1", "-o", tmp_path / "a.rec", *option)
+    assert scene.code == 2 and "films its own target" in scene.complaint
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("option", "words"),
+    [
+        (("--walk", 5, 0), "motion.walk: must be positive, is (5.0, 0.0)"),
+        (("--walk", "nan", 3), "motion.walk: must not be negative, is (nan, 3.0)"),
+        (("--walk", 5), "--walk"),
+        (("--roll", "nan"), "Invalid value for '--roll'"),
+        (("--roll", -1), "--roll"),
+        (("--clutter", -1), "--clutter"),
+    ],
+)
+def test_a_motion_that_cannot_be(run, tmp_path: Path, option: tuple[object, ...], words: str) -> None:
+    ran = run("record", "hand-held", "-o", tmp_path / "a.rec", "--seconds", 1, *option)
+    assert ran.code == 2 and words in ran.complaint and list(tmp_path.iterdir()) == []

@@ -1,0 +1,37 @@
+"""A set small enough for tests: the plans of the real ones with little cameras and few seconds."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+from tapetum.bench import Scene, load_scene, with_values
+from tapetum.data.build import Rules
+from tapetum.data.synth import Plan, rotation_plan
+
+
+def little_scene() -> Scene:
+    values = {
+        "probe.sensor.pixels": [96, 80],
+        "probe.sensor.pitch": "4.4 um",
+        "target.sensor.pixels": [162, 122],
+        "target.sensor.pitch": "35.2 um",
+    }
+    return with_values(load_scene("hand-held"), values)
+
+
+def little_plan(videos: int = 2, seconds: float = 10.0, seed: int = 0) -> Plan:
+    """Some videos of two parts each."""
+    plan = rotation_plan(little_scene(), "small", seed)
+    short = tuple(replace(one, session=replace(one.session, seconds=seconds)) for one in plan.videos[:videos])
+    return replace(plan, videos=short, rules=Rules(side=40))
+
+
+def digest(store: Path) -> str:
+    """Of every byte of a folder."""
+    total = hashlib.sha256()
+    for file in sorted(store.rglob("*")):
+        if file.is_file():
+            total.update(str(file.relative_to(store)).encode() + b"\0" + file.read_bytes())
+    return total.hexdigest()

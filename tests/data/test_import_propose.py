@@ -1,0 +1,95 @@
+"""What a folder is taken for, before a person has said so."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapetum.data.importing import common_root, look_into, propose
+from tapetum.data.importing.guess import constants, depth, looks_centred, meaning
+from tapetum.errors import InputError
+from tapetum.record.video import VideoWriter
+
+
+def video(path: Path, count: int = 4) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with VideoWriter(path, (20, 24)) as writer:
+        for n in range(count):
+            writer.write(np.full((20, 24), n, np.uint8))
+
+
+def test_names_and_values_are_understood():
+    names = {
+        "Gaze_X": "gaze_x",
+        "set/xd": "object_distance",
+        "phone": "device",
+        "filename": "names",
+        "f_t": "focal_length",
+    }
+    assert {name: meaning(name) for name in names} == names
+    assert meaning("temperature") is None
+    assert constants("Focusing/50mm/xd_3.5m.mp4") == {"object_distance": "3.5 m", "focal_length": "50 mm"}
+    assert constants("video_1/probe.avi") == {}
+    for top, kind, scale in ((200, np.uint8, 255), (900, np.uint16, 1023), (0.8, np.float32, 1), (90, np.float32, 255)):
+        assert depth([np.full((2, 2), top, kind)]) == scale
+    spot = np.zeros((41, 41), np.uint8)
+    spot[18:23, 18:23] = 200
+    assert looks_centred([spot]) and not looks_centred([np.roll(spot, 12, axis=0)])
+    assert not looks_centred([spot[:, 4:-4]])
+
+
+def test_probe_and_target_videos_are_paired_and_named_apart(tmp_path: Path):
+    for name in ("Rotation/video_1", "Rotation/video_2", "Phones/video_1"):
+        video(tmp_path / name / "probe.mkv")
+        video(tmp_path / name / "target.mkv")
+    (tmp_path / "Phones" / "video_1" / "times.csv").write_text("probe_s,target_s\n" + "1.0,1.1\n" * 4)
+    proposal = propose(look_into([tmp_path]))
+    pairs = proposal.mapping("here").videos
+    assert [(pair.probe, pair.align) for pair in pairs] == [
+        ("Phones/video_1/probe.mkv", "timestamps"),
+        ("Rotation/video_1/probe.mkv", "same start"),
+        ("Rotation/video_2/probe.mkv", "same start"),
+    ]
+    assert [pair.name for pair in pairs] == ["Phones-video_1", "Rotation-video_1", ""]
+    assert "# guess: Rotation/video_1/probe.mkv: both videos begin at the same moment" in proposal.text
+
+
+def test_arrays_find_the_labels_of_their_own_name(tmp_path: Path):
+    for n in (1, 2):
+        np.save(tmp_path / f"v{n}_images.npy", np.zeros((9, 16, 16), np.uint8))
+        np.save(tmp_path / f"v{n}_gaze.npy", np.full((9, 2), n / 10))
+    np.save(tmp_path / "focal_length.npy", np.full(9, 50.0))
+    stacks = propose(look_into([tmp_path])).content["stacks"]
+    for n, stack in enumerate(stacks, 1):
+        assert stack["images"]["file"] == f"v{n}_images.npy"
+        assert stack["labels"]["gaze_x"]["file"] == f"v{n}_gaze.npy"
+        assert stack["labels"]["focal_length"] == {"file": "focal_length.npy", "unit": "mm"}
+
+
+def test_pictures_without_labels_leave_a_gap(tmp_path: Path):
+    np.save(tmp_path / "images.npy", np.zeros((9, 16, 16), np.uint8))
+    proposal = propose(look_into([tmp_path]))
+    assert "# missing: no labels were found for images.npy (9 pictures)" in proposal.text
+    with pytest.raises(InputError, match="no mapping could be made: no labels were found"):
+        proposal.mapping("here")
+
+
+def test_recordings_and_datasets_need_no_import(film, tmp_path: Path):
+    film()
+    (tmp_path / "set.zarr").mkdir()
+    (tmp_path / "set.zarr" / "zarr.json").write_text("{}")
+    found = look_into([tmp_path])
+    assert found.recordings == ["a.rec"] and not found.videos and not found.tables
+    with pytest.raises(InputError, match=r"no pictures were found \(recording a\.rec: cut it with"):
+        propose(found)
+
+
+def test_the_root_is_the_folder_that_holds_all(tmp_path: Path):
+    video(tmp_path / "a" / "one.mkv")
+    video(tmp_path / "b" / "two.mkv")
+    assert common_root([tmp_path / "a" / "one.mkv"]) == tmp_path / "a"
+    assert common_root([tmp_path / "a", tmp_path / "b" / "two.mkv"]) == tmp_path
+    found = look_into([tmp_path / "a", tmp_path / "b" / "two.mkv"])
+    assert [one.path for one in found.videos] == ["a/one.mkv", "b/two.mkv"]

@@ -1,0 +1,200 @@
+"""A set made part by part: the same, however it was made."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from synth_plans import digest, little_plan, little_scene
+
+from tapetum.data import build_dataset, content_hash, open_dataset
+from tapetum.data.build import Rules
+from tapetum.data.synth import Plan, focusing_plan, synthesise
+from tapetum.data.synth.plan import PIECE
+from tapetum.data.synth.work import make_part, shot_of
+from tapetum.errors import InputError
+from tapetum.record import film, label_recording
+
+
+class Stop:
+    """A progress that presses Ctrl-C after some parts."""
+
+    def __init__(self, after: int) -> None:
+        self.left = after
+
+    def __call__(self, items, what, *, total=None):
+        for item in items:
+            if self.left == 0:
+                raise KeyboardInterrupt
+            self.left -= 1
+            yield item
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory) -> Path:
+    return synthesise(little_plan(), tmp_path_factory.mktemp("synth") / "whole.zarr")
+
+
+def test_it_is_a_dataset_as_any_other(whole: Path):
+    dataset = open_dataset(whole)
+    assert dataset.tp.targets == ("gaze_x", "gaze_y")
+    assert dataset.tp.hash == content_hash(dataset)
+    assert dataset["image"].shape[1:] == (40, 40)
+    assert 200 < dataset.sizes["frame"] <= 300
+    told = dataset.tp.recordings
+    assert [one["name"] for one in told] == ["rotation-1", "rotation-2"]
+    for number, one in enumerate(told):
+        assert one["used"] == int((dataset["recording"] == number).sum())
+        assert one["used"] + sum(one["left_out"].values()) == one["frames"]
+        assert one["parameters"]["seed"] == one["seed"]
+        assert one["parameters"]["scene"]["target"]["sensor"]["pixels"] == [162, 122]
+    assert dataset.attrs["synth"]["seed"] == 0
+    assert [path.name for path in whole.parent.iterdir()] == ["whole.zarr"]
+
+
+def test_the_last_fifth_of_every_video_tests(whole: Path):
+    dataset = open_dataset(whole)
+    for number, one in enumerate(dataset.tp.recordings):
+        own = dataset.isel(frame=np.flatnonzero(dataset["recording"].values == number))
+        index = own["frame_index"].values
+        assert (np.diff(index) > 0).all()
+        np.testing.assert_array_equal(own["split"].values, (index >= 0.8 * one["frames"]).astype(int))
+
+
+def test_parts_give_what_the_whole_recording_gives(whole: Path, tmp_path: Path):
+    plan = little_plan()
+    recording = film(plan.videos[0].scene, tmp_path / "a.rec", plan.videos[0].session)
+    label_recording(recording)
+    filmed = open_dataset(build_dataset([recording.path], tmp_path / "a.zarr", side=40))
+    dataset = open_dataset(whole)
+    own = dataset.isel(frame=np.flatnonzero(dataset["recording"].values == 0))
+    assert int(own["frame_index"].max()) > PIECE
+    for name in ("frame_index", "image", "split", "centre_x", "snr", "time"):
+        np.testing.assert_array_equal(own[name].values, filmed[name].values, err_msg=name)
+    for name in ("gaze_x", "gaze_y", "quality"):
+        np.testing.assert_allclose(own[name].values, filmed[name].values, atol=1e-7, err_msg=name)
+
+
+def test_labels_are_measured_not_known(whole: Path):
+    plan = little_plan()
+    truth = shot_of(plan.videos[0].scene, plan.videos[0].session).truth().to_pandas()  # type: ignore[attr-defined]
+    truth = truth[truth["stream"] == "probe"].set_index("frame")
+    dataset = open_dataset(whole)
+    own = dataset.isel(frame=np.flatnonzero(dataset["recording"].values == 0))
+    error = own["gaze_x"].values - truth.loc[own["frame_index"].values, "gaze_x"].to_numpy()
+    assert 1e-5 < np.abs(error).mean() < 5e-3
+
+
+def test_an_interrupted_set_is_carried_on_to_the_same_bytes(whole: Path, tmp_path: Path):
+    out = tmp_path / "set.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(little_plan(), out, progress=Stop(2))
+    assert [path.name for path in tmp_path.iterdir()] == ["set.zarr.part"]
+    done = sorted((tmp_path / "set.zarr.part" / "done").iterdir())
+    assert [file.name for file in done] == ["0000000.json", "0000001.json", "0000002.json"]
+    made: list[int] = []
+
+    def watch(items, what, *, total=None):
+        made.append(total)
+        yield from items
+
+    synthesise(little_plan(), out, progress=watch)
+    assert made == [1, 4]
+    assert digest(out) == digest(whole)
+    assert [path.name for path in tmp_path.iterdir()] == ["set.zarr"]
+
+
+def test_another_set_is_not_mixed_in(tmp_path: Path):
+    out = tmp_path / "set.zarr"
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(little_plan(videos=1), out, progress=Stop(0))
+    for plan, word in (
+        (little_plan(videos=1, seed=1), "seed 0, not 1"),
+        (replace(little_plan(videos=1), size="paper"), "size small, not paper"),
+        (little_plan(videos=2), "other scenes"),
+    ):
+        with pytest.raises(InputError, match=word):
+            synthesise(plan, out)
+    (tmp_path / "set.zarr.part" / "plan.json").write_text("{}", encoding="utf-8")
+    with pytest.raises(InputError, match="no set that was begun"):
+        synthesise(little_plan(videos=1), out)
+
+
+def test_a_damaged_part_is_told_by_its_name(tmp_path: Path):
+    out = tmp_path / "set.zarr"
+    plan = little_plan(videos=1)
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(plan, out, progress=Stop(len(plan.parts)))
+    file = tmp_path / "set.zarr.part" / "done" / "0000001.json"
+    file.write_text(file.read_text(encoding="utf-8")[:20], encoding="utf-8")
+    with pytest.raises(InputError, match=r"0000001\.json: damaged"):
+        synthesise(plan, out)
+    assert not out.exists()
+    file.unlink()
+    synthesise(plan, out)
+    assert content_hash(open_dataset(out)) == open_dataset(out).tp.hash
+
+
+def test_threads_change_nothing(whole: Path):
+    plan, before = little_plan(), torch.get_num_threads()
+    try:
+        made = []
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            shot_of.cache_clear()
+            made.append(make_part(plan.videos[0], plan.parts[1], plan.rules, []))
+            assert torch.get_num_threads() == threads
+    finally:
+        torch.set_num_threads(before)
+    np.testing.assert_array_equal(made[0].crops, made[1].crops)
+    assert made[0].columns == made[1].columns
+
+
+def test_labels_of_a_whole_video_stand_with_every_frame(tmp_path: Path):
+    plan = focusing_plan(little_scene())
+    videos = tuple(replace(one, session=replace(one.session, seconds=2.0)) for one in plan.videos[4:6])
+    dataset = open_dataset(synthesise(replace(plan, videos=videos, rules=Rules(side=24)), tmp_path / "set.zarr"))
+    assert dataset.tp.targets == ("gaze_x", "gaze_y", "object_distance", "focal_length")
+    distance = np.array([5.0, 5.5], np.float32)[dataset["recording"].values]
+    np.testing.assert_array_equal(dataset["object_distance"].values, distance)
+    np.testing.assert_allclose(dataset["focal_length"].values, 0.05, rtol=1e-6)
+
+
+def test_devices_are_classes(tmp_path: Path):
+    plan = little_plan(seconds=2.0)
+    names = ("phone-02", "phone-01")
+    videos = tuple(replace(one, labels=(("device", name),)) for one, name in zip(plan.videos, names, strict=True))
+    dataset = open_dataset(synthesise(replace(plan, videos=videos), tmp_path / "set.zarr"))
+    assert dataset.tp.targets == ("gaze_x", "gaze_y", "device")
+    assert dataset.tp.classes == ("phone-01", "phone-02")
+    np.testing.assert_array_equal(dataset["device"].values, 1 - dataset["recording"].values)
+
+
+def test_a_set_without_any_frame_is_told_and_not_written(tmp_path: Path):
+    plan = little_plan(videos=1, seconds=1.0)
+    dark = replace(plan.videos[0], session=replace(plan.videos[0].session, laser=False))
+    with pytest.raises(InputError, match="no frame has both"):
+        synthesise(replace(plan, videos=(dark,)), tmp_path / "set.zarr")
+    assert not (tmp_path / "set.zarr").exists()
+
+
+def test_bad_arguments_are_told(whole: Path, tmp_path: Path):
+    plan = little_plan(videos=1)
+    with pytest.raises(InputError, match="exists already"):
+        synthesise(plan, whole)
+    for how, word in (({"workers": 0}, "workers"), ({"workers": 1, "cluster": "tcp://127.0.0.1:1"}, "two ways")):
+        with pytest.raises(InputError, match=word):
+            synthesise(plan, tmp_path / "set.zarr", **how)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_plan_in_the_part_folder_says_all(tmp_path: Path):
+    plan: Plan = little_plan(videos=1)
+    with pytest.raises(KeyboardInterrupt):
+        synthesise(plan, tmp_path / "set.zarr", progress=Stop(0))
+    told = json.loads((tmp_path / "set.zarr.part" / "plan.json").read_text(encoding="utf-8"))
+    assert told["digest"] == plan.digest and told["videos"][0]["session"]["seed"] == plan.videos[0].session.seed

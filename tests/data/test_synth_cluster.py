@@ -1,0 +1,87 @@
+"""A set made by several processes: the same bytes as by one, also when one of them dies."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+from pathlib import Path
+
+import psutil
+import pytest
+from synth_plans import digest, little_plan
+
+from tapetum.data.synth import synthesise
+from tapetum.errors import InputError, MissingExtraError
+
+SEED = 4
+
+
+def workers() -> list[psutil.Process]:
+    """Worker processes that this one has started."""
+    children = psutil.Process().children(recursive=True)
+    return [child for child in children if any("spawn_main" in word for word in child.cmdline())]
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory) -> str:
+    return digest(synthesise(little_plan(2, seed=SEED), tmp_path_factory.mktemp("alone") / "set.zarr"))
+
+
+def test_two_workers_one_killed_half_way_give_the_same_bytes(alone: str, tmp_path: Path):
+    killed: list[psutil.Process] = []
+    environment = dict(os.environ)
+
+    def kill(items, what, *, total=None):
+        for number, item in enumerate(items):
+            yield item
+            if number == 0 and not killed:
+                two = workers()
+                assert len(two) == 2
+                killed.append(two[0])
+                two[0].send_signal(signal.SIGKILL)
+
+    out = synthesise(little_plan(2, seed=SEED), tmp_path / "set.zarr", workers=2, progress=kill)
+    assert digest(out) == alone
+    assert len(killed) == 1 and not killed[0].is_running()
+    assert [path.name for path in tmp_path.iterdir()] == ["set.zarr"]
+    assert dict(os.environ) == environment
+    assert workers() == []
+
+
+def test_a_running_cluster_is_joined_by_its_address(alone: str, tmp_path: Path):
+    import distributed
+
+    # Its workers are threads of this process: as far as the set is concerned, another cluster.
+    with distributed.LocalCluster(
+        n_workers=1,
+        threads_per_worker=1,
+        processes=False,
+        protocol="tcp",
+        dashboard_address=None,
+        local_directory=str(tmp_path / "scratch"),
+    ) as cluster:
+        out = synthesise(little_plan(2, seed=SEED), tmp_path / "set.zarr", cluster=cluster.scheduler_address)
+    assert digest(out) == alone
+
+
+def test_a_cluster_without_workers_or_without_anybody_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    import distributed
+
+    monkeypatch.setattr("tapetum.data.synth.cluster._WAIT", 0.5)
+    with distributed.LocalCluster(
+        n_workers=0, processes=False, protocol="tcp", dashboard_address=None, local_directory=str(tmp_path / "scratch")
+    ) as cluster:
+        address = cluster.scheduler_address
+        with pytest.raises(InputError, match="has no workers"):
+            synthesise(little_plan(1), tmp_path / "a.zarr", cluster=address)
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        synthesise(little_plan(1), tmp_path / "b.zarr", cluster=address)
+    with pytest.raises(InputError, match="no Dask scheduler answers"):
+        synthesise(little_plan(1), tmp_path / "c.zarr", cluster="nonsense://1")
+
+
+def test_without_the_extra_its_name_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(MissingExtraError, match=r"tapetum\[cluster\]"):
+        synthesise(little_plan(1), tmp_path / "set.zarr", workers=1)
