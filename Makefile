@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 DEMO_OUT ?= demo-out
 
-.PHONY: setup demo test test-all lint format bench validation docs models lock clean
+.PHONY: setup peers demo test test-all lint format bench validation docs models lock clean
 
 setup: $(VENV)/.ready
 
@@ -14,13 +14,20 @@ $(VENV)/.ready: pyproject.toml requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[dev]'
 	@touch $@
 
+# Optiland, the ray tracer that the lenses are compared with: 840 MB that only some tests need.
+peers: $(VENV)/.peers
+
+$(VENV)/.peers: $(VENV)/.ready
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[zemax]'
+	@touch $@
+
 demo: setup
 	$(BIN)/tapetum demo --out $(DEMO_OUT)
 
 test: setup
 	$(BIN)/python -m pytest
 
-test-all: setup
+test-all: peers
 	$(BIN)/python -m pytest -m 'slow or not slow'
 
 lint: setup
@@ -37,7 +44,7 @@ bench: setup
 	$(BIN)/python -m benchmarks
 
 # docs/validation.md, from the numbers that the tests check (some minutes).
-validation: setup
+validation: peers
 	$(BIN)/python scripts/make_validation.py
 
 docs: setup

@@ -7,7 +7,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-NAMES = ("retroreflection", "growth", "features", "tracking", "filming", "synth", "learning")
+NAMES = ("retroreflection", "growth", "lenses", "features", "tracking", "filming", "synth", "learning")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -101,11 +101,22 @@ def test_the_guides_scenes_and_simulation_run(reader: Path):
     assert names["mine"].target.object_distance == 5.0
 
 
+def test_the_guides_real_lenses_run(reader: Path):
+    names: dict[str, Any] = {}
+    execute("import tapetum as tp", names, "guide.md")
+    for code in sections(GUIDE)["Real lenses and phones"]:
+        execute(code, names, "guide.md, Real lenses and phones")
+    assert names["turned"].irradiance.shape == (3, 64, 64)
+    # An open app makes the phone flash.
+    assert names["opened"].irradiance.max() > 1.2 * names["closed"].irradiance.max()
+
+
 def test_the_guides_recording_to_tracks_runs(reader: Path, brief, capsys):
     found, names = sections(GUIDE), {}
     assert set(found) == {
         "Scenes",
         "Simulate",
+        "Real lenses and phones",
         "Recordings",
         "Datasets and models",
         "Scores",
@@ -155,9 +166,9 @@ def test_the_guides_commands_simulate(reader: Path):
     from tapetum.cli.app import main
 
     lines = [line for where, line in commands() if where == "guide.md" and line.startswith("tapetum simulate")]
-    assert len(lines) == 3
+    assert len(lines) == 4
     for line in lines:
         coarse = ["--set", "sampling.accuracy=0.02", "--set", "probe.sensor.pixels=[48, 48]"]
         assert main([*shlex.split(line)[1:], *coarse]) == 0
-    for name in ("rr.png", "sweep.npy", "fig4.png"):
+    for name in ("rr.png", "sweep.npy", "fig4.png", "real.png"):
         assert (reader / name).stat().st_size > 0

@@ -10,7 +10,7 @@ import pytest
 
 from tapetum.cli import paper
 from tapetum.report.figures._style import new_figure
-from tapetum.report.paper import FIGURES
+from tapetum.report.paper import FIGURES, SIZES
 from tapetum.report.paper import write as writing
 
 
@@ -19,14 +19,18 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures of nothing: the real ones are tested with the report."""
 
     def maker(name: str) -> Any:
-        return lambda progress: (new_figure(1, 1), f"# {name}\n", {"measured": len(list(progress(range(3), name)))})
+        return lambda progress, size: (
+            new_figure(1, 1),
+            f"# {name}\n",
+            {"measured": len(list(progress(range(3), name))), "size": size},
+        )
 
     for name in FIGURES:
         monkeypatch.setitem(writing._MAKERS, name, maker(name))
 
 
 def test_it_offers_what_there_is() -> None:
-    assert paper.FIGURES == FIGURES
+    assert paper.FIGURES == FIGURES and paper.SIZES == SIZES
 
 
 def test_one_figure(run, tmp_path: Path, quick) -> None:
@@ -34,6 +38,12 @@ def test_one_figure(run, tmp_path: Path, quick) -> None:
     assert ran.code == 0
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["fig5.json", "fig5.md", "fig5.png"]
     assert "fig5.png" in ran.out and "fig5: 3 in" in ran.err
+
+
+@pytest.mark.parametrize(("given", "size"), [([], "paper"), (["--size", "small"], "small")])
+def test_the_size_asked_for(run, tmp_path: Path, quick, given: list[str], size: str) -> None:
+    told = json.loads(run("paper", "fig8", "-o", tmp_path, "--json", *given).out)
+    assert [one["size"] for one in told["figures"]] == [size]
 
 
 @pytest.mark.parametrize("which", [[], ["all"]])
@@ -49,7 +59,8 @@ def test_all_figures_as_json(run, tmp_path: Path, quick, which: list[str]) -> No
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["fig7", "-o", "out"], "use one of fig4, fig5, fig6, all"),
+        (["fig9", "-o", "out"], "use one of fig4, fig5, fig6, fig7, fig8, all"),
+        (["fig7", "-o", "out", "--size", "large"], "use one of small, paper"),
         (["fig4"], "Missing option"),
         (["fig4", "-o", "f"], "f:"),
     ],

@@ -71,7 +71,7 @@ def test_bundled_scenes_as_json(run, scene: str) -> None:
 def test_a_real_lens_is_planned_by_what_its_rays_tell(run) -> None:
     asked = ("rotation", "--set", "probe.sensor.pixels=[40, 32]", "--set", "sampling.accuracy=0.03", *PLAIN)
     told = planned(run, *asked)
-    assert told["geometry"]["camera"] == "cmount-12mm-f1.4" and told["sampling"]["memory_bytes"] is None
+    assert told["geometry"]["camera"] == "cmount-12mm-f1.4" and told["sampling"]["memory_bytes"] > 0
     # By real rays the field is not that of a thin lens.
     thin = 2 * math.degrees(math.atan(648 * 8.8e-6 / 2 / 3.8e-3))
     assert told["geometry"]["field_deg"][0] == pytest.approx(thin, rel=0.1)
@@ -81,7 +81,7 @@ def test_a_real_lens_is_planned_by_what_its_rays_tell(run) -> None:
     ran = run("plan", *asked)
     assert ran.code == 0 and "left out: not differentiated through a traced lens" in ran.out
     refused = run("plan", *asked, "--target-parameters", "gaze_x,object_distance")
-    assert refused.code == 2 and "object_distance is not differentiated through a traced lens" in refused.complaint
+    assert refused.code == 2 and "object_distance: not differentiated through a traced lens" in refused.complaint
 
 
 def test_a_phone_is_planned_without_limits(run) -> None:

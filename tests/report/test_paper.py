@@ -11,16 +11,19 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from tapetum.bench import load_scene
 from tapetum.errors import InputError
 from tapetum.report.figures import figure_png
-from tapetum.report.figures.paper import draw_fig4, draw_fig5, draw_fig6
+from tapetum.report.figures.paper import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
 from tapetum.report.paper import FIGURES, reproduce
 from tapetum.report.paper import write as writing
 from tapetum.report.paper.fig4 import DISTANCES, ROTATIONS, Fig4, simulate_fig4
 from tapetum.report.paper.fig5 import Fig5, simulate_fig5
 from tapetum.report.paper.fig6 import Fig6, simulate_fig6
+from tapetum.report.paper.fig7 import Fig7, Sample, sample
+from tapetum.report.paper.fig8 import Fig8, simulate_fig8
 from tapetum.report.paper.measure import holding_diameter, mirror_error, power_law, widths
-from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6
+from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
 
 SECTION = "The paper's figures"
 
@@ -38,6 +41,16 @@ def fig5() -> Fig5:
 @pytest.fixture(scope="module")
 def fig6() -> Fig6:
     return simulate_fig6(distances=(2.0, 3.0, 5.0), pixels=150, accuracy=1e-2)
+
+
+@pytest.fixture(scope="module")
+def turned() -> list[Sample]:
+    return [sample(f"{gaze:g}", load_scene("rotation"), (0.0, gaze), seed=1) for gaze in (0.0, 0.4)]
+
+
+@pytest.fixture(scope="module")
+def fig8() -> Fig8:
+    return simulate_fig8(names=("phone-01", "phone-02"))
 
 
 def disc(radius: float, size: int = 201) -> np.ndarray:
@@ -176,7 +189,7 @@ def test_figures_and_pages(fig4: Fig4, fig5: Fig5, fig6: Fig6) -> None:
         with Image.open(io.BytesIO(figure_png(figure, dpi=40))) as picture:
             assert np.asarray(picture.convert("L")).std() > 20
     pages = (text_fig4(fig4), text_fig5(fig5), text_fig6(fig6))
-    for name, page, found in zip(FIGURES, pages, (fig4, fig5, fig6), strict=True):
+    for name, page, found in zip(FIGURES[:3], pages, (fig4, fig5, fig6), strict=True):
         assert f"({name}.png)" in page and "**The paper**" in page and "**What differs**" in page
         assert " nan" not in page.lower() and max(len(line) for line in page.splitlines() if line[:1] != "|") <= 120
         json.dumps(found.numbers(), allow_nan=False)
@@ -186,10 +199,50 @@ def test_figures_and_pages(fig4: Fig4, fig5: Fig5, fig6: Fig6) -> None:
     assert f"{1e3 * fig6.named('mirror').diameter[-1]:.3f}" in pages[2]
 
 
+def test_samples_are_neither_black_nor_saturated(turned: list[Sample], fig8: Fig8) -> None:
+    for one in (*turned, *fig8.opened, *fig8.shut):
+        assert one.counts.shape == (400, 400) and one.counts.dtype == np.uint8
+        assert one.row["peak_over_full_scale"] > 0.05 and one.row["saturated_pixels"] < 200
+        assert one.counts.std() > 0.5
+
+
+def test_fig7_turns_from_rings_into_a_line(turned: list[Sample]) -> None:
+    middle, edge = (one.row for one in turned)
+    assert middle["width_y_um"] == pytest.approx(middle["width_x_um"], rel=0.1)
+    assert edge["width_y_um"] > 1.25 * edge["width_x_um"]
+
+
+def test_fig8_filters_show_the_probes_aperture(fig8: Fig8, validated) -> None:
+    """Without the second beam's disc at its side, which is a tenth as bright."""
+    single = fig8.opened[0]
+    assert single.row["seen"] == single.row["cameras"] == 1
+    what = "Fig. 8, a filter before the focus: diameter with half of the light, second beam included"
+    error = abs(single.row["disc_um"] / (1e6 * fig8.disc) - 1)
+    validated(SECTION, what, error, 0.25, "D_p f_p/d", "of the diameter")
+    # Shutting the app takes light away and adds none.
+    assert [one.name for one in fig8.shut] == ["phone-02"] and fig8.opened[1].row["flash_electrons"] > 0
+
+
+def test_figures_and_pages_of_samples(turned: list[Sample], fig8: Fig8) -> None:
+    lost = Sample("3 m", np.zeros((400, 400), np.uint8), {}, "target: too far out of focus")
+    fig7 = Fig7(turned, [lost, *turned], turned, 255, 2.2e-6)
+    for name, figure, page, found in (
+        ("fig7", draw_fig7(fig7), text_fig7(fig7), fig7),
+        ("fig8", draw_fig8(fig8), text_fig8(fig8), fig8),
+    ):
+        with Image.open(io.BytesIO(figure_png(figure, dpi=40))) as picture:
+            assert np.asarray(picture.convert("L")).std() > 20
+        assert f"({name}.png)" in page and "**The paper**" in page and "**What differs**" in page
+        assert " nan" not in page.lower() and "imulat" in page
+        assert max(len(line) for line in page.splitlines() if line[:1] != "|") <= 120
+        json.dumps(found.numbers(), allow_nan=False)
+    assert "too far out of focus" in text_fig7(fig7)
+
+
 def test_files_of_a_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fig6: Fig6) -> None:
     made: list[str] = []
 
-    def small(progress: object) -> tuple[object, str, dict[str, object]]:
+    def small(progress: object, size: str) -> tuple[object, str, dict[str, object]]:
         made.append("fig6")
         return draw_fig6(fig6), text_fig6(fig6), fig6.numbers()
 
@@ -202,8 +255,10 @@ def test_files_of_a_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fig6
 
 
 def test_refusals(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="fig7"):
-        reproduce(["fig7"], tmp_path)
+    with pytest.raises(InputError, match="fig9"):
+        reproduce(["fig9"], tmp_path)
+    with pytest.raises(InputError, match="large"):
+        reproduce(["fig7"], tmp_path, size="large")
     with pytest.raises(InputError, match="none"):
         reproduce([], tmp_path)
     taken = tmp_path / "taken"

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from scipy.special import jn_zeros
 
-from tapetum.bench.phone import Dots
+from tapetum.bench import load_scene, with_values
+from tapetum.bench.phone import Dots, load_phone
 from tapetum.optics.grid import Grid
+from tapetum.record.returns import Flashes, flashes_of
 from tapetum.simulate.dots import (
     beam_directions,
     beam_offsets,
@@ -152,3 +154,32 @@ def test_exposures_meet_pulses_as_their_lengths_say(validated) -> None:
         )
     assert lit_time(one, np.array([0.0105]), np.array([2e-3]), 0.004)[0] == 0
     assert lit_time(one, np.array([0.0045]), np.array([1e-4]), 0.004)[0] == pytest.approx(1e-4)
+
+
+def test_frames_hold_the_flashes_whichever_are_made() -> None:
+    """In the virtual bench patches belong to a frame alone, and only an open camera app has them."""
+    phone = with_values(load_scene("phones"), {"target.name": "phone-10"})
+    # One beam of the middle comes by as the phone turns.
+    count = 12
+    x, y, _ = beam_directions(load_phone("phone-10").dots)[12 * 24 + 12]
+    tilts = np.stack([-x + np.linspace(-0.02, 0.02, count), np.full(count, y)], -1)
+    held = (np.full(count, 1e-3), tilts, np.zeros((count, 2)), np.linspace(0, 0.05, count), np.full(count, 5.5))
+    made = Flashes(phone, *held)
+    patches = [made.patch(i) for i in range(count)]
+    seen = [i for i, patch in enumerate(patches) if patch is not None]
+    assert 0 < len(seen) < count
+    for i in reversed(seen):
+        first, again = patches[i], Flashes(phone, *(one[i : i + 1] for one in held)).patch(0)
+        assert first is not None and again is not None and again[:2] == first[:2]
+        assert np.array_equal(again.light, first.light) and first.light.min() >= 0
+        # At the projector's place against the main camera times f_p/d, turned with the hand; the tilt shortens it.
+        middle = np.array(first[:2]) + (first.light.shape[0] - 1) / 2 - 319.5
+        c, s = math.cos(held[3][i]), math.sin(held[3][i])
+        place = np.array([c * -16.4e-3 - s * -1.2e-3, s * -16.4e-3 + c * -1.2e-3])
+        np.testing.assert_allclose(middle, place * 0.1 / 5.5 / 2.2e-6, atol=2)
+    assert Flashes(phone, 0 * held[0], *held[1:]).patch(seen[0]) is None
+    shut = with_values(phone, {"target.imaging": False})
+    bare = with_values(phone, {"target.name": "phone-01"})
+    nothing = (np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.ones(1))
+    for other in (shut, bare, load_scene("thin-lens")):
+        assert flashes_of(other, np.zeros(1), np.ones(1), 0.3, nothing) is None

@@ -14,9 +14,9 @@ import torch
 from tapetum.bench import Scene, load_scene, scene_names, with_values
 from tapetum.errors import InputError
 from tapetum.simulate.budget import link_budget
-from tapetum.simulate.camera import Camera
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, beam_of, eye_safety
 from tapetum.simulate.information import FisherInformation
+from tapetum.simulate.phone import open_camera
 from tapetum.simulate.plan_parts import in_si
 from tapetum.simulate.planning import PARAMETERS, Plan, plan_bench
 from tapetum.simulate.retroreflect import plan_scene
@@ -59,13 +59,15 @@ def test_every_number_is_its_module_s(name: str) -> None:
     bench = scene(name, rotation=[0.1, 0.3])
     plan = plan_bench(bench)
     sine = math.hypot(math.sin(math.radians(0.1)), math.sin(math.radians(0.3)))
-    camera = Camera(bench, sine)
+    camera = open_camera(bench, sine)
     assert plan.budgets == (link_budget(bench),)
     assert plan.sampling.plan == camera.plan.as_dict() == plan_scene(bench, sine).as_dict()
     assert plan.sampling.expected_error == camera.plan.expected_error
     assert plan.sampling.memory_bytes == camera.plan.bytes_needed(1, math.prod(bench.probe.sensor.pixels))
     assert plan.eye.found == eye_safety(beam_of(bench), (bench.distance,))
-    assert plan.limit.parameters == PARAMETERS
+    told = () if plan.limit is None else plan.limit.parameters
+    assert (*told, *plan.left_out) and set(told) | set(plan.left_out) == set(PARAMETERS)
+    assert (told == PARAMETERS) == (bench.target.lens.kind == "thin")
 
 
 def test_geometry_by_hand() -> None:

@@ -1,4 +1,4 @@
-"""What is not built as drawn: tilted sensors, decentred lenses, shifted microlenses; and sensors that do not image."""
+"""What is not built as drawn: tilted sensors, decentred lenses, shifted microlenses."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ SECTION = "Tilt, decentre and microlens shift"
 WAVELENGTH, PITCH = 640e-9, 30e-6
 K = 2 * math.pi / WAVELENGTH
 FOCAL, RADIUS, FOCUSED = 0.05, 0.8e-3, 3.0
-OUTPUT = Grid(32, 32, 10e-6)
+OUTPUT = Grid(24, 24, 12e-6)
 Validated = Callable[..., None]
 Mask = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
@@ -150,7 +150,7 @@ def test_a_microlens_shift_is_a_sampled_plane_with_its_lenses_moved(validated: V
     place = z * float(TILT[0]), z * float(TILT[1])
     got, want = by_orders(one, TILT), by_samples(shifted_plane(one, place), TILT, 0.0, PITCH / 5)
     what = f"Shift 0.02, spot {1e6 * math.hypot(*place):.0f} um from the middle: complex field"
-    validated(SECTION, what, apart(got, want), 5e-3, "a cell drawn as at the spot, sampled, double pass by grids")
+    validated(SECTION, what, apart(got, want), 1e-2, "a cell drawn as at the spot, sampled, double pass by grids")
     assert one.microlens is not None
     still = by_orders(replace(one, microlens=replace(one.microlens, shift=0.0)), TILT)
     assert apart(still, want) > 0.1
@@ -200,19 +200,19 @@ def test_no_shift_is_the_plain_array() -> None:
         assert complex(torch.as_tensor(moved[order.direction].at(at))[0]) == pytest.approx(order.amplitude, abs=1e-3)
 
 
-@pytest.mark.parametrize("lens", [None, {"kind": "prescription", "name": "phone-f"}])
+@pytest.mark.parametrize("lens", [None, {"kind": "prescription", "name": "la1509"}])
 def test_gaze_counts_from_the_middle_of_the_sensor(lens: dict[str, object] | None) -> None:
-    base = with_values(load_scene("thin-lens"), {"target.sensor.pixels": [400, 300]})
+    base = with_values(load_scene("thin-lens"), {"target.sensor.pixels": [300, 220]})
     base = base if lens is None else with_values(base, {"target.lens": lens})
-    d = (20e-6, -30e-6)
-    scene = with_values(base, {"target.sensor": {"decentre": list(d)}})
+    d = torch.tensor([20e-6, -30e-6], dtype=torch.float64)
+    scene = with_values(base, {"target.sensor": {"decentre": d.tolist(), "pixels": [300, 220]}})
     gaze = torch.tensor([[0.0, 0.0], [0.1, -0.05]], dtype=torch.float64)
     sines = tilt_of_gaze(scene, gaze)
     assert torch.allclose(gaze_of(scene, sines), gaze, atol=1e-9)
     field = torch.tensor(base.target.sensor.pixels, dtype=torch.float64) * base.target.sensor.pitch
-    assert torch.allclose(gaze_of(base, sines), gaze - torch.tensor(d) / field, atol=1e-9)
-    assert torch.allclose(gaze_of(scene, torch.zeros(1, 2).double())[0], torch.tensor(d).double() / field, atol=1e-9)
-    assert torch.allclose(point_of_symmetry(scene), torch.tensor(d).double() / field, atol=1e-9)
+    assert torch.allclose(gaze_of(base, sines), gaze - d / field, atol=1e-9)
+    assert torch.allclose(gaze_of(scene, torch.zeros(1, 2).double())[0], d / field, atol=1e-9)
+    assert torch.allclose(point_of_symmetry(scene), d / field, atol=1e-9)
 
 
 def test_the_sign_behind_a_tilted_sensor() -> None:

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
 from traced_cases import (
-    K,
-    MIRROR,
     PROBE_FOCAL,
     WAVELENGTH,
     Case,
+    K,
     along_y,
     bare,
     difference,
@@ -26,7 +24,7 @@ from traced_cases import (
     with_mirror_at,
 )
 
-from tapetum.bench import TargetSensor
+from tapetum.bench import PixelArray, TargetSensor
 from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
@@ -51,7 +49,7 @@ def irradiance_difference(field: torch.Tensor, like: torch.Tensor) -> float:
     [
         (PHONE, 0.0, (34, 104), 3e-3),
         (PHONE, 3.0, (34, 104), 1e-3),
-        (Case("compact-6mm-f1.9", 4.0, f_number=4.5), 2.0, (34, 104), 3e-3),
+        (Case("phone-b", 4.0, f_number=4.0), 2.0, (40, 130), 5e-3),
     ],
     ids=str,
 )
@@ -82,7 +80,7 @@ def thin_lens(case: Case, degrees: float, output: Grid, grids: TracedGrids) -> t
     tilt = fits.nodes.terms(sines[:, 1])
     chief = float((tilt @ fits.middle) / (tilt @ fits.radius))
     z = focused.image - focused.exit_pupil
-    count = 2 * grids.pupil
+    count = grids.pupil
     disc = disc_quadrature(case.lens.aperture_radius, count, count)
     places = torch.stack(torch.meshgrid(disc.x, disc.y, indexing="xy"), -1).reshape(1, -1, 2)
     path = values_at(fits.leaving, tilt, places)[0][0, 0].reshape(count, count)
@@ -106,8 +104,8 @@ def thin_lens(case: Case, degrees: float, output: Grid, grids: TracedGrids) -> t
     [
         (100 / 6, math.inf, 0.0, TracedGrids(325, 462, 8.4e-4, 6.3e-4, 325), 2e-6),
         (100 / 6, math.inf, 0.5, TracedGrids(325, 462, 8.4e-4, 6.3e-4, 325), 2e-6),
-        (100 / 3, 1.0, 0.0, TracedGrids(360, 330, 1.2e-3, 9e-4, 300), 1.1e-5),
-        (100 / 3, 1.0, 0.3, TracedGrids(360, 330, 1.2e-3, 9e-4, 300), 1.1e-5),
+        (100 / 3, 1.0, 0.0, TracedGrids(700, 330, 1.2e-3, 9e-4, 400), 1.1e-5),
+        (100 / 3, 1.0, 0.3, TracedGrids(700, 330, 1.2e-3, 9e-4, 400), 1.1e-5),
     ],
 )
 def test_la1509_is_a_thin_lens_with_its_aberration(
@@ -151,10 +149,9 @@ def at_places(
     """Irradiance [Q] at places [Q, 2] of the probe's sensor, by a plain sum over the field that leaves."""
     from tapetum.simulate.foreshortening import foreshortening
 
-    rotation, triangle = foreshortening(sines)
+    _, triangle = foreshortening(sines)
     # The pupil's columns and rows are turned by R: e = R (x, y), and e·Mq = (x, y)·Tq.
     seen = places @ triangle[0].T
-    del rotation
     columns = phasor(-K / PROBE_FOCAL * x[:, None] * seen[:, 0])
     rows = phasor(-K / PROBE_FOCAL * y[:, None] * seen[:, 1])
     value = (rows * (pupil.to(rows.dtype) @ columns)).sum(0)
@@ -188,13 +185,8 @@ def test_an_aligned_lens_hides_the_sign_of_the_gaze(case: Case, tolerance: float
     assert error > 1e-6
 
 
-def array(**values: Any) -> TargetSensor:
-    return TargetSensor(
-        pixels=(200, 200),
-        pitch=2.2e-6,
-        array={"pitch": 2.2e-6, "fill": 0.5},
-        **values,  # type: ignore[arg-type]
-    )
+def array() -> TargetSensor:
+    return TargetSensor(pixels=(200, 200), pitch=2.2e-6, array=PixelArray(pitch=2.2e-6, fill=0.5))
 
 
 def test_orders_are_a_sampled_mask(validated: Any, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -211,7 +203,7 @@ def test_orders_are_a_sampled_mask(validated: Any, monkeypatch: pytest.MonkeyPat
     ours = mine.field(tilt)[0]
     reflects = reflectance_at(sensor, WAVELENGTH)
 
-    def sampled(self: TracedPass, middle: torch.Tensor, _chief: torch.Tensor, _toward: torch.Tensor) -> torch.Tensor:
+    def sampled(self: TracedPass, middle: torch.Tensor, *_: Any) -> torch.Tensor:
         v = self._v
         # Across the tilt runs against x.
         return reflects((-v).flip(0), middle[0] + v).flip(1)[None]
@@ -251,20 +243,20 @@ def along_energy(one: TracedPass, degrees: float) -> float:
 
 
 def test_a_layer_is_the_sensor_moved(validated: Any) -> None:
-    """Through air a layer is a sensor that stands nearer; through glass, nearer by its reduced depth."""
-    depth, output, tilt = 30e-6, picture(PHONE), along_y(2.0)
+    """Through air a layer is a sensor that stands nearer; through glass, nearer by its reduced depth.
+
+    The kernel's chirp is the sensor's, so a layer's paths are off by t² s²/R: the plan's departure says so.
+    """
+    depth, output, tilt = 10e-6, picture(PHONE), along_y(2.0)
     focused, fits = traced(PHONE)
-    base = planned(PHONE, output).passes[0]
     grids = TracedGrids(260, 190, 6e-5, 5e-5, 420)
     nearer = fit_pupils(with_mirror_at(focused, depth), PHONE.steepest)
-    want = bare(nearer, grids, output).field(tilt)[0].abs() ** 2
-    del base
+    want = bare(nearer, grids, output).field(tilt)[0]
     for index, at in ((1.0, depth), (1.5, 1.5 * depth)):
         surface = Surface(focused.image - depth, depth=at, index=index)
-        ours = bare(fits, grids, output, surface).field(tilt)[0].abs() ** 2
-        error = float((ours - want).abs().max() / want.max())
+        error = irradiance_difference(bare(fits, grids, output, surface).field(tilt)[0], want)
         what = f"a layer {at * 1e6:g} µm before the sensor, n = {index:g}, {PHONE}, 2°"
-        validated(SECTION, what, error, 2e-2 if index == 1 else 5e-2, "the sensor moved by its reduced depth")
+        validated(SECTION, what, error, 1e-2, "the sensor moved by its reduced depth")
 
 
 def test_planes_interfere() -> None:
@@ -325,6 +317,3 @@ def test_single_precision_agrees_with_double(validated: Any) -> None:
     tilt = along_y(0.0, 3.0)
     error = irradiance_difference(single.field(tilt).to(torch.complex128), double.field(tilt))
     validated(SECTION, f"complex64, {PHONE}", error, 1e-4, "complex128")
-
-
-_ = replace, MIRROR

@@ -1,4 +1,4 @@
-"""Real lenses for the tests of the traced engine, and their double pass by brute force: no polynomial, no grid to share.
+"""Real lenses for the tests of the traced engine, and their double pass by brute force: no polynomial, no shared grid.
 
 `huygens` follows rays to the exit pupil and sums, over all of them and exactly, waves from there to every point of the
 sensor and back: exp(ik |u - p|), without the second-order chirp, fits and interpolation of `TracedPass`.
@@ -15,8 +15,8 @@ import numpy as np
 import torch
 
 from tapetum.bench import PrescriptionLens
-from tapetum.optics.fourier import phasor
 from tapetum.optics.focus import FocusedLens
+from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.rays import to_plane, trace
 from tapetum.simulate.exit_path import ExitPath
@@ -54,7 +54,7 @@ class Case:
 
     @property
     def lens(self) -> PrescriptionLens:
-        values = {"focal_length": self.focal_length, "f_number": self.f_number}
+        values: dict[str, Any] = {"focal_length": self.focal_length, "f_number": self.f_number}
         return PrescriptionLens(self.name, **{key: value for key, value in values.items() if value is not None})
 
 

@@ -12,7 +12,8 @@ from tapetum.errors import one_of
 from tapetum.progress import bar
 
 # Known without torch, for the help: a test holds them to those of the report.
-FIGURES = ("fig4", "fig5", "fig6")
+FIGURES = ("fig4", "fig5", "fig6", "fig7", "fig8")
+SIZES = ("small", "paper")
 
 
 def paper(
@@ -20,18 +21,23 @@ def paper(
     figure: Annotated[
         str, typer.Argument(metavar="[FIGURE]", help=f"One of {', '.join(FIGURES)}, or all of them.")
     ] = "all",
+    size: Annotated[
+        str, typer.Option(metavar="SIZE", help="paper, or small: fewer images in fig7 and fig8.")
+    ] = "paper",
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done, and the numbers, as JSON.")] = False,
 ) -> None:
     """Simulate figures of the paper, measure them, and say beside them what it reports and what differs.
 
     fig4: a thin lens, turned and refocused (section 4.1). fig5: head-on from 0.5 to 5 m (section 4.2). fig6: a mirror
-    and cardboard (section 4.3). Each becomes NAME.png, NAME.md and NAME.json; files of these names are replaced.
+    and cardboard (section 4.3). fig7 and fig8: samples of the three sets (sections 4.4 and 4.5), minutes each. Each
+    becomes NAME.png, NAME.md and NAME.json; files of these names are replaced.
     """
     one_of(figure, (*FIGURES, "all"), "FIGURE")
+    one_of(size, SIZES, "--size")
     # Torch and Matplotlib take seconds to import.
     from tapetum.report.paper import reproduce
 
-    made = reproduce(FIGURES if figure == "all" else (figure,), out, progress=bar)
+    made = reproduce(FIGURES if figure == "all" else (figure,), out, size=size, progress=bar)
     if as_json:
         figures = [{"name": one.name, "files": [str(file) for file in one.files], **one.numbers} for one in made]
         typer.echo(json.dumps({"out": str(out), "figures": figures}, allow_nan=False))

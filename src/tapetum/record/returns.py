@@ -94,7 +94,7 @@ class Returns:
         cameras = [_camera(replace(self.scene, distance=one), self._steepest) for one in ends]
         # Only the RR's own neighbourhood is computed: light beyond it would not make one electron.
         windows = [camera.window() for camera in cameras]
-        finite = any(str(camera.metadata().get("propagation")).startswith("finite") for camera in cameras)
+        finite = any(camera.finite for camera in cameras)
         return max(windows, key=lambda grid: grid.rows), finite
 
     def _nodes(self, finite: bool) -> Array:

@@ -318,6 +318,11 @@ class Camera:
         return total
 
     @property
+    def finite(self) -> bool:
+        """Whether light is carried over the distance and through the probe's aperture; found without planning."""
+        return self._finite
+
+    @property
     def polychromatic(self) -> bool:
         """Whether there is light of more than one wavelength."""
         return len(self._lines) > 1

@@ -31,7 +31,7 @@ Array = npt.NDArray[np.float64]
 DIVERGENCE = math.radians(0.5)
 # Electrons a photon of 940 nm, of a silicon sensor made for visible light: assumed.
 EFFICIENCY = 0.05
-# What the filter before the probe's camera, made for its own laser, leaves of other light: assumed, of optical density 4.
+# What a filter before the probe's camera, made for its own laser, leaves of it: assumed, an optical density of 4.
 PASSED = 1e-4
 # Light may turn so far between two samples of the aperture, in radians.
 _RADIANS = 2.0

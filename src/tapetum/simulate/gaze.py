@@ -13,6 +13,8 @@ from tapetum.simulate.field_map import FieldMap, field_map
 __all__ = ["gaze_of", "largest_sine", "tilt_of_gaze"]
 
 _NO_TILT = 1e-12
+# Nearer to the axis a traced lens counts as linear: the fit's own offset there, some 1e-11 m, would spoil the slope.
+_NEAR_TILT, _NEAR_PLACE = 1e-4, 1e-6
 
 
 def largest_sine(sines: torch.Tensor) -> float:
@@ -25,6 +27,7 @@ def gaze_of(scene: Scene, sines: torch.Tensor) -> torch.Tensor:
     size = torch.sqrt((sines**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
     traced = _traced(scene)
     if traced is not None:
+        size = size.clamp_min(_NEAR_TILT)
         place = sines / size * traced.image(size[..., 0])[..., None]
     else:
         place = sines / torch.sqrt(1 - size**2) * _image_distance(scene)
@@ -42,7 +45,7 @@ def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
     place = gaze * _field(scene) - _axis(scene)
     traced = _traced(scene)
     if traced is not None:
-        height = torch.sqrt((place**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
+        height = torch.sqrt((place**2).sum(-1, keepdim=True).clamp_min(_NEAR_PLACE**2))
         return place / height * traced.sine(height[..., 0])[..., None]
     tangents = place / _image_distance(scene)
     return tangents / torch.sqrt(1 + (tangents**2).sum(-1, keepdim=True))

@@ -16,7 +16,7 @@ from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import count_moments, gain_of, hot_currents
 from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
-from tapetum.simulate.radiometry import beam_radius, electrons
+from tapetum.simulate.radiometry import beam_radius, dark_electrons, electrons
 
 __all__ = ["PARAMETERS", "FisherInformation", "expected_electrons", "fisher", "not_told", "true_values"]
 
@@ -134,10 +134,13 @@ def fisher(
 
     The gaze is the laser's place in the target's picture, z tan θ/(pN): that is what stays where focus or focal length
     are varied, not the angle. The derivatives come by automatic differentiation through the whole chain, with the grids
-    as planned.
+    as planned; a traced lens's by differences, for its picture has no azimuth to differentiate by in the middle.
     """
     names = _checked(scene, parameters)
     start = true_values(scene, names)
+    if isinstance(scene.target.lens, PrescriptionLens):
+        information = _traced_information(scene, names, accuracy, device)
+        return FisherInformation(names, tuple(start.values()), information)
     scales = [abs(value) if name not in _FREE and value else _FREE.get(name, 1.0) for name, value in start.items()]
     steps = torch.zeros(len(names), dtype=torch.float64, requires_grad=True)
     values = {n: v + step * s for (n, v), step, s in zip(start.items(), steps, scales, strict=True)}
@@ -148,6 +151,36 @@ def fisher(
     information = (jacobian * weight[None, :]) @ jacobian.T
     units = torch.tensor(scales, dtype=torch.float64, device=information.device)
     return FisherInformation(names, tuple(start.values()), (information / (units[:, None] * units[None, :])).cpu())
+
+
+def _traced_information(
+    scene: Scene, names: tuple[str, ...], accuracy: float | None, device: torch.device | str
+) -> torch.Tensor:
+    """Fisher's matrix [P, P] of gaze and power, by central differences of the gaze."""
+    gaze = torch.tensor(list(true_values(scene, ("gaze_x", "gaze_y")).values()), dtype=torch.float64)
+    target = scene.target
+    spot = scene.illumination.wavelength * target.lens.focal_length / (2 * target.lens.aperture_radius)
+    array = target.sensor.array
+    # Photosites and the lenses over them repeat alike.
+    period = target.sensor.pitch if array is None or array.pitch is None else array.pitch
+    finest = min(spot, period) if array is not None or target.sensor.microlens is not None else spot
+    step_x, step_y = (_STEP_SHARE * finest / (count * target.sensor.pitch) for count in target.sensor.pixels)
+    steps = torch.tensor([[0, 0], [step_x, 0], [-step_x, 0], [0, step_y], [0, -step_y]], dtype=torch.float64)
+    tilts = tilt_of_gaze(scene, gaze + steps)
+    camera = Camera(scene, largest_sine(tilts), accuracy=accuracy, dtype=torch.complex128, device=device)
+    sensor, light = scene.probe.sensor, scene.illumination
+    with torch.no_grad():
+        irradiance = camera(tilts, equivalent=True).to(torch.float64)
+    mean = electrons(irradiance[0], sensor, light.wavelength)
+    made = electrons(irradiance, sensor, light.wavelength).flatten(1)
+    slopes = {
+        "gaze_x": (made[1] - made[2]) / (2 * step_x),
+        "gaze_y": (made[3] - made[4]) / (2 * step_y),
+        "power": (made[0] - dark_electrons(sensor)) / light.power,
+    }
+    jacobian = torch.stack([slopes[name] for name in names])
+    weight = _told_by_pixels(mean, sensor).flatten()
+    return ((jacobian * weight[None, :]) @ jacobian.T).cpu()
 
 
 def expected_electrons(
@@ -190,7 +223,8 @@ def expected_electrons(
         sines = tilt_of_gaze(scene, gaze)[None, :]
     else:
         field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
-        tangents = gaze * field * (1 / at["focal_length"] - 1 / at["object_distance"])
+        axis = torch.tensor(sensor.decentre, dtype=torch.float64)
+        tangents = (gaze * field - axis) * (1 / at["focal_length"] - 1 / at["object_distance"])
         sines = (tangents / torch.sqrt(1 + tangents.square().sum()))[None, :]
     places = torch.stack([at["place_x"], at["place_y"]])[None, :]
     camera = Camera(
@@ -290,6 +324,10 @@ def _where_it_matters(scene: Scene) -> Grid | None:
 _STEP = 0.02
 # Information from which an inverse, or a share of one parameter's own, is told from rounding.
 _ROUNDING = 1e-10
+# Share of the finest thing on a traced lens's sensor, spot or photosite, by which its gaze is stepped. Smaller steps
+# take the picture's own rounding for change, larger ones miss the change. Half and twice of it give the same limits
+# within 2 %; those of a bare mirror behind an f/1.4 lens in focus, which hardly tells, within 20 %.
+_STEP_SHARE = 1 / 25
 # What the traced lens is differentiated by.
 _TRACED = ("gaze_x", "gaze_y", "power")
 # What may be zero is counted in units of its own.
@@ -304,7 +342,7 @@ def not_told(scene: Scene, name: str) -> str | None:
     if isinstance(target.lens, PrescriptionLens) and name not in _TRACED:
         return "not differentiated through a traced lens"
     if name == "object_distance" and target.object_distance == float("inf"):
-        return "infinite: no step from there is finite"
+        return "the target is focused at infinity"
     return None
 
 
@@ -318,10 +356,10 @@ def _checked(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
     for name in names:
         why = not_told(scene, name)
         if why is not None:
-            other = "focus at a finite distance" if "infinite" in why else "take a thin lens"
+            other = "focus where it is not infinite" if "infinity" in why else "take a thin lens"
             if isinstance(scene.target, PhoneTarget):
                 other = "take one of its cameras for the target"
-            raise InputError(f"{name} is {why}", where="parameters", remedy=f"leave {name} out, or {other}")
+            raise InputError(f"{name}: {why}", where="parameters", remedy=f"leave {name} out, or {other}")
     _check_derivatives(scene, names)
     return names
 

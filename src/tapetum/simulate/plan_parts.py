@@ -118,7 +118,7 @@ class SamplingChoice:
     claim
         That error in words.
     memory_bytes
-        For one image at a time, as the planner counts it; None for a traced lens, whose planner does not.
+        For one image at a time, as the planner counts it.
     wavelengths, planes
         That are computed for themselves and summed: samples of the light's spectrum in metres, and how many reflecting
         or scattering planes, or groups of them that interfere.
@@ -131,7 +131,7 @@ class SamplingChoice:
     plan: dict[str, Any]
     expected_error: float
     claim: str
-    memory_bytes: int | None
+    memory_bytes: int
     wavelengths: tuple[float, ...]
     planes: int
     propagation: str
@@ -148,7 +148,7 @@ class SamplingChoice:
         return [
             (str(self.plan.get("method", "samples")), numbers + (f", summed over {summed}" if summed else "")),
             ("expected error", self.claim),
-            *([("memory", f"{in_si(self.memory_bytes, 'B')} an image")] if self.memory_bytes is not None else []),
+            ("memory", f"{in_si(self.memory_bytes, 'B')} an image"),
             ("propagation", f"{self.propagation}: {self.reason}"),
         ]
 

@@ -19,12 +19,12 @@ from tapetum.simulate.information import FisherInformation, fisher, not_told
 from tapetum.simulate.phone import open_camera
 from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, wrapped
 from tapetum.simulate.radiometry import illumination_curvature
-from tapetum.simulate.traced_plan import TracedPlan
 
 __all__ = ["PARAMETERS", "Plan", "plan_bench"]
 
 PARAMETERS = ("gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power")
 
+_LIMIT = "Cramér-Rao limit of one frame: standard deviation of the best unbiased estimate"
 _PREFIXED_UNITS = ("m", "W")
 
 
@@ -95,7 +95,7 @@ class Plan:
         limit = self.limit
         if limit is None:
             reasons = list(dict.fromkeys(self.left_out.values()))
-            return ["Cramér-Rao limit of one frame", *(line for why in reasons for line in row("left out", why))]
+            return [f"{_LIMIT}, RR's place known", *(line for why in reasons for line in row("left out", why))]
         rows = [("", "all others unknown", "all others known")]
         for name in limit.parameters:
             unit = limit.units[name]
@@ -103,7 +103,7 @@ class Plan:
         wide = 2 + max(len(bound) for _, bound, _ in rows)
         placed = "" if {"place_x", "place_y"} & set(limit.parameters) else ", RR's place known"
         return [
-            f"Cramér-Rao limit of one frame: standard deviation of the best unbiased estimate{placed}",
+            f"{_LIMIT}{placed}",
             *(f"  {name:<{LABEL}}{bound:<{wide}}{alone}" for name, bound, alone in rows),
             *(line for name, why in self.left_out.items() for line in row(name, f"left out: {why}")),
         ]
@@ -219,7 +219,7 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
         plan=plan.as_dict(),
         expected_error=error,
         claim=claim,
-        memory_bytes=None if isinstance(plan, TracedPlan) else plan.bytes_needed(1, pixels),
+        memory_bytes=plan.bytes_needed(1, pixels),
         propagation=str(known["propagation"]),
         reason=reason,
         wavelengths=tuple(known["wavelengths"]),

@@ -10,11 +10,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import torch
 
 from tapetum.optics.focus import FocusedLens
-from tapetum.simulate.traced_bundle import Bundle, Passing, limiting_surfaces, trace_bundle
+from tapetum.simulate.traced_bundle import Bundle, Passing, length, limiting_surfaces, trace_bundle
 
 __all__ = [
     "Fit",
@@ -68,7 +69,7 @@ class TiltNodes:
         """Values at the nodes [T, ...] to Chebyshev coefficients [T, ...]: a discrete cosine transform."""
         matrix = 2 / self.count * chebyshev(self.places, self.count).T
         matrix[0] /= 2
-        return torch.tensordot(matrix, values, 1)
+        return (matrix @ values.reshape(self.count, -1)).reshape(values.shape)
 
     def terms(self, size: torch.Tensor) -> torch.Tensor:
         """Chebyshev polynomials [B, T] at tilts of these sines [B]."""
@@ -205,8 +206,8 @@ def _landings(bundle: Bundle) -> tuple[float, float, float]:
     apart[..., 1] -= bundle.middle[:, None]
     apart = torch.where(passing, apart, torch.zeros_like(apart))
     defocus = float((apart * s).sum() / (s**2).sum())
-    left = torch.linalg.vector_norm(apart - defocus * s, dim=-1)
-    return float(torch.linalg.vector_norm(apart, dim=-1).max()), defocus, float(left.max())
+    left = length(apart - defocus * s)
+    return float(length(apart).max()), defocus, float(left.max())
 
 
 def fit_functions(
@@ -223,7 +224,8 @@ def fit_functions(
     u = (places - centre[:, None]) / half[:, None]
     used = bundle.near & (u.abs() <= _FITTED).all(-1)
     degrees = max(degree for _, degree in even), max((degree for _, degree in odd), default=1)
-    fitted = []
+    fitted: list[torch.Tensor] = []
+    misfit = torch.zeros(places.shape[:2], dtype=torch.float64)
     for parity, functions in enumerate((even, odd)):
         terms = _terms(degrees[parity], parity)
         matrix = basis(u, terms)
@@ -360,11 +362,12 @@ def _of_terms(
     """[B, K, N] at scaled places u [B, N, 2]: summed along first, then across, never term by term."""
     table = _table(coefficients, degree, parity, tilt)
     parts: list[torch.Tensor] = []
-    for some in u.split(_PLACES_AT_ONCE, dim=1):
+    for start in range(0, u.shape[1], _PLACES_AT_ONCE):
+        some = u[:, start : start + _PLACES_AT_ONCE]
         along = chebyshev(some[..., 1], degree + 1)
         across = chebyshev(some[..., 0], degree + 1)[..., parity::2][..., : table.shape[-2]]
         functions = [((along @ table[:, k].mT) * across).sum(-1) for k in range(table.shape[1])]
-        parts.append(torch.stack(functions, 1) if functions else some.new_zeros(len(some), 0, some.shape[1]))
+        parts.append(torch.stack(functions, 1) if functions else torch.zeros(len(some), 0, some.shape[1]).to(u))
     return torch.cat(parts, -1) if len(parts) != 1 else parts[0]
 
 
@@ -403,10 +406,12 @@ def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tenso
     a = matrix * weights
     b = torch.where(used[..., None], values, torch.zeros_like(values))
     # A touch of damping: where a field's pupil is small its rays do not tell the highest terms apart.
-    scale = 1e-9 * torch.linalg.vector_norm(a, dim=(-2, -1), keepdim=True) / math.sqrt(a.shape[-1])
+    scale = 1e-9 * torch.sqrt((a**2).sum((-2, -1), keepdim=True) / a.shape[-1])
     eye = torch.eye(a.shape[-1], dtype=torch.float64).expand(len(a), -1, -1) * scale
     none = torch.zeros(len(b), a.shape[-1], b.shape[-1], dtype=torch.float64)
-    return torch.linalg.lstsq(torch.cat([a, eye], -2), torch.cat([b, none], -2), driver="gels").solution
+    linalg: Any = torch.linalg
+    found: Any = linalg.lstsq(torch.cat([a, eye], -2), torch.cat([b, none], -2), driver="gels")
+    return found.solution
 
 
 def _covered(value: torch.Tensor, gx: torch.Tensor, gy: torch.Tensor) -> torch.Tensor:

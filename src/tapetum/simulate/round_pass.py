@@ -63,7 +63,7 @@ class PlaceSeries:
         most = len(self.coefficients) // 2
         turns = self.wavenumber * torch.arange(-most, most + 1, dtype=torch.float64, device=places.device)
         down, across = phasor(places[:, 1:2] * turns), phasor(places[:, 0:1] * turns)
-        return ((down @ torch.from_numpy(self.coefficients).to(places.device)) * across).sum(-1)
+        return ((down @ torch.as_tensor(self.coefficients, device=places.device)) * across).sum(-1)
 
 
 @dataclass(frozen=True)

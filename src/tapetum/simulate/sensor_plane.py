@@ -26,6 +26,7 @@ import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -191,14 +192,14 @@ class _Cell:
     def coefficients(self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]) -> Complex:
         """c_m for the orders named, [rows, columns]."""
         count = len(self.tiles)
-        plain = self._transform(columns / count, rows / count)
+        plain = self.transform(columns / count, rows / count)
         place = np.arange(count) + 0.5
         # Centres of the photosites from the axis, in periods: turns too many are taken away while that is exact.
         across = np.exp(-2j * np.pi * np.outer(columns, (place + self.corner[0] / self.pitch) / count % 1.0))
         down = np.exp(-2j * np.pi * np.outer(rows, (place + self.corner[1] / self.pitch) / count % 1.0))
         return math.sqrt(self.reflectance) * plain * (down @ self.tiles @ across.T) / count**2
 
-    def _transform(self, across: Real, down: Real) -> Complex:
+    def transform(self, across: Real, down: Real) -> Complex:
         """1/p² ∫ exp(-2πi ν·x/p) over one photosite and its surround, ν in orders of a single pitch."""
         if self.lens is not None:
             edges, values = self.fine()
@@ -275,7 +276,7 @@ def _cell_of(sensor: TargetSensor, wavelength: float) -> _Cell | None:
 
 def _shifted_orders(
     cell: _Cell,
-    found: list[tuple[int, int, int, complex]],
+    found: list[tuple[Any, int, int, complex]],
     shift: float,
     decentre: tuple[float, float],
     strongest: float,
@@ -289,9 +290,9 @@ def _shifted_orders(
         )
     assert cell.lens is not None
     sites = replace(cell, lens=None)
-    b = np.arange(-_HARMONICS, _HARMONICS + 1)
+    b = np.arange(-_HARMONICS, _HARMONICS + 1).astype(np.float64)
     # The lenses alone, over photosites that fill the plane.
-    lenses = replace(cell, surround=1.0)._transform(b, b)
+    lenses = replace(cell, surround=1.0).transform(b, b)
     # The places of the lenses count from the sensor's middle, those of the spot from the lens's axis.
     turn = 2 * np.pi * shift / cell.pitch
     to_axis = np.outer(np.exp(1j * turn * b * decentre[1]), np.exp(1j * turn * b * decentre[0]))
@@ -302,7 +303,7 @@ def _shifted_orders(
         down = np.exp(-2j * np.pi * (row * (place + cell.corner[1] / cell.pitch) / count % 1.0))
         across = np.exp(-2j * np.pi * (column * (place + cell.corner[0] / cell.pitch) / count % 1.0))
         tiles = math.sqrt(cell.reflectance) * (down @ cell.tiles @ across) / count**2
-        series = tiles * to_axis * lenses * sites._transform(column / count - b, row / count - b)
+        series = tiles * to_axis * lenses * sites.transform(column / count - b, row / count - b)
         if np.abs(series).sum() ** 2 > _FAINT * strongest**2:
             orders.append(Order((column * step, row * step), amplitude, PlaceSeries(series, turn)))
     return tuple(orders)

@@ -22,7 +22,7 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
 
-__all__ = ["BEYOND", "Bundle", "Passing", "limiting_surfaces", "trace_bundle"]
+__all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "trace_bundle"]
 
 # Rays a side of a bundle, and of the coarse one that finds the pupil.
 _COARSE = 49
@@ -158,12 +158,13 @@ def _followed(
     landing, _ = to_plane(rays.position, rays.direction, focused.image)
     passing = rays.good & (rays.height <= 1).all(-1)
     if middle is None:
-        weights = passing.to(torch.float64)
-        middle = ((landing[..., 1] * weights).sum(-1) / weights.sum(-1)).detach()
+        # A ray that went astray may have landed nowhere.
+        landed = torch.where(passing, landing[..., 1], torch.zeros_like(landing[..., 1]))
+        middle = (landed.sum(-1) / passing.sum(-1)).detach()
     p, back = to_plane(rays.position, rays.direction, _exit_plane(focused))
     y0 = torch.stack([torch.zeros_like(middle), middle, torch.full_like(middle, focused.image)], -1)
     apart = y0[:, None, :] - p
-    radius = torch.linalg.vector_norm(apart, dim=-1)
+    radius = length(apart)
     s = apart[..., :2] / radius[..., None]
     # The index behind the lens is 1: the sensor stands in air.
     psi = before + rays.path + back + radius
@@ -192,10 +193,10 @@ def _incoming(
     if curvature == 0:
         return start, axis.expand_as(start), along
     way = across * curvature + axis
-    length = torch.linalg.vector_norm(way, dim=-1, keepdim=True)
+    far = length(way)[..., None]
     # |e - source| - D, without the difference of two large numbers.
-    before = (2 * along + curvature * (across**2).sum(-1)) / (length[..., 0] + 1)
-    return start, way / length, before
+    before = (2 * along + curvature * (across**2).sum(-1)) / (far[..., 0] + 1)
+    return start, way / far, before
 
 
 def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -229,6 +230,11 @@ def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) ->
     return lower, upper
 
 
+def length(vectors: torch.Tensor) -> torch.Tensor:
+    """Euclidean length of vectors [..., n]: [...]."""
+    return torch.sqrt((vectors**2).sum(-1))
+
+
 def limiting_surfaces(bundle: Passing) -> list[int]:
     """Numbers of the surfaces that stop rays which all others let pass."""
     worst = bundle.height.sort(dim=-1, descending=True).values
@@ -236,4 +242,4 @@ def limiting_surfaces(bundle: Passing) -> list[int]:
     others = torch.where(bundle.height == first, second, first)
     alone = bundle.good[..., None] & (others <= 1)
     nearest = torch.where(alone, bundle.height, torch.zeros_like(bundle.height)).amax((0, 1))
-    return [i for i, value in enumerate(nearest.tolist()) if value > _STOPS]
+    return [i for i in range(len(nearest)) if float(nearest[i]) > _STOPS]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 
@@ -72,9 +73,8 @@ class TracedLens:
 
     def _at(self, wavelength: float) -> tuple[FocusedLens, PupilFits]:
         if wavelength not in self._known:
-            focused = self._lens.focused(wavelength, self._object_distance)
-            steepest = _covered(focused, self._steepest, self._curvature)
-            self._known[wavelength] = focused, fit_pupils(focused, steepest, curvature=self._curvature)
+            asked = self._lens, wavelength, self._object_distance, self._steepest, self._curvature
+            self._known[wavelength] = _fitted(*asked)
         return self._known[wavelength]
 
     def aperture_sine(self, wavelength: float) -> float:
@@ -112,6 +112,14 @@ class TracedLens:
             dtype=dtype,
             device=device,
         )
+
+
+@functools.lru_cache(maxsize=16)
+def _fitted(
+    lens: PrescriptionLens, wavelength: float, object_distance: float, steepest: float, curvature: float
+) -> tuple[FocusedLens, PupilFits]:
+    focused = lens.focused(wavelength, object_distance)
+    return focused, fit_pupils(focused, _covered(focused, steepest, curvature), curvature=curvature)
 
 
 def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:

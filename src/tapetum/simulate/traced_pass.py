@@ -29,6 +29,8 @@ __all__ = ["TracedGrids", "TracedPass", "tilt_and_azimuth"]
 # Gazes computed together.
 _AT_ONCE = 4
 _NO_TILT = 1e-11
+# A root of nothing has no slope, and its gradient would be no number.
+_DARK = 1e-30
 
 
 @dataclass(frozen=True)
@@ -114,7 +116,7 @@ class TracedPass:
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
-        parts = []
+        parts: list[torch.Tensor] = []
         for i in range(0, len(sines), _AT_ONCE):
             some = sines[i : i + _AT_ONCE]
             pupil, x, y = self.exit_pupil(some)
@@ -142,7 +144,7 @@ class TracedPass:
         across, along, entering = on_tilt_grid(fits.entering, tilt, self.grids.pupil)
         square = across[:, None, :] ** 2 + along[:, :, None] ** 2
         psi = entering[:, 0] + self._taken(square, along[:, :, None], chief, depth)
-        share = torch.sqrt(entering[:, 1].clamp_min(0)) * open_share(entering[:, 2:])
+        share = torch.sqrt(entering[:, 1].clamp_min(_DARK)) * open_share(entering[:, 2:])
         # A tilted pupil catches less.
         area = (across[:, 1] - across[:, 0]) * (along[:, 1] - along[:, 0]) * (1 - size**2) ** 0.25 * returns
         wave = self._wave(share * area[:, None, None], psi)
@@ -157,7 +159,7 @@ class TracedPass:
         rotation, _ = foreshortening(sines)
         turned = (rotation.mT @ toward[..., None])[..., 0]
         x, y, even, odd, inside = on_grid(fits.leaving, tilt, turned, self.grids.leaving or self.grids.pupil)
-        out = torch.sqrt(even[:, 2].clamp_min(0))
+        out = torch.sqrt(even[:, 2].clamp_min(_DARK))
         if odd.shape[1] > 1:
             out = out * open_share(even[:, 4:], inside) * self._accept(even[:, 3], odd[:, 1])
         else:
@@ -219,7 +221,7 @@ class TracedPass:
         if self.surface.depth == 0 and self.surface.tilt == (0.0, 0.0):
             return torch.zeros((), dtype=torch.float64, device=self.device)
         shift = depth * chief / torch.sqrt(n**2 - chief**2)
-        return -depth[:, None, None] * torch.sqrt((n**2 - square).clamp_min(0)) - shift[:, None, None] * along
+        return -depth[:, None, None] * torch.sqrt((n**2 - square).clamp_min(_DARK)) - shift[:, None, None] * along
 
     def _reflectance(
         self, middle: torch.Tensor, chief: torch.Tensor, toward: torch.Tensor, depth: torch.Tensor

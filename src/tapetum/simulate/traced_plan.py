@@ -82,6 +82,11 @@ class TracedPlan:
     by_rays: bool
     expected_error: float
 
+    def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
+        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
+        samples = 3 * self.columns * self.rows + self.sensor**2
+        return complex_size // 8 * (48 * min(batch, 4) * samples + 24 * batch * pixels)
+
     def as_dict(self) -> dict[str, float | int | str]:
         """The plan's numbers by name, for metadata."""
         return {"method": self.method, **asdict(self)}
@@ -179,7 +184,8 @@ def traced_group(
     if aperture is not None:
         # Light under larger angles misses the probe's aperture, whatever the picture.
         accepted = seen = (aperture.radius + fits.aperture[1]) / aperture.distance
-    passes, plans = [], []
+    passes: list[TracedPass] = []
+    plans: list[TracedPlan] = []
     for surface in surfaces:
         one, plan = _planned(focused, fits, surface, path, wavelength, accuracy, curvature, accepted, seen)
         passes.append(one)
@@ -278,7 +284,7 @@ def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float
     )
     half = blur + effort.rings * ring
     # What returns lies about -s, or -s - τ, and is looked at about s.
-    apart = 2 * sine if len(surface.orders) > 1 else 2 * chief
+    apart = 2 * sine if len(surface.orders) > 1 else 2 * chief + 2 * math.hypot(*surface.tilt)
     step = 0.8 * wavelength / (2 * sine + 2 * half / radius + apart)
     sensor = math.ceil(2 * half / step)
     turns = 2 * sine * 2 * half / wavelength

@@ -24,7 +24,7 @@ from tapetum.simulate.pupil_fits import (
     fit_pupils,
     values_at,
 )
-from tapetum.simulate.traced_bundle import BEYOND, Bundle, limiting_surfaces, trace_bundle
+from tapetum.simulate.traced_bundle import BEYOND, Bundle, length, limiting_surfaces, trace_bundle
 
 __all__ = ["Returned", "TracedReturn", "check_return", "corrected", "trace_return"]
 
@@ -161,7 +161,7 @@ def check_return(
     some = passing.sum(-1)
     mean = error.sum(-1) / some
     square = torch.where(passing, (error - mean[:, None]) ** 2, torch.zeros_like(error))
-    angle = torch.where(passing, torch.linalg.vector_norm(back.turned, dim=-1), torch.zeros_like(error))
+    angle = torch.where(passing, length(back.turned), torch.zeros_like(error))
     return TracedReturn(torch.sqrt(square.sum(-1) / some), some / back.bundle.passing.sum(-1), angle.amax(-1))
 
 
@@ -202,7 +202,7 @@ def corrected(
     passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
     if accepted is not None:
         near = back.good & (back.height <= _STRAY).all(-1)
-        passing = near & (torch.linalg.vector_norm(back.turned, dim=-1) <= _KEPT * accepted)
+        passing = near & (length(back.turned) <= _KEPT * accepted)
     if not bool((passing.sum(-1) >= _FEWEST_RAYS).all()):
         return None
     even, odd = values_at(fits.leaving, tilt, back.e)
@@ -223,7 +223,7 @@ def corrected(
         ],
         [(odd[:, 0], MAP_DEGREE), (back.turned[..., 0], SMOOTH_DEGREE)],
     )
-    reach = torch.where(passing, torch.linalg.vector_norm(back.e, dim=-1), torch.zeros_like(path)).max()
+    reach = torch.where(passing, length(back.e), torch.zeros_like(path)).max()
     # The way in is fitted again at the tilts that are left.
     inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
     return replace(
@@ -246,9 +246,9 @@ def _accepted_box(
         back = _sent_back(focused, bundle, sines, depth)
         # Far outside its rims a lens may send light back as well, by surfaces that are not there.
         good = back.good & (back.height <= _STRAY).all(-1)
-        near = good & (torch.linalg.vector_norm(back.turned, dim=-1) <= _KEPT * accepted)
+        near = good & (length(back.turned) <= _KEPT * accepted)
         # Where no ray falls within, the nearest ones stand for it.
-        angle = torch.where(good, torch.linalg.vector_norm(back.turned, dim=-1), torch.inf)
+        angle = torch.where(good, length(back.turned), torch.inf)
         near = near | (angle <= angle.amin(-1, keepdim=True))
         far = torch.full_like(bundle.e, torch.inf)
         lower = torch.where(near[..., None], bundle.e, far).amin(1)
@@ -290,7 +290,7 @@ def _last_return(
             box = _accepted_box(focused, at, curvature, depth, middle, accepted)
             bundle = trace_bundle(focused, at, curvature=curvature, middle=middle, box=box, count=_COARSE)
             back = _sent_back(focused, bundle, at, depth)
-            near = back.good & (torch.linalg.vector_norm(back.turned, dim=-1) <= _KEPT * accepted)
+            near = back.good & (length(back.turned) <= _KEPT * accepted)
             share = int((near & back.passing).sum()) / max(1, int(near.sum()))
         if share > _LEAST_SHARE:
             low = sine

@@ -1,5 +1,5 @@
-"""The paper's Figs. 4 to 6 made anew: simulate, measure, draw, and say what differs."""
+"""The paper's Figs. 4 to 8 made anew: simulate, measure, draw, and say what differs."""
 
-from tapetum.report.paper.write import FIGURES, Reproduction, reproduce
+from tapetum.report.paper.write import FIGURES, SIZES, Reproduction, reproduce
 
-__all__ = ["FIGURES", "Reproduction", "reproduce"]
+__all__ = ["FIGURES", "SIZES", "Reproduction", "reproduce"]

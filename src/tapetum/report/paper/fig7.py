@@ -27,6 +27,8 @@ DISTANCES = {"paper": (3.0, 3.5, 4.0, 4.5, 5.0, 5.5), "small": (3.0, 4.0, 5.5)}
 FOCAL_LENGTHS = (0.135, 0.085, 0.050)
 # Object distance of the row of focal lengths, and the gaze of both rows.
 AT, GAZE = 5.5, 0.03
+# The lens is prepared for gazes up to here, as for a video: fits over next to no tilt do not hold its pupil's edge.
+_UP_TO = 0.2
 SIDE = 400
 _SHARE = 0.8
 # Parts of a picture above half of its peak count as one spot each, once it is smoothed over so many pixels.
@@ -118,9 +120,9 @@ def simulate_fig7(*, size: str = "paper", seed: int = 1, progress: Progress = qu
 
 def sample(name: str, scene: Scene, gaze: tuple[float, float], *, seed: int) -> Sample:
     """Take one frame of a scene at a gaze, and cut it out as a dataset does; measure the light in the crop."""
-    sines = tilt_of_gaze(scene, torch.tensor([gaze], dtype=torch.float64))
+    sines, farthest = tilt_of_gaze(scene, torch.tensor([gaze, (0.0, _UP_TO)], dtype=torch.float64))[:, None]
     try:
-        camera = open_camera(scene, largest_sine(sines))
+        camera = open_camera(scene, max(largest_sine(sines), largest_sine(farthest)))
         light = camera(sines)
     except InputError as error:
         return Sample(name, np.zeros((SIDE, SIDE), np.uint8), {}, str(error))
@@ -140,7 +142,7 @@ def measured(frame: NDArray[Any], light: Array, scene: Scene) -> tuple[NDArray[A
     counts, clean = crop(frame, centre, SIDE), np.asarray(crop(light, centre, SIDE), np.float64)
     wide, tall = widths(clean, sensor.pitch, _SHARE)
     smooth = gaussian_filter(clean, _SMOOTH)
-    _, spots = label(smooth > smooth.max() / 2)
+    marked: Any = label(smooth > smooth.max() / 2)
     top = 2**sensor.bits - 1
     return counts, {
         "diameter_um": 1e6 * holding_diameter(clean, sensor.pitch, _SHARE),
@@ -148,7 +150,7 @@ def measured(frame: NDArray[Any], light: Array, scene: Scene) -> tuple[NDArray[A
         "width_y_um": 1e6 * tall,
         "mirror_left_right": mirror_error(clean, 1),
         "mirror_up_down": mirror_error(clean, 0),
-        "spots_above_half": int(spots),
+        "spots_above_half": int(marked[1]),
         "peak_over_full_scale": float(counts.max() / top),
         "saturated_pixels": int((counts == top).sum()),
     }

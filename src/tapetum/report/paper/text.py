@@ -12,9 +12,12 @@ from numpy.typing import NDArray
 from tapetum.report.paper.fig4 import DISTANCES, ROTATIONS, Fig4
 from tapetum.report.paper.fig5 import LENS, Fig5
 from tapetum.report.paper.fig6 import Fig6
+from tapetum.report.paper.fig7 import AT, GAZE, Fig7, Sample
+from tapetum.report.paper.fig8 import GAZE as PHONE_GAZE
+from tapetum.report.paper.fig8 import Fig8
 from tapetum.report.paper.measure import PowerLaw
 
-__all__ = ["text_fig4", "text_fig5", "text_fig6"]
+__all__ = ["text_fig4", "text_fig5", "text_fig6", "text_fig7", "text_fig8"]
 
 
 def text_fig4(found: Fig4) -> str:
@@ -228,6 +231,131 @@ Fitted size ∝ dⁿ: cardboard n = {laws[0]}, filter {laws[1]}, mirror {laws[2]
 diffuse image leaves out coherence across the target's pupil where the probe's aperture clips (2 to 6 % of the peak,
 see the validation of the diffuse return).
 """)
+
+
+def text_fig7(found: Fig7) -> str:
+    """The page fig7.md."""
+    refused = [f"({letter}) {one.name}: {one.refused}" for letter, row in found.rows() for one in row if one.refused]
+    left_out = " Not simulated: " + "; ".join(refused) + "." if refused else ""
+    claimed = max(one.row["error"] for _, row in found.rows() for one in row if not one.refused)
+    sizes = [one.row["diameter_um"] for one in found.focusing if not one.refused]
+    lengths = [one.row["diameter_um"] for one in found.focal_lengths if not one.refused]
+    tall = [one.row["width_y_um"] / one.row["width_x_um"] for one in found.rotation if not one.refused]
+    tables = "\n\n".join(
+        _table(
+            (
+                f"({letter})",
+                "tilt (°)",
+                "80 % in (µm)",
+                "width x (µm)",
+                "width y (µm)",
+                "spots",
+                "peak (%)",
+                "saturated",
+                "stated error (%)",
+            ),
+            [_sampled(one) for one in row],
+        )
+        for letter, row in found.rows()
+    )
+    return _filled(f"""# Fig. 7: samples of Rotation and Focusing
+
+![Simulated retro-reflections of a turning, a refocused and a zoomed camera](fig7.png)
+
+**The paper** (section 4.4): (a) an Airy disc where the target looks straight at the probe; as it rotates the pattern
+becomes elliptical and a brighter line appears perpendicular to the direction of rotation; at large rotations a strong
+central ellipse with a dim "+". (b) at f_t = 135 mm the RR becomes smaller and closely approaches a point as x_d grows.
+(c) shows a decreasing f_t at a fixed x_d.
+
+**Here**: simulation of stand-ins, not the paper's cameras. (a) a published f/1.4 lens scaled to 3.8 mm for the Fujinon,
+focused on the probe; (b, c) a published 18 to 140 mm zoom for the Canon, the probe {GAZE:g} of the field below its
+middle. Both 5.5 m away, 640 nm, with a second beam of 10 %: its fainter RR lies up and to the left. Frames with their
+noise, at the exposure of the bundled scenes `rotation` and `focusing`, cut out as a dataset does.{left_out}
+
+{tables}
+
+*80 % in*: circle about the crop's middle with 80 % of the light in the crop. *Spots*: connected parts above half of the
+peak of the light, smoothed by 1.5 pixels. *Stated error*: the planner's, of the peak; up to {100 * claimed:.0f} %.
+
+- **(a)** Rings about a bright middle, as of an Airy disc, where the probe is in the middle; then several spots, a plus,
+  and at last an ellipse along the direction of rotation (up and down): see *spots*. The picture's height over its width
+  goes from {tall[0]:.2f} to {max(tall):.2f}. The paper has its line perpendicular to the rotation; here the long side
+  lies along the way the target turns, perpendicular to the axis that it turns about.
+- **(b)** Smaller as the focus goes from 3 m to the probe: {sizes[0]:.0f} to {sizes[-1]:.0f} µm. It does not become a
+  point: in the diverging light of the probe a target focused on it sends light back to the probe's aperture, and a
+  probe focused at infinity sees a disc. The paper's does come close to one; its lens, its focus and the curvature of
+  its light are not known so well that the cause could be told.
+- **(c)** At x_d = {AT:g} m the RR shrinks with the focal length, {lengths[0]:.0f} to {lengths[-1]:.0f} µm, for the
+  aperture does.
+
+**What differs**: the lenses are other ones; aberrations, filters and sensors are assumed. Nothing was compared with the
+paper's pictures, only with its words.
+""")
+
+
+def text_fig8(found: Fig8) -> str:
+    """The page fig8.md."""
+    rows = [
+        (
+            one.name,
+            f"{one.row['cameras']}",
+            f"{one.row['seen']}",
+            f"{one.row['disc_um']:.0f}",
+            f"{100 * one.row['peak_over_full_scale']:.0f}",
+            f"{one.row['saturated_pixels']}",
+            f"{one.row['flash_electrons']:.1f}" if "flash_electrons" in one.row else "–",
+        )
+        for one in found.opened
+    ]
+    names = ("phone", "cameras", "seen", "disc (µm)", "peak (%)", "saturated", "flash (e⁻)")
+    told = "; ".join(f"{one.name}: {text}" for one in found.opened for text in one.row.get("refused", []))
+    left_out = f" Not simulated: {told}." if told else ""
+    several = sum(one.row["seen"] > 1 for one in found.opened)
+    gaze = ", ".join(f"{part:g}" for part in PHONE_GAZE)
+    flashes = [one.row["flash_electrons"] for one in found.opened if "flash_electrons" in one.row]
+    least, most = (min(flashes), max(flashes)) if flashes else (0.0, 0.0)
+    return _filled(f"""# Fig. 8: one picture of each phone
+
+![Simulated retro-reflections of eleven phones, with the camera app open and shut](fig8.png)
+
+**The paper** (section 4.5): at 785 nm the RRs of eleven phone models differ strongly. Each holds the return of every
+camera of the phone. Early elements such as the IR filter send back strong RRs whose size goes with the distance; a
+dimmer spot is there only while the camera takes pictures, most obvious in two of the models, and flashes as the camera
+app is toggled.
+
+**Here**: simulation of the catalogue's phones, clusters of published lenses of our own; none is one of the paper's.
+Scene `phones`: 785 nm, 5.5 m, the probe at ({gaze}) of the main camera's field. Frames with their noise, cut out as a
+dataset does.{left_out}
+
+{_table(names, rows)}
+
+*Seen*: cameras whose return is above three times the dark noise of a pixel. *Disc*: diameter of the even disc that
+would hold half of its light in the same circle, of the brightest return, second beam included; the probe's aperture
+D_p f_p/d is {1e6 * found.disc:.0f} µm. *Flash*: the most that opening the app adds to a pixel, of the few phones in the
+row below.
+
+- **Several RRs**: {several} of {len(found.opened)} phones show more than one, at their cameras' places on the back.
+- **Discs** of the size of the probe's aperture: those of the filters, which stand before the focus, with fine rings,
+  for they are mirrors and not rough. Light that a filter scatters makes an even disc of the same size.
+- **The spot that flashes**: at 785 nm the filters of these phones let 0.2 to 3 % through, twice. In the row below what
+  opening the app adds is {least:.0f} to {most:.0f} electrons at its brightest, against peaks of the whole picture in the
+  table. The paper calls its spot dimmer than the filters' RRs.
+- **Saturated**: the phones differ in brightness by more than one exposure holds; long lenses with a filter near the focus
+  are the brightest.
+
+**What differs**: which filters and lenses real phones have is not published; glints of housings and cover glasses, and
+the light of dot projectors, are not in these pictures (the filmed set has the latter).
+""")
+
+
+def _sampled(one: Sample) -> tuple[str, ...]:
+    if one.refused:
+        return (one.name, *["–"] * 8)
+    row = one.row
+    lengths = (f"{row[key]:.0f}" for key in ("diameter_um", "width_x_um", "width_y_um"))
+    peak = f"{100 * row['peak_over_full_scale']:.0f}"
+    told = (f"{row['spots_above_half']}", peak, f"{row['saturated_pixels']}", f"{100 * row['error']:.1f}")
+    return (one.name, f"{row['tilt_deg']:.1f}", *lengths, *told)
 
 
 def _apart(row: dict[str, float | None]) -> str:

@@ -1,0 +1,69 @@
+"""Real lenses: rays through a prescription, and the retro-reflections of traced lenses."""
+
+from __future__ import annotations
+
+import torch
+
+import tapetum as tp
+from tapetum.bench import PrescriptionLens, with_values
+from tapetum.optics.grid import Grid
+from tapetum.optics.rays import trace
+from tapetum.simulate import Camera
+
+from .measure import Contender, Effort, Figure, Row, in_turns
+
+TITLE = "Real lenses: tracing 29 surfaces, and images of 400 × 400 pixels"
+PEERS = ("torch",)
+_CASES = (
+    ("cmount-12mm-f1.4", "3.8 mm", 1e-2, 15.0),
+    ("phone-c", None, 1e-2, 4.0),
+    ("zoom-18-140mm", "50 mm", 1e-2, 3.0),
+)
+
+
+def run(effort: Effort) -> list[Row]:
+    """Rays a second, then images a second of three lenses beside the thin lens's engine."""
+    lens = PrescriptionLens("cmount-12mm-f1.4").focused(640e-9, 5.0)
+    side = effort.of(300, 30)
+    line = torch.linspace(-0.5, 0.5, side, dtype=torch.float64) * lens.entrance_radius
+    x, y = torch.meshgrid(line, line, indexing="xy")
+    start = torch.stack([x, y, torch.full_like(x, lens.entrance_pupil)], -1).reshape(-1, 3)
+    way = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand_as(start)
+    rays = in_turns({"ours": Contender(lambda: trace(lens.lens, start, way), work=len(start))}, effort.rounds)
+    surfaces = len(lens.lens)
+    rows = [
+        Row(
+            f"rays through {surfaces} surfaces, float64, with path and vignetting",
+            Figure.rate(rays.typical("ours"), "rays"),
+            note=f"{rays.typical('ours') / surfaces * 1e9:.0f} ns a ray and surface",
+        )
+    ]
+    plain = tp.load_scene("thin-lens")
+    output, count = Grid(400, 400, 2.2e-6), effort.of(16, 2)
+    for name, focal_length, accuracy, steepest in _CASES:
+        kind = {"kind": "prescription", "name": name, **({"focal_length": focal_length} if focal_length else {})}
+        sines = torch.sin(torch.deg2rad(torch.linspace(0, steepest, count, dtype=torch.float64)))
+        tilts = torch.stack([0.6 * sines, 0.8 * sines], -1)
+        settings = {"accuracy": accuracy, "propagation": "far field"}
+        traced = Camera(with_values(plain, {"target.lens": kind, **settings}), float(sines[-1]), output=output)
+        same = {"target.lens.focal_length": traced.scene.target.lens.focal_length}
+        same["target.lens.aperture_radius"] = traced.scene.target.lens.aperture_radius
+        thin = Camera(with_values(plain, {**same, **settings}), float(sines[-1]), output=output)
+        timings = in_turns(
+            {
+                "ours": Contender(lambda camera=traced, tilts=tilts: camera(tilts), work=count),
+                "peer": Contender(lambda camera=thin, tilts=tilts: camera(tilts), work=count),
+            },
+            effort.rounds,
+        )
+        rows.append(
+            Row(
+                f"{name}, f = {traced.scene.target.lens.focal_length * 1e3:.3g} mm, {accuracy:g} of the peak",
+                Figure.rate(timings.typical("ours"), "images"),
+                "our thin lens of the same f and aperture",
+                Figure.rate(timings.typical("peer"), "images"),
+                timings.speed_up("ours", "peer"),
+                f"tilts up to {steepest:g}°; {traced.plan.columns} samples over the pupil",
+            )
+        )
+    return rows

@@ -1,0 +1,45 @@
+"""Remake the tables and the pictures of docs/sign.md.
+
+    .venv/bin/python scripts/make_sign.py [thin] [phone] [picture] [flash]
+
+Writes tables to build/sign-thin.md, build/sign-phone.md and build/flash.md, pictures to docs/images/sign.png and
+docs/images/flash.png. Some minutes on two cores.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from tapetum.bench import load_scene
+from tapetum.files import atomic_file
+from tapetum.report.figures import save_figure
+from tapetum.report.flash import fig_flash, flash, flash_table
+from tapetum.report.sign_causes import fig_sign_causes, markdown, phone_target, sign_causes, thin_target
+
+ROOT = Path(__file__).parents[1]
+SHOWN = ("nothing", "second beam", "array and microlenses", "sensor tilt")
+
+
+def main() -> None:
+    wanted = sys.argv[1:] or ["thin", "phone", "picture", "flash"]
+    (ROOT / "build").mkdir(exist_ok=True)
+    for name, made in (("thin", thin_target), ("phone", phone_target)):
+        if name in wanted:
+            rows = []
+            for row in sign_causes(made()):
+                rows.append(row)
+                print(f"{row.cause.name}: {', '.join(f'{value:.3g}' for value in row.dprime.tolist())}", flush=True)
+            with atomic_file(ROOT / "build" / f"sign-{name}.md") as path:
+                path.write_text(markdown(rows), encoding="utf-8")
+    if "picture" in wanted:
+        save_figure(fig_sign_causes(phone_target(), SHOWN), ROOT / "docs" / "images" / "sign.png")
+    if "flash" in wanted:
+        seen = flash(load_scene("phones"))
+        with atomic_file(ROOT / "build" / "flash.md") as path:
+            path.write_text(flash_table(seen), encoding="utf-8")
+        save_figure(fig_flash(seen), ROOT / "docs" / "images" / "flash.png")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,102 @@
+"""From the entrance pupil to the probe's pixels: against the thin engine's way, and a plain sum."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+
+from tapetum.optics.fourier import phasor
+from tapetum.optics.grid import Grid
+from tapetum.optics.pupil import disc_quadrature
+from tapetum.simulate.exit_path import ExitPath, ProbeAperture
+from tapetum.simulate.foreshortening import foreshortening
+
+SECTION = "Traced lenses"
+WAVELENGTH, PROBE_FOCAL, REACH = 640e-9, 0.1, 1.2e-3
+K = 2 * math.pi / WAVELENGTH
+OUTPUT = Grid(13, 15, 6e-6)
+
+
+def path(aperture: ProbeAperture | None = None) -> ExitPath:
+    return ExitPath(
+        OUTPUT,
+        wavelength=WAVELENGTH,
+        probe_focal_length=PROBE_FOCAL,
+        reach=1.5 * REACH,
+        aperture=aperture,
+        dtype=torch.complex128,
+    )
+
+
+def pupil(middle: tuple[float, float], count: int = 48) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A smooth field off its middle, with a tilt and a curvature of its own: [1, n, n], x and y [1, n]."""
+    line = (torch.arange(count, dtype=torch.float64) + 0.5) * 2 / count - 1
+    x, y = (middle[0] + REACH * line)[None], (middle[1] + REACH * line)[None]
+    across, along = x[:, None, :], y[:, :, None]
+    field = torch.exp(-((across - middle[0]) ** 2 + (along - middle[1]) ** 2) / (0.3 * REACH) ** 2)
+    return field * phasor(K * (2e-4 * across - 1e-4 * along + 0.05 * across**2)), x, y
+
+
+def plain(
+    field: torch.Tensor, x: torch.Tensor, y: torch.Tensor, sines: torch.Tensor, aperture: ProbeAperture | None
+) -> torch.Tensor:
+    """The same integrals in the pupil's own coordinates, e = R (x, y), every sample for itself."""
+    rotation, triangle = foreshortening(sines)
+    shortening = (rotation @ triangle)[0]
+    place = torch.stack(torch.meshgrid(x[0], y[0], indexing="xy"), -1).reshape(-1, 2) @ rotation[0].T
+    value = field.reshape(-1) * float((x[0, 1] - x[0, 0]) * (y[0, 1] - y[0, 0]))
+    value = value * (1 - float((sines**2).sum())) ** 0.25
+    q = torch.stack(torch.meshgrid(OUTPUT.x(), OUTPUT.y(), indexing="xy"), -1).reshape(-1, 2)
+    constant = 1 / (1j * WAVELENGTH * PROBE_FOCAL)
+    if aperture is None:
+        seen = phasor(-K / PROBE_FOCAL * (q @ shortening.T) @ place.T) @ value * constant
+        return seen.reshape(OUTPUT.rows, OUTPUT.columns)
+    disc = disc_quadrature(aperture.radius, 48, 48)
+    far = torch.stack(torch.meshgrid(disc.x, disc.y, indexing="xy"), -1).reshape(-1, 2)
+    weights = disc.weights.reshape(-1)
+    shown, seen = weights != 0, place @ shortening
+    bend = K / (2 * aperture.distance)
+    kernel = phasor(-2 * bend * far[shown] @ seen.T) @ (value * phasor(bend * (seen**2).sum(-1)))
+    arriving = (
+        kernel * phasor(bend * (far[shown] ** 2).sum(-1)) * weights[shown] / (1j * WAVELENGTH * aperture.distance)
+    )
+    image = phasor(-K / PROBE_FOCAL * q @ far[shown].T) @ arriving * constant
+    return image.reshape(OUTPUT.rows, OUTPUT.columns)
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (0.0, 0.3), (0.25, 0.2)])
+@pytest.mark.parametrize("distance", [None, 0.8], ids=["far", "near"])
+def test_pupils_off_their_middle_against_a_plain_sum(
+    tilt: tuple[float, float], distance: float | None, validated: Any
+) -> None:
+    sines = torch.tensor([tilt], dtype=torch.float64)
+    aperture = None if distance is None else ProbeAperture(distance, 0.8e-3, 64)
+    field, x, y = pupil((2.5e-4, -3.5e-4))
+    ours = path(aperture)(field, x, y, sines, None)[0]
+    want = plain(field, x, y, sines, aperture)
+    error = float((ours - want).abs().max() / want.abs().max())
+    where = "far field" if distance is None else "0.8 m, aperture of 1.6 mm"
+    validated(SECTION, f"exit path, {where}, tilt {tilt}", error, 1e-4, "a plain sum, phase and all")
+
+
+def test_a_wide_aperture_is_the_far_field(validated: Any) -> None:
+    """What passes whole shows the far field's picture, but for a bend of phase."""
+    sines = torch.tensor([[0.02, 0.05]], dtype=torch.float64)
+    field, x, y = pupil((2e-4, 1e-4))
+    far = path()(field, x, y, sines, None)[0].abs()
+    near = path(ProbeAperture(2.0, 6e-3, 200))(field, x, y, sines, None)[0].abs()
+    error = float((far - near).abs().max() / far.max())
+    validated(SECTION, "modulus through a wide aperture at 2 m", error, 1e-3, "the far field")
+
+
+@pytest.mark.parametrize("aperture", [None, ProbeAperture(2.0, 6e-3, 200)], ids=["far", "near"])
+def test_centres_move_the_picture(aperture: ProbeAperture | None) -> None:
+    sines = torch.zeros(1, 2, dtype=torch.float64)
+    field, x, y = pupil((0.0, 0.0))
+    step = OUTPUT.pitch
+    still = path(aperture)(field, x, y, sines, None)[0].abs()
+    moved = path(aperture)(field, x, y, sines, torch.tensor([[2 * step, -step]], dtype=torch.float64))[0].abs()
+    assert torch.allclose(moved[:-1, 2:], still[1:, :-2], atol=2e-3 * float(still.max()))

@@ -1,0 +1,100 @@
+"""A phone before the probe: where its cameras' returns lie, and what an idle camera still returns."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from tapetum.bench import PhoneTarget, Scene, load_scene, with_values
+from tapetum.optics.grid import Grid
+from tapetum.simulate.camera import Camera
+from tapetum.simulate.phone import PhoneCamera, open_camera, phone_scenes, seen_from_probe
+
+TILT = torch.tensor([[0.02, 0.03]], dtype=torch.float64)
+
+
+def phone(name: str, **values: object) -> Scene:
+    return with_values(load_scene("phones"), {"target.name": name, "sampling.accuracy": 0.1, **values})
+
+
+def several() -> str:
+    """The first phone of the catalogue with two cameras or more."""
+    for i in range(1, 12):
+        name = f"phone-{i:02d}"
+        if len(phone_scenes(phone(name))) > 1:
+            return name
+    raise AssertionError("no phone with two cameras")
+
+
+def test_places_count_from_the_camera_that_gazes() -> None:
+    units = phone_scenes(phone(several()))
+    assert len(units) > 1
+    assert any(unit.place == (0.0, 0.0) for unit in units)
+    assert len({unit.place for unit in units}) == len(units)
+    plain = load_scene("thin-lens")
+    assert phone_scenes(plain)[0].scene is plain and len(phone_scenes(plain)) == 1
+
+
+def test_a_turned_plate_is_foreshortened_along_the_tilt() -> None:
+    place = torch.tensor([[0.01, 0.02]], dtype=torch.float64)
+    assert torch.allclose(seen_from_probe(place, torch.zeros(1, 2, dtype=torch.float64)), place)
+    seen = seen_from_probe(place, torch.tensor([[0.0, 0.6]], dtype=torch.float64))
+    assert torch.allclose(seen, torch.tensor([[0.01, 0.016]], dtype=torch.float64))
+    both = torch.tensor([[0.3, 0.4]], dtype=torch.float64)
+    length = torch.linalg.vector_norm
+    along = seen_from_probe(torch.tensor([[0.006, 0.008]], dtype=torch.float64), both)
+    across = seen_from_probe(torch.tensor([[-0.008, 0.006]], dtype=torch.float64), both)
+    assert float(length(along)) == pytest.approx(0.01 * (1 - 0.25) ** 0.5)
+    assert float(length(across)) == pytest.approx(0.01)
+
+
+def test_each_return_lies_where_the_probe_sees_its_camera() -> None:
+    """The phone's picture is the sum of its cameras' own, each moved by its place over the distance."""
+    scene = phone(several())
+    # Fewer pixels, and the plane mirrors alone: places are what is asked for.
+    units = phone_scenes(scene)[:2]
+    grid = Grid(81, 81, 8e-6)
+    camera = PhoneCamera.__new__(PhoneCamera)
+    camera.scene, camera.output = scene, grid
+    bare = [replace(unit.scene, target=replace(unit.scene.target, sensor=_mirror(unit.scene))) for unit in units]
+    cameras = [Camera(one, 0.05, output=grid) for one in bare]
+    camera.units = [(one, unit.place) for one, unit in zip(cameras, units, strict=True)]
+    image = camera(TILT)
+    scale = scene.probe.lens.focal_length / scene.distance
+    apart = [
+        one(TILT, scale * seen_from_probe(torch.tensor([unit.place]), TILT))
+        for one, unit in zip(cameras, units, strict=True)
+    ]
+    assert torch.allclose(image, sum(apart[1:], apart[0]))
+    # The middle of each return's light lies there.
+    for one, unit in zip(apart, units, strict=True):
+        want = scale * seen_from_probe(torch.tensor([unit.place]), TILT)[0]
+        if float(want.abs().max()) > 0.3 * grid.width / 2:
+            continue
+        share = one[0].double() / one.sum()
+        middle = torch.stack([(share.sum(0) * grid.x()).sum(), (share.sum(1) * grid.y()).sum()])
+        assert torch.allclose(middle, want.double(), atol=3 * grid.pitch)
+
+
+def _mirror(scene: Scene) -> object:
+    sensor = scene.target.sensor
+    return replace(sensor, array=None, microlens=None, layers=(), reflectance=0.3)
+
+
+def test_an_idle_camera_keeps_its_filters() -> None:
+    """`imaging: false` takes the sensor's return away and nothing else."""
+    scene = phone("phone-01")
+    assert isinstance(scene.target, PhoneTarget)
+    idle = phone("phone-01", **{"target.imaging": False})
+    for awake, asleep in zip(phone_scenes(scene), phone_scenes(idle), strict=True):
+        assert awake.place == asleep.place
+        assert asleep.scene.target.sensor.reflectance == 0
+        assert asleep.scene.target.sensor.layers == awake.scene.target.sensor.layers
+
+
+def test_one_camera_and_a_phone_open_alike() -> None:
+    scene = phone("phone-01")
+    assert isinstance(open_camera(scene, 0.02, output=Grid(5, 5, 4e-5)), PhoneCamera)
+    assert isinstance(open_camera(load_scene("thin-lens"), 0.02, output=Grid(5, 5, 4e-5)), Camera)

@@ -1,0 +1,122 @@
+"""Bundles of rays in the pupil's coordinates, and the polynomials fitted to them."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+import torch
+from traced_cases import WAVELENGTH, Case, traced
+
+from tapetum.errors import InputError
+from tapetum.simulate.pupil_fits import TiltNodes, chebyshev, fit_pupils, on_grid, on_tilt_grid, open_share, values_at
+from tapetum.simulate.traced_bundle import limiting_surfaces, trace_bundle
+
+SECTION = "Traced lenses"
+PHONE = Case("phone-d", 6.0)
+
+
+def test_sines_are_the_slope_of_the_path(validated: Any) -> None:
+    """A spot moved by dy0 changes each ray's path by s·dy0: Ψ, s and y0 belong together."""
+    focused, _ = traced(PHONE)
+    sines, move = torch.tensor([0.0, 0.05], dtype=torch.float64), 1e-7
+    one = trace_bundle(focused, sines)
+    more, less = (trace_bundle(focused, sines, middle=one.middle + way * move) for way in (1, -1))
+    slope = (more.psi - less.psi) / (2 * move)
+    error = float((slope - one.s[..., 1])[one.passing].abs().max())
+    validated(SECTION, f"∂Ψ/∂y0 = s, {PHONE}", error, 1e-7, "finite differences", "in sines")
+
+
+def test_the_jacobian_is_that_of_the_map(validated: Any) -> None:
+    """Its integral over the entrance pupil is the area of the pupil in s."""
+    focused, _ = traced(PHONE)
+    one = trace_bundle(focused, torch.zeros(1, dtype=torch.float64), count=151)
+    inside = one.passing[0]
+    cell = float((one.e[0].amax(0) - one.e[0].amin(0)).prod()) / 150**2
+    area = float(one.jacobian[0][inside].sum()) * cell
+    edge = float(torch.linalg.vector_norm(one.s[0][inside], dim=-1).max())
+    validated(
+        SECTION, f"area of the pupil in s, {PHONE}", abs(area / (math.pi * edge**2) - 1), 0.03, "π NA²", "relative"
+    )
+    # Sine condition, near enough for a corrected lens.
+    assert edge == pytest.approx(PHONE.lens.aperture_radius / focused.focal_length, rel=0.05)
+
+
+def test_a_near_source_is_a_far_one_through_a_lens(validated: Any) -> None:
+    """Light from where the lens is focused lands in a point, as a plane wave does with focus at infinity."""
+    focused, _ = traced(Case("phone-d", 3.0, 0.3))
+    source = 1 / 0.3
+    near = trace_bundle(focused, torch.zeros(1, dtype=torch.float64), curvature=source)
+    plain = trace_bundle(focused, torch.zeros(1, dtype=torch.float64))
+    sharp = trace_bundle(traced(Case("phone-d", 3.0))[0], torch.zeros(1, dtype=torch.float64))
+
+    def spread(bundle: Any) -> float:
+        return float(torch.linalg.vector_norm(bundle.landing[bundle.passing], dim=-1).square().mean().sqrt())
+
+    ratio = spread(near) / spread(sharp)
+    validated(SECTION, "RMS spot lit from where the lens is focused, phone-d at 0.3 m", abs(ratio - 1), 0.1,
+              "a plane wave, focused at infinity", "relative")  # fmt: skip
+    assert spread(plain) > 1.5 * spread(near)
+
+
+def test_fits_meet_other_rays_than_theirs(validated: Any) -> None:
+    """Rays at tilts between the nodes, and on another grid."""
+    focused, fits = traced(PHONE)
+    sines = torch.tensor([0.013, 0.047, 0.085], dtype=torch.float64)
+    tilt = fits.nodes.terms(sines)
+    one = trace_bundle(focused, sines, middle=tilt @ fits.middle, count=28)
+    even, odd = values_at(fits.leaving, tilt, one.e)
+    into, _ = values_at(fits.entering, tilt, one.s)
+    inside = one.passing
+    errors = {
+        "phase over e": (even[:, 0] - one.psi) / WAVELENGTH,
+        "phase over s": (into[:, 0] - one.psi) / WAVELENGTH,
+        "s along the tilt": even[:, 1] - one.s[..., 1],
+        "s across the tilt": odd[:, 0] - one.s[..., 0],
+        "Jacobian": even[:, 2] / one.jacobian - 1,
+        "and its inverse": into[:, 1] * one.jacobian - 1,
+    }
+    allowed = {"phase over e": 3e-3, "phase over s": 3e-3, "Jacobian": 5e-3, "and its inverse": 5e-3}
+    for name, error in errors.items():
+        worst = float(error[inside].abs().max())
+        validated(SECTION, f"{name}, {PHONE}", worst, allowed.get(name, 1e-5), "rays between the nodes", "see there")
+
+
+def test_pupils_on_any_grid_are_the_same_pupil() -> None:
+    _, fits = traced(PHONE)
+    tilt = fits.nodes.terms(torch.tensor([0.05], dtype=torch.float64))
+    across, along, values = on_tilt_grid(fits.entering, tilt, 40)
+    x, y, even, _, inside = on_grid(fits.entering, tilt, torch.tensor([[0.0, 1.0]], dtype=torch.float64), 40)
+    assert torch.allclose(across.abs(), x.abs()) and torch.allclose(along, y)
+    shown = inside[:, None].expand_as(even)
+    assert torch.allclose(even[shown], values[shown], rtol=1e-9, atol=1e-12)
+    turned = on_grid(fits.entering, tilt, torch.tensor([[1.0, 0.0]], dtype=torch.float64), 40)
+    assert torch.allclose(turned[0], y)
+
+
+def test_open_share_is_the_area_inside_a_rim() -> None:
+    line = (torch.arange(90, dtype=torch.float64) + 0.5) / 45 - 1
+    height = (line[None, :] ** 2 + line[:, None] ** 2) / 0.8**2
+    share = open_share(height[None, None])
+    assert float(share.sum()) * (1 / 45) ** 2 == pytest.approx(math.pi * 0.8**2, rel=5e-4)
+    assert float(share.min()) == 0 and float(share.max()) == 1
+
+
+def test_nodes_interpolate() -> None:
+    nodes = TiltNodes(0.3, 9)
+    found = nodes.terms(torch.tensor([0.0, 0.1, 0.3], dtype=torch.float64)) @ nodes.coefficients(torch.cos(nodes.sines))
+    assert torch.allclose(found, torch.cos(torch.tensor([0.0, 0.1, 0.3], dtype=torch.float64)), atol=1e-9)
+    assert torch.allclose(chebyshev(torch.tensor(0.3).double(), 4)[3], torch.tensor(4 * 0.3**3 - 0.9).double())
+
+
+def test_the_stop_limits_a_simple_lens() -> None:
+    focused, _ = traced(Case("la1509", 1.0, f_number=100 / 6))
+    bundle = trace_bundle(focused, torch.zeros(1, dtype=torch.float64))
+    assert limiting_surfaces(bundle) == [focused.lens.stop]
+
+
+def test_a_field_without_light_is_refused() -> None:
+    focused, _ = traced(PHONE)
+    with pytest.raises(InputError, match="no ray gets through the lens at a tilt of"):
+        fit_pupils(focused, 0.98)
