@@ -243,20 +243,17 @@ def along_energy(one: TracedPass, degrees: float) -> float:
 
 
 def test_a_layer_is_the_sensor_moved(validated: Any) -> None:
-    """Through air a layer is a sensor that stands nearer; through glass, nearer by its reduced depth.
-
-    The kernel's chirp is the sensor's, so a layer's paths are off by t² s²/R: the plan's departure says so.
-    """
-    depth, output, tilt = 10e-6, picture(PHONE), along_y(2.0)
-    focused, fits = traced(PHONE)
+    """Through air a layer is a sensor that stands nearer; through glass, nearer by its reduced depth."""
+    depth, output, tilt = 30e-6, picture(PHONE), along_y(2.0)
+    focused, _ = traced(PHONE)
     grids = TracedGrids(260, 190, 6e-5, 5e-5, 420)
     nearer = fit_pupils(with_mirror_at(focused, depth), PHONE.steepest)
     want = bare(nearer, grids, output).field(tilt)[0]
     for index, at in ((1.0, depth), (1.5, 1.5 * depth)):
         surface = Surface(focused.image - depth, depth=at, index=index)
-        error = irradiance_difference(bare(fits, grids, output, surface).field(tilt)[0], want)
+        error = irradiance_difference(planned(PHONE, output, 1e-2, surface).field(tilt)[0], want)
         what = f"a layer {at * 1e6:g} µm before the sensor, n = {index:g}, {PHONE}, 2°"
-        validated(SECTION, what, error, 1e-2, "the sensor moved by its reduced depth")
+        validated(SECTION, what, error, 2e-2, "the sensor moved by its reduced depth")
 
 
 def test_planes_interfere() -> None:

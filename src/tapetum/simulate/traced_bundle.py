@@ -28,8 +28,6 @@ __all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "trace_
 _COARSE = 49
 # How far rays are followed beyond the pupil's edge, so that its polynomials hold on both sides of it.
 BEYOND = 1.06
-# A surface whose rim no ray comes nearer to than this (squared share) never stops one.
-_STOPS = 1.003
 # Farthest exit pupil before the sensor, in focal lengths: one farther away (or behind it) is as good as this.
 _FARTHEST_PUPIL = 40.0
 
@@ -236,10 +234,13 @@ def length(vectors: torch.Tensor) -> torch.Tensor:
 
 
 def limiting_surfaces(bundle: Passing) -> list[int]:
-    """Numbers of the surfaces that stop rays which all others let pass."""
-    worst = bundle.height.sort(dim=-1, descending=True).values
-    first, second = worst[..., :1], worst[..., 1:2]
-    others = torch.where(bundle.height == first, second, first)
-    alone = bundle.good[..., None] & (others <= 1)
-    nearest = torch.where(alone, bundle.height, torch.zeros_like(bundle.height)).amax((0, 1))
-    return [i for i in range(len(nearest)) if float(nearest[i]) > _STOPS]
+    """Numbers of the surfaces whose rims are the pupil's: the fewest that together stop every ray that is stopped."""
+    left = bundle.good[..., None] & (bundle.height > 1)
+    chosen: list[int] = []
+    while True:
+        stopped = left.sum((0, 1))
+        most = int(stopped.argmax())
+        if int(stopped[most]) == 0:
+            return sorted(chosen)
+        chosen.append(most)
+        left = left & ~left[..., most : most + 1]

@@ -185,7 +185,9 @@ class TracedPass:
         )
         planes = torch.view_as_real(back).permute(0, 3, 1, 2)
         seen = torch.nn.functional.grid_sample(planes, at.to(self._real), "bicubic", "border", align_corners=True)
-        return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi), x, y
+        # A plane that was planned as a sensor of its own differs from the others by its path in the medium.
+        phase = 0.0 if self.surface.depth else self.surface.phase
+        return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi + phase / k), x, y
 
     def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
         """Fades out what leaves under angles that the picture never sees."""

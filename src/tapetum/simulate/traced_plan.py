@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import ClassVar
 
 import torch
@@ -17,7 +17,7 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.simulate.exit_path import ExitPath, ProbeAperture
-from tapetum.simulate.pupil_fits import PupilFits, chebyshev
+from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 from tapetum.simulate.traced_return import check_return, corrected
@@ -204,17 +204,23 @@ def _planned(
     accepted: float | None,
     seen: float,
 ) -> tuple[TracedPass, TracedPlan]:
-    depth = surface.depth / surface.index
+    if surface.depth:
+        # A plane before the sensor is a sensor that stands nearer, by the reduced depth; its light goes n t, not t/n.
+        nearer = surface.depth / surface.index
+        focused = replace(focused, image=focused.image - nearer)
+        fits = fit_pupils(focused, fits.nodes.steepest, curvature=curvature, nodes=fits.nodes)
+        longer = 4 * math.pi / wavelength * (surface.index * surface.depth - nearer)
+        surface = replace(surface, depth=0.0, index=1.0, phase=-longer)
     sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
-    told = check_return(focused, fits, sines, curvature=curvature, depth=depth)
+    told = check_return(focused, fits, sines, curvature=curvature)
     departure = float(torch.nan_to_num(told.opd).max())
     angle = float(told.angle.max())
     # A phase that is off by so much changes a picture by as much at the most.
     unsure = 2 * math.pi * departure / wavelength
-    zones = abs(fits.defocus - depth) * fits.aperture[0] ** 2 / wavelength
+    zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
     pupils, by_rays = fits, False
     if zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted)):
-        found = corrected(focused, fits, curvature=curvature, depth=depth, accepted=accepted)
+        found = corrected(focused, fits, curvature=curvature, accepted=accepted)
         # Rays that cross on their way out have several paths at a place: then the fit misses them.
         if found is not None and found.misfit < departure:
             pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
@@ -277,11 +283,7 @@ def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float
     radius = float((at @ fits.radius).min())
     chief = min(float(((at @ fits.middle) / (at @ fits.radius)).abs().max()), sine)
     ring = wavelength / (2 * sine)
-    blur = (
-        abs(fits.defocus) * sine
-        + fits.aberration
-        + surface.depth * math.tan(math.asin(min(sine / surface.index, 0.99)))
-    )
+    blur = abs(fits.defocus) * sine + fits.aberration
     half = blur + effort.rings * ring
     # What returns lies about -s, or -s - τ, and is looked at about s.
     apart = 2 * sine if len(surface.orders) > 1 else 2 * chief + 2 * math.hypot(*surface.tilt)

@@ -338,10 +338,10 @@ row below.
 - **Discs** of the size of the probe's aperture: those of the filters, which stand before the focus, with fine rings,
   for they are mirrors and not rough. Light that a filter scatters makes an even disc of the same size.
 - **The spot that flashes**: at 785 nm the filters of these phones let 0.2 to 3 % through, twice. In the row below what
-  opening the app adds is {least:.0f} to {most:.0f} electrons at its brightest, against peaks of the whole picture in the
-  table. The paper calls its spot dimmer than the filters' RRs.
-- **Saturated**: the phones differ in brightness by more than one exposure holds; long lenses with a filter near the focus
-  are the brightest.
+  opening the app adds is {least:.0f} to {most:.0f} electrons at its brightest, against peaks of the whole picture in
+  the table. The paper calls its spot dimmer than the filters' RRs.
+- **Saturated**: the phones differ in brightness by more than one exposure holds; long lenses with a filter near the
+  focus are the brightest.
 
 **What differs**: which filters and lenses real phones have is not published; glints of housings and cover glasses, and
 the light of dot projectors, are not in these pictures (the filmed set has the latter).
