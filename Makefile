@@ -24,8 +24,9 @@ $(VENV)/.peers: $(VENV)/.ready
 demo: setup
 	$(BIN)/tapetum demo --out $(DEMO_OUT)
 
+# One test file a process, one thread each: as many processes as there are cores.
 test: setup
-	$(BIN)/python -m pytest
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
 
 test-all: peers
 	$(BIN)/python -m pytest -m 'slow or not slow'

@@ -95,7 +95,7 @@ def test_a_change_by_hand(run, tmp_path: Path, command: str, change: str, words:
 
 def test_no_such_scene(run, tmp_path: Path) -> None:
     ran = run("simulate", "thick-lens", "-o", tmp_path / "x.npy")
-    assert ran.code == 2 and "hand-held, thin-lens" in ran.complaint
+    assert ran.code == 2 and "focusing, hand-held, phones, rotation, thin-lens" in ran.complaint
 
 
 def test_a_length_that_is_no_number(run, tmp_path: Path) -> None:

@@ -24,7 +24,10 @@ def little(kind: str, size: str, seed: int) -> Plan:
         "target.sensor.pitch": "35.2 um",
     }
     plan = synth.rotation_plan(with_values(load_scene("hand-held"), values), size, seed)
-    video = replace(plan.videos[0], session=replace(plan.videos[0].session, seconds=6.0))
+    session = plan.videos[0].session
+    # So little a frame holds but a quiet hand.
+    session = replace(session, seconds=6.0, motion=replace(session.motion, sway=3e-3))
+    video = replace(plan.videos[0], session=session)
     return replace(plan, kind=kind, videos=(video,), rules=Rules(side=24))
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.data.build import Rules
 from tapetum.data.synth import Plan, rotation_plan
+from tapetum.record import Session
 
 
 def little_scene() -> Scene:
@@ -21,10 +22,15 @@ def little_scene() -> Scene:
     return with_values(load_scene("hand-held"), values)
 
 
+def shortened(session: Session, seconds: float) -> Session:
+    """A session of some seconds, its hand so quiet that a little frame holds what it shows."""
+    return replace(session, seconds=seconds, motion=replace(session.motion, sway=3e-3))
+
+
 def little_plan(videos: int = 2, seconds: float = 10.0, seed: int = 0) -> Plan:
     """Some videos of two parts each."""
     plan = rotation_plan(little_scene(), "small", seed)
-    short = tuple(replace(one, session=replace(one.session, seconds=seconds)) for one in plan.videos[:videos])
+    short = tuple(replace(one, session=shortened(one.session, seconds)) for one in plan.videos[:videos])
     return replace(plan, videos=short, rules=Rules(side=40))
 
 

@@ -14,7 +14,7 @@ from tapetum.errors import InputError
 from tapetum.record import HandMotion
 from tapetum.record.laser import BlinkCode, Exposure
 from tapetum.record.noise import counts
-from tapetum.record.returns import Returns
+from tapetum.record.returns import returns_of
 from tapetum.record.session import Placed, Session
 from tapetum.record.shot import Shot
 from tapetum.record.stray import Ground
@@ -146,7 +146,7 @@ def test_rrs_between_the_nodes_of_distance(small: Scene, validated, mode: str) -
     scene = with_values(small, {**light, "sampling.accuracy": 0.003})
     rng = np.random.default_rng(5)
     gaze, distance, none = rng.uniform(-0.4, 0.4, (4, 2)), rng.uniform(3.0, 6.0, 4), np.zeros(4)
-    returns = Returns(scene, gaze, np.zeros((4, 2)), none, distance)
+    (returns,) = returns_of(scene, gaze, np.zeros((4, 2)), none, distance)
     worst = 0.0
     for i in range(4):
         patch = returns.patches(i)[0]
@@ -166,7 +166,7 @@ def test_a_roll_turns_the_rr(small: Scene, validated) -> None:
     scene = with_values(small, {"sampling.accuracy": 1e-3, "probe.sensor.pitch": 4e-6})
     rng = np.random.default_rng(6)
     gaze, place, roll = rng.uniform(-0.3, 0.3, (3, 2)), rng.normal(0, 1e-3, (3, 2)), np.array([0.3, -0.2, 0.05])
-    returns = [Returns(scene, gaze, place, roll, np.full(3, 5.5)) for _ in range(2)]
+    returns = [returns_of(scene, gaze, place, roll, np.full(3, 5.5))[0] for _ in range(2)]
     returns[1]._round = False
     worst = 0.0
     for i in range(3):
@@ -185,8 +185,8 @@ def test_a_quarter_turn_of_square_pixels_turns_only_the_gaze(small: Scene) -> No
     scene = with_values(small, changes)
     gaze, straight = np.array([[0.2, 0.1]]), np.array([[-0.1, 0.2]])
     none, far = np.zeros((1, 2)), np.full(1, 5.5)
-    turned = Returns(scene, gaze, none, np.full(1, np.pi / 2), far).patches(0)[0].light
-    plain = Returns(scene, straight, none, np.zeros(1), far).patches(0)[0].light
+    turned = returns_of(scene, gaze, none, np.full(1, np.pi / 2), far)[0].patches(0)[0].light
+    plain = returns_of(scene, straight, none, np.zeros(1), far)[0].patches(0)[0].light
     assert turned.shape == plain.shape
     assert np.abs(turned - plain).max() < 0.01 * plain.max()
 
@@ -194,7 +194,7 @@ def test_a_quarter_turn_of_square_pixels_turns_only_the_gaze(small: Scene) -> No
 def test_a_collimated_beam_needs_one_simulation(small: Scene) -> None:
     scene = with_values(small, {"illumination.mode": "collimated", "illumination.divergence": None})
     distance = np.array([4.0, 5.0, 6.0])
-    returns = Returns(scene, np.full((3, 2), 0.1), np.full((3, 2), 1e-3), np.zeros(3), distance)
+    (returns,) = returns_of(scene, np.full((3, 2), 0.1), np.full((3, 2), 1e-3), np.zeros(3), distance)
     patches = [returns.patches(i)[0] for i in range(3)]
     assert len(returns._cameras) == 1
     assert patches[0].light.max() == pytest.approx(patches[2].light.max(), rel=0.05)

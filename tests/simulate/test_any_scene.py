@@ -487,7 +487,8 @@ WIDE = {"reflectance": [["500 nm", 0.9], ["700 nm", 0.2]], "transmittance": 0.1,
 )
 def test_what_random_scenes_have_found_is_refused_by_name(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as error:
-        Camera(scene_from_dict(plain(**changes)), 0.2, device="cpu")
+        # Planning waits for the first use.
+        assert Camera(scene_from_dict(plain(**changes)), 0.2, device="cpu").plan
     assert message in str(error.value)
     assert error.value.remedy
     assert outcome(plain(**changes)) == "refused"

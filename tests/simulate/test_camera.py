@@ -284,4 +284,4 @@ def test_a_mask_lies_behind_the_layers(tmp_path: Any) -> None:
     dimmed = image(scene(**mask, target__sensor__layers=[{"depth": 1e-4, "reflectance": 0, "transmittance": 0.5}]))
     assert torch.allclose(dimmed, bare / 4, rtol=1e-9)
     with pytest.raises(InputError, match=r"illumination: a beam .* does not fill"):
-        Camera(scene(**mask, illumination__diameter=RADIUS), 0.0)
+        assert Camera(scene(**mask, illumination__diameter=RADIUS), 0.0).plan

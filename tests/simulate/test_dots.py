@@ -173,7 +173,7 @@ def test_frames_hold_the_flashes_whichever_are_made() -> None:
         assert first is not None and again is not None and again[:2] == first[:2]
         assert np.array_equal(again.light, first.light) and first.light.min() >= 0
         # At the projector's place against the main camera times f_p/d, turned with the hand; the tilt shortens it.
-        middle = np.array(first[:2]) + (first.light.shape[0] - 1) / 2 - 319.5
+        middle = np.array(first[:2]) + (first.light.shape[0] - 1) / 2 - (phone.probe.sensor.pixels[0] - 1) / 2
         c, s = math.cos(held[3][i]), math.sin(held[3][i])
         place = np.array([c * -16.4e-3 - s * -1.2e-3, s * -16.4e-3 + c * -1.2e-3])
         np.testing.assert_allclose(middle, place * 0.1 / 5.5 / 2.2e-6, atol=2)

@@ -172,12 +172,14 @@ def count_moments(mean: torch.Tensor, sensor: ProbeSensor) -> tuple[torch.Tensor
     gain = gain_of(sensor)
     low = -sensor.offset / gain
     high = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain)
-    noise = sensor.read_noise**2
+    # Less read noise than this is none: its square, or its inverse, would be no number.
+    read_noise = sensor.read_noise if sensor.read_noise > 1e-9 else 0.0
+    noise = read_noise**2
     # A floor far below any noise, for the root's gradient at no light and no read noise.
     variance = light + noise
     scale = variance.clamp_min(1e-6).sqrt()
     over, over2 = _beyond((light - high) / scale, scale)
-    under, under2 = _below(light, scale, low, sensor.read_noise)
+    under, under2 = _below(light, scale, low, read_noise)
     expected = light - over + under
     spread = variance - over2 - under2 - 2 * (high - light) * over + 2 * (low - light) * under - (under - over) ** 2
     numbers = gain * expected + sensor.offset

@@ -53,6 +53,9 @@ _SECONDS = {
 _EXTENT = {"rotation": 0.48, "focusing": 0.2, "phones": 0.25}
 # Of the hand about the optical axis, in radians, and of the laser's power in parts of one: assumed.
 _ROLL, _POWER_JITTER = 0.02, 0.01
+# Of the hand sideways, in metres. In diverging light the RR itself moves by f_p z s/d with the gaze s: no more than a
+# fifth of what this sway makes of its place, so that the place does not tell the gaze.
+_SWAY = 0.01
 
 
 @dataclass(frozen=True)
@@ -236,7 +239,7 @@ def _video(
         seconds=_SECONDS[kind][size],
         rate=RATE,
         seed=own,
-        motion=HandMotion(extent=_EXTENT[kind], roll=_ROLL),
+        motion=HandMotion(extent=_EXTENT[kind], roll=_ROLL, sway=_SWAY),
         power_jitter=_POWER_JITTER,
         stray=(FixedPattern(),),
     )
