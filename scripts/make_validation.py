@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 import json
+import os
 import subprocess
 import sys
 import tempfile
@@ -23,7 +24,7 @@ the line gives the largest difference.
 runs those tests and writes this page anew; `scripts/make_validation.py --slow` runs the slow ones as well{slow}.
 Errors are largest differences, by default in fractions of the peak.
 All of it is simulation against closed forms, independent methods and other packages. None of it says how far scalar,
-paraxial light and a thin lens are from a real camera.
+paraxial light, and lenses as their prescriptions have them, are from a real camera.
 """
 
 
@@ -36,12 +37,16 @@ def main() -> int:
             {str(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py") if "validated" in p.read_text()}
         )
         command = [sys.executable, "-m", "pytest", "-m", "slow or not slow", "--keep-validation", str(kept), *tests]
+        command += ["-n", "auto", "--dist", "loadfile"]
         if not slow:
             command[4] = "not slow"
-        code = subprocess.run(command, cwd=ROOT, check=False).returncode
+        code = subprocess.run(command, cwd=ROOT, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"}).returncode
         if code:
             return code
-        lines = json.loads(kept.read_text(encoding="utf-8"))
+        files = sorted(Path(folder).glob("validation.json*"))
+        lines = [line for file in files for line in json.loads(file.read_text(encoding="utf-8"))]
+        # In whatever order the processes came to them.
+        lines.sort(key=lambda line: (line["test"], line["what"]))
     part = PAGE.with_suffix(".part")
     part.write_text(page(lines, slow), encoding="utf-8")
     part.replace(PAGE)

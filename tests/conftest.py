@@ -46,4 +46,6 @@ def validated(request: pytest.FixtureRequest) -> Validated:
 def pytest_sessionfinish(session: pytest.Session) -> None:
     path = session.config.getoption("--keep-validation")
     if path:
-        Path(path).write_text(json.dumps(session.config.stash[_KEPT], indent=1), encoding="utf-8")
+        # Of several processes each writes its own.
+        worker = getattr(session.config, "workerinput", {}).get("workerid", "")
+        Path(f"{path}{worker}").write_text(json.dumps(session.config.stash[_KEPT], indent=1), encoding="utf-8")
