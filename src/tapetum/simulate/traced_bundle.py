@@ -39,10 +39,6 @@ class Passing(Protocol):
     def passing(self) -> torch.Tensor: ...
     @property
     def near(self) -> torch.Tensor: ...
-    @property
-    def good(self) -> torch.Tensor: ...
-    @property
-    def height(self) -> torch.Tensor: ...
 
 
 @dataclass(frozen=True)
@@ -233,7 +229,7 @@ def length(vectors: torch.Tensor) -> torch.Tensor:
     return torch.sqrt((vectors**2).sum(-1))
 
 
-def limiting_surfaces(bundle: Passing) -> list[int]:
+def limiting_surfaces(bundle: Bundle) -> list[int]:
     """Numbers of the surfaces whose rims are the pupil's: the fewest that together stop every ray that is stopped."""
     left = bundle.good[..., None] & (bundle.height > 1)
     chosen: list[int] = []

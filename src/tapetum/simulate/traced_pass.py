@@ -69,7 +69,7 @@ class TracedPass:
     grids
         The sampling.
     surface
-        The plane: its depth before the sensor, the index between, and its orders.
+        The plane that the pupils were fitted for: its orders, its tilt, and its phase against other planes.
     path
         From the lens to the probe's pixels.
     wavelength
@@ -137,23 +137,20 @@ class TracedPass:
         tilt = fits.nodes.terms(size)
         middle, radius = tilt @ fits.middle, tilt @ fits.radius
         chief = middle / radius
-        # Of the plane before the sensor: less where it is tilted away.
-        depth = self.surface.depth - self._along(self.surface.tilt, toward) * middle
+        # A plane that is tilted away is so much farther at the spot.
+        nearer = -self._along(self.surface.tilt, toward) * middle
 
         # The way in, across and along the tilt.
-        across, along, entering = on_tilt_grid(fits.entering, tilt, self.grids.pupil)
+        across, along, psi, amplitude, cell = self._entering(tilt, size)
         square = across[:, None, :] ** 2 + along[:, :, None] ** 2
-        psi = entering[:, 0] + self._taken(square, along[:, :, None], chief, depth)
-        share = torch.sqrt(entering[:, 1].clamp_min(_DARK)) * open_share(entering[:, 2:])
-        # A tilted pupil catches less.
-        area = (across[:, 1] - across[:, 0]) * (along[:, 1] - along[:, 0]) * (1 - size**2) ** 0.25 * returns
-        wave = self._wave(share * area[:, None, None], psi)
+        psi = psi + self._taken(square, along[:, :, None], chief, nearer)
+        wave = self._wave(amplitude * (cell * returns)[:, None, None], psi)
 
         v = self._v
         spot = self._kernel(v, along) @ wave @ self._kernel(v, across).mT
         bend = (self._square - (chief[:, None, None] * v[None, :, None]) ** 2) / radius[:, None, None]
         spot = spot * (phasor(k * bend) * self._window * self._unit).to(self.dtype)
-        spot = spot * self._reflectance(middle, chief, toward, depth)
+        spot = spot * self._reflectance(middle, chief, toward, nearer)
 
         # The way out, on columns and rows of the probe's picture.
         rotation, _ = foreshortening(sines)
@@ -165,14 +162,14 @@ class TracedPass:
         else:
             out = out * open_share(even[:, 3:], inside)
         s_along, s_across = even[:, 1], odd[:, 0]
-        psi = even[:, 0] + self._taken(s_along**2 + s_across**2, s_along, chief, depth)
+        psi = even[:, 0] + self._taken(s_along**2 + s_across**2, s_along, chief, nearer)
 
         # Where the pupil sees it, then at each sample's own direction.
         columns, low_x, wide_x = self._line(s_across, inside)
         rows, low_y, wide_y = self._line(s_along, inside)
         back = self._kernel(rows, v[None]) @ spot @ self._kernel(columns, v[None]).mT
         # Out of focus the field turns with the square of s': taken out before, put back after the interpolation.
-        bend = k / 2 * (fits.defocus - self.surface.depth / self.surface.index)
+        bend = k / 2 * fits.defocus
         centre = chief[:, None, None]
         back = back * phasor(bend * ((rows[:, :, None] + centre) ** 2 + columns[:, None, :] ** 2)).to(self.dtype)
         psi = psi - bend / k * ((s_along + centre) ** 2 + s_across**2)
@@ -185,9 +182,24 @@ class TracedPass:
         )
         planes = torch.view_as_real(back).permute(0, 3, 1, 2)
         seen = torch.nn.functional.grid_sample(planes, at.to(self._real), "bicubic", "border", align_corners=True)
-        # A plane that was planned as a sensor of its own differs from the others by its path in the medium.
-        phase = 0.0 if self.surface.depth else self.surface.phase
-        return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi + phase / k), x, y
+        return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi + self.surface.phase / k), x, y
+
+    def entering_power(self, sines: torch.Tensor) -> torch.Tensor:
+        """Power [B] that 1 W/m² sends into the lens at tilts [B, 2], in watts."""
+        size, _ = tilt_and_azimuth(sines)
+        size = size.clamp_max(self.fits.nodes.steepest)
+        _, _, _, amplitude, cell = self._entering(self.fits.nodes.terms(size), size)
+        return (amplitude**2).sum((1, 2)) * cell
+
+    def _entering(
+        self, tilt: torch.Tensor, size: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Columns across and rows along the tilt, path and amplitude there, and the area of a sample."""
+        across, along, values = on_tilt_grid(self.fits.entering, tilt, self.grids.pupil)
+        share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:])
+        cell = (across[:, 1] - across[:, 0]) * (along[:, 1] - along[:, 0])
+        # A tilted pupil catches less.
+        return across, along, values[:, 0], share * ((1 - size**2) ** 0.25)[:, None, None], cell
 
     def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
         """Fades out what leaves under angles that the picture never sees."""
@@ -216,17 +228,16 @@ class TracedPass:
         return vector[0] * toward[:, 0] + vector[1] * toward[:, 1]
 
     def _taken(
-        self, square: torch.Tensor, along: torch.Tensor, chief: torch.Tensor, depth: torch.Tensor
+        self, square: torch.Tensor, along: torch.Tensor, chief: torch.Tensor, nearer: torch.Tensor
     ) -> torch.Tensor:
-        """What a plane before the sensor takes off a path: n times its way in the medium, about a shifted spot."""
-        n = self.surface.index
-        if self.surface.depth == 0 and self.surface.tilt == (0.0, 0.0):
+        """What a plane nearer by so much at the spot takes off a path, about the place where the chief ray meets it."""
+        if self.surface.tilt == (0.0, 0.0):
             return torch.zeros((), dtype=torch.float64, device=self.device)
-        shift = depth * chief / torch.sqrt(n**2 - chief**2)
-        return -depth[:, None, None] * torch.sqrt((n**2 - square).clamp_min(_DARK)) - shift[:, None, None] * along
+        shift = nearer * chief / torch.sqrt(1 - chief**2)
+        return -nearer[:, None, None] * torch.sqrt((1 - square).clamp_min(_DARK)) - shift[:, None, None] * along
 
     def _reflectance(
-        self, middle: torch.Tensor, chief: torch.Tensor, toward: torch.Tensor, depth: torch.Tensor
+        self, middle: torch.Tensor, chief: torch.Tensor, toward: torch.Tensor, nearer: torch.Tensor
     ) -> torch.Tensor:
         """What the orders make of the light at y0 + v: phases that turn slowly, the mask itself is never sampled."""
         total = torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device)
@@ -235,7 +246,7 @@ class TracedPass:
         turn = 2 * torch.sqrt(1 - chief**2)
         tilted = turn * self._along(tilt, toward), turn * self._along((tilt[1], -tilt[0]), toward)
         # Where the chief ray meets the plane.
-        spot = middle - depth * chief / torch.sqrt(self.surface.index**2 - chief**2)
+        spot = middle - nearer * chief / torch.sqrt(1 - chief**2)
         places = spot[:, None] * toward
         for order in self.surface.orders:
             tau = order.direction[0] - 2 * tilt[0], order.direction[1] - 2 * tilt[1]

@@ -20,7 +20,7 @@ from tapetum.simulate.exit_path import ExitPath, ProbeAperture
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
-from tapetum.simulate.traced_return import check_return, corrected
+from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
 __all__ = ["TracedGroup", "TracedPlan", "aperture_of", "return_angle", "traced_group"]
 
@@ -51,6 +51,8 @@ _MOST_POWER = 1.03
 _FADING = 0.3
 _MOST_PUPIL, _MOST_SENSOR = 2048, 4096
 _LARGEST_MISFIT = 0.02
+# RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
+_LARGEST_DEPARTURE = 0.05
 # How far light may turn between two samples of the probe's aperture, in radians.
 _APERTURE_RADIANS = 2.0
 
@@ -118,10 +120,15 @@ def aperture_of(distance: float, radius: float, wavelength: float, window: float
 
 
 def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
-    """Largest angle of a ray that returns from the sensor, or from a mirror at one of the depths (reduced to air)."""
+    """Largest angle of a ray that returns from the sensor (0), or from a mirror at one of the depths, reduced to air."""
     sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
-    found = [check_return(focused, fits, sines, curvature=curvature, depth=depth).angle.max() for depth in depths]
-    return max(float(one) for one in found)
+    found = [trace_return(_nearer(focused, depth), sines, curvature=curvature).angle for depth in depths]
+    return max(float(one.max()) for one in found)
+
+
+def _nearer(focused: FocusedLens, depth: float) -> FocusedLens:
+    """A mirror before the sensor is a sensor that stands nearer."""
+    return replace(focused, image=focused.image - depth)
 
 
 def traced_group(
@@ -205,9 +212,9 @@ def _planned(
     seen: float,
 ) -> tuple[TracedPass, TracedPlan]:
     if surface.depth:
-        # A plane before the sensor is a sensor that stands nearer, by the reduced depth; its light goes n t, not t/n.
+        # Nearer by the reduced depth t/n, while the light's path is shorter by n t.
         nearer = surface.depth / surface.index
-        focused = replace(focused, image=focused.image - nearer)
+        focused = _nearer(focused, nearer)
         fits = fit_pupils(focused, fits.nodes.steepest, curvature=curvature, nodes=fits.nodes)
         longer = 4 * math.pi / wavelength * (surface.index * surface.depth - nearer)
         surface = replace(surface, depth=0.0, index=1.0, phase=-longer)
@@ -226,11 +233,12 @@ def _planned(
             pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
     if not by_rays:
         accepted = None
-    if unsure > accuracy:
+    coarser = f"ask for an accuracy of {unsure:.1g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
+    if unsure > min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE):
         raise InputError(
             f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
             where="target",
-            remedy=f"ask for an accuracy of {unsure:.1g}, focus nearer to the probe, or stop down with f_number",
+            remedy=f"{coarser}focus nearer to the probe, or stop the lens down with f_number",
         )
 
     def made(effort: _Effort) -> TracedPass:
@@ -310,8 +318,7 @@ def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float
 def _check_power(one: TracedPass, sines: torch.Tensor, limit: float) -> None:
     pupil, x, y = one.exit_pupil(sines)
     area = (x[:, 1] - x[:, 0]) * (y[:, 1] - y[:, 0])
-    power = (pupil.abs() ** 2).sum((1, 2)) * area
-    # The plain pupil's area, as its rays have it.
-    reach = math.pi * one.fits.aperture[1] ** 2
-    if float(power.max()) > _MOST_POWER * limit * 4 * reach:
-        raise InputError("more light would return than went in", where="sampling", remedy="ask for more accuracy")
+    gained = (pupil.abs() ** 2).sum((1, 2)) * area / one.entering_power(sines)
+    if float(gained.max()) > _MOST_POWER * limit:
+        what = f"{float(gained.max()):.3g} times the light that went in would return"
+        raise InputError(what, where="sampling", remedy="ask for more accuracy")

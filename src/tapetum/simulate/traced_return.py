@@ -72,6 +72,11 @@ class Returned:
         """[F, N] rays that no rim stops on either way."""
         return self.good & (self.height <= 1).all(-1)
 
+    @property
+    def angle(self) -> torch.Tensor:
+        """[F] largest angle of a ray that passes against its field's direction, in radians."""
+        return torch.where(self.passing, length(self.turned), torch.zeros_like(self.path)).amax(-1)
+
 
 @dataclass(frozen=True)
 class TracedReturn:
@@ -97,11 +102,10 @@ def trace_return(
     sines: torch.Tensor,
     *,
     curvature: float = 0.0,
-    depth: float = 0.0,
     middle: torch.Tensor | None = None,
     count: int = 37,
 ) -> Returned:
-    """Trace bundles in, off a mirror, and out again.
+    """Trace bundles in, off the sensor taken as a mirror, and out again.
 
     Parameters
     ----------
@@ -111,20 +115,18 @@ def trace_return(
         [F] sines of the tilt along y.
     curvature
         Of the light that enters, in 1/m.
-    depth
-        Of the mirror before the sensor, reduced to air, in metres.
     middle
         As for `trace_bundle`.
     count
         Rays a side.
     """
     bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count)
-    return _sent_back(focused, bundle, sines, depth)
+    return _sent_back(focused, bundle, sines)
 
 
-def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor, depth: float) -> Returned:
+def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor) -> Returned:
     rays = bundle.rays
-    at, way = to_plane(rays.position, rays.direction, focused.image - depth)
+    at, way = to_plane(rays.position, rays.direction, focused.image)
     # The lens turned round: z runs the other way, and so does the light.
     end = focused.lens.z[-1]
     start = torch.stack([at[..., 0], at[..., 1], end - at[..., 2]], -1)
@@ -143,7 +145,6 @@ def check_return(
     sines: torch.Tensor,
     *,
     curvature: float = 0.0,
-    depth: float = 0.0,
 ) -> TracedReturn:
     """Compare the paths of real rays with those that the double pass of waves takes for them.
 
@@ -151,18 +152,17 @@ def check_return(
     ----------
     focused, fits
         The lens, and the pupils that the model takes.
-    sines, curvature, depth
+    sines, curvature
         As for `trace_return`.
     """
     tilt = fits.nodes.terms(sines)
-    back = trace_return(focused, sines, curvature=curvature, depth=depth, middle=tilt @ fits.middle)
+    back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle)
     passing = back.passing
-    error = torch.where(passing, back.path - _model_path(fits, tilt, back, depth), torch.zeros_like(back.path))
+    error = torch.where(passing, back.path - _model_path(fits, tilt, back), torch.zeros_like(back.path))
     some = passing.sum(-1)
     mean = error.sum(-1) / some
     square = torch.where(passing, (error - mean[:, None]) ** 2, torch.zeros_like(error))
-    angle = torch.where(passing, length(back.turned), torch.zeros_like(error))
-    return TracedReturn(torch.sqrt(square.sum(-1) / some), some / back.bundle.passing.sum(-1), angle.amax(-1))
+    return TracedReturn(torch.sqrt(square.sum(-1) / some), some / back.bundle.passing.sum(-1), back.angle)
 
 
 def corrected(
@@ -170,7 +170,6 @@ def corrected(
     fits: PupilFits,
     *,
     curvature: float = 0.0,
-    depth: float = 0.0,
     accepted: float | None = None,
 ) -> PupilFits | None:
     """Pupils whose light leaves with the paths of its real rays.
@@ -179,7 +178,7 @@ def corrected(
     ----------
     focused, fits
         The lens, and its pupils.
-    curvature, depth
+    curvature
         As for `trace_return`.
     accepted
         Largest angle under which light still reaches the picture, in radians: places that send all of theirs under
@@ -192,12 +191,12 @@ def corrected(
         tilt before the heights, across as the last odd one). Its tilts end where hardly any light returns. Its misfit
         is large where rays cross on their way out, so that a place has no one path. None where too few rays return.
     """
-    nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, depth, accepted))
+    nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
     middle = tilt @ fits.middle
-    box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, depth, middle, accepted)
+    box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, middle, accepted)
     bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box)
-    back = _sent_back(focused, bundle, nodes.sines, depth)
+    back = _sent_back(focused, bundle, nodes.sines)
     # Of a part of the pupil all rays near it are fitted, whether a rim stops them or not: it may end within.
     passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
     if accepted is not None:
@@ -206,10 +205,10 @@ def corrected(
     if not bool((passing.sum(-1) >= _FEWEST_RAYS).all()):
         return None
     even, odd = values_at(fits.leaving, tilt, back.e)
-    path = even[:, 0] + back.path - _model_path(fits, tilt, back, depth)
+    path = even[:, 0] + back.path - _model_path(fits, tilt, back)
     surfaces = len(focused.lens)
     rims = limiting_surfaces(bundle)
-    rays = _Rays(passing, near, back.height)
+    rays = _Rays(passing, near)
     leaving, misfit = fit_functions(
         nodes,
         back.e,
@@ -235,7 +234,6 @@ def _accepted_box(
     focused: FocusedLens,
     sines: torch.Tensor,
     curvature: float,
-    depth: float,
     middle: torch.Tensor,
     accepted: float,
 ) -> tuple[torch.Tensor, torch.Tensor]:
@@ -243,7 +241,7 @@ def _accepted_box(
     box = None
     for _ in range(_NARROWINGS):
         bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, count=_COARSE)
-        back = _sent_back(focused, bundle, sines, depth)
+        back = _sent_back(focused, bundle, sines)
         # Far outside its rims a lens may send light back as well, by surfaces that are not there.
         good = back.good & (back.height <= _STRAY).all(-1)
         near = good & (length(back.turned) <= _KEPT * accepted)
@@ -260,36 +258,31 @@ def _accepted_box(
     return torch.stack([-wide, box[0][:, 1]], -1), torch.stack([wide, box[1][:, 1]], -1)
 
 
-def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned, depth: float) -> torch.Tensor:
+def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Tensor:
     """Path [F, N] that the double pass of waves takes for rays: stationary there, so small departures do not count."""
     middle, radius = tilt @ fits.middle, tilt @ fits.radius
     chief = middle / radius
-    cosine = torch.sqrt(1 - chief**2)
-    v = back.mirror - torch.stack([torch.zeros_like(middle), middle - depth * chief / cosine], -1)[:, None, :]
+    v = back.mirror - torch.stack([torch.zeros_like(middle), middle], -1)[:, None, :]
     bend = ((v**2).sum(-1) - (chief[:, None] * v[..., 1]) ** 2) / radius[:, None]
     even, odd = values_at(fits.leaving, tilt, back.e)
     s_in, s_out = back.bundle.s, torch.stack([odd[:, 0], even[:, 1]], -1)
-    cosines = torch.sqrt(1 - (s_in**2).sum(-1)) + torch.sqrt((1 - (s_out**2).sum(-1)).clamp_min(0))
-    taken = depth * (cosines + (chief / cosine)[:, None] * (s_in[..., 1] + s_out[..., 1]))
-    return back.bundle.psi + even[:, 0] + ((s_in + s_out) * v).sum(-1) + bend - taken
+    return back.bundle.psi + even[:, 0] + ((s_in + s_out) * v).sum(-1) + bend
 
 
-def _last_return(
-    focused: FocusedLens, steepest: float, curvature: float, depth: float, accepted: float | None
-) -> float:
+def _last_return(focused: FocusedLens, steepest: float, curvature: float, accepted: float | None) -> float:
     """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns."""
     low, high = 0.0, steepest
     for tried in (steepest, *[None] * _BISECTIONS):
         sine = (low + high) / 2 if tried is None else tried
         at = torch.tensor([sine], dtype=torch.float64)
         if accepted is None:
-            back = trace_return(focused, at, curvature=curvature, depth=depth, count=_COARSE)
+            back = trace_return(focused, at, curvature=curvature, count=_COARSE)
             share = int(back.passing.sum()) / int(back.bundle.passing.sum())
         else:
             middle = trace_bundle(focused, at, curvature=curvature, count=_COARSE).middle
-            box = _accepted_box(focused, at, curvature, depth, middle, accepted)
+            box = _accepted_box(focused, at, curvature, middle, accepted)
             bundle = trace_bundle(focused, at, curvature=curvature, middle=middle, box=box, count=_COARSE)
-            back = _sent_back(focused, bundle, at, depth)
+            back = _sent_back(focused, bundle, at)
             near = back.good & (length(back.turned) <= _KEPT * accepted)
             share = int((near & back.passing).sum()) / max(1, int(near.sum()))
         if share > _LEAST_SHARE:
@@ -307,8 +300,3 @@ class _Rays:
 
     passing: torch.Tensor
     near: torch.Tensor
-    height: torch.Tensor
-
-    @property
-    def good(self) -> torch.Tensor:
-        return self.near
