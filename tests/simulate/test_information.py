@@ -20,6 +20,7 @@ from tapetum.errors import InputError
 from tapetum.simulate import information as module
 from tapetum.simulate.exposure import digitise, gain_of
 from tapetum.simulate.information import PARAMETERS, FisherInformation, expected_electrons, fisher, true_values
+from tapetum.simulate.traced_information import TRACED, TracedSlopes
 
 SECTION = "Fisher information"
 Validated = Callable[..., None]
@@ -446,3 +447,96 @@ def test_one_name_is_one_parameter() -> None:
     # Focused at infinity there is still a gaze.
     far = fisher(bench("target.object_distance=inf"), ("gaze_x", "gaze_y", "place_x"))
     assert all(0 < one < math.inf for one in far.bounds.values())
+
+
+# A singlet so slow that its aberrations hardly count.
+SLOW = ("target.rotation=[0.3 deg, 0.5 deg]", "probe.sensor.pixels=[64, 64]", "probe.sensor.pitch=13.2 um")
+SINGLET = "target.lens={kind: prescription, name: la1509, f_number: 30, design_wavelength: 640 nm}"
+GAZE = torch.tensor([[0.11, 0.06]], dtype=torch.float64)
+
+
+def thin_like(scene: Scene, focal_length: float) -> Scene:
+    """A thin lens of the same F-number and gaze as the scene's traced one."""
+    lens = scene.target.lens
+    radius = lens.aperture_radius * focal_length / lens.focal_length
+    return bench(*SLOW, f"target.lens={{focal_length: {focal_length}, aperture_radius: {radius}}}")
+
+
+def test_traced_lens_tells_what_a_thin_one_does(validated: Validated) -> None:
+    real = bench(*SLOW, SINGLET)
+    f = real.target.lens.focal_length
+    thin = thin_like(real, f)
+    names = ("gaze_x", "gaze_y", "object_distance", "power", "place_x", "place_y")
+    found, want = fisher(real, names, device="cpu"), fisher(thin, names, device="cpu")
+    for kind in ("alone", "bounds"):
+        a, b = getattr(found, kind), getattr(want, kind)
+        error = max(abs(a[name] / b[name] - 1) for name in names)
+        what = f"Limits of 6 parameters, traced singlet at f/30, {'others known' if kind == 'alone' else 'all unknown'}"
+        validated(SECTION, what, error, 0.1, "a thin lens, automatic differentiation", "of the limit")
+    # A prime is scaled as a whole, its stop with it; the gaze stays.
+    h, gaze = 1e-5 * f, true_values(thin, ("gaze_x", "gaze_y"))
+    more, less = (expected_electrons(thin_like(real, f + d), gaze) for d in (h, -h))
+    slope, mean = (more - less).flatten() / (2 * h), expected_electrons(thin, gaze).flatten()
+    alone = float(1 / (slope.square() / (mean + noise_variance(thin.probe.sensor))).sum().sqrt())
+    error = fisher(real, ("focal_length",), device="cpu").bounds["focal_length"] / alone - 1
+    what = "Limit of the focal length, traced singlet at f/30, others known"
+    validated(SECTION, what, abs(error), 0.1, "a thin lens scaled with its stop, differences", "of the limit")
+
+
+def traced_bounds(scene: Scene, names: tuple[str, ...], **options: Any) -> dict[str, float]:
+    slopes = TracedSlopes(scene, names, GAZE, device="cpu", **options)
+    mean, jacobian = slopes(0)
+    return FisherInformation(
+        names, (0.0,) * len(names), module.information_of(mean, jacobian, scene.probe.sensor)
+    ).bounds
+
+
+def test_traced_limits_do_not_hang_on_the_steps(validated: Validated) -> None:
+    scene = bench(*SLOW, SINGLET)
+    whole, half = (traced_bounds(scene, TRACED, step=step) for step in (1.0, 0.5))
+    error = max(abs(whole[name] / half[name] - 1) for name in TRACED)
+    validated(SECTION, "Limits of 7 parameters, traced singlet at f/30", error, 0.06, "steps of half", "of the limit")
+
+
+def test_roll_turns_the_picture_as_the_gaze_turns_about_the_axis(validated: Validated) -> None:
+    """A round lens before a mirror: what turns about its axis turns its picture."""
+    scene = bench(*SLOW, SINGLET)
+    sensor = scene.target.sensor
+    wide, high = (count * sensor.pitch for count in sensor.pixels)
+    _, slopes = TracedSlopes(scene, ("gaze_x", "gaze_y", "roll"), GAZE, device="cpu")(0)
+    x, y = GAZE[0].tolist()
+    want = x * wide / high * slopes[1] - y * high / wide * slopes[0]
+    error = (slopes[2] - want).norm() / want.norm()
+    what = "Change of the picture with the roll, traced singlet at f/30"
+    validated(SECTION, what, float(error), 0.06, "the gaze turned about the axis", "of the change")
+
+
+def test_photosites_move_under_the_spot_as_the_spot_over_them(validated: Validated) -> None:
+    scene = bench(*SLOW, SINGLET, "target.sensor.array={pitch: 26 um, fill: 0.5}")
+    _, (direct,) = TracedSlopes(scene, ("gaze_x",), GAZE, device="cpu")(0)
+    names = ("gaze_x", "photosite_x", "photosite_y")
+    _, (found, moved, _) = TracedSlopes(scene, names, GAZE, device="cpu")(0)
+    error = float((found - direct).norm() / direct.norm())
+    what = "Change of the picture with the gaze, photosites under a traced singlet at f/30"
+    validated(SECTION, what, error, 0.03, "small steps of the gaze", "of the change")
+    # The photosites make nearly all of it: where they are not known, the gaze is much less so.
+    assert float(moved.norm() * scene.target.sensor.pixels[0] * scene.target.sensor.pitch / direct.norm()) > 0.7
+    alone, unknown = traced_bounds(scene, names[:1]), traced_bounds(scene, names)
+    assert unknown["gaze_x"] > 3 * alone["gaze_x"]
+
+
+@pytest.mark.parametrize(
+    ("names", "changes", "says"),
+    [
+        (("gaze_x", "colour"), (), "unknown parameter 'colour'"),
+        (("photosite_x",), (), "a mirror without photosites"),
+        (("object_distance",), ("target.sensor.layers=[{depth: 0.5 mm, index: 1.5, reflectance: 0.04}]",), "layers"),
+        (("focal_length",), ("target.sensor.diffuse={albedo: 0.5}",), "scattered"),
+        (("object_distance",), ("target.object_distance=inf",), "infinity"),
+    ],
+)
+def test_traced_slopes_refuse(names: tuple[str, ...], changes: tuple[str, ...], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        TracedSlopes(bench(*SLOW, SINGLET, *changes), names, GAZE)
+    with pytest.raises(InputError, match="not traced"):
+        TracedSlopes(bench(), ("gaze_x",), GAZE)

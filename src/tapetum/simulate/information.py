@@ -16,9 +16,11 @@ from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import count_moments, gain_of, hot_currents
 from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
-from tapetum.simulate.radiometry import beam_radius, dark_electrons, electrons
+from tapetum.simulate.radiometry import beam_radius, electrons
+from tapetum.simulate.traced_information import TRACED, TracedSlopes
 
-__all__ = ["PARAMETERS", "FisherInformation", "expected_electrons", "fisher", "not_told", "true_values"]
+__all__ = ["PARAMETERS", "FisherInformation", "expected_electrons", "fisher", "information_of", "not_told"]
+__all__ += ["true_values"]
 
 PARAMETERS = {
     "gaze_x": "fraction of the field",
@@ -118,8 +120,9 @@ def fisher(
     ------
     InputError
         For unknown or repeated parameters, an object distance at infinity among them, parameters by which the chain is
-        not differentiated (a traced lens by other than gaze and power, scattered light likewise; distance, where a
-        diverging beam underfills the target or meets a mask), phones, and as `retroreflect`.
+        not differentiated (scattered light by other than gaze and power, behind a traced lens and layers there by focus
+        and focal length; distance through a traced lens, or where a diverging beam underfills the target or meets a
+        mask), phones, and as `retroreflect`.
 
     Notes
     -----
@@ -134,51 +137,29 @@ def fisher(
 
     The gaze is the laser's place in the target's picture, z tan θ/(pN): that is what stays where focus or focal length
     are varied, not the angle. The derivatives come by automatic differentiation through the whole chain, with the grids
-    as planned; a traced lens's by differences, for its picture has no azimuth to differentiate by in the middle.
+    as planned; a traced lens's by differences of pictures on the same grids (`traced_information`). A thin lens's
+    aperture stays where its focal length is varied. A traced prime is scaled as a whole, so its F-number stays, and a
+    zoom's stop opens as its states say, or keeps its `f_number`; the object distance stays.
     """
     names = _checked(scene, parameters)
     start = true_values(scene, names)
     if isinstance(scene.target.lens, PrescriptionLens):
-        information = _traced_information(scene, names, accuracy, device)
-        return FisherInformation(names, tuple(start.values()), information)
+        gaze = torch.tensor([list(true_values(scene, ("gaze_x", "gaze_y")).values())], dtype=torch.float64)
+        mean, jacobian = TracedSlopes(scene, names, gaze, accuracy=accuracy, device=device)(0)
+        return FisherInformation(names, tuple(start.values()), information_of(mean, jacobian, scene.probe.sensor))
     scales = [abs(value) if name not in _FREE and value else _FREE.get(name, 1.0) for name, value in start.items()]
     steps = torch.zeros(len(names), dtype=torch.float64, requires_grad=True)
     values = {n: v + step * s for (n, v), step, s in zip(start.items(), steps, scales, strict=True)}
     window = _where_it_matters(scene)
     mean = expected_electrons(scene, values, output=window, accuracy=accuracy, device=device)
     jacobian = _jacobian(mean.flatten(), steps)
-    weight = _told_by_pixels(mean.detach(), scene.probe.sensor).flatten()
-    information = (jacobian * weight[None, :]) @ jacobian.T
-    units = torch.tensor(scales, dtype=torch.float64, device=information.device)
-    return FisherInformation(names, tuple(start.values()), (information / (units[:, None] * units[None, :])).cpu())
+    information = information_of(mean.detach(), jacobian, scene.probe.sensor)
+    units = torch.tensor(scales, dtype=torch.float64)
+    return FisherInformation(names, tuple(start.values()), information / (units[:, None] * units[None, :]))
 
 
-def _traced_information(
-    scene: Scene, names: tuple[str, ...], accuracy: float | None, device: torch.device | str
-) -> torch.Tensor:
-    """Fisher's matrix [P, P] of gaze and power, by central differences of the gaze."""
-    gaze = torch.tensor(list(true_values(scene, ("gaze_x", "gaze_y")).values()), dtype=torch.float64)
-    target = scene.target
-    spot = scene.illumination.wavelength * target.lens.focal_length / (2 * target.lens.aperture_radius)
-    array = target.sensor.array
-    # Photosites and the lenses over them repeat alike.
-    period = target.sensor.pitch if array is None or array.pitch is None else array.pitch
-    finest = min(spot, period) if array is not None or target.sensor.microlens is not None else spot
-    step_x, step_y = (_STEP_SHARE * finest / (count * target.sensor.pitch) for count in target.sensor.pixels)
-    steps = torch.tensor([[0, 0], [step_x, 0], [-step_x, 0], [0, step_y], [0, -step_y]], dtype=torch.float64)
-    tilts = tilt_of_gaze(scene, gaze + steps)
-    camera = Camera(scene, largest_sine(tilts), accuracy=accuracy, dtype=torch.complex128, device=device)
-    sensor, light = scene.probe.sensor, scene.illumination
-    with torch.no_grad():
-        irradiance = camera(tilts, equivalent=True).to(torch.float64)
-    mean = electrons(irradiance[0], sensor, light.wavelength)
-    made = electrons(irradiance, sensor, light.wavelength).flatten(1)
-    slopes = {
-        "gaze_x": (made[1] - made[2]) / (2 * step_x),
-        "gaze_y": (made[3] - made[4]) / (2 * step_y),
-        "power": (made[0] - dark_electrons(sensor)) / light.power,
-    }
-    jacobian = torch.stack([slopes[name] for name in names])
+def information_of(mean: torch.Tensor, jacobian: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
+    """Fisher's matrix [P, P] of a frame of mean electrons [H, W], hot pixels' left out, with slopes [P, H W]."""
     weight = _told_by_pixels(mean, sensor).flatten()
     return ((jacobian * weight[None, :]) @ jacobian.T).cpu()
 
@@ -324,12 +305,6 @@ def _where_it_matters(scene: Scene) -> Grid | None:
 _STEP = 0.02
 # Information from which an inverse, or a share of one parameter's own, is told from rounding.
 _ROUNDING = 1e-10
-# Share of the finest thing on a traced lens's sensor, spot or photosite, by which its gaze is stepped. Smaller steps
-# take the picture's own rounding for change, larger ones miss the change. Half and twice of it give the same limits
-# within 2 %; those of a bare mirror behind an f/1.4 lens in focus, which hardly tells, within 20 %.
-_STEP_SHARE = 1 / 25
-# What the traced lens is differentiated by.
-_TRACED = ("gaze_x", "gaze_y", "power")
 # What may be zero is counted in units of its own.
 _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
 
@@ -339,8 +314,11 @@ def not_told(scene: Scene, name: str) -> str | None:
     target = scene.target
     if isinstance(target, PhoneTarget):
         return "not computed for a phone, of which several cameras may answer"
-    if isinstance(target.lens, PrescriptionLens) and name not in _TRACED:
+    if isinstance(target.lens, PrescriptionLens) and name not in TRACED:
         return "not differentiated through a traced lens"
+    mirror = not target.sensor.layers and target.sensor.diffuse is None
+    if isinstance(target.lens, PrescriptionLens) and name in ("object_distance", "focal_length") and not mirror:
+        return "light off layers, or scattered, is not followed through a traced lens as it changes focus"
     if name == "object_distance" and target.object_distance == float("inf"):
         return "the target is focused at infinity"
     return None
@@ -366,6 +344,8 @@ def _checked(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
 
 def _check_derivatives(scene: Scene, names: tuple[str, ...]) -> None:
     """Refuse what the chain does not differentiate."""
+    if isinstance(scene.target.lens, PrescriptionLens):
+        return
     sensor, light = scene.target.sensor, scene.illumination
     scattering = [one for one in (sensor.diffuse, *(layer.diffuse for layer in sensor.layers)) if one is not None]
     fixed = [name for name in names if name not in ("gaze_x", "gaze_y", "power")]

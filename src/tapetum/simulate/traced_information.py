@@ -1,0 +1,391 @@
+"""How a frame of a traced lens changes with what is unknown, by differences of pictures on the very same samples.
+
+A traced lens is not differentiated: its picture has no azimuth to differentiate by in the middle, its focus is found by
+iteration. What a sampling misses is much the same on either side of a difference, so long as both are sampled alike:
+lenses that are focused or zoomed a little differently get the samples that were planned for the scene's own.
+"""
+
+# Torch types argmax and stack in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, with_values
+from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.fourier import phasor
+from tapetum.optics.grid import Grid
+from tapetum.simulate.camera import Camera
+from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
+from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
+from tapetum.simulate.radiometry import dark_electrons, illumination_curvature, photoelectrons
+from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.traced_pass import TracedPass
+from tapetum.simulate.traced_plan import TracedGroup
+from tapetum.simulate.traced_return import corrected
+
+__all__ = ["NUISANCES", "TRACED", "TracedSlopes"]
+
+TRACED = ("gaze_x", "gaze_y", "object_distance", "focal_length", "power", "place_x", "place_y")
+"""What a traced lens's frame is differentiated by."""
+
+NUISANCES = {
+    "roll": "rad",
+    "photosite_x": "m on the target's sensor",
+    "photosite_y": "m on the target's sensor",
+}
+"""What else may be unknown: the turn of the target about the line of sight, from x to y, and where among the photosites
+its sensor's spot falls, the gaze left as it is."""
+
+_SITES = {"photosite_x", "photosite_y"}
+# Share of the finest thing on a traced lens's sensor, spot or photosite, and of the probe's fringes, by which gaze and
+# place are stepped. Smaller steps take the picture's own sampling for change, larger ones miss the change.
+_SHARE = 1 / 25
+# What a step of focus or focal length turns the light at the pupil's edge by, in radians.
+_TURN = 0.1
+# Turns of the light at the pupil's edge, in radians, that a picture shows even in focus: ten of its rings.
+_IN_FOCUS = 60.0
+# No step of a length is longer than this share of it.
+_LONGEST = 0.03
+# Tilts beyond those asked for that a step may need, in parts of them.
+_MARGIN = 0.01
+_SECANTS = 3
+
+
+class TracedSlopes:
+    """How the mean electrons of a traced target's frame change, at any number of gazes. Holding it is the cache.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench, its lens a prescription; its own rotation is not used.
+    names
+        Of `TRACED` and `NUISANCES`: what to differentiate by.
+    gazes
+        [G, 2] in fractions of the field.
+    window
+        Whether to compute no more pixels than hold both beams' RR but for its faintest rings.
+    step
+        Factor on all steps, to see how much the differences hang on them.
+    accuracy, dtype, device
+        As for `Camera`.
+
+    Raises
+    ------
+    InputError
+        For names that are neither, phones, focus and focal length before a sensor with layers or one that scatters, and
+        as `Camera`.
+
+    Notes
+    -----
+    Central differences. The gaze stays, as the spot's place on the sensor, where focus and focal length change. With
+    the focal length a prime is scaled as a whole; a zoom's groups and its stop move as its states say, or, with an
+    `f_number`, its stop so that this one stays. Either is focused on the same object distance again. Steps are a 25th
+    of the finest thing on the sensor (gaze), of the finest fringe of the picture (place), or turn the light at the
+    pupil's edge by 0.1 rad (focus, focal length, and the gaze of a bare mirror, by half a spot at the most), which
+    leaves some 0.2 % to the third derivative.
+
+    With `photosite_x` or `photosite_y` the gaze is stepped by a whole photosite, and what the array makes of its move
+    is put back from the slope of the array's own: the two are alike to 1 part in some 300, which small steps of each
+    would not tell apart.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        names: Sequence[str],
+        gazes: torch.Tensor,
+        *,
+        window: bool = True,
+        step: float = 1.0,
+        accuracy: float | None = None,
+        dtype: torch.dtype = torch.complex128,
+        device: torch.device | str = "auto",
+    ) -> None:
+        _check(scene, names)
+        self.scene, self.names, self._gazes = scene, tuple(names), gazes.to(torch.float64)
+        self._steps = _Steps.of(scene, step)
+        self._by_sites = bool(_SITES & set(self.names))
+        if self._by_sites:
+            # From one photosite to the next, where the spot falls as it fell: what is left is not theirs.
+            wide, high = _field(scene)
+            self._steps = replace(self._steps, gaze=(_period(scene) / wide, _period(scene) / high))
+        around = torch.tensor([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=torch.float64)
+        self._tilts = tilt_of_gaze(scene, self._gazes[:, None] + around * torch.tensor(self._steps.gaze))
+        steepest = largest_sine(self._tilts.reshape(-1, 2)) * (1 + _MARGIN)
+        camera = _Camera(scene, steepest, accuracy=accuracy, dtype=dtype, device=device)
+        seen = _inside(camera.window(), scene) if window else None
+        if seen is not None:
+            camera = _Camera(scene, steepest, output=seen, accuracy=accuracy, dtype=dtype, device=device)
+        self._camera = camera
+        self._others: dict[str, tuple[_Camera, _Camera]] = {}
+        for name in ("object_distance", "focal_length"):
+            if name in self.names:
+                self._others[name] = self._neighbours(name)
+        for axis, name in enumerate(("photosite_x", "photosite_y")):
+            if self._by_sites:
+                d = self._steps.photosite
+                self._others[name] = camera.with_sites_moved(axis, d), camera.with_sites_moved(axis, -d)
+
+    @property
+    def output(self) -> Grid:
+        """The pixels."""
+        return self._camera.output
+
+    @property
+    def expected_error(self) -> float:
+        """Of the pictures, in fractions of the peak; the differences' is smaller, for most of it cancels."""
+        return self._camera.plan.expected_error
+
+    def __len__(self) -> int:
+        return len(self._gazes)
+
+    @torch.no_grad()
+    def __call__(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
+        """Mean electrons [H, W] without those of hot pixels, and their slopes [P, H W], at the gaze of this number."""
+        own = self._tilts[number]
+        # One batch: no gaze, then two steps of each kind.
+        tilts = own if (_SITES | {"gaze_x", "gaze_y"}) & set(self.names) else own[:1]
+        made = self._electrons(self._camera, tilts)
+        slopes: dict[str, torch.Tensor] = {"power": made[0] / self.scene.illumination.power}
+        if len(tilts) > 1:
+            slopes["gaze_x"] = (made[1] - made[2]) / (2 * self._steps.gaze[0])
+            slopes["gaze_y"] = (made[3] - made[4]) / (2 * self._steps.gaze[1])
+        if {"place_x", "place_y", "roll"} & set(self.names):
+            slopes |= self._moved(own[:1])
+        steps = vars(self._steps)
+        for name, (more, less) in self._others.items():
+            light = [self._electrons(one, one.tilts_like(self._camera, own[:1]))[0] for one in (more, less)]
+            slopes[name] = (light[0] - light[1]) / (2 * (self._steps.photosite if name in _SITES else steps[name]))
+        if self._by_sites:
+            # The array moves under a spot that stands still as the spot moves over the array.
+            for axis, side in zip("xy", _field(self.scene), strict=True):
+                slopes[f"gaze_{axis}"] = slopes[f"gaze_{axis}"] - side * slopes[f"photosite_{axis}"]
+        jacobian = torch.stack([slopes[name].flatten() for name in self.names])
+        return made[0] + dark_electrons(self.scene.probe.sensor), jacobian
+
+    def _electrons(self, camera: Camera, tilts: torch.Tensor) -> torch.Tensor:
+        irradiance = camera(tilts, equivalent=True).to(torch.float64)
+        return photoelectrons(irradiance, self.scene.probe.sensor, self.scene.illumination.wavelength)
+
+    def _moved(self, tilt: torch.Tensor) -> dict[str, torch.Tensor]:
+        """Slopes of the place and of the roll: every beam's RR turns about its own place, not about the first one's."""
+        camera, h = self._camera, self._steps.place
+        around = h * torch.tensor([[1, 0], [-1, 0], [0, 1], [0, -1]], dtype=torch.float64)
+        x, y = self.output.x(), self.output.y()[:, None]
+        across, down, roll = (torch.zeros(self.output.rows, self.output.columns, dtype=torch.float64) for _ in range(3))
+        for sines, place, share in camera.beams(tilt, torch.zeros(1, 2, dtype=torch.float64)):
+            image = camera.render(sines.expand(4, -1), place + around, share, equivalent=True).to("cpu", torch.float64)
+            made = photoelectrons(image, self.scene.probe.sensor, self.scene.illumination.wavelength)
+            right, lower = (made[0] - made[1]) / (2 * h), (made[2] - made[3]) / (2 * h)
+            across, down = across + right, down + lower
+            roll = roll + (x - place[0, 0]) * lower - (y - place[0, 1]) * right
+        found = {"place_x": across, "place_y": down, "roll": roll}
+        return {name: one.to(camera.device) for name, one in found.items()}
+
+    def _neighbours(self, name: str) -> tuple[_Camera, _Camera]:
+        scene, h = self.scene, float(vars(self._steps)[name])
+        field = {"object_distance": "target.object_distance", "focal_length": "target.lens.focal_length"}[name]
+        own = scene.target.object_distance if name == "object_distance" else scene.target.lens.focal_length
+        more, less = (self._camera.set_to(with_values(scene, {field: own + d})) for d in (h, -h))
+        return more, less
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """Steps of the differences: gaze in fractions of the field, the others in metres."""
+
+    gaze: tuple[float, float]
+    photosite: float
+    place: float
+    object_distance: float
+    focal_length: float
+
+    @classmethod
+    def of(cls, scene: Scene, factor: float) -> _Steps:
+        target, light = scene.target, scene.illumination
+        lens = target.lens
+        r, k = lens.aperture_radius, 2 * math.pi / light.wavelength
+        spot = light.wavelength * lens.focal_length / (2 * r)
+        # There and back the light at the edge is turned by k r²/x_d, and by what it comes with.
+        away = k * r**2 * abs(1 / target.object_distance - illumination_curvature(scene))
+        # A mirror's picture shears with the pupil only, by two steps of the spot: slowly.
+        shear = min(spot / 2, _TURN * r / (4 * away)) if away > 0 else spot / 2
+        finest = _SHARE * min(spot, _period(scene)) if _has_sites(scene) else shear
+        x, y = (factor * finest / side for side in _field(scene))
+        far = target.object_distance
+        focus = min(_TURN * far / (k * r**2), _LONGEST) * far if math.isfinite(far) else 0.0
+        return cls(
+            (x, y),
+            factor * _SHARE * _period(scene),
+            factor * _SHARE * light.wavelength * scene.probe.lens.focal_length / (2 * r),
+            factor * focus,
+            factor * _TURN / (2 * away + _IN_FOCUS) * lens.focal_length,
+        )
+
+
+_Again = Callable[[TracedPass, float, bool], TracedPass]
+
+
+class _Camera(Camera):
+    """A camera whose lens can be set to neighbouring values on the very same samples."""
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self._device
+
+    def set_to(self, scene: Scene) -> _Camera:
+        """Another focus or focal length."""
+        lens, at = scene.target.lens, scene.target.object_distance
+        assert isinstance(lens, PrescriptionLens)
+        curvature = illumination_curvature(scene)
+
+        def again(one: TracedPass, wavelength: float, by_rays: bool) -> TracedPass:
+            fits = _fits(lens.focused(wavelength, at), one, curvature, by_rays)
+            return _with(one, fits, one.surface, wavelength)
+
+        return self._changed(again)
+
+    def with_sites_moved(self, axis: int, by: float) -> _Camera:
+        """The same, its pixel array moved under the spot by so much, in metres: the phases of its orders turn."""
+
+        def again(one: TracedPass, wavelength: float, by_rays: bool) -> TracedPass:
+            del by_rays
+            return _with(one, one.fits, _moved_sites(one.surface, axis, by, wavelength), wavelength)
+
+        return self._changed(again)
+
+    def tilts_like(self, other: _Camera, sines: torch.Tensor) -> torch.Tensor:
+        """Tilts [B, 2] that put the spot where the other one's tilts put it."""
+        size = torch.sqrt((sines**2).sum(-1))
+        own, wanted = self._first.fits, other._first.fits
+        if own is wanted:
+            return sines
+        to = (wanted.nodes.terms(size) * wanted.middle).sum(-1)
+        slope = self.scene.target.lens.focal_length
+        found = size
+        for _ in range(_SECANTS):
+            found = found + (to - (own.nodes.terms(found) * own.middle).sum(-1)) / slope
+        return sines * torch.where(size > 0, found / size.clamp_min(1e-300), torch.ones_like(size))[:, None]
+
+    @property
+    def _first(self) -> TracedPass:
+        return _group(self._lines[0].passes[0]).passes[0]
+
+    def _changed(self, again: _Again) -> _Camera:
+        other = copy.copy(self)
+        lines = list(self._lines)
+        for i, line in enumerate(lines):
+            groups = [_group(one) for one in line.passes]
+            made = [
+                TracedGroup([again(one, line.wavelength, group.plan.by_rays) for one in group.passes], group.plan)
+                for group in groups
+            ]
+            lines[i] = replace(line, passes=tuple(made))
+        other._lines = lines
+        return other
+
+
+def _has_sites(scene: Scene) -> bool:
+    return scene.target.sensor.array is not None or scene.target.sensor.microlens is not None
+
+
+def _period(scene: Scene) -> float:
+    """Of the photosites, in metres; the lenses over them repeat alike."""
+    sensor = scene.target.sensor
+    return sensor.pitch if sensor.array is None or sensor.array.pitch is None else sensor.array.pitch
+
+
+def _field(scene: Scene) -> tuple[float, float]:
+    """Width and height of the target's sensor, in metres."""
+    sensor = scene.target.sensor
+    return sensor.pixels[0] * sensor.pitch, sensor.pixels[1] * sensor.pitch
+
+
+def _group(one: object) -> TracedGroup:
+    assert isinstance(one, TracedGroup)
+    return one
+
+
+def _with(one: TracedPass, fits: PupilFits, surface: Surface, wavelength: float) -> TracedPass:
+    """The same samples of another lens or plane."""
+    return TracedPass(
+        fits,
+        one.grids,
+        surface,
+        one.path,
+        wavelength=wavelength,
+        accepted=one.accepted,
+        dtype=one.dtype,
+        device=one.device,
+    )
+
+
+def _fits(focused: FocusedLens, one: TracedPass, curvature: float, by_rays: bool) -> PupilFits:
+    nodes = one.fits.nodes
+    fits = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
+    if not by_rays:
+        return fits
+    found = corrected(focused, fits, curvature=curvature, accepted=one.accepted)
+    if found is None:
+        what = "too little light comes back to tell how it changes with the focus"
+        raise InputError(what, where="target", remedy="focus nearer to the probe, or stop down with f_number")
+    return found
+
+
+def _moved_sites(surface: Surface, axis: int, by: float, wavelength: float) -> Surface:
+    """An array moved by d: its order of direction τ turns by -kτd."""
+    orders = []
+    for order in surface.orders:
+        tau = order.direction[axis] - 2 * surface.tilt[axis]
+        turn = complex(phasor(torch.tensor(-2 * math.pi / wavelength * tau * by, dtype=torch.float64)))
+        series = order.series and replace(order.series, coefficients=order.series.coefficients * turn)
+        orders.append(replace(order, amplitude=order.amplitude * turn, series=series))
+    return replace(surface, orders=tuple(orders))
+
+
+def _inside(window: Grid, scene: Scene) -> Grid | None:
+    """The sensor's own pixels that hold a beam's window, the second one's too; None where it has not as many."""
+    columns, rows = scene.probe.sensor.pixels
+    second, lens = scene.illumination.second_beam, scene.probe.lens
+    apart = lens.focal_length * max(math.tan(abs(one)) for one in second.angle) if second is not None else 0.0
+    side = window.rows + 2 * math.ceil(apart / window.pitch)
+    if side >= min(rows, columns):
+        return None
+    # An even number of pixels has a border in the middle, an odd one a pixel.
+    return Grid(side - (side + rows) % 2, side - (side + columns) % 2, window.pitch)
+
+
+def _check(scene: Scene, names: Sequence[str]) -> None:
+    if isinstance(scene.target, PhoneTarget):
+        what = "several cameras of a phone may answer, and one alone is differentiated"
+        raise InputError(what, where="target", remedy="take one of its cameras for the target")
+    if not isinstance(scene.target.lens, PrescriptionLens):
+        what = f"a lens of kind {scene.target.lens.kind!r} is differentiated, not traced"
+        raise InputError(what, where="target.lens", remedy="use fisher, or a lens by prescription")
+    for name in names:
+        if name not in TRACED and name not in NUISANCES:
+            known = ", ".join((*TRACED, *NUISANCES))
+            raise InputError(f"unknown parameter {name!r}", where="parameters", remedy=f"use {known}")
+    if _SITES & set(names) and not _has_sites(scene):
+        what = "photosite_x, photosite_y: the target's sensor is a mirror without photosites"
+        raise InputError(what, where="parameters", remedy="leave them out, or give the sensor an array")
+    lengths = [name for name in names if name in ("object_distance", "focal_length")]
+    sensor = scene.target.sensor
+    if lengths and (sensor.layers or sensor.diffuse is not None):
+        raise InputError(
+            f"how light off layers, or scattered, changes with {', '.join(lengths)} is not followed by a traced lens",
+            where="parameters",
+            remedy=f"leave {', '.join(lengths)} out, or take layers and diffuse out of the scene",
+        )
+    if "object_distance" in names and math.isinf(scene.target.object_distance):
+        what = "object_distance: the target is focused at infinity"
+        raise InputError(what, where="parameters", remedy="leave it out, or focus where it is not infinite")
