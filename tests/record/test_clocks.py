@@ -45,6 +45,25 @@ def test_brackets_weights_and_interpolation_with_jitter(tmp_path: Path) -> None:
     assert np.allclose(joined.interpolate(values[:, 0]), 3 * probe - 1, atol=1e-6)
 
 
+def test_a_hands_path_is_followed_round_its_corners(tmp_path: Path) -> None:
+    probe = np.arange(60) * T + 0.02
+    target = np.delete(np.arange(64) * T + 0.001, [30, 31])
+    joined = join(recorded(tmp_path, probe, target))
+    path = np.stack([np.sin(2 * np.pi * 0.8 * target), np.cos(2 * np.pi * 0.8 * target)], axis=1)
+    true = np.stack([np.sin(2 * np.pi * 0.8 * probe), np.cos(2 * np.pi * 0.8 * probe)], axis=1)
+    error = np.abs(joined.interpolate(path) - true).max(axis=1)
+    # A straight line is off by an eighth of the acceleration over an interval: 0.014 at the worst.
+    # (Where only one frame lies beyond, at the beginning, it is one.)
+    assert error[0] > 0.01 and np.nanmax(np.delete(error, [0, *range(26, 34)])) < 1e-3
+    # Beside the frames that were lost it is a straight line again, and not a wild cubic.
+    assert np.nanmax(error) < 0.06
+    # One frame without a spot straightens its neighbours, and spoils no other.
+    path[20] = np.nan
+    lame = joined.interpolate(path)
+    assert np.isnan(lame[:, 0]).sum() == np.isnan(joined.interpolate(true[:1].repeat(62, 0))[:, 0]).sum() + 2
+    assert np.abs(lame[:17] - true[:17])[1:].max() < 1e-3
+
+
 def test_the_same_moment_needs_no_second_frame(tmp_path: Path) -> None:
     times = np.arange(5) * T
     joined = join(recorded(tmp_path, times, times))

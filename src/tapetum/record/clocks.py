@@ -26,12 +26,15 @@ class Joined:
         How far the frame lies from `before` (0) to `after` (1); 0 where there is none. [N] float64.
     gap
         Time to the nearer of the two in seconds; infinite where there is none. [N] float64.
+    times
+        Of the other stream's frames, in seconds from the first. [M] float64.
     """
 
     before: np.ndarray
     after: np.ndarray
     weight: np.ndarray
     gap: np.ndarray
+    times: np.ndarray
 
     @property
     def found(self) -> np.ndarray:
@@ -42,7 +45,11 @@ class Joined:
         return len(self.before)
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
-        """Carry values of the other stream's frames over, linearly in time.
+        """Carry values of the other stream's frames over, along a smooth path in time.
+
+        The cubic through the two frames on either side, where there are four and no gap is more than twice the middle
+        one: a straight line would cut the corners of a hand's path, by an eighth of its acceleration times the square
+        of the frame interval. A straight line where there are not.
 
         Parameters
         ----------
@@ -57,10 +64,25 @@ class Joined:
         given = np.asarray(values, np.float64)
         out = np.full((len(self), *given.shape[1:]), np.nan)
         there = self.found
-        low, high = given[self.before[there]], given[self.after[there]]
-        weight = self.weight[there].reshape(-1, *[1] * (given.ndim - 1))
+        before, after, weight = self.before[there], self.after[there], self.weight[there]
+        wide = weight.reshape(-1, *[1] * (given.ndim - 1))
         # A neighbour of weight 0 does not count: its NaN must not spread.
-        out[there] = np.where(weight > 0, (1 - weight) * low + weight * high, low)
+        out[there] = np.where(wide > 0, (1 - wide) * given[before] + wide * given[after], given[before])
+
+        inside = (weight > 0) & (before > 0) & (after < len(given) - 1)
+        four = np.stack([before - 1, before, after, after + 1])[:, inside]
+        times, place = self.times[four], weight[inside]
+        gap = np.diff(times, axis=0)
+        moment = times[1] + place * gap[1]
+        shares = np.ones_like(times)
+        for k in range(4):
+            for other in range(4):
+                if other != k:
+                    shares[k] *= (moment - times[other]) / (times[k] - times[other])
+        curve = (shares.reshape(4, -1, *[1] * (given.ndim - 1)) * given[four]).sum(axis=0)
+        known = np.isfinite(curve).all(axis=tuple(range(1, curve.ndim)))
+        whole = known & (gap[[0, 2]] <= 2 * gap[1]).all(axis=0)
+        out[np.flatnonzero(there)[inside][whole]] = curve[whole]
         return out
 
 
@@ -138,4 +160,5 @@ def join(
         after=np.where(inside, after, -1),
         weight=weight,
         gap=np.where(inside, gap, np.inf) / 1e9,
+        times=(there - there[0]) / 1e9,
     )

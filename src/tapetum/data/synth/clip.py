@@ -16,9 +16,9 @@ from tapetum.record.source import Frame
 
 __all__ = ["Clip", "Filmed"]
 
-MARGIN = 12
+MARGIN = 13
 """Target frames on either side that have a say in a label: `tapetum.record.spot.follow` looks at four good ones
-around each of the three that may vouch for a doubtful one."""
+around each of the three that may vouch for a doubtful one, and the path goes through one more beyond the next."""
 
 _BATCH = 16
 
