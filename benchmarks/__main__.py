@@ -7,7 +7,8 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-NAMES = ("retroreflection", "growth", "lenses", "features", "tracking", "filming", "synth", "learning")
+NAMES = ("retroreflection", "growth", "lenses", "features", "tracking", "filming", "synth")
+NAMES += ("learning", "training", "inference")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

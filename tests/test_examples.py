@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import shutil
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,8 @@ def example(name: str) -> Any:
     spec = importlib.util.spec_from_file_location(f"example_{name}", ROOT / "examples" / f"{name}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
+    # Dataclasses look their module up by its name.
+    sys.modules[spec.name] = module
     spec.loader.exec_module(module)
     return module
 
@@ -25,10 +28,12 @@ def example(name: str) -> Any:
 def test_every_example_is_tested():
     assert {path.stem for path in (ROOT / "examples").glob("*.py")} == {
         "fig4",
+        "fit_by_simulation",
         "gradient",
         "limits",
         "movie_theater",
         "track_photos",
+        "two_probes",
     }
 
 
@@ -73,6 +78,18 @@ def test_limits_fall_with_the_power(capsys: pytest.CaptureFixture[str]):
     (_, _, dim, dim_focus), (_, _, bright, bright_focus) = rows
     assert 1.9 < dim / bright < 4 and 1.9 < dim_focus / bright_focus < 4
     assert "focus" in capsys.readouterr().out
+
+
+def test_a_fit_by_simulation_finds_the_gaze():
+    true, value, half, _ = example("fit_by_simulation").main([])
+    assert abs(value - true).max() < 1e-3
+    assert (abs(value - true) <= half).mean() > 0.6
+
+
+def test_two_probes_answer_where_one_cannot():
+    results = example("two_probes").main([])
+    answered = {name: frames for name, (_, frames, _) in results.items()}
+    assert answered["smoothed, fused"] > max(answered["left probe"], answered["right probe"])
 
 
 @pytest.mark.slow

@@ -265,6 +265,12 @@ def test_training_that_makes_no_sense(run, chain, tmp_path: Path) -> None:
         (("--target", "weather"), "weather"),
         (("--resume",), "--resume: has no meaning for zernike"),
         (("--epochs", 3), "--epochs: has no meaning for zernike"),
+        (("--tuned", "--model", "resnet18"), "--tuned: has no meaning for resnet18"),
+        (("--target", "device"), "a linear model of quantities does not tell devices"),
+        (("--target", "device", "--model", "resnet18"), "has no label 'device'"),
+        (("--model", "resnet18", "--crop", 500), "looks at 500 pixels, the crops have 400"),
+        (("--model", "resnet18", "--processes", "some"), "--processes: must be a number or auto"),
+        (("--model", "resnet18", "--device", "cuda:99"), "CUDA devices"),
     ):
         ran = run("train", chain.dataset, "-o", tmp_path / "m", *arguments)
         assert ran.code == 2 and words in ran.complaint

@@ -83,6 +83,19 @@ def test_resnet_trains_and_drops_its_checkpoint(run, chain, tmp_path: Path) -> N
     assert [path.name for path in tmp_path.iterdir()] == ["net"]
 
 
+def test_options_reach_the_model(run, chain, tmp_path: Path) -> None:
+    tuned, net = tmp_path / "tuned", tmp_path / "net"
+    assert run("train", chain.dataset, "-o", tuned, "--tuned").code == 0
+    card = json.loads((tuned / "model.json").read_text())
+    assert card["parameters"]["alpha"] == "cv" and card["parameters"]["standardise"]
+    asked = ("--crop", 64, "--size", 32, "--epochs", 2, "--patience", 1, "--gain", 0.5, "--seed", 3, "--device", "cpu")
+    ran = run("train", chain.dataset, "-o", net, "--model", "resnet18", *asked)
+    assert ran.code == 0 and "images/s" in ran.out
+    told = json.loads((net / "model.json").read_text())["parameters"]
+    wanted = {"crop": 64, "size": 32, "epochs": 2, "patience": 1, "gain": 0.5, "seed": 3}
+    assert {name: told[name] for name in wanted} == wanted
+
+
 def test_an_unfinished_training_is_not_thrown_away(run, chain, tmp_path: Path) -> None:
     checkpoint = tmp_path / "net.checkpoint"
     checkpoint.mkdir()

@@ -8,7 +8,7 @@ import sys
 
 import pytest
 
-COMMANDS = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "track", "paper")
+COMMANDS = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "export", "track", "fuse", "paper")
 
 
 def test_help_lists_the_commands_in_the_order_of_use(run) -> None:

@@ -8,7 +8,7 @@ import pytest
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import Estimator, Prediction, ResNet18, ZernikeRidge
-from tapetum.models.base import conformal_half_width, target_names, training_part
+from tapetum.models.base import target_names, training_part
 
 
 def test_columns_of_a_table_of_tracks():
@@ -31,21 +31,6 @@ def test_a_prediction_is_never_nan():
         Prediction(("z",), bad, bad, bad)
     with pytest.raises(InputError, match="must all be"):
         Prediction(("z",), np.zeros((2, 1)), np.zeros((1, 1)), np.zeros((2, 1)))
-
-
-def test_conformal_intervals_cover_what_they_promise():
-    rng = np.random.default_rng(0)
-    inside = []
-    for _ in range(2000):
-        residuals = rng.standard_t(3, (30, 1))
-        inside.append(abs(residuals[29]) <= conformal_half_width(residuals[:29]))
-    # 29 frames: the 27th of 30 places, exactly 90 %.
-    assert np.mean(inside) == pytest.approx(0.9, abs=0.02)
-
-
-def test_too_few_frames_promise_nothing():
-    assert np.isinf(conformal_half_width(np.zeros((8, 2)))).all()
-    assert np.isfinite(conformal_half_width(np.zeros((9, 2)))).all()
 
 
 def test_the_last_tenth_of_every_recording_calibrates(small):
@@ -90,3 +75,15 @@ def test_an_unfitted_model_says_so(model):
         model.predict(np.zeros((1, 400, 400), np.uint8))
     with pytest.raises(InputError, match="not fitted"):
         model.state()
+
+
+def test_labels_that_teach_nothing_are_told(small):
+    lame = small.copy()
+    values = lame["gaze_x"].values.copy()
+    values[[3, 7]] = np.nan
+    lame["gaze_x"] = lame["gaze_x"].copy(data=values)
+    with pytest.raises(InputError, match="label gaze_x is not a number in 2 training frames, the first is number 3"):
+        training_part(lame, ("gaze_x", "gaze_y"), 0.1)
+    still = dataset_from_arrays(np.zeros((30, 8, 8), np.uint8), {"focal_length": np.full(30, 0.05)})
+    with pytest.raises(InputError, match="focal_length never changes in the one recording"):
+        training_part(still, ("focal_length",), 0.1)

@@ -131,7 +131,8 @@ def test_it_learns(small):
     prediction = model.predict(test)
     assert np.abs(prediction.value - truth).mean() < 0.6 * np.abs(truth - truth.mean(0)).mean()
     assert np.isfinite(prediction.lower).all()
-    np.testing.assert_allclose(prediction.upper - prediction.lower, np.tile(2 * model.half_width_, (60, 1)))
+    widths = np.tile(2 * model.intervals_.half_width[0], (60, 1))
+    np.testing.assert_allclose(prediction.upper - prediction.lower, widths)
     assert model.history_[-1].loss < model.history_[0].loss
 
 
@@ -205,7 +206,7 @@ def test_unfit_data_are_told(small, whole):
     with pytest.raises(InputError, match="resume needs"):
         ResNet18(**TINY).fit(small, resume=True)
     still = dataset_from_arrays(small["image"].values[:50], {"a": np.ones(50)})
-    with pytest.raises(InputError, match="a never changes"):
+    with pytest.raises(InputError, match="a never changes in the one recording"):
         ResNet18("a", **TINY).fit(still)
     blank = dataset_from_arrays(np.full((50, 40, 40), 9, np.uint8), {"a": np.arange(50)})
     with pytest.raises(InputError, match="blank"):

@@ -40,7 +40,7 @@ def test_it_learns_and_its_intervals_cover(small, how):
     assert error < 0.3 * mean
     inside = (prediction.lower <= truth) & (truth <= prediction.upper)
     assert 0.75 < inside.mean() <= 1
-    np.testing.assert_allclose(prediction.upper - prediction.value, np.tile(model.half_width_, (60, 1)))
+    np.testing.assert_allclose(prediction.upper - prediction.value, np.tile(model.intervals_.half_width[0], (60, 1)))
 
 
 def test_arrays_and_datasets_give_the_same(small):

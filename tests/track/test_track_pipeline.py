@@ -11,7 +11,7 @@ import pytest
 from probe_frames import probe_frame
 
 from tapetum.errors import InputError
-from tapetum.models.base import Prediction
+from tapetum.models import Prediction
 from tapetum.record.source import Frame
 from tapetum.track import Tracker, read_tracks, retrack, track, track_schema, track_to_file, write_tracks
 
@@ -111,6 +111,31 @@ def test_tables_go_out_and_come_back_and_are_tracked_again(frames, tmp_path, suf
     assert read_tracks(copy).equals(table)
     if suffix == ".jsonl":
         assert json.loads(out.read_text().splitlines()[0])["track"] == 1
+
+
+class Namer:
+    """A stand-in for a model of devices: the second half of the frames it has never seen the like of."""
+
+    target_names = ("device",)
+
+    def predict(self, crops, *, full_scale=None, progress=None):
+        del full_scale, progress
+        none = np.empty((len(crops), 0))
+        shares = np.tile([0.25, 0.75], (len(crops), 1))
+        novelty = np.where(crops.reshape(len(crops), -1).max(axis=1) > 0, 0.5, 2.0)
+        return Prediction((), none, none, none, ("phone-a", "phone-b"), shares, novelty)
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".jsonl"])
+def test_devices_stand_in_the_table_and_come_back(frames, tmp_path, suffix):
+    out, kept = tmp_path / f"tracks{suffix}", tmp_path / f"found{suffix}"
+    track_to_file(frames, out, model=[Brightness(), Namer()], detections=kept, side=120)
+    for table in (read_tracks(out), retrack(kept)):
+        rows = [row for row in table.to_pylist() if row["seen"]]
+        assert {row["device"] for row in rows} == {"phone-b"}
+        assert {row["device_probability"] for row in rows} == {0.75}
+        assert rows[0]["gaze_x"] is not None
+        assert all(row["device"] is None for row in table.to_pylist() if not row["seen"])
 
 
 def test_frames_without_a_spot_give_an_empty_table(tmp_path):

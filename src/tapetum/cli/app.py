@@ -11,7 +11,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
-from tapetum.cli import dataset, demo, evaluate, paper, plan, record, simulate, track, train
+from tapetum.cli import dataset, demo, evaluate, export, fuse, paper, plan, record, simulate, track, train
 from tapetum.cli.memory import keep_big_blocks
 from tapetum.errors import InputError, TapetumError
 
@@ -29,7 +29,19 @@ class _AsAdded(TyperGroup):
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
         del ctx
-        order = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "track", "paper")
+        order = (
+            "demo",
+            "simulate",
+            "plan",
+            "record",
+            "dataset",
+            "train",
+            "evaluate",
+            "export",
+            "track",
+            "fuse",
+            "paper",
+        )
         return sorted(self.commands, key=lambda name: order.index(name) if name in order else len(order))
 
 
@@ -48,8 +60,10 @@ app.command("record", short_help="Film a scene, or record real cameras.")(record
 app.add_typer(dataset.app, name="dataset", short_help="Build, import and film datasets, and look into them.")
 app.command("train", short_help="Fit a model to a dataset.")(train.train)
 app.command("evaluate", short_help="A model's errors on a dataset.")(evaluate.evaluate)
+app.command("export", short_help="A trained network as one ONNX file.")(export.export)
 app.command("track", short_help="Find, follow and read retro-reflections.")(track.track)
-app.command("paper", short_help="The paper's figures, made anew.")(paper.paper)
+app.command("fuse", short_help="One track of what several probes say.")(fuse.fuse)
+app.command("paper", short_help="The paper's figures and tables, made anew.")(paper.paper)
 
 
 def _version(wanted: bool) -> None:

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 import json
+import tempfile
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tapetum.cli.inputs import find_model
-from tapetum.errors import InputError
+from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 # Which `--detections` writes, and a source may therefore be.
 TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")
+WAYS = ("live", "whole")
 
 
 def track(
@@ -41,26 +46,44 @@ def track(
     min_snr: Annotated[
         float, typer.Option(metavar="RATIO", help="Least signal-to-noise ratio of a detection.", min=1.0)
     ] = 6.0,
+    smooth: Annotated[
+        str | None,
+        typer.Option(metavar="WAY", help="Smooth estimates over time: live (by earlier frames alone) or whole."),
+    ] = None,
+    systematic: Annotated[
+        float, typer.Option(metavar="SHARE", help="Of the intervals, what smoothing may not take away.", min=0.0)
+    ] = 1.0,
     stream: Annotated[str, typer.Option(metavar="NAME", help="Which stream of a recording.")] = "probe",
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Track every retro-reflection, and let models say where its camera looks."""
     if detections is not None and detections.resolve() == out.resolve():
         raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
+    if smooth is not None:
+        one_of(smooth, WAYS, "--smooth")
     if source.suffix.lower() in TABLE_SUFFIXES and source.is_file():
-        _again(source, out, given=bool(models) or detections is not None)
+        _again(source, out, smooth, systematic, given=bool(models) or detections is not None)
         return
+    if smooth is not None and not models:
+        raise InputError("without a model there is nothing to smooth", where="--smooth", remedy="give --model")
     from tapetum.track import track_to_file
+    from tapetum.track.tables import checked_suffix
 
-    summary = track_to_file(
-        source,
-        out,
-        model=[find_model(name) for name in models or ()],
-        detections=detections,
-        detect_options={"min_snr": min_snr},
-        stream=stream,
-        progress=bar,
-    )
+    checked_suffix(out)
+    with tempfile.TemporaryDirectory() as spare:
+        # What is smoothed takes its name only when it is.
+        raw = out if smooth is None else Path(spare) / "raw.parquet"
+        summary = track_to_file(
+            source,
+            raw,
+            model=[find_model(name) for name in models or ()],
+            detections=detections,
+            detect_options={"min_snr": min_snr},
+            stream=stream,
+            progress=bar,
+        )
+        if smooth is not None:
+            _write_smooth(raw, out, smooth, systematic)
     if as_json:
         typer.echo(json.dumps({**asdict(summary), "out": str(out)}))
         return
@@ -69,7 +92,18 @@ def track(
     typer.echo(f"{out}: {tracks} in {frames}, {seen}")
 
 
-def _again(table: Path, out: Path, *, given: bool) -> None:
+def _write_smooth(tracks: Path | pa.Table, out: Path, way: str, systematic: float) -> None:
+    """Smooth a table of tracks and write it; one without a row needs no smoothing."""
+    from tapetum.track import read_tracks, write_tracks
+    from tapetum.track.smooth import smooth_tracks
+
+    table = read_tracks(tracks) if isinstance(tracks, Path) else tracks
+    if table.num_rows:
+        table = smooth_tracks(table, causal=way == "live", systematic=systematic)
+    write_tracks(table, out)
+
+
+def _again(table: Path, out: Path, smooth: str | None, systematic: float, *, given: bool) -> None:
     """Make tracks anew of kept detections; their estimates come along."""
     if given:
         raise InputError(
@@ -80,6 +114,9 @@ def _again(table: Path, out: Path, *, given: bool) -> None:
     from tapetum.track import retrack, write_tracks
 
     tracks = retrack(table)
-    write_tracks(tracks, out)
+    if smooth is None:
+        write_tracks(tracks, out)
+    else:
+        _write_smooth(tracks, out, smooth, systematic)
     number = len(set(tracks["track"].to_pylist()))
     typer.echo(f"{out}: {number} track{'' if number == 1 else 's'} in {tracks.num_rows} rows, from kept detections")

@@ -1,22 +1,29 @@
-"""Estimators: images of retro-reflections in, gaze or focus with intervals out."""
+"""Estimators: images of retro-reflections in; gaze, focus and device out, with intervals and probabilities."""
 
-from tapetum.models.base import COVERAGE, Data, Estimator, Prediction
+from tapetum.models.base import Data, Estimator
 from tapetum.models.features import feature_names, zernike_features
 from tapetum.models.network import ResNet18Network
+from tapetum.models.prediction import COVERAGE, NONE_OF_THESE, Prediction
 from tapetum.models.resnet import ResNet18
+from tapetum.models.simulation_fit import SimulationFit, SimulationFitResult
+from tapetum.models.snr import crop_snr
 from tapetum.models.store import load_model, model_card, pretrained, save_model
 from tapetum.models.training import EpochReport
 from tapetum.models.zernike_ridge import ZernikeRidge
 
 __all__ = [
     "COVERAGE",
+    "NONE_OF_THESE",
     "Data",
     "EpochReport",
     "Estimator",
     "Prediction",
     "ResNet18",
     "ResNet18Network",
+    "SimulationFit",
+    "SimulationFitResult",
     "ZernikeRidge",
+    "crop_snr",
     "feature_names",
     "load_model",
     "model_card",

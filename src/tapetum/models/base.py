@@ -12,86 +12,24 @@ import torch
 import xarray as xr
 from numpy.typing import NDArray
 
-from tapetum.data.dataset import TRAIN, image_batches
+from tapetum.data.dataset import DEVICE, TRAIN, image_batches
 from tapetum.errors import InputError
 from tapetum.models.features import as_images
+from tapetum.models.prediction import Prediction
 from tapetum.progress import Progress, quiet
 
-__all__ = [
-    "COVERAGE",
-    "TARGETS",
-    "Data",
-    "Estimator",
-    "Prediction",
-    "TrainingPart",
-    "conformal_half_width",
-    "training_part",
-]
-
-COVERAGE = 0.9
-"""Share of true values that the intervals are meant to hold."""
+__all__ = ["TARGETS", "Data", "Estimator", "TrainingPart", "quantities_of", "target_names", "training_part"]
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "gaze": ("gaze_x", "gaze_y"),
     "focus": ("object_distance", "focal_length"),
+    "device": (DEVICE,),
+    "phone": ("gaze_x", "gaze_y", DEVICE),
 }
 """What a model may be asked for, and the labels that answer it. Any label's own name does as well."""
 
 Data: TypeAlias = xr.Dataset | NDArray[np.generic]
 """A dataset, or crops [N, side, side]."""
-
-
-@dataclass(frozen=True)
-class Prediction:
-    """Estimates of K quantities for N images.
-
-    Parameters
-    ----------
-    names
-        K names, for example ("gaze_x", "gaze_y").
-    value
-        [N, K] estimates, SI units; gaze in fractions of the field of view.
-    lower, upper
-        [N, K] ends of an interval meant to hold the true value with the probability `COVERAGE`; infinite
-        where a model was fitted without frames to calibrate on.
-    """
-
-    names: tuple[str, ...]
-    value: NDArray[np.float64]
-    lower: NDArray[np.float64]
-    upper: NDArray[np.float64]
-
-    def __post_init__(self) -> None:
-        shape = (len(self.value), len(self.names))
-        if not self.value.shape == self.lower.shape == self.upper.shape == shape:
-            raise InputError(
-                f"value, lower and upper must all be {shape},"
-                f" are {self.value.shape}, {self.lower.shape} and {self.upper.shape}"
-            )
-        if not np.isfinite(self.value).all() or np.isnan(self.lower).any() or np.isnan(self.upper).any():
-            raise InputError(
-                "a prediction is not finite", where="model", remedy="train it again; its weights are unusable"
-            )
-
-    def __len__(self) -> int:
-        return len(self.value)
-
-    def __getitem__(self, name: str) -> NDArray[np.float64]:
-        """Return the [N] estimates of one quantity."""
-        if name not in self.names:
-            raise InputError(f"no estimate of {name!r}", remedy=f"there are: {', '.join(self.names)}")
-        return self.value[:, self.names.index(name)]
-
-    def columns(self) -> dict[str, NDArray[np.float64]]:
-        """Return the columns of a table of tracks: for each name NAME, NAME_low and NAME_high, [N] each."""
-        table: dict[str, NDArray[np.float64]] = {}
-        for k, name in enumerate(self.names):
-            table |= {
-                name: self.value[:, k],
-                f"{name}_low": self.lower[:, k],
-                f"{name}_high": self.upper[:, k],
-            }
-        return table
 
 
 @runtime_checkable
@@ -104,6 +42,7 @@ class Estimator(Protocol):
 
     kind: ClassVar[str]
     target_names: tuple[str, ...]
+    quantities: tuple[str, ...]
     data_hash_: str | None
 
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self: ...
@@ -118,14 +57,20 @@ class Estimator(Protocol):
         """Return everything that was learned."""
         ...
 
+    def classes(self) -> tuple[str, ...]:
+        """Return the names of the devices learned; empty where that is no target."""
+        ...
+
     @classmethod
-    def from_state(cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor]) -> Self:
-        """Make a fitted model of what `parameters` and `state` returned."""
+    def from_state(
+        cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
+    ) -> Self:
+        """Make a fitted model of what `parameters`, `state` and `classes` returned."""
         ...
 
 
 def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
-    """Return the labels behind a target: "gaze", "focus", a label's own name or several of them."""
+    """Return the labels behind a target: "gaze", "focus", "device", "phone", a label's own name or several."""
     if isinstance(target, str):
         return TARGETS.get(target, (target,))
     if not target:
@@ -135,16 +80,25 @@ def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
     return tuple(target)
 
 
+def quantities_of(names: tuple[str, ...]) -> tuple[str, ...]:
+    """Return those labels that are numbers: all but the device."""
+    return tuple(name for name in names if name != DEVICE)
+
+
 @dataclass(frozen=True)
 class TrainingPart:
-    """The training frames of a dataset, those to fit apart from those to calibrate the intervals with.
+    """The training frames of a dataset, those to fit apart from those to calibrate with.
 
     Parameters
     ----------
     dataset
         The training frames alone.
     targets
-        [N, K] labels.
+        [N, K] labels that are numbers.
+    device
+        [N] number of each frame's device in `classes`; None where that is no target.
+    classes
+        Names of the devices that there are training frames of.
     fit, calibrate
         Positions in `dataset`, in order.
     full_scale
@@ -155,6 +109,8 @@ class TrainingPart:
 
     dataset: xr.Dataset
     targets: NDArray[np.float64]
+    device: NDArray[np.int64] | None
+    classes: tuple[str, ...]
     fit: NDArray[np.intp]
     calibrate: NDArray[np.intp]
     full_scale: float
@@ -162,14 +118,14 @@ class TrainingPart:
 
 
 def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fraction: float) -> TrainingPart:
-    """Take the training frames of a dataset; set the last share of each recording's aside for the intervals.
+    """Take the training frames of a dataset; set the last share of each recording's aside to calibrate with.
 
     Frames marked for testing are never used, even when the whole dataset is given.
 
     Raises
     ------
     InputError
-        When there is no training frame, too few of them, or a label is missing.
+        When there is no training frame, too few of them, a label is missing, not a number or the same throughout.
     """
     if not 0 <= calibration_fraction < 1:
         raise InputError(
@@ -179,10 +135,21 @@ def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fract
         )
     split = np.asarray(dataset["split"].values)
     train = dataset.isel(frame=np.flatnonzero(split == TRAIN))
-    targets = train.tp.values(names)
-    if not np.isfinite(targets).all():
-        raise InputError("labels are not finite", where="dataset", remedy="build the dataset again")
     recording = np.asarray(train["recording"].values)
+    if len(recording) < 2:
+        raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
+    quantities = quantities_of(names)
+    targets = train.tp.values(quantities) if quantities else np.empty((len(recording), 0))
+    device, classes = _devices(train) if DEVICE in names else (None, ())
+    videos = len(np.unique(recording))
+    for k, name in enumerate(quantities):
+        lost = np.flatnonzero(~np.isfinite(targets[:, k]))
+        if len(lost):
+            what = f"label {name} is not a number in {len(lost)} training frames, the first is number {lost[0]}"
+            raise InputError(what, where="dataset", remedy="build or import it again without these frames")
+        if np.ptp(targets[:, k]) == 0:
+            what = f"{name} never changes in {_of(videos)}: nothing to learn"
+            raise InputError(what, where="dataset", remedy="add recordings with other values of it")
     aside = np.zeros(len(recording), dtype=bool)
     for number in np.unique(recording):
         places = np.flatnonzero(recording == number)
@@ -190,33 +157,25 @@ def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fract
     fit = np.flatnonzero(~aside)
     if len(fit) < 2:
         raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
-    return TrainingPart(train, targets, fit, np.flatnonzero(aside), train.tp.full_scale, train.attrs.get("sha256"))
+    known, full_scale = train.attrs.get("sha256"), train.tp.full_scale
+    return TrainingPart(train, targets, device, classes, fit, np.flatnonzero(aside), full_scale, known)
 
 
-def conformal_half_width(residuals: NDArray[np.float64], coverage: float = COVERAGE) -> NDArray[np.float64]:
-    """Return the half-width of split-conformal intervals.
+def _of(videos: int) -> str:
+    return "the one recording" if videos == 1 else f"{videos} recordings"
 
-    The ``ceil((n + 1) coverage)``-th smallest absolute residual of n frames that took no part in fitting: new
-    frames *exchangeable* with those fall inside with at least that probability (Lei et al., J. Am. Stat.
-    Assoc. 113, 1094 (2018)). Frames of one video follow each other, so for other videos it is a guide and not
-    a guarantee.
 
-    Parameters
-    ----------
-    residuals
-        [n, K], true minus estimated.
-    coverage
-        Wanted probability.
-
-    Returns
-    -------
-    ndarray
-        [K]; infinite where n is too small for the coverage (n < 9 for 90 %).
-    """
-    rank = int(np.ceil((len(residuals) + 1) * coverage))
-    if rank > len(residuals):
-        return np.full(residuals.shape[1], np.inf)
-    return np.sort(np.abs(residuals), axis=0)[rank - 1]
+def _devices(train: xr.Dataset) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Return each frame's device, numbered among those that occur, and their names."""
+    if DEVICE not in train:
+        have = ", ".join(train.tp.targets) or "none"
+        raise InputError("has no label 'device'", where="dataset", remedy=f"it has: {have}")
+    names = train.tp.classes
+    present, numbers = np.unique(np.asarray(train[DEVICE].values), return_inverse=True)
+    if len(present) < 2:
+        what = f"all frames show one device, {names[int(present[0])]}: nothing to tell apart"
+        raise InputError(what, where="dataset", remedy="add recordings of other devices")
+    return numbers.astype(np.int64), tuple(names[int(k)] for k in present)
 
 
 def batches(data: Data, full_scale: float | None, size: int) -> Iterator[tuple[NDArray[np.generic], float]]:

@@ -7,7 +7,10 @@ from torch import Tensor, nn
 
 from tapetum.errors import InputError
 
-__all__ = ["ResNet18Network"]
+__all__ = ["FEATURES", "ResNet18Network"]
+
+FEATURES = 512
+"""Features of an image that the last layer weighs."""
 
 
 class BasicBlock(nn.Module):
@@ -66,7 +69,7 @@ class ResNet18Network(nn.Module):
             self.layer3 = _layer(128, 256, 2)
             self.layer4 = _layer(256, 512, 2)
             self.avgpool = nn.AdaptiveAvgPool2d(1)
-            self.fc = nn.Linear(512, outputs)
+            self.fc = nn.Linear(FEATURES, outputs)
         self._initialise(seed)
 
     def _initialise(self, seed: int) -> None:
@@ -79,8 +82,12 @@ class ResNet18Network(nn.Module):
         nn.init.normal_(self.fc.weight, std=0.01, generator=generator)
         nn.init.zeros_(self.fc.bias)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to [N, outputs]."""
+    def features(self, x: Tensor) -> Tensor:
+        """Map images [N, channels, H, W] to the [N, 512] features that the last layer weighs."""
         x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
-        return self.fc(torch.flatten(self.avgpool(x), 1))
+        return torch.flatten(self.avgpool(x), 1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map images [N, channels, H, W] to [N, outputs]."""
+        return self.fc(self.features(x))

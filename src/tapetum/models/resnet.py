@@ -1,8 +1,9 @@
-"""ResNet-18 as an estimator: from centred crops to gaze, or any other label, with intervals."""
+"""ResNet-18 as an estimator: from centred crops to gaze, focus and device, with intervals and probabilities."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -13,27 +14,36 @@ import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from tapetum.data.dataset import DEVICE
 from tapetum.errors import InputError
 from tapetum.models.base import (
     Data,
-    Prediction,
+    TrainingPart,
     batches,
     checked_state,
-    conformal_half_width,
     frame_count,
+    quantities_of,
     target_names,
     training_part,
 )
-from tapetum.models.network import ResNet18Network
+from tapetum.models.calibration import fit_temperature, probabilities
+from tapetum.models.intervals import Intervals, fit_intervals
+from tapetum.models.network import FEATURES, ResNet18Network
+from tapetum.models.novelty import Novelty, fit_novelty
+from tapetum.models.prediction import Prediction, joined
+from tapetum.models.processes import training_device
+from tapetum.models.snr import crop_snr
 from tapetum.models.training import Augmentation, EpochReport, TrainingSettings, train
 from tapetum.progress import Progress, quiet
 
-__all__ = ["ResNet18", "prepare"]
+__all__ = ["Loss", "ResNet18", "prepare"]
 
 _BATCH = 64
+# Frames of each class that its place among the features is learned from, at the most.
+_FRAMES_A_CLASS = 500
 
 
-def prepare(images: NDArray[np.generic], crop: int, size: int, full_scale: float) -> Tensor:
+def prepare(images: NDArray[np.generic], crop: int, size: int, full_scale: float, hide: int = 0) -> Tensor:
     """Turn crops into what the network sees.
 
     The central `crop` x `crop` pixels, averaged over areas to `size` x `size`, square root of the intensity
@@ -48,6 +58,8 @@ def prepare(images: NDArray[np.generic], crop: int, size: int, full_scale: float
         Pixels along an edge, of what is used and of what comes out.
     full_scale
         Count that becomes 1.
+    hide
+        Radius in pixels of a disc about the centre, where the brightest spot lies, that is filled with the background.
 
     Returns
     -------
@@ -70,18 +82,35 @@ def prepare(images: NDArray[np.generic], crop: int, size: int, full_scale: float
     cut = cut if cut.dtype == np.uint8 else cut.astype(np.float32)
     small = F.interpolate(torch.from_numpy(cut)[:, None].float(), size=(size, size), mode="area") / full_scale
     background = small.flatten(1).median(dim=1).values[:, None, None, None]
-    return small.sqrt() - background.sqrt()
+    root = small.sqrt() - background.sqrt()
+    if hide:
+        at = (torch.arange(size) - (size - 1) / 2) * crop / size
+        root = root.masked_fill(at[:, None] ** 2 + at**2 <= hide**2, 0.0)
+    return root
 
 
-def _device(name: str) -> torch.device:
-    if name == "auto":
-        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
-    try:
-        return torch.device(name)
-    except RuntimeError as error:
-        raise InputError(
-            f"no device is called {name!r}", where="device", remedy='use "auto", "cpu" or "cuda"'
-        ) from error
+@dataclass(frozen=True)
+class Loss:
+    """Smooth L1 on standardised quantities, and cross-entropy on the class.
+
+    Parameters
+    ----------
+    quantities
+        How many of the outputs are quantities; the others are the scores of the classes, whose number is the last
+        column of the targets.
+    """
+
+    quantities: int
+
+    def __call__(self, output: Tensor, target: Tensor) -> Tensor:
+        """Return the mean loss of outputs [n, K + C] for targets [n, K] or [n, K + 1]."""
+        k = self.quantities
+        parts: list[Tensor] = []
+        if k:
+            parts.append(F.smooth_l1_loss(output[:, :k], target[:, :k], beta=0.1))
+        if output.shape[1] > k:
+            parts.append(F.cross_entropy(output[:, k:], target[:, k].long()))
+        return torch.stack(parts).sum()
 
 
 class ResNet18:
@@ -90,10 +119,13 @@ class ResNet18:
     Parameters
     ----------
     target
-        "gaze", "focus", or names of labels.
+        "gaze", "focus", "device", "phone" (gaze and device), or names of labels.
     crop, size
         The central `crop` x `crop` pixels of each image are reduced to `size` x `size` for the network.
-    epochs, batch, learning_rate, weight_decay
+    hide
+        Radius in pixels of a disc about the centre that the network never sees (see `prepare`): what it can tell
+        without the brightest spot.
+    epochs, batch, learning_rate, weight_decay, patience, precision
         See `tapetum.models.training.TrainingSettings`.
     gain, shift, noise
         See `tapetum.models.training.Augmentation`.
@@ -102,10 +134,12 @@ class ResNet18:
         on one machine with one number of threads.
     calibration_fraction
         Share of the training frames, the last ones of each recording, that is kept out of the fit: it shows
-        the error after each epoch and sets the intervals. The weights kept are always the last epoch's, never
-        the best on these frames.
+        the error after each epoch and sets the intervals. The weights kept are the last epoch's; with `patience`
+        they are the best on these frames, for which intervals and probabilities then are a little too good.
     device
         "auto" (CUDA where there is one), "cpu" or "cuda". Not part of a saved model.
+    processes
+        GPUs or processes that train: "auto" takes all GPUs. Not part of a saved model.
 
     Attributes
     ----------
@@ -113,8 +147,14 @@ class ResNet18:
         The trained `tapetum.models.network.ResNet18Network`.
     history_
         List of `tapetum.models.training.EpochReport` (empty after loading).
-    half_width_
-        [K] half-widths of the intervals: split-conformal, see `tapetum.models.base.conformal_half_width`.
+    intervals_
+        `tapetum.models.intervals.Intervals`, calibrated on the frames kept out of the fit.
+    classes_
+        Names of the devices learned, sorted.
+    temperature_
+        Of the classes' probabilities, set on the frames kept out of the fit: `tapetum.models.calibration`.
+    novelty_
+        `tapetum.models.novelty.Novelty`, or None without classes.
     data_hash_
         Hash of the dataset fitted to, where known.
 
@@ -130,7 +170,10 @@ class ResNet18:
 
     network_: ResNet18Network
     history_: list[EpochReport]
-    half_width_: NDArray[np.float64]
+    intervals_: Intervals
+    classes_: tuple[str, ...]
+    temperature_: float
+    novelty_: Novelty | None
     data_hash_: str | None
 
     def __init__(
@@ -139,29 +182,43 @@ class ResNet18:
         *,
         crop: int = 288,
         size: int = 96,
+        hide: int = 0,
         epochs: int = 12,
         batch: int = 32,
         learning_rate: float = 2e-3,
         weight_decay: float = 0.05,
+        patience: int | None = None,
+        precision: str = "float32",
         gain: float = 0.1,
         shift: float = 1.5,
         noise: float = 0.03,
         seed: int = 0,
         calibration_fraction: float = 0.1,
         device: str = "auto",
+        processes: int | str = 1,
     ) -> None:
         self.target = target if isinstance(target, str) else tuple(target)
         self.target_names = target_names(self.target)
-        self.crop, self.size, self.seed = int(crop), int(size), int(seed)
+        self.quantities = quantities_of(self.target_names)
+        self.crop, self.size, self.hide, self.seed = int(crop), int(size), int(hide), int(seed)
         if not 0 < self.size <= self.crop:
             raise InputError(f"must lie in 1 ... crop = {crop}, is {size}", where="size", remedy="96 of 288 is usual")
+        if not 0 <= self.hide < self.crop / 2:
+            raise InputError(f"must lie in 0 ... {crop / 2:g}, is {hide}", where="hide", remedy="0 hides nothing")
         self.settings = TrainingSettings(
-            int(epochs), int(batch), learning_rate, weight_decay, self.seed, Augmentation(gain, shift, noise)
+            int(epochs),
+            int(batch),
+            learning_rate,
+            weight_decay,
+            self.seed,
+            Augmentation(gain, shift, noise),
+            patience,
+            precision,
         )
         self.calibration_fraction = float(calibration_fraction)
         self.data_hash_ = None
-        self.device = device
-        _device(device)
+        self.device, self.processes = device, processes
+        training_device(device)
 
     def fit(
         self,
@@ -202,59 +259,88 @@ class ResNet18:
                 "resume needs the folder of a checkpoint", where="checkpoint", remedy="pass checkpoint=FOLDER"
             )
         part = training_part(dataset, self.target_names, self.calibration_fraction)
-        images = self._inputs(part.dataset, None, progress)
-        centre, spread = part.targets[part.fit].mean(axis=0), part.targets[part.fit].std(axis=0)
-        if not (spread > 0).all():
-            stuck = self.target_names[int(np.argmin(spread))]
-            raise InputError(f"{stuck} never changes: nothing to learn", where="dataset", remedy="record more of it")
-        self._centre, self._spread = centre, spread
+        images, snr = self._inputs(part.dataset, None, progress)
+        self._centre, self._spread = part.targets[part.fit].mean(axis=0), part.targets[part.fit].std(axis=0)
         self._unit = float(images[part.fit].std())
         if not self._unit > 0:
             raise InputError("all images are blank", where="dataset", remedy="check the exposure of the probe")
         images /= self._unit
-        network = ResNet18Network(len(self.target_names), seed=self.seed)
-        aside, device = part.calibrate, _device(self.device)
-        scaled = torch.from_numpy(((part.targets - centre) / spread).astype(np.float32))
+        self.classes_ = part.classes
+        k, device = len(self.quantities), training_device(self.device)
+        network = ResNet18Network(k + len(part.classes), seed=self.seed)
+        columns = [(part.targets - self._centre) / self._spread]
+        if part.device is not None:
+            columns.append(part.device[:, None].astype(np.float64))
+        wanted = torch.from_numpy(np.concatenate(columns, axis=1).astype(np.float32))
+        aside = part.calibrate
 
         def validate(trained: nn.Module) -> float:
-            return float(np.abs(self._run(trained, images[aside], device) - part.targets[aside]).mean())
+            found = self._run(trained, images[aside], device)
+            if k:
+                return float(np.abs(self._scaled(found) - part.targets[aside]).mean())
+            return float((found.argmax(axis=1) != _of(part.device, aside)).mean())
 
         identity = {**self.parameters(), "data": part.data_hash, "frames": len(part.targets)}
         fit = torch.from_numpy(part.fit)
         self.history_ = train(
             network,
             images[fit],
-            scaled[fit],
+            wanted[fit],
             self.settings,
+            loss=Loss(k),
             validate=validate if len(aside) else None,
-            device=device,
+            device=self.device,
+            processes=self.processes,
             checkpoint=None if checkpoint is None else Path(checkpoint),
             resume=resume,
             identity=identity,
             progress=progress,
             on_epoch=on_epoch,
         )
-        residuals = part.targets[aside] - self._run(network, images[aside], device)
-        self.network_, self.half_width_ = network, conformal_half_width(residuals)
-        self.data_hash_ = part.data_hash
+        self.network_, self.data_hash_ = network, part.data_hash
+        self._calibrate(part, images, snr, device)
         return self
 
-    def _inputs(self, data: Data, full_scale: float | None, progress: Progress) -> Tensor:
-        total = -(-frame_count(data) // _BATCH)
-        parts = [
-            prepare(images, self.crop, self.size, depth)
-            for images, depth in progress(batches(data, full_scale, _BATCH), "reading the images", total=total)
-        ]
-        return torch.cat(parts) if parts else torch.empty(0, 1, self.size, self.size)
+    def _calibrate(self, part: TrainingPart, images: Tensor, snr: NDArray[np.float64], device: torch.device) -> None:
+        """Set intervals, temperature and what counts as none of the classes, by the frames kept out of the fit."""
+        aside, k = part.calibrate, len(self.quantities)
+        found = self._run(self.network_, images[aside], device)
+        self.intervals_ = fit_intervals(part.targets[aside] - self._scaled(found), snr[aside])
+        self.temperature_, self.novelty_ = 1.0, None
+        if part.device is None:
+            return
+        self.temperature_ = fit_temperature(found[:, k:], part.device[aside])
+        own = part.device[part.fit]
+        few = np.concatenate([_spread_over(part.fit[own == c], _FRAMES_A_CLASS) for c in range(len(part.classes))])
+        self.novelty_ = fit_novelty(
+            self._run(self.network_.features, images[few], device),
+            part.device[few],
+            len(part.classes),
+            self._run(self.network_.features, images[aside], device),
+        )
 
-    def _run(self, network: nn.Module, images: Tensor, device: torch.device) -> NDArray[np.float64]:
-        """Return the estimates [N, K] for prepared and scaled images."""
-        found = [np.empty((0, len(self.target_names)))]
+    def _inputs(self, data: Data, full_scale: float | None, progress: Progress) -> tuple[Tensor, NDArray[np.float64]]:
+        """Return prepared images [N, 1, size, size] and their SNR [N]."""
+        total = -(-frame_count(data) // _BATCH)
+        parts, snr = [torch.empty(0, 1, self.size, self.size)], [np.empty(0)]
+        for images, depth in progress(batches(data, full_scale, _BATCH), "reading the images", total=total):
+            parts.append(prepare(images, self.crop, self.size, depth, self.hide))
+            snr.append(crop_snr(images, depth))
+        return torch.cat(parts), np.concatenate(snr)
+
+    def _run(self, network: Callable[[Tensor], Tensor], images: Tensor, device: torch.device) -> NDArray[np.float64]:
+        """Return what a network makes [N, ...] of prepared and scaled images."""
         with torch.inference_mode():
-            for batch in images.split(_BATCH):
-                output = network(batch.to(device).contiguous(memory_format=torch.channels_last))
-                found.append(output.double().cpu().numpy() * self._spread + self._centre)
-        return np.concatenate(found)
+            found = [
+                network(batch.to(device).contiguous(memory_format=torch.channels_last)).double().cpu().numpy()
+                for batch in images.split(_BATCH)
+                if len(batch)
+            ]
+        return np.concatenate(found) if found else np.empty((0, len(self.quantities) + len(self.classes_)))
+
+    def _scaled(self, found: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the quantities [N, K] in their units."""
+        return found[:, : len(self.quantities)] * self._spread + self._centre
 
     def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:
         """Estimate the target for every image.
@@ -279,16 +365,32 @@ class ResNet18:
         """
         if not hasattr(self, "network_"):
             raise InputError("the model is not fitted", where="ResNet18", remedy="call fit or load_model first")
-        device = _device(self.device)
+        device = training_device(self.device)
         self.network_.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.network_.eval()
-        total = -(-frame_count(data) // _BATCH)
-        found = [
-            self._run(self.network_, prepare(images, self.crop, self.size, depth) / self._unit, device)
-            for images, depth in progress(batches(data, full_scale, _BATCH), "ResNet-18", total=total)
-        ]
-        value = np.concatenate(found) if found else np.empty((0, len(self.target_names)))
-        return Prediction(self.target_names, value, value - self.half_width_, value + self.half_width_)
+        total, k = -(-frame_count(data) // _BATCH), len(self.quantities)
+        parts = [self._predicted(np.empty((0, k + len(self.classes_))), np.empty((0, FEATURES)), np.empty(0))]
+        for images, depth in progress(batches(data, full_scale, _BATCH), "ResNet-18", total=total):
+            prepared = prepare(images, self.crop, self.size, depth, self.hide) / self._unit
+            features = self._run(self.network_.features, prepared, device)
+            snr = crop_snr(images, depth) if self.intervals_.conditional else np.zeros(len(images))
+            parts.append(self._predicted(self._weighed(features), features, snr))
+        return joined(parts)
+
+    def _weighed(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the last layer's outputs [N, K + C], so that the network runs once for them and for the features."""
+        weight = self.network_.fc.weight.detach().double().cpu().numpy()
+        return features @ weight.T + self.network_.fc.bias.detach().double().cpu().numpy()
+
+    def _predicted(
+        self, found: NDArray[np.float64], features: NDArray[np.float64], snr: NDArray[np.float64]
+    ) -> Prediction:
+        value, width = self._scaled(found), self.intervals_.at(snr)
+        if not self.classes_:
+            return Prediction(self.quantities, value, value - width, value + width)
+        shares = probabilities(found[:, len(self.quantities) :], self.temperature_)
+        novelty = None if self.novelty_ is None else self.novelty_(features)
+        return Prediction(self.quantities, value, value - width, value + width, self.classes_, shares, novelty)
 
     def parameters(self) -> dict[str, Any]:
         """Return the arguments of ``__init__``, fit for JSON, without the device."""
@@ -297,10 +399,13 @@ class ResNet18:
             "target": self.target if isinstance(self.target, str) else list(self.target),
             "crop": self.crop,
             "size": self.size,
+            "hide": self.hide,
             "epochs": settings.epochs,
             "batch": settings.batch,
             "learning_rate": settings.learning_rate,
             "weight_decay": settings.weight_decay,
+            "patience": settings.patience,
+            "precision": settings.precision,
             "gain": varied.gain,
             "shift": varied.shift,
             "noise": varied.noise,
@@ -316,32 +421,52 @@ class ResNet18:
         scaling = {
             "centre": self._centre,
             "spread": self._spread,
-            "half_width": self.half_width_,
             "unit": [self._unit],
         }
+        if self.classes_:
+            scaling["temperature"] = [self.temperature_]
         for name, values in scaling.items():
             learned[f"scaling.{name}"] = torch.from_numpy(np.array(values, dtype=np.float64))
-        return learned
+        return learned | self.intervals_.state("scaling.") | ({} if self.novelty_ is None else self.novelty_.state())
+
+    def classes(self) -> tuple[str, ...]:
+        """Return the names of the devices learned; empty where that is no target."""
+        return self.classes_
 
     @classmethod
-    def from_state(cls, parameters: Mapping[str, Any], state: Mapping[str, Tensor]) -> Self:
-        """Make a fitted model of what `parameters` and `state` returned."""
+    def from_state(
+        cls, parameters: Mapping[str, Any], state: Mapping[str, Tensor], classes: tuple[str, ...] = ()
+    ) -> Self:
+        """Make a fitted model of what `parameters`, `state` and `classes` returned."""
         model = cls(**parameters)
-        k = len(model.target_names)
-        shapes = {
-            "scaling.centre": (k,),
-            "scaling.spread": (k,),
-            "scaling.half_width": (k,),
-            "scaling.unit": (1,),
-        }
+        k = len(model.quantities)
+        if (DEVICE in model.target_names) != bool(classes):
+            what = f"expected {'names' if not classes else 'no names'} of devices"
+            raise InputError(what, where="card", remedy="the model's card and its weights do not belong together")
+        shapes: dict[str, tuple[int, ...]] = {"scaling.centre": (k,), "scaling.spread": (k,), "scaling.unit": (1,)}
+        if classes:
+            shapes["scaling.temperature"] = (1,)
         scaling = checked_state(state, shapes)
-        network = ResNet18Network(k)
+        network = ResNet18Network(k + len(classes))
+        own = {name: state[name] for name in network.state_dict() if name in state}
         try:
-            network.load_state_dict({n: t for n, t in state.items() if not n.startswith("scaling.")})
+            network.load_state_dict(own)
         except RuntimeError as error:
             remedy = "the model's card and its weights do not belong together"
             raise InputError("weights do not fit a ResNet-18 of this card", where="weights", remedy=remedy) from error
-        model.network_, model.history_ = network.eval(), []
+        model.network_, model.history_, model.classes_ = network.eval(), [], classes
         model._centre, model._spread = scaling["scaling.centre"], scaling["scaling.spread"]
-        model.half_width_, model._unit = scaling["scaling.half_width"], float(scaling["scaling.unit"][0])
+        model._unit = float(scaling["scaling.unit"][0])
+        model.temperature_ = float(scaling["scaling.temperature"][0]) if classes else 1.0
+        model.intervals_ = Intervals.from_state(state, k, "scaling.")
+        model.novelty_ = Novelty.from_state(state, len(classes), FEATURES) if classes else None
         return model
+
+
+def _of(numbers: NDArray[np.int64] | None, chosen: NDArray[np.intp]) -> NDArray[np.int64]:
+    return np.empty(0, np.int64) if numbers is None else numbers[chosen]
+
+
+def _spread_over(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Return at most so many of some places, evenly spread."""
+    return places[:: -(-len(places) // most)]

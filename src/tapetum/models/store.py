@@ -111,7 +111,8 @@ def save_model(
         "version": VERSION,
         "kind": model.kind,
         "targets": list(model.target_names),
-        "units": {name: QUANTITIES.get(name, "1") for name in model.target_names},
+        "units": {name: QUANTITIES.get(name, "1") for name in model.quantities},
+        "classes": list(model.classes()),
         "parameters": model.parameters(),
         "training_data": model.data_hash_ if data_hash is None else data_hash,
         "metrics": dict(metrics or {}),
@@ -205,7 +206,8 @@ def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
         ) from error
     state = {name: tensor.float() if tensor.dtype == torch.float16 else tensor for name, tensor in state.items()}
     try:
-        model = KINDS[card["kind"]].from_state(card["parameters"], state)
+        classes = tuple(str(name) for name in card.get("classes", ()))
+        model = KINDS[card["kind"]].from_state(card["parameters"], state, classes)
     except InputError as error:
         raise InputError(str(error), where=folder) from error
     except (TypeError, ValueError) as error:  # an unknown argument, or one of another type

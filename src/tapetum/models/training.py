@@ -1,148 +1,307 @@
-"""Training in epochs that can be interrupted and taken up again: every one leaves a whole checkpoint."""
+"""Training in epochs that can be interrupted and taken up again, on whatever computes: every epoch leaves a whole
+checkpoint.
+"""
 
 from __future__ import annotations
 
-import contextlib
+import copy
 import json
 import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from tapetum.errors import InputError
-from tapetum.files import atomic_file
+from tapetum.models.augmentation import Augmentation, augment
+from tapetum.models.busy import BusySample
+from tapetum.models.checkpoint import (
+    CHECKPOINT,
+    HISTORY,
+    TrainingState,
+    read_checkpoint,
+    remove_checkpoint,
+    write_checkpoint,
+)
+from tapetum.models.epochs import EpochReport, TrainingSettings, kept_epoch, learning_rate, out_of_patience
+from tapetum.models.processes import companions, fabric_of_one, process_count, training_device
 from tapetum.progress import Progress, quiet
 
-__all__ = ["CHECKPOINT", "HISTORY", "Augmentation", "EpochReport", "TrainingSettings", "augment", "train"]
+if TYPE_CHECKING:
+    from lightning_fabric import Fabric
 
-CHECKPOINT, HISTORY = "checkpoint.safetensors", "history.json"
-_FORMAT = "tapetum-checkpoint/1"
+__all__ = [
+    "CHECKPOINT",
+    "HISTORY",
+    "Augmentation",
+    "EpochReport",
+    "Loss",
+    "SmoothL1",
+    "TrainingSettings",
+    "augment",
+    "kept_epoch",
+    "remove_checkpoint",
+    "train",
+]
 
-
-@dataclass(frozen=True)
-class Augmentation:
-    """What is varied at random about an image while training, and nothing that the gaze would change.
-
-    Never flips or rotations: they turn the gaze with them, and what tells its sign (the second beam) does not
-    follow.
-
-    Parameters
-    ----------
-    gain
-        The intensity's root is multiplied by exp(u), u uniform in -gain ... gain.
-    shift
-        Largest shift in pixels of the network's input, each axis; the centre is known no better.
-    noise
-        Standard deviation of white noise, in units of the training images' standard deviation.
-    """
-
-    gain: float = 0.1
-    shift: float = 1.5
-    noise: float = 0.03
-
-    def __post_init__(self) -> None:
-        for name, value in asdict(self).items():
-            if not (math.isfinite(value) and value >= 0):
-                raise InputError(
-                    f"must not be negative, is {value}", where=f"augmentation.{name}", remedy="0 turns it off"
-                )
+Loss = Callable[[Tensor, Tensor], Tensor]
 
 
 @dataclass(frozen=True)
-class TrainingSettings:
-    """How to train.
+class SmoothL1:
+    """Squared below `beta`, linear above: mean over images and targets."""
 
-    Parameters
-    ----------
-    epochs
-        Passes over the training images.
-    batch
-        Images a step.
-    learning_rate
-        Of AdamW, at its highest: it rises over the first fifth of the steps and falls to nothing along a
-        cosine.
-    weight_decay
-        Of AdamW, on matrices and convolutions only.
-    seed
-        Of the order of the images and the augmentation. Epoch e draws from its own stream, so a resumed run
-        repeats an uninterrupted one.
-    augmentation
-        See `Augmentation`.
-    """
+    beta: float = 0.1
 
-    epochs: int = 12
-    batch: int = 32
-    learning_rate: float = 2e-3
-    weight_decay: float = 0.05
-    seed: int = 0
-    augmentation: Augmentation = Augmentation()
-
-    def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "learning_rate"):
-            if not getattr(self, name) > 0:
-                raise InputError(f"must be positive, is {getattr(self, name)}", where=name)
-        if self.batch < 2:
-            raise InputError("batch normalisation needs 2 images or more", where="batch")
+    def __call__(self, output: Tensor, target: Tensor) -> Tensor:
+        """Return the loss of outputs [N, K] for targets [N, K]."""
+        return F.smooth_l1_loss(output, target, beta=self.beta)
 
 
 @dataclass(frozen=True)
-class EpochReport:
-    """What an epoch came to.
+class _Calls:
+    """What is called while training, in the process that was asked to train."""
+
+    validate: Callable[[nn.Module], float] | None = None
+    progress: Progress = quiet
+    on_epoch: Callable[[EpochReport], None] | None = None
+
+
+def train(
+    network: nn.Module,
+    images: Tensor,
+    targets: Tensor,
+    settings: TrainingSettings,
+    *,
+    loss: Loss = SmoothL1(),
+    validate: Callable[[nn.Module], float] | None = None,
+    device: str | torch.device = "auto",
+    processes: int | str = 1,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    identity: Mapping[str, Any] | None = None,
+    progress: Progress = quiet,
+    on_epoch: Callable[[EpochReport], None] | None = None,
+) -> list[EpochReport]:
+    """Train a network in place.
+
+    Several processes share every batch, each taking its part, and add up their gradients: batches, steps and
+    learning rates are those of one process, and without augmentation so is the result, to rounding. With it the
+    processes draw their own numbers. On GPUs batch normalisation takes its mean over the whole batch; on a CPU,
+    where torch has no such thing, each process takes it over its own part, and the first one's running mean is
+    kept.
 
     Parameters
     ----------
-    epoch, epochs
-        Its number, from 1, and how many there will be.
+    network
+        Maps [N, C, H, W] to [N, O].
+    images
+        [N, C, H, W], standardised, float32, on the CPU.
+    targets
+        [N, ...], standardised or classes, whatever `loss` takes.
+    settings
+        How.
     loss
-        Mean training loss (smooth L1 on standardised targets).
-    validation_mae
-        Mean absolute error on the frames kept out of the fit, in the targets' units, mean over targets; None
-        without.
-    seconds
-        Time it took.
+        ``loss(output, target)``, a mean over the images. At the top of a module, or an object of a class that
+        is, where several processes train: it travels to them.
+    validate
+        Returns the validation error of the network, which is in evaluation mode; lower is better. Called in this
+        process only.
+    device
+        "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1". The network stays there.
+    processes
+        How many train: GPUs, or processes on the CPU. "auto" takes every GPU, on a CPU one.
+    checkpoint
+        Folder that gets checkpoint.safetensors and history.json after every epoch, each whole or not at all.
+    resume
+        Go on from the checkpoint in that folder, where there is one, with as many processes as one likes.
+    identity
+        JSON-able: what the training depends on besides `settings` (data hash, input size). A checkpoint of
+        another identity is refused.
+    progress
+        Shown over the steps of each epoch.
+    on_epoch
+        Called with the report of every epoch, after its checkpoint.
+
+    Returns
+    -------
+    list of EpochReport
+        Of all epochs, those before a resumption included. `kept_epoch` tells which one's weights the network has.
+
+    Raises
+    ------
+    InputError
+        When the checkpoint is damaged, of another version or of another training, when the training diverges, or
+        when there is no such device.
     """
+    device = training_device(device)
+    count = process_count(processes, device)
+    if settings.patience is not None and validate is None:
+        raise InputError("stopping early needs frames to watch", where="patience", remedy="keep some aside")
+    if min(settings.batch, len(images)) < 2 * count:
+        what = f"a batch of {min(settings.batch, len(images))} images leaves fewer than 2 to each of {count} processes"
+        raise InputError(what, where="processes" if count > 1 else "images", remedy="use larger batches or more images")
+    about = json.loads(json.dumps({"settings": asdict(settings), "identity": dict(identity or {})}))
+    calls = _Calls(validate, progress, on_epoch)
+    kept = checkpoint if resume and checkpoint is not None and (checkpoint / CHECKPOINT).exists() else None
+    work = (settings, loss, about, kept)
+    if count == 1:
+        fabric = fabric_of_one(device, settings.precision)
+        network.to(device=fabric.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return _Training(fabric, network, images, targets, *work, checkpoint, calls).run()
+    # The others get the network's shape; its weights follow from here when the processes meet.
+    sent = (copy.deepcopy(network).to("meta"), images.numpy(), targets.numpy())
+    with companions(count, device, settings.precision, _take_part, *sent, *work) as fabric:
+        network.to(device=fabric.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        # Of the copy the processes may wrap and replace parts; the caller's network stays what it was.
+        copied = copy.deepcopy(network)
+        history = _Training(fabric, copied, images, targets, *work, checkpoint, calls).run()
+        network.load_state_dict(copied.state_dict())
+    network.eval()
+    return history
 
-    epoch: int
-    epochs: int
-    loss: float
-    validation_mae: float | None
-    seconds: float
+
+def _take_part(
+    fabric: Fabric,
+    network: nn.Module,
+    images: NDArray[np.float32],
+    targets: NDArray[np.generic],
+    settings: TrainingSettings,
+    loss: Loss,
+    about: dict[str, Any],
+    kept: Path | None,
+) -> None:
+    """Be one of the other processes: compute, and leave the rest to the first."""
+    network = network.to_empty(device=fabric.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    tensors = torch.from_numpy(images), torch.from_numpy(targets)
+    _Training(fabric, network, *tensors, settings, loss, about, kept, None, _Calls()).run()
 
 
-def augment(images: Tensor, settings: Augmentation, generator: torch.Generator) -> Tensor:
-    """Return images [N, 1, H, W] with random gain, sub-pixel shift and noise; see `Augmentation`."""
-    n, _, height, width = images.shape
+class _Training:
+    """The loop, in one process."""
 
-    def uniform(*shape: int) -> Tensor:
-        return (2 * torch.rand(*shape, generator=generator) - 1).to(images)
+    def __init__(
+        self,
+        fabric: Fabric,
+        network: nn.Module,
+        images: Tensor,
+        targets: Tensor,
+        settings: TrainingSettings,
+        loss: Loss,
+        about: dict[str, Any],
+        kept: Path | None,
+        checkpoint: Path | None,
+        calls: _Calls,
+    ) -> None:
+        self._fabric, self._settings, self._loss, self._calls = fabric, settings, loss, calls
+        self._about, self._checkpoint = about, checkpoint
+        self._images, self._targets = (_near(tensor, fabric.device) for tensor in (images, targets))
+        self._per_epoch = max(1, len(images) // settings.batch)
+        if fabric.world_size > 1 and fabric.device.type == "cuda":
+            network = nn.SyncBatchNorm.convert_sync_batchnorm(network)
+        optimiser = _optimiser(network, settings)
+        self._state = TrainingState(network, optimiser, None, [])
+        if kept is not None:
+            read_checkpoint(kept, self._state, about)
+        self._module, self._optimiser = fabric.setup(network, optimiser)
 
-    if settings.shift > 0:
-        # affine_grid counts in half images: 2/width is a pixel.
-        offset = settings.shift * uniform(n, 2) * torch.tensor([2 / width, 2 / height]).to(images)
-        eye = torch.eye(2).to(images).expand(n, 2, 2)
-        grid = F.affine_grid(torch.cat([eye, offset[:, :, None]], dim=2), list(images.shape), align_corners=False)
-        images = F.grid_sample(images, grid, mode="bilinear", padding_mode="border", align_corners=False)
-    if settings.gain > 0:
-        images = images * torch.exp(settings.gain * uniform(n, 1, 1, 1))
-    if settings.noise > 0:
-        images = images + settings.noise * torch.randn(images.shape, generator=generator).to(images)
-    return images
+    def run(self) -> list[EpochReport]:
+        state, settings = self._state, self._settings
+        while len(state.history) < settings.epochs and not out_of_patience(state.history, settings.patience):
+            report = self._epoch(len(state.history))
+            state.history.append(report)
+            if settings.patience is not None and report.best and self._fabric.is_global_zero:
+                state.best = {name: value.detach().cpu().clone() for name, value in state.network.state_dict().items()}
+            if self._checkpoint is not None:
+                write_checkpoint(self._checkpoint, state, self._about)
+            if self._calls.on_epoch is not None:
+                self._calls.on_epoch(report)
+        if state.best is not None:
+            state.network.load_state_dict(state.best)
+        state.network.eval()
+        return state.history
+
+    def _epoch(self, number: int) -> EpochReport:
+        settings, network, history = self._settings, self._state.network, self._state.history
+        start = time.perf_counter()
+        network.train()
+        # A sample each epoch would cost time; the first epoch is not like the others.
+        measured = self._fabric.device.type == "cuda" and number == min(1, settings.epochs - 1)
+        busy = BusySample(self._fabric.device, self._per_epoch // 2 if measured else -1)
+        total = self._steps(number, busy)
+        trained = time.perf_counter() - start
+        network.eval()
+        error = None
+        if self._fabric.is_global_zero and self._calls.validate is not None:
+            error = float(self._calls.validate(network))
+        error = self._fabric.broadcast(error)
+        if not (math.isfinite(total) and (error is None or math.isfinite(error))):
+            what = "training diverged: the loss is not finite"
+            raise InputError(what, where="learning_rate", remedy="choose a lower one")
+        lowest = min((r.validation_mae for r in history if r.validation_mae is not None), default=math.inf)
+        return EpochReport(
+            number + 1,
+            settings.epochs,
+            loss=total / len(self._images),
+            validation_mae=error,
+            seconds=time.perf_counter() - start,
+            images_per_second=len(self._images) / trained,
+            busy=busy.share,
+            best=error is not None and error < lowest,
+        )
+
+    def _steps(self, epoch: int, busy: BusySample) -> float:
+        """Go through the images once; return the sum of their losses."""
+        fabric, settings, count, steps = self._fabric, self._settings, len(self._images), self._per_epoch
+        rank, ranks = fabric.global_rank, fabric.world_size
+        order = torch.randperm(count, generator=_generator("cpu", settings.seed, epoch, 0)).to(self._images.device)
+        varied = _generator(fabric.device, settings.seed, epoch, 1 + rank)
+        # Summed up where the losses are: to ask a GPU for a number is to wait for it.
+        total = torch.zeros((), dtype=torch.float64, device=fabric.device)
+        label = f"epoch {epoch + 1}/{settings.epochs}{_told(self._state.history)}"
+        for k in self._calls.progress(range(steps), label, total=steps):
+            busy.before(k)
+            # All images are used: what is left over is spread over the batches.
+            batch = order[k * count // steps : (k + 1) * count // steps]
+            chosen = batch[rank::ranks]
+            images = augment(self._images[chosen].to(fabric.device), settings.augmentation, varied)
+            target = self._targets[chosen].to(fabric.device)
+            for group in self._optimiser.param_groups:
+                group["lr"] = learning_rate(epoch * steps + k, steps * settings.epochs, settings.learning_rate)
+            self._optimiser.zero_grad(set_to_none=True)
+            loss = self._loss(self._module(images.contiguous(memory_format=torch.channels_last)), target)
+            # The processes' gradients are averaged as equals; their parts of a batch may differ by an image.
+            fabric.backward(loss * (len(chosen) * ranks / len(batch)))
+            self._optimiser.step()
+            total += loss.detach() * len(chosen)
+        busy.end()
+        return float(fabric.all_reduce(total, reduce_op="sum"))  # type: ignore[arg-type]
 
 
-def _rate(step: int, steps: int, highest: float) -> float:
-    """Return the learning rate: a cosine up over the first fifth, a cosine down over the rest."""
-    rise = max(1, steps // 5)
-    if step < rise:
-        return highest * (0.04 + 0.96 * 0.5 * (1 - math.cos(math.pi * (step + 1) / rise)))
-    return highest * 0.5 * (1 + math.cos(math.pi * (step - rise + 1) / (steps - rise + 1)))
+def _generator(device: str | torch.device, *key: int) -> torch.Generator:
+    """Return a stream of random numbers of its own for every key."""
+    seed = np.random.SeedSequence(key).generate_state(1, np.uint64)[0]
+    return torch.Generator(device).manual_seed(int(seed))
+
+
+def _near(tensor: Tensor, device: torch.device) -> Tensor:
+    """Return the tensor on a GPU that has room for it, else where it is."""
+    if device.type != "cuda":
+        return tensor
+    free, _ = torch.cuda.mem_get_info(device)
+    return tensor.to(device) if tensor.nbytes < free / 2 else tensor
+
+
+def _told(history: list[EpochReport]) -> str:
+    error = history[-1].validation_mae if history else None
+    return "" if error is None else f", error {error:.4f}"
 
 
 def _optimiser(network: nn.Module, settings: TrainingSettings) -> torch.optim.AdamW:
@@ -154,164 +313,3 @@ def _optimiser(network: nn.Module, settings: TrainingSettings) -> torch.optim.Ad
     ]
     # Fused: one pass over 11 million weights instead of a dozen, 2 to 5 times faster on the CPU.
     return torch.optim.AdamW(groups, lr=settings.learning_rate, fused=True)
-
-
-def train(
-    network: nn.Module,
-    images: Tensor,
-    targets: Tensor,
-    settings: TrainingSettings,
-    *,
-    validate: Callable[[nn.Module], float] | None = None,
-    device: torch.device | None = None,
-    checkpoint: Path | None = None,
-    resume: bool = False,
-    identity: Mapping[str, Any] | None = None,
-    progress: Progress = quiet,
-    on_epoch: Callable[[EpochReport], None] | None = None,
-) -> list[EpochReport]:
-    """Train a network in place.
-
-    Parameters
-    ----------
-    network
-        Maps [N, 1, H, W] to [N, K].
-    images
-        [N, 1, H, W], standardised, float32, on the CPU.
-    targets
-        [N, K], standardised.
-    settings
-        How.
-    validate
-        Returns the validation error of the network in evaluation mode.
-    device
-        Where to compute; the CPU where left out.
-    checkpoint
-        Folder that gets checkpoint.safetensors and history.json after every epoch, each whole or not at all.
-    resume
-        Go on from the checkpoint in that folder, where there is one.
-    identity
-        JSON-able: what the training depends on besides `settings` (data hash, input size). A checkpoint of
-        another identity is refused.
-    progress
-        Shown over the steps of each epoch.
-    on_epoch
-        Called with the report of every epoch.
-
-    Returns
-    -------
-    list of EpochReport
-        Of all epochs, those before a resumption included.
-
-    Raises
-    ------
-    InputError
-        When the checkpoint is damaged or belongs to another training.
-    """
-    device = device or torch.device("cpu")
-    network.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimiser = _optimiser(network, settings)
-    about = json.loads(json.dumps({"settings": asdict(settings), "identity": dict(identity or {})}))
-    history: list[EpochReport] = []
-    if resume and checkpoint is not None and (checkpoint / CHECKPOINT).exists():
-        history = _restore(checkpoint / CHECKPOINT, network, optimiser, about)
-    count = len(images)
-    # A last batch of a single image would have no variance to normalise by.
-    per_epoch = max(1, count // settings.batch)
-    steps = per_epoch * settings.epochs
-    for epoch in range(len(history), settings.epochs):
-        start = time.perf_counter()
-        generator = torch.Generator().manual_seed(settings.seed * 1_000_003 + epoch)
-        order = torch.randperm(count, generator=generator)
-        total = 0.0
-        network.train()
-        known = (
-            f", error {history[-1].validation_mae:.4f}" if history and history[-1].validation_mae is not None else ""
-        )
-        for k in progress(range(per_epoch), f"epoch {epoch + 1}/{settings.epochs}{known}", total=per_epoch):
-            # All images are used: what is left over is spread over the batches.
-            chosen = order[k * count // per_epoch : (k + 1) * count // per_epoch]
-            batch = augment(images[chosen].to(device), settings.augmentation, generator)
-            for group in optimiser.param_groups:
-                group["lr"] = _rate(epoch * per_epoch + k, steps, settings.learning_rate)
-            optimiser.zero_grad(set_to_none=True)
-            output = network(batch.contiguous(memory_format=torch.channels_last))
-            loss = F.smooth_l1_loss(output, targets[chosen].to(device), beta=0.1)
-            loss.backward()
-            optimiser.step()
-            total += float(loss.detach()) * len(chosen)
-        if not math.isfinite(total):
-            raise InputError(
-                "training diverged: the loss is not finite",
-                where="learning_rate",
-                remedy="choose a lower one",
-            )
-        network.eval()
-        error = None if validate is None else validate(network)
-        report = EpochReport(epoch + 1, settings.epochs, total / count, error, time.perf_counter() - start)
-        history.append(report)
-        if checkpoint is not None:
-            _keep(checkpoint, network, optimiser, about, history)
-        if on_epoch is not None:
-            on_epoch(report)
-    network.eval()
-    return history
-
-
-def _keep(
-    folder: Path,
-    network: nn.Module,
-    optimiser: torch.optim.AdamW,
-    about: dict[str, Any],
-    history: list[EpochReport],
-) -> None:
-    tensors = {f"network.{name}": tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    for name, parameter in network.named_parameters():
-        for key, value in optimiser.state[parameter].items():
-            tensors[f"optimiser.{key}.{name}"] = torch.as_tensor(value).detach().cpu().contiguous()
-    epochs = [asdict(report) for report in history]
-    told = {"format": _FORMAT, "about": json.dumps(about), "history": json.dumps(epochs)}
-    with atomic_file(folder / CHECKPOINT) as part:
-        save_file(tensors, part, metadata=told)
-    with atomic_file(folder / HISTORY) as part:
-        part.write_text(json.dumps({**about, "epochs": epochs}, indent=2) + "\n", encoding="utf-8")
-
-
-def _restore(path: Path, network: nn.Module, optimiser: torch.optim.AdamW, about: dict[str, Any]) -> list[EpochReport]:
-    remedy = "remove the folder and train from the start"
-    try:
-        with safe_open(path, framework="pt") as stored:
-            told = stored.metadata() or {}
-            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a mapping)
-    except (SafetensorError, OSError) as error:
-        raise InputError(f"damaged checkpoint ({error})", where=path, remedy=remedy) from error
-    if told.get("format") != _FORMAT:
-        raise InputError(
-            f"is not a checkpoint that can be read (format {told.get('format')!r})", where=path, remedy=remedy
-        )
-    if json.loads(told["about"]) != about:
-        what = "was left by a training with other settings or other data"
-        raise InputError(what, where=path, remedy="remove the folder, or train with the settings in its history.json")
-    try:
-        network.load_state_dict({k.removeprefix("network."): v for k, v in tensors.items() if k.startswith("network.")})
-        for name, parameter in network.named_parameters():
-            state = optimiser.state[parameter]
-            state["step"] = tensors[f"optimiser.step.{name}"]
-            for key in ("exp_avg", "exp_avg_sq"):
-                state[key] = (
-                    tensors[f"optimiser.{key}.{name}"]
-                    .to(parameter)
-                    .reshape(parameter.shape)
-                    .clone(memory_format=torch.preserve_format)
-                )
-    except (KeyError, RuntimeError) as error:
-        raise InputError(f"checkpoint does not fit the network ({error})", where=path, remedy=remedy) from error
-    return [EpochReport(**report) for report in json.loads(told["history"])]
-
-
-def remove_checkpoint(folder: Path) -> None:
-    """Remove a checkpoint that is no longer needed, and its folder where nothing else is in it."""
-    for name in (CHECKPOINT, HISTORY):
-        (folder / name).unlink(missing_ok=True)
-    with contextlib.suppress(OSError):
-        folder.rmdir()

@@ -11,18 +11,13 @@ import xarray as xr
 from numpy.typing import NDArray
 from sklearn.linear_model import Ridge
 
+from tapetum.data.dataset import DEVICE
 from tapetum.errors import InputError
-from tapetum.models.base import (
-    Data,
-    Prediction,
-    batches,
-    checked_state,
-    conformal_half_width,
-    frame_count,
-    target_names,
-    training_part,
-)
+from tapetum.models.base import Data, batches, checked_state, frame_count, target_names, training_part
 from tapetum.models.features import ORDER, POWERS, SCALES, zernike_features
+from tapetum.models.intervals import Intervals, fit_intervals
+from tapetum.models.prediction import Prediction
+from tapetum.models.snr import crop_snr
 from tapetum.optics.zernike import mode_count
 from tapetum.progress import Progress, quiet
 
@@ -60,8 +55,8 @@ class ZernikeRidge:
         [K, features] and [K], for features (less `mean_`, over `scale_`).
     alpha_
         The penalty used.
-    half_width_
-        [K] half-widths of the intervals.
+    intervals_
+        `tapetum.models.intervals.Intervals`, calibrated on frames that took no part in fitting.
     data_hash_
         Hash of the dataset fitted to, where known.
 
@@ -90,7 +85,7 @@ class ZernikeRidge:
     intercept_: NDArray[np.float64]
     mean_: NDArray[np.float64]
     scale_: NDArray[np.float64]
-    half_width_: NDArray[np.float64]
+    intervals_: Intervals
     alpha_: float
     data_hash_: str | None
 
@@ -106,7 +101,10 @@ class ZernikeRidge:
         calibration_fraction: float = 0.1,
     ) -> None:
         self.target = target if isinstance(target, str) else tuple(target)
-        self.target_names = target_names(self.target)
+        self.target_names = self.quantities = target_names(self.target)
+        if DEVICE in self.target_names:
+            remedy = "use ResNet18, or name quantities as the target"
+            raise InputError("a linear model of quantities does not tell devices", where="target", remedy=remedy)
         self.scales = tuple(int(s) for s in scales)
         self.order = int(order)
         self.powers = tuple(int(p) for p in powers)
@@ -123,13 +121,18 @@ class ZernikeRidge:
         self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet
     ) -> NDArray[np.float64]:
         """Return the features [N, F] of a dataset or of crops [N, side, side]."""
-        parts = [
-            zernike_features(images, self.scales, self.order, self.powers, full_scale=depth)
-            for images, depth in progress(
-                batches(data, full_scale, _BATCH), "Zernike features", total=-(-frame_count(data) // _BATCH)
-            )
-        ]
-        return np.concatenate(parts) if parts else np.empty((0, self._width))
+        return self._looked_at(data, full_scale, progress)[0]
+
+    def _looked_at(
+        self, data: Data, full_scale: float | None, progress: Progress
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return features [N, F] and SNR [N] of all images, each read once."""
+        features, snr = [np.empty((0, self._width))], [np.empty(0)]
+        total = -(-frame_count(data) // _BATCH)
+        for images, depth in progress(batches(data, full_scale, _BATCH), "Zernike features", total=total):
+            features.append(zernike_features(images, self.scales, self.order, self.powers, full_scale=depth))
+            snr.append(crop_snr(images, depth))
+        return np.concatenate(features), np.concatenate(snr)
 
     @property
     def _width(self) -> int:
@@ -151,7 +154,7 @@ class ZernikeRidge:
             Itself.
         """
         part = training_part(dataset, self.target_names, self.calibration_fraction)
-        features = self.features(part.dataset, progress=progress)
+        features, snr = self._looked_at(part.dataset, None, progress)
         x, y = features[part.fit], part.targets[part.fit]
         self.mean_, self.scale_ = np.zeros(self._width), np.ones(self._width)
         if self.standardise:
@@ -167,7 +170,7 @@ class ZernikeRidge:
         self.coef_ = np.asarray(ridge.coef_, dtype=np.float64).reshape(len(self.target_names), -1)
         self.intercept_ = np.asarray(ridge.intercept_, dtype=np.float64).reshape(-1)
         aside = part.calibrate
-        self.half_width_ = conformal_half_width(part.targets[aside] - self._linear(features[aside]))
+        self.intervals_ = fit_intervals(part.targets[aside] - self._linear(features[aside]), snr[aside])
         self.data_hash_ = part.data_hash
         return self
 
@@ -197,8 +200,9 @@ class ZernikeRidge:
         """
         if not hasattr(self, "coef_"):
             raise InputError("the model is not fitted", where="ZernikeRidge", remedy="call fit or load_model first")
-        value = self._linear(self.features(data, full_scale=full_scale, progress=progress))
-        return Prediction(self.target_names, value, value - self.half_width_, value + self.half_width_)
+        features, snr = self._looked_at(data, full_scale, progress)
+        value, width = self._linear(features), self.intervals_.at(snr)
+        return Prediction(self.quantities, value, value - width, value + width)
 
     def parameters(self) -> dict[str, Any]:
         """Return the arguments of ``__init__``, fit for JSON."""
@@ -216,13 +220,20 @@ class ZernikeRidge:
         """Return everything that was learned, in float64."""
         if not hasattr(self, "coef_"):
             raise InputError("the model is not fitted", where="ZernikeRidge", remedy="call fit first")
-        names = ("coef", "intercept", "mean", "scale", "half_width")
+        names = ("coef", "intercept", "mean", "scale")
         state = {name: torch.from_numpy(np.array(getattr(self, name + "_"), dtype=np.float64)) for name in names}
-        return {**state, "alpha": torch.tensor([self.alpha_], dtype=torch.float64)}
+        return {**state, "alpha": torch.tensor([self.alpha_], dtype=torch.float64), **self.intervals_.state()}
+
+    def classes(self) -> tuple[str, ...]:
+        """Return none: it knows no devices."""
+        return ()
 
     @classmethod
-    def from_state(cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor]) -> Self:
+    def from_state(
+        cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
+    ) -> Self:
         """Make a fitted model of what `parameters` and `state` returned."""
+        del classes
         model = cls(**parameters)
         k, width = len(model.target_names), model._width
         shapes = {
@@ -230,13 +241,12 @@ class ZernikeRidge:
             "intercept": (k,),
             "mean": (width,),
             "scale": (width,),
-            "half_width": (k,),
             "alpha": (1,),
         }
         arrays = checked_state(state, shapes)
         model.coef_, model.intercept_ = arrays["coef"], arrays["intercept"]
         model.mean_, model.scale_ = arrays["mean"], arrays["scale"]
-        model.half_width_, model.alpha_ = arrays["half_width"], float(arrays["alpha"][0])
+        model.intervals_, model.alpha_ = Intervals.from_state(state, k), float(arrays["alpha"][0])
         return model
 
 

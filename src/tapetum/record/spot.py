@@ -192,8 +192,8 @@ def label_recording(
     """Label every probe frame with the gaze, from the laser in the target's own video, and keep the labels.
 
     The field of view is the whole target picture: gaze_x = (x - (W - 1) / 2) / W, and so for y with H.
-    Between target frames the spot's place is interpolated by `Joined.interpolate`. `labels.parquet` gets a row for every
-    probe frame: `frame`, `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how`
+    Between target frames the spot's place is interpolated by `Joined.interpolate`. `labels.parquet` gets a row for
+    every probe frame: `frame`, `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how`
     ("laser-spot") and `quality` (the lesser of both target frames'); gaze and spot are null where there is no
     good spot or no target frame near.
 

@@ -120,7 +120,7 @@ def aperture_of(distance: float, radius: float, wavelength: float, window: float
 
 
 def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
-    """Largest angle of a ray that returns from the sensor (0), or from a mirror at one of the depths, reduced to air."""
+    """Largest angle of a ray that returns from the sensor , or a mirror at one of the depths, reduced to air."""
     sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
     found = [trace_return(_nearer(focused, depth), sines, curvature=curvature).angle for depth in depths]
     return max(float(one.max()) for one in found)

@@ -25,7 +25,7 @@ from tapetum.track.tables import checked_suffix, detections_schema, table_writer
 from tapetum.track.tracker import Tracker
 
 if TYPE_CHECKING:
-    from tapetum.models.base import Prediction
+    from tapetum.models.prediction import Prediction
 
 __all__ = ["SIDE", "TrackSummary", "track", "track_to_file"]
 
@@ -87,9 +87,9 @@ def _frames(source: Source, stream: str) -> tuple[Iterable[Frame], int | None]:
 
 def _estimates(
     frames: Sequence[tuple[Frame, Detections]], estimators: Sequence[Predictor], side: int
-) -> list[list[dict[str, float]]]:
+) -> list[list[dict[str, Any]]]:
     """Ask the models about every spot of several frames at once; [frames][spots]."""
-    answers: list[list[dict[str, float]]] = [[{} for _ in range(len(found))] for _, found in frames]
+    answers: list[list[dict[str, Any]]] = [[{} for _ in range(len(found))] for _, found in frames]
     if not estimators:
         return answers
     places = [(n, int(k)) for n, (_, found) in enumerate(frames) for k in np.flatnonzero(~found.ghost)]
@@ -110,8 +110,12 @@ def _estimates(
         for estimator in estimators:
             columns = estimator.predict(crops, full_scale=full_scale).columns()
             for row, (n, k) in enumerate(alike):
-                answers[n][k].update({name: float(values[row]) for name, values in columns.items()})
+                answers[n][k].update({name: _plain(values[row]) for name, values in columns.items()})
     return answers
+
+
+def _plain(value: Any) -> Any:
+    return value if isinstance(value, str) else float(value)
 
 
 def track(

@@ -36,7 +36,8 @@ class TrackRow:
     seen
         Whether the spot was detected in this frame.
     estimates
-        What the models say: NAME, NAME_low and NAME_high for each quantity. Empty while the track coasts.
+        What the models say: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`. Empty
+        while the track coasts.
     """
 
     frame: int
@@ -50,14 +51,13 @@ class TrackRow:
     peak_y: float | None
     diameter: float | None
     seen: bool
-    estimates: Mapping[str, float] = field(default_factory=dict)
+    estimates: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
         """Return the row as the columns of the table.
 
-        `active`, `device` and `device_probability` are left out, which makes them empty: whether a camera
-        is recording shows in how its return changes with time, and what it is takes a model of many;
-        neither exists yet.
+        `active` is left out, which makes it empty: whether a camera is recording shows in how its return changes with
+        time, which nothing looks at yet. So are `device` and `device_probability` where no model tells devices.
         """
         own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "estimates"}
         return {**own, **self.estimates}
@@ -84,13 +84,13 @@ class TrackedFrame:
     name: str
     rows: tuple[TrackRow, ...]
     detections: Detections
-    estimates: tuple[Mapping[str, float], ...]
+    estimates: tuple[Mapping[str, Any], ...]
 
 
 def rows_of(
     tracker: Tracker,
     found: Detections,
-    answers: Sequence[Mapping[str, float]],
+    answers: Sequence[Mapping[str, Any]],
     frame: int,
     time: float,
     name: str,
@@ -156,6 +156,7 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
             )
     extra = [name for name in table.column_names if name not in schema.names]
     names = [name for name in extra if {f"{name}_low", f"{name}_high"} <= set(extra)]
+    names += ["device"] if {"device", "device_probability"} <= set(extra) else []
     follower = Tracker() if tracker is None else tracker
     follower.reset()
     records: list[dict[str, Any]] = []
@@ -164,7 +165,7 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         first = rows[0]
         spots = [row for row in rows if row["x"] is not None]
         found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
-        answers = [{c: _number(row[c]) for c in estimate_columns(names)} for row in spots]
+        answers = [{c: _kept(row[c], kind) for c, kind in estimate_columns(names).items()} for row in spots]
         new = rows_of(follower, found, answers, first["frame"], first["time"], first["name"] or "")
         records += [row.record() for row in new]
     whole = track_schema(names)
@@ -172,5 +173,5 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
     return pa.Table.from_pylist(clean, schema=whole)
 
 
-def _number(value: float | None) -> float:
-    return math.nan if value is None else value
+def _kept(value: Any, kind: pa.DataType) -> Any:
+    return math.nan if value is None and pa.types.is_floating(kind) else value

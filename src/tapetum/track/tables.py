@@ -32,6 +32,7 @@ __all__ = [
 SUFFIXES = (".parquet", ".csv", ".jsonl")
 _FLUSH = 2000
 
+_DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _TRACK = {
     "frame": pa.int64(),
     "time": pa.float64(),
@@ -41,8 +42,7 @@ _TRACK = {
     "snr": pa.float64(),
     "active": pa.bool_(),
     **{f"gaze_{axis}{end}": pa.float64() for axis in "xy" for end in ("", "_low", "_high")},
-    "device": pa.string(),
-    "device_probability": pa.float64(),
+    **_DEVICE,
     "seen": pa.bool_(),
     "peak_x": pa.float64(),
     "peak_y": pa.float64(),
@@ -62,19 +62,23 @@ _DETECTION = {
 }
 
 
-def estimate_columns(names: Iterable[str]) -> list[str]:
-    """Return the columns of estimated quantities: NAME, NAME_low, NAME_high for each."""
-    return [name + end for name in names for end in ("", "_low", "_high")]
+def estimate_columns(names: Iterable[str]) -> dict[str, pa.DataType]:
+    """Return the columns of what models estimate: NAME, NAME_low, NAME_high for each quantity, two for the device."""
+    columns: dict[str, pa.DataType] = {}
+    for name in names:
+        own = _DEVICE if name == "device" else {name + end: pa.float64() for end in ("", "_low", "_high")}
+        columns |= own
+    return columns
 
 
 def track_schema(estimates: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of tracks, three more for each quantity beside the gaze."""
-    return pa.schema({**_TRACK, **{c: pa.float64() for c in estimate_columns(estimates) if c not in _TRACK}})
+    return pa.schema({**_TRACK, **{c: kind for c, kind in estimate_columns(estimates).items() if c not in _TRACK}})
 
 
 def detections_schema(estimates: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of detections, with three for each estimated quantity."""
-    return pa.schema({**_DETECTION, **{c: pa.float64() for c in estimate_columns(estimates)}})
+    return pa.schema({**_DETECTION, **estimate_columns(estimates)})
 
 
 def checked_suffix(path: str | os.PathLike[str]) -> str:
@@ -191,7 +195,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     if not place.is_file():
         raise InputError("no such file", where=place, remedy="check the path")
     try:
-        table = _read(place, suffix, {field.name: field.type for field in schema})
+        table = _read(place, suffix, {**_DEVICE, **{field.name: field.type for field in schema}})
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it anew") from error
     missing = [name for name in schema.names if name not in table.column_names]

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import json
 import os
-import typing
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -15,7 +13,7 @@ from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.faults import first_fault
-from tapetum.bench.plain_yaml import read_mapping
+from tapetum.bench.plain_yaml import field_paths, read_mapping
 from tapetum.bench.quantity import to_si
 from tapetum.bench.strict import STRICT, Share
 from tapetum.data.importing.fields import Column, Images, Labels, Values
@@ -154,22 +152,7 @@ def _adapter() -> TypeAdapter[ImportMapping]:
 @functools.cache
 def _paths() -> tuple[tuple[str, ...], ...]:
     """Every field of a mapping, to guess what an unknown key meant."""
-
-    def inner(hint: Any) -> Iterable[type]:
-        for one in (hint, *typing.get_args(hint)):
-            if dataclasses.is_dataclass(one) and isinstance(one, type):
-                yield one
-            elif one is not hint:
-                yield from inner(one)
-
-    def walk(kind: type, at: tuple[str, ...]) -> Iterable[tuple[str, ...]]:
-        for field in dataclasses.fields(kind):
-            here = (*at, field.name)
-            yield here
-            for one in inner(typing.get_type_hints(kind)[field.name]):
-                yield from walk(one, here)
-
-    return tuple(walk(ImportMapping, ()))
+    return tuple(field_paths(ImportMapping))
 
 
 def mapping_from_dict(content: Mapping[str, Any], where: str = "mapping") -> ImportMapping:

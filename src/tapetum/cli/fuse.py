@@ -1,0 +1,132 @@
+"""`tapetum fuse`: one track of what several probes say of the same target."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tapetum.errors import InputError, one_of
+
+WAYS = ("live", "whole")
+
+
+def fuse(
+    tables: Annotated[list[Path], typer.Argument(metavar="TRACKS...", help="The tracks of each probe.")],
+    out: Annotated[Path, typer.Option("-o", "--out", metavar="TRACKS", help="The fused: .parquet, .csv or .jsonl.")],
+    places: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--place",
+            metavar="X,Y",
+            help="Of each further probe from the first, in metres as the target sees it: right, down.",
+        ),
+    ] = None,
+    distance: Annotated[float | None, typer.Option(metavar="METRES", help="Of the target from the probes.")] = None,
+    field: Annotated[
+        str | None, typer.Option(metavar="W,H", help="The target's whole field of view, in degrees.")
+    ] = None,
+    roll_spread: Annotated[
+        float, typer.Option(metavar="DEGREES", help="How far the target rolls about its axis (RMS).", min=0.0)
+    ] = 0.0,
+    offsets: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--offset",
+            metavar="X,Y",
+            help="In place of the three: what to add to each further probe's gaze to make it the first one's.",
+        ),
+    ] = None,
+    starts: Annotated[
+        list[float] | None,
+        typer.Option("--start", metavar="SECONDS", help="How much later each further table's time 0 is."),
+    ] = None,
+    numbers: Annotated[
+        list[int] | None,
+        typer.Option("--track", metavar="N", help="The target's track in each table, where there are several."),
+    ] = None,
+    correlation: Annotated[
+        float,
+        typer.Option(metavar="R", help="Of two probes' errors; 1 is safe whatever it is.", min=0.0, max=1.0),
+    ] = 0.5,
+    smooth: Annotated[
+        str | None,
+        typer.Option(metavar="WAY", help="Smooth each probe first: live (by earlier frames alone) or whole."),
+    ] = None,
+    systematic: Annotated[
+        float, typer.Option(metavar="SHARE", help="Of the intervals, what smoothing may not take away.", min=0.0)
+    ] = 1.0,
+    max_gap: Annotated[
+        float | None, typer.Option(metavar="SECONDS", help="Longer gaps are not bridged; three frames.", min=0.0)
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+) -> None:
+    """Fuse the tracks of several probes that watch the same target, by their intervals.
+
+    The gaze is told as the first probe sees it. Where two probes contradict each other (chi-square test, 1 in 1000) the
+    interval spans both; of three or more the odd one is left out.
+    """
+    if smooth is not None:
+        one_of(smooth, WAYS, "--smooth")
+    if len(tables) < 2:
+        raise InputError("a single probe cannot be fused", where=tables[0], remedy="give the tracks of two or more")
+    if any(one.resolve() == out.resolve() for one in tables):
+        raise InputError("is one of the tables to fuse", where="--out", remedy="name another file")
+    from tapetum.track.fuse import Places, fuse_tracks
+    from tapetum.track.smooth import smooth_tracks
+    from tapetum.track.tables import checked_suffix, read_tracks, write_tracks
+
+    checked_suffix(out)
+    further = len(tables) - 1
+    standing: Places | list[tuple[float, float]]
+    if offsets:
+        if places or distance is not None or field is not None:
+            raise InputError("takes the place of --place, --distance and --field", where="--offset", remedy="choose")
+        standing = [(0.0, 0.0), *_pairs(offsets, "--offset", further)]
+    elif places and distance is not None and field is not None:
+        width, height = (math.radians(one) for one in _pair(field, "--field"))
+        around = ((0.0, 0.0), *_pairs(places, "--place", further))
+        standing = Places(around, distance, (width, height), roll_spread=math.radians(roll_spread))
+    else:
+        remedy = "give --place, --distance and --field, or --offset"
+        raise InputError("it is not known where the probes stand", where="fuse", remedy=remedy)
+    if starts is not None and len(starts) != further:
+        raise InputError(f"{len(starts)} for {further} further probes", where="--start", remedy="give one for each")
+    read = [read_tracks(one) for one in tables]
+    if smooth is not None:
+        read = [smooth_tracks(one, causal=smooth == "live", systematic=systematic) for one in read]
+    fused = fuse_tracks(
+        read,
+        standing,
+        tracks=numbers,
+        starts=None if starts is None else [0.0, *starts],
+        correlation=correlation,
+        max_gap=max_gap,
+        names=[str(one) for one in tables],
+    )
+    write_tracks(fused.table, out)
+    rows = fused.table.num_rows
+    if as_json:
+        told = {"rows": rows, "used": fused.used, "dropped": fused.dropped, "disagree": fused.disagree}
+        typer.echo(json.dumps({**told, "out": str(out)}))
+        return
+    shares = ", ".join(f"{table.name} in {used}" for table, used in zip(tables, fused.used, strict=True))
+    typer.echo(f"{out}: {rows} rows ({shares}); contradictions: {fused.dropped} settled, {fused.disagree} open")
+
+
+def _pair(text: str, where: str) -> tuple[float, float]:
+    try:
+        first, second = (float(one) for one in text.split(","))
+    except ValueError as error:
+        what = f"{text!r} is not two numbers"
+        raise InputError(what, where=where, remedy="write them with a comma between, such as 0.3,0") from error
+    return first, second
+
+
+def _pairs(texts: list[str], where: str, count: int) -> list[tuple[float, float]]:
+    if len(texts) != count:
+        raise InputError(f"{len(texts)} for {count} further probes", where=where, remedy="give one for each")
+    return [_pair(text, where) for text in texts]

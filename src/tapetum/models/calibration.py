@@ -1,0 +1,44 @@
+"""Probabilities that mean what they say: one temperature for all of a network's class scores."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax, softmax
+
+__all__ = ["fit_temperature", "probabilities"]
+
+# Of the logarithm of the temperature. A network that is never wrong on few frames is not sure beyond all measure.
+_RANGE = (-2.0, 4.0)
+
+
+def probabilities(scores: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
+    """Return softmax(scores / temperature), [N, C]."""
+    return np.asarray(softmax(scores / temperature, axis=1))
+
+
+def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.integer]) -> float:
+    """Return the temperature of the least cross-entropy (C. Guo et al., ICML 2017).
+
+    Parameters
+    ----------
+    scores
+        [n, C] of frames that took no part in fitting; with none, the temperature is 1.
+    classes
+        [n] number of the true class.
+    """
+    if not len(scores):
+        return 1.0
+    own = np.arange(len(scores)), classes
+    # As Laplace would have it, one more frame is wrong: without, the frames' number would not bound the certainty.
+    counted = (len(scores), 1)
+
+    def loss(log: float) -> float:
+        told = np.asarray(log_softmax(scores / np.exp(log), axis=1))
+        return float((counted[0] * -told[own].mean() - counted[1] * told.mean(axis=1).mean()) / sum(counted))
+
+    best: Any = minimize_scalar(loss, bounds=_RANGE, method="bounded")
+    return float(np.exp(best.x))

@@ -1,0 +1,152 @@
+"""Intervals that hold the truth as often as they say: split-conformal, wider where the retro-reflection is faint."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from tapetum.errors import InputError
+from tapetum.models.prediction import COVERAGE
+
+__all__ = ["Intervals", "conformal_half_width", "fit_intervals"]
+
+# Classes of SNR, and the fewest frames that one may be calibrated on.
+_MOST_BINS = 6
+_FEWEST = 60
+_FOLDS = 5
+# A division by SNR must be worth this share of the interval score, or intervals stay plain.
+_GAIN = 0.02
+
+
+def conformal_half_width(residuals: NDArray[np.float64], coverage: float = COVERAGE) -> NDArray[np.float64]:
+    """Return the half-width of split-conformal intervals.
+
+    The ``ceil((n + 1) coverage)``-th smallest absolute residual of n frames that took no part in fitting: new
+    frames *exchangeable* with those fall inside with at least that probability (Lei et al., J. Am. Stat.
+    Assoc. 113, 1094 (2018)). Frames of one video follow each other, so for other videos it is a guide and not
+    a guarantee.
+
+    Parameters
+    ----------
+    residuals
+        [n, K], true minus estimated.
+    coverage
+        Wanted probability.
+
+    Returns
+    -------
+    ndarray
+        [K]; infinite where n is too small for the coverage (n < 9 for 90 %).
+    """
+    rank = int(np.ceil((len(residuals) + 1) * coverage))
+    if rank > len(residuals):
+        return np.full(residuals.shape[1], np.inf)
+    return np.sort(np.abs(residuals), axis=0)[rank - 1]
+
+
+@dataclass(frozen=True)
+class Intervals:
+    """Half-widths of intervals, for each class of SNR.
+
+    Parameters
+    ----------
+    edges
+        [B - 1] SNR between the classes, rising; none where all frames have the same width.
+    half_width
+        [B, K].
+    """
+
+    edges: NDArray[np.float64]
+    half_width: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.half_width.ndim != 2 or self.edges.shape != (len(self.half_width) - 1,):
+            what = f"{self.edges.shape} edges do not divide widths of shape {self.half_width.shape}"
+            raise InputError(what, where="intervals", remedy="train the model again")
+
+    @property
+    def conditional(self) -> bool:
+        """Whether the width hangs on the SNR."""
+        return len(self.edges) > 0
+
+    def at(self, snr: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the half-widths [N, K] at SNRs [N]."""
+        return self.half_width[np.searchsorted(self.edges, snr, side="right")]
+
+    def state(self, prefix: str = "") -> dict[str, torch.Tensor]:
+        """Return both as tensors; only [K] half-widths where they hang on nothing."""
+        if not self.conditional:
+            return {f"{prefix}half_width": torch.from_numpy(self.half_width[0])}
+        edges, widths = torch.from_numpy(self.edges), torch.from_numpy(self.half_width)
+        return {f"{prefix}half_width": widths, f"{prefix}snr_edges": edges}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, torch.Tensor], quantities: int, prefix: str = "") -> Intervals:
+        """Make them of what `state` returned.
+
+        Raises
+        ------
+        InputError
+            When they are missing, of another shape or not numbers.
+        """
+        widths = state.get(f"{prefix}half_width", torch.full((1, quantities + 1), torch.nan)).double().numpy()
+        edges = state.get(f"{prefix}snr_edges", torch.empty(0)).double().numpy()
+        widths = widths[None] if widths.ndim == 1 else widths
+        shaped = widths.shape == (len(edges) + 1, quantities)
+        if not shaped or np.isnan(widths).any() or np.isnan(edges).any():
+            what = f"expected half_width of {quantities} quantities and {len(edges) + 1} classes of SNR"
+            raise InputError(what, where="weights", remedy="the model's card and its weights do not belong together")
+        return cls(edges, widths)
+
+
+def fit_intervals(residuals: NDArray[np.float64], snr: NDArray[np.float64], *, coverage: float = COVERAGE) -> Intervals:
+    """Calibrate intervals on frames that took no part in fitting.
+
+    Frames are divided into classes of equal count by their SNR, each calibrated by itself (Mondrian conformal
+    prediction: V. Vovk, Proc. ACML (2012)), as finely as it pays: the division whose intervals have the least interval
+    score (T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102, 359 (2007)) on contiguous fifths left out in turn. So
+    faint frames get wide intervals and bright ones narrow ones where the error hangs on the SNR, and all get the same
+    where it does not.
+
+    Parameters
+    ----------
+    residuals
+        [n, K], true minus estimated.
+    snr
+        [n], of `tapetum.models.snr.crop_snr`.
+    coverage
+        Wanted probability.
+    """
+    plain = Intervals(np.empty(0), conformal_half_width(residuals, coverage)[None])
+    most = min(_MOST_BINS, len(residuals) // _FEWEST)
+    best, least = plain, _score(residuals, snr, 1, coverage) * (1 - _GAIN)
+    for bins in range(2, most + 1):
+        score = _score(residuals, snr, bins, coverage)
+        if score < least:
+            best, least = _divided(residuals, snr, bins, coverage), score
+    return best
+
+
+def _divided(residuals: NDArray[np.float64], snr: NDArray[np.float64], bins: int, coverage: float) -> Intervals:
+    edges = np.quantile(snr, np.arange(1, bins) / bins)
+    places = np.searchsorted(edges, snr, side="right")
+    widths = [conformal_half_width(residuals[places == k], coverage) for k in range(bins)]
+    return Intervals(edges, np.stack(widths))
+
+
+def _score(residuals: NDArray[np.float64], snr: NDArray[np.float64], bins: int, coverage: float) -> float:
+    """Mean interval score over frames left out, each quantity in its own unit of error."""
+    if len(residuals) < 2 * _FOLDS:
+        return float("inf")
+    unit = np.maximum(np.abs(residuals).mean(axis=0), np.finfo(float).tiny)
+    total = 0.0
+    for fold in np.array_split(np.arange(len(residuals)), _FOLDS):
+        rest = np.setdiff1d(np.arange(len(residuals)), fold)
+        width = _divided(residuals[rest], snr[rest], bins, coverage).at(snr[fold])
+        beyond = np.maximum(np.abs(residuals[fold]) - width, 0)
+        total += float(((2 * width + 2 / (1 - coverage) * beyond) / unit).sum())
+    return total

@@ -1,0 +1,108 @@
+"""None of these: how far an image lies from every class that a network was trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from tapetum.errors import InputError
+
+__all__ = ["Novelty", "fit_novelty"]
+
+_KNOWN = 0.98
+# Of the mean variance, added to each direction: no direction in which the training frames agree by chance counts.
+_SHRINKAGE = 1e-3
+
+
+@dataclass(frozen=True)
+class Novelty:
+    """Mahalanobis distance to the nearest class, in a network's last features.
+
+    K. Lee et al., NeurIPS 31 (2018): the features of each class are taken as normal about a mean of its own, with one
+    covariance for all.
+
+    Parameters
+    ----------
+    means
+        [C, F] whitened mean features of each class.
+    whitening
+        [F, F] that makes the covariance within classes the unit matrix.
+    unit
+        Distance that counts as 1: most frames of known devices that took no part in fitting stay below.
+    """
+
+    means: NDArray[np.float64]
+    whitening: NDArray[np.float64]
+    unit: float
+
+    def __call__(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the distances [N] of features [N, F] from the nearest class, in `unit`."""
+        return _distances(features @ self.whitening, self.means) / self.unit
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return everything as tensors; the matrix, which is large, in float32."""
+        return {
+            "novelty.means": torch.from_numpy(self.means),
+            "novelty.whitening": torch.from_numpy(self.whitening).float(),
+            "novelty.unit": torch.tensor([self.unit], dtype=torch.float64),
+        }
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, torch.Tensor], classes: int, features: int) -> Novelty:
+        """Make it of what `state` returned.
+
+        Raises
+        ------
+        InputError
+            When something is missing, of another shape or not a number.
+        """
+        shapes = {"means": (classes, features), "whitening": (features, features), "unit": (1,)}
+        arrays: dict[str, NDArray[np.float64]] = {}
+        for name, shape in shapes.items():
+            tensor = state.get(f"novelty.{name}")
+            if tensor is None or tuple(tensor.shape) != shape or not bool(torch.isfinite(tensor).all()):
+                remedy = "the model's card and its weights do not belong together"
+                raise InputError(f"expected novelty.{name} of shape {shape}", where="weights", remedy=remedy)
+            arrays[name] = tensor.double().numpy()
+        return cls(arrays["means"], arrays["whitening"], float(arrays["unit"][0]))
+
+
+def _distances(whitened: NDArray[np.float64], means: NDArray[np.float64]) -> NDArray[np.float64]:
+    square = (whitened**2).sum(1)[:, None] - 2 * whitened @ means.T + (means**2).sum(1)
+    return np.sqrt(np.maximum(square, 0).min(axis=1))
+
+
+def fit_novelty(
+    features: NDArray[np.float64],
+    classes: NDArray[np.integer],
+    count: int,
+    aside: NDArray[np.float64],
+) -> Novelty:
+    """Learn where known classes lie.
+
+    Parameters
+    ----------
+    features
+        [n, F] of frames that the network was fitted to.
+    classes
+        [n] number of each one's class, below `count`.
+    count
+        Number of classes; each must have a frame.
+    aside
+        [m, F] of frames of known classes that took no part in fitting: they set the unit, so that 98 % of them count as
+        known. Without any, the fitted ones do.
+    """
+    means = np.stack([features[classes == k].mean(axis=0) for k in range(count)])
+    within = features - means[classes]
+    covariance = within.T @ within / max(1, len(features) - count)
+    floor = _SHRINKAGE * max(np.trace(covariance) / len(covariance), np.finfo(float).tiny)
+    values, vectors = np.linalg.eigh(covariance)
+    # In float32, as it will be stored: what is loaded must judge as what was fitted.
+    whitening = (vectors / np.sqrt(np.maximum(values, 0) + floor)).astype(np.float32).astype(np.float64)
+    whitened = means @ whitening
+    known = _distances((aside if len(aside) else features) @ whitening, whitened)
+    return Novelty(whitened, whitening, max(float(np.quantile(known, _KNOWN)), np.finfo(float).tiny))

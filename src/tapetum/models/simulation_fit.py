@@ -1,0 +1,290 @@
+"""No training at all: the parameters of a scene by which the simulator explains a crop best."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, ClassVar, Self
+
+import numpy as np
+import torch
+import xarray as xr
+from numpy.typing import NDArray
+
+from tapetum.bench import PrescriptionLens, Scene, scene_dict, scene_from_dict
+from tapetum.errors import InputError
+from tapetum.models.base import Data, frame_count
+from tapetum.models.prediction import Prediction
+from tapetum.models.simulation_counts import CountModel
+from tapetum.models.simulation_images import checked, images_of, looked_at
+from tapetum.models.simulation_pictures import Pictures, Pose, check_scene
+from tapetum.models.simulation_result import Mode, SimulationFitResult, result_of, same_top
+from tapetum.models.simulation_search import PHASE, SLOW, Search, Top, check_names
+from tapetum.models.simulation_starts import Bank
+from tapetum.progress import Progress, quiet
+from tapetum.simulate.exposure import gain_of
+
+__all__ = ["Mode", "SimulationFit", "SimulationFitResult"]
+
+# Nodes along an edge of the bank: pictures with photosites take longer, and are smoother without them.
+_NODES, _NODES_SLOW = 25, 9
+# Pixels that are looked at, by custom: what lies beyond tells 1 % of the gaze in the bundled scenes.
+_WINDOW = 200
+# Periods that are asked after one by one: those that the slow picture leaves this likely, and how many at the most.
+_UNLIKELY, _PERIODS_ASKED = 20.0, 9
+# Logarithm of the likelihood by which a start must fall behind after its first steps to be given up.
+_HOPELESS, _FIRST_STEPS = 200.0, 4
+
+
+class SimulationFit:
+    """Maximum likelihood of a known scene's parameters, image by image.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench. All of it but the free parameters counts as known: the lens, the sensor, the light.
+    parameters
+        What is estimated: `gaze_x`, `gaze_y`; `object_distance` and, of a thin lens, `focal_length`; or one of the
+        nuisances. The search for a focus begins at the scene's own, and finds no other that is more than some tenths
+        of a wave away over the pupil.
+    nuisances
+        What is unknown as well: `power`, `place_x` and `place_y` (where the RR lies in the crop); `background`, `roll`;
+        `phase_x` and `phase_y`, where under the spot the photosites lie. A gaze that is not named is a nuisance.
+    starts
+        How many places of the field the search begins at: those of a coarse bank of pictures that match best, the
+        opposite of the best one's gaze among them.
+    accuracy
+        Of the simulation, in fractions of the peak; the scene's own when None.
+    window
+        Pixels along the edge of what is looked at, in the crop's middle.
+    unevenness
+        Root mean square of the pixels' sensitivities, in parts of one.
+    nodes
+        Of the bank along an edge of the field: 25, or 9 behind a lens in whose picture the photosites show.
+    seed
+        Kept for the manners of estimators: nothing here is random.
+
+    Notes
+    -----
+    A pixel's digital number counts as normal, with mean and variance of `exposure.count_moments`, those of rounding
+    where it is coarser than the noise; a saturated pixel has no slope, and tells nothing. The maximum is climbed by
+    Fisher scoring (weighted least squares whose weights follow the model), damped after Levenberg and Marquardt.
+    Derivatives by gaze, roll and focus are differences of pictures; those by place, power and background follow from
+    one picture.
+
+    Where the photosites' orders come back (a fast lens), the likelihood has a narrow top for every period that the spot
+    may lie in. The slow gaze and the phase are then climbed apart, and the periods that remain likely compared one by
+    one (`tapetum.models.simulation_search`). With the phases among the nuisances the slow gaze alone is estimated:
+    coarser by far, and what can be had where the photosites' place is not known to a hundredth of a micrometre.
+
+    Examples
+    --------
+    >>> import tapetum as tp
+    >>> from tapetum.models import SimulationFit
+    >>> scene = tp.load_scene("hand-held", ["target.rotation=[0.3 deg, 0.2 deg]"])
+    >>> frame = tp.expose(tp.retroreflect(scene), scene.probe, seed=1)
+    >>> found = SimulationFit(scene, nodes=13).predict(frame)
+    >>> [round(float(one), 2) for one in found.value[0]]
+    [0.09, 0.08]
+    """
+
+    kind: ClassVar[str] = "simulation"
+
+    def __init__(
+        self,
+        scene: Scene,
+        parameters: tuple[str, ...] = SLOW,
+        nuisances: tuple[str, ...] = ("power", "place_x", "place_y"),
+        *,
+        starts: int = 4,
+        accuracy: float | None = None,
+        window: int = _WINDOW,
+        unevenness: float = 0.0,
+        nodes: int | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.scene, self.quantities, self.nuisances = scene, tuple(parameters), tuple(nuisances)
+        self.target = self.target_names = self.quantities
+        self.starts, self.accuracy, self.window, self.nodes = starts, accuracy, window, nodes
+        self.unevenness, self.seed = unevenness, seed
+        self.data_hash_: str | None = None
+        check_scene(scene)
+        check_names(self.quantities, self.nuisances)
+        for name, value, least in (("starts", starts, 1), ("window", window, 32), ("nodes", nodes or 2, 2)):
+            if value < least:
+                raise InputError(f"must be {least} or more, is {value}", where=name, remedy="give a whole number")
+        if not 0 <= unevenness < 1:
+            what = f"must lie from 0 to 1, is {unevenness}"
+            raise InputError(what, where="unevenness", remedy="0.01 is usual")
+        every = {*self.quantities, *self.nuisances}
+        if "focal_length" in every and isinstance(scene.target.lens, PrescriptionLens):
+            what = "the focal length of a traced lens is not fitted"
+            raise InputError(what, where="parameters", remedy="leave focal_length out, or take a thin lens")
+        if "object_distance" in every and np.isinf(scene.target.object_distance):
+            what = "the search for a focus cannot begin at infinity"
+            raise InputError(what, where="scene.target.object_distance", remedy="start from a distance in metres")
+        self._free = tuple(name for name in (*self.quantities, *self.nuisances) if name not in (*SLOW, *PHASE))
+        self._model = CountModel(scene.probe.sensor, unevenness)
+        self._pictures: dict[int, tuple[Pictures, Bank]] = {}
+
+    def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
+        """Check that a dataset has the estimated labels, and crops that this scene's probe may have taken.
+
+        Raises
+        ------
+        InputError
+            When a label is missing, or the depth or size of the crops is not the probe's.
+        """
+        del progress
+        dataset.tp.values(tuple(name for name in self.quantities if name in (*SLOW, "object_distance", "focal_length")))
+        like = np.zeros((1, dataset.tp.side, dataset.tp.side), np.uint8)
+        checked(like, dataset.tp.full_scale, self.scene.probe.sensor, self.window)
+        self.data_hash_ = dataset.attrs.get("sha256")
+        return self
+
+    def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:
+        """Estimate the parameters of every image.
+
+        Parameters
+        ----------
+        data
+            A dataset, crops [N, side, side] with the RR in their middle, or whole frames of the probe [N, H, W].
+        full_scale
+            Largest digital number; the probe's own when None.
+        progress
+            Shown over the images.
+
+        Returns
+        -------
+        Prediction
+            With 90 % intervals from each fit's own covariance.
+
+        Raises
+        ------
+        InputError
+            For images that are none of the scene's probe.
+        """
+        results = [
+            self.fit_image(image, full_scale=depth)
+            for image, depth in progress(images_of(data, full_scale), "fitting", total=frame_count(data))
+        ]
+        value, lower, upper = (
+            np.array([getattr(one, name) for one in results], np.float64).reshape(len(results), len(self.quantities))
+            for name in ("values", "lower", "upper")
+        )
+        return Prediction(self.quantities, value, lower, upper)
+
+    def fit_image(
+        self, image: NDArray[np.generic], *, full_scale: float | None = None, progress: Progress = quiet
+    ) -> SimulationFitResult:
+        """Fit one crop [side, side] or frame [H, W]; places count from its middle.
+
+        Raises
+        ------
+        InputError
+            For an image that is none of the scene's probe.
+        """
+        sensor = self.scene.probe.sensor
+        shown = checked(np.asarray(image)[None], full_scale, sensor, self.window)[0]
+        counts, middle = looked_at(shown, sensor, self.window)
+        pictures, bank = self._prepared(len(counts), progress)
+        search = Search(pictures, counts, self._model, self._free)
+        electrons = (counts - sensor.offset) / gain_of(sensor)
+        expected, slope, variance = self._model(np.maximum(electrons, 1.0))
+        del expected
+        starts = bank.match(electrons, slope**2 / variance, self.starts)
+        if "power" not in self._free:
+            power = self.scene.illumination.power
+            starts = [replace(start, pose=replace(start.pose, power=power)) for start in starts]
+        tops = self._climbed(search, [start.pose for start in starts])
+        tops.sort(key=lambda top: -top.log_likelihood)
+        rivals = [top for top in tops[1:] if not same_top(top, tops[0])]
+        return result_of(self.quantities, self._periods(search, tops[0]), rivals, len(starts), middle)
+
+    def bounds(self, gaze: tuple[float, float]) -> dict[str, float]:
+        """Standard deviation of each parameter that no unbiased fit of one crop undercuts (Cramér-Rao).
+
+        The RR lies in the middle of the crop, all else is the scene's own; this model's nuisances are unknown. With
+        `phase_x` and `phase_y` among them it is the bound for an observer who cannot know where the photosites lie.
+        Without them it is that of one period's own top: to choose the period is left out of it.
+
+        Parameters
+        ----------
+        gaze
+            Fractions of the field.
+        """
+        pictures, _ = self._prepared(min(self.window, *self.scene.probe.sensor.pixels), quiet)
+        search = Search(pictures, np.zeros((pictures.side, pictures.side)), self._model, self._free)
+        phase = set(PHASE) <= set(self.nuisances)
+        top = search.climb(replace(pictures.start(), gaze=gaze), phase=phase, steps=0)
+        deviations = np.sqrt(np.maximum(top.covariance.diagonal(), 0.0))
+        return {name: float(deviations[top.names.index(name)]) for name in self.quantities}
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the arguments of ``__init__``, fit for JSON."""
+        names = ("starts", "accuracy", "window", "unevenness", "nodes", "seed")
+        lists = {"parameters": list(self.quantities), "nuisances": list(self.nuisances)}
+        return {"scene": scene_dict(self.scene), **lists, **{name: getattr(self, name) for name in names}}
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return everything that was learned: nothing."""
+        return {}
+
+    def classes(self) -> tuple[str, ...]:
+        """Return the names of the devices learned: none."""
+        return ()
+
+    @classmethod
+    def from_state(
+        cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
+    ) -> Self:
+        """Make the estimator again from what `parameters` returned."""
+        del state, classes
+        given = dict(parameters)
+        scene = scene_from_dict(given.pop("scene"))
+        return cls(scene, tuple(given.pop("parameters")), tuple(given.pop("nuisances")), **given)
+
+    def _prepared(self, side: int, progress: Progress) -> tuple[Pictures, Bank]:
+        """Pictures and bank for crops of so many pixels: made once."""
+        if side not in self._pictures:
+            pictures = Pictures(self.scene, side, self.accuracy)
+            nodes = self.nodes or (_NODES if pictures.period is None else _NODES_SLOW)
+            self._pictures[side] = pictures, Bank(pictures, [pictures.start()], nodes, progress)
+        pictures, bank = self._pictures[side]
+        if pictures.period is None and set(PHASE) & set(self.nuisances):
+            what = "no photosites show in this scene's pictures"
+            raise InputError(what, where="nuisances", remedy=f"leave {' and '.join(PHASE)} out")
+        return pictures, bank
+
+    def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
+        """The maxima above some poses; those that fall far behind are left where they are after a few steps."""
+        phase = search.pictures.period is not None
+        tops: list[Top] = []
+        for pose in poses:
+            top = search.climb(search.in_phase(pose), phase=phase, steps=_FIRST_STEPS)
+            best = max((one.log_likelihood for one in tops), default=-np.inf)
+            if not top.settled and top.log_likelihood > best - _HOPELESS:
+                top = search.climb(top.pose, phase=phase, slow=top.slow)
+            tops.append(top)
+        return tops
+
+    def _periods(self, search: Search, top: Top) -> list[Top]:
+        """The best maximum alone, or those of the photosites' periods that the slow picture leaves likely."""
+        period = search.pictures.period
+        if period is None or set(PHASE) <= set(self.nuisances):
+            return [top]
+        # How fast the likelihood falls with the slow gaze, all else adapted.
+        slow = np.linalg.inv(top.covariance[:2, :2]) / max(1.0, top.misfit)
+        away = np.rint(top.slow / period)
+        steps = [np.array(one) + away for one in itertools.product(range(-6, 7), repeat=2)]
+        rises = [float((one * period - top.slow) @ slow @ (one * period - top.slow)) for one in steps]
+        order = np.argsort(rises)[:_PERIODS_ASKED]
+        found: list[Top] = []
+        for number in order:
+            if rises[number] > rises[order[0]] + _UNLIKELY:
+                break
+            gaze = np.array(top.pose.gaze) + steps[number] * period
+            at = replace(top.pose, gaze=(float(gaze[0]), float(gaze[1])))
+            found.append(search.climb(at, phase=False, steps=8))
+        return sorted(found, key=lambda one: -one.log_likelihood)

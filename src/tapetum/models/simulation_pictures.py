@@ -1,0 +1,199 @@
+"""Pictures of one target for any gaze, place and roll: what a fit compares with a crop."""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from scipy.ndimage import affine_transform, spline_filter
+
+from tapetum.bench import PhoneTarget, PrescriptionLens, Scene
+from tapetum.errors import InputError
+from tapetum.optics.grid import Grid, lens_numbers
+from tapetum.simulate.camera import Camera
+from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
+from tapetum.simulate.radiometry import dark_electrons, photoelectrons
+
+__all__ = ["Pictures", "Pose", "period_of"]
+
+Array = NDArray[np.float64]
+_CAMERAS_KEPT = 8
+# Pixels added around a picture that is to be turned and moved.
+_MARGIN = 24
+# Largest gaze that is looked at, in fractions of the field: its edge.
+_EDGE = 0.5
+# Fringes at least this wide, in pixels, are turned by cubic splines to 1e-3 of the peak; quintic ones serve finer.
+_WIDE_FRINGE = 7
+
+
+@dataclass(frozen=True)
+class Pose:
+    """How a target stands and is lit: all that a fit may vary.
+
+    Parameters
+    ----------
+    gaze
+        (x, y), in fractions of the field.
+    place
+        (x, y) of the RR from the picture's middle, in metres on the probe's sensor.
+    power
+        Of the laser, in watts.
+    background
+        Electrons a pixel, dark current included.
+    roll
+        Turn of the target about its optical axis, in radians from x to y.
+    object_distance, focal_length
+        Of the target, in metres.
+    """
+
+    gaze: tuple[float, float]
+    place: tuple[float, float]
+    power: float
+    background: float
+    roll: float
+    object_distance: float
+    focal_length: float
+
+
+class Pictures:
+    """Renders what one beam, or all of them, make of a pose on a square of the probe's pixels. Holding it is the cache.
+
+    Parameters
+    ----------
+    scene
+        What stands on the bench; its own rotation is not used.
+    side
+        Pixels along an edge.
+    accuracy
+        Of the simulation, in fractions of the peak; the scene's own when None.
+
+    Raises
+    ------
+    InputError
+        For phones, masks and sensors with hot pixels, and as `simulate.Camera`.
+    """
+
+    def __init__(self, scene: Scene, side: int, accuracy: float | None = None) -> None:
+        check_scene(scene)
+        self.scene, self.side, self._accuracy = scene, side, accuracy
+        self._cameras: OrderedDict[tuple[float, float, int], tuple[Scene, Camera]] = OrderedDict()
+        light, target, probe = scene.illumination, scene.target, scene.probe
+        self.pitch = probe.sensor.pitch
+        fringe = light.wavelength * probe.lens.focal_length / (2 * target.lens.aperture_radius)
+        self._order = 3 if fringe >= _WIDE_FRINGE * self.pitch else 5
+        self._electrons = float(photoelectrons(torch.ones(()), probe.sensor, light.wavelength))
+        field = np.array(target.sensor.pixels) * target.sensor.pitch
+        self.spot: Array = light.wavelength * target.lens.focal_length / (2 * target.lens.aperture_radius) / field
+        """λf/2r on the target's sensor, in fractions of the field."""
+        period = period_of(scene)
+        self.period: Array | None = None if period is None else period / field
+        """Of the photosites, in fractions of the field; None where their orders do not come back."""
+
+    def start(self) -> Pose:
+        """The scene's own values, with the target looking straight at the probe."""
+        scene = self.scene
+        return Pose(
+            (0.0, 0.0),
+            (0.0, 0.0),
+            scene.illumination.power,
+            dark_electrons(scene.probe.sensor),
+            0.0,
+            scene.target.object_distance,
+            scene.target.lens.focal_length,
+        )
+
+    def render(self, pose: Pose, gazes: Array) -> Array:
+        """Electrons [B, side, side] that the laser at the scene's power makes, for gazes [B, 2] in place of the pose's.
+
+        Gazes beyond the field count as on its edge.
+        """
+        turned = pose.roll != 0
+        side = self.side + 2 * _MARGIN if turned else self.side
+        scene, camera = self._camera(pose, side)
+        sines = tilt_of_gaze(scene, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)))
+        places = torch.tensor([pose.place], dtype=torch.float64).expand(len(sines), -1)
+        total = np.zeros((len(sines), self.side, self.side))
+        with torch.no_grad():
+            for tilts, centres, share in camera.beams(sines, places):
+                if not turned:
+                    total += camera.render(tilts, centres, share, equivalent=True).double().cpu().numpy()
+                    continue
+                # The target's own picture turns with it; further beams come from the probe and do not.
+                c, s = math.cos(pose.roll), math.sin(pose.roll)
+                back = torch.tensor([[c, s], [-s, c]], dtype=torch.float64)
+                own = sines + (tilts - sines) @ back.T
+                made = camera.render(own, torch.zeros_like(centres), share, equivalent=True).double().cpu().numpy()
+                shift = centres[0].numpy() / self.pitch
+                total += np.stack([self._turned(one, pose.roll, shift) for one in made])
+        return total * self._electrons
+
+    def _turned(self, picture: Array, roll: float, shift: Array) -> Array:
+        """A picture turned from x to y about its middle and moved by (x, y) pixels, without its margin."""
+        c, s = math.cos(roll), math.sin(roll)
+        # Of rows and columns, from the new picture to the old one.
+        back = np.array([[c, -s], [s, c]])
+        middle = (np.array(picture.shape) - 1) / 2
+        offset: Any = middle - back @ ((np.array([self.side, self.side]) - 1) / 2 + shift[::-1])
+        fine = spline_filter(picture, self._order)
+        size = (self.side, self.side)
+        return affine_transform(fine, back, offset, output_shape=size, order=self._order, prefilter=False)
+
+    def _camera(self, pose: Pose, side: int) -> tuple[Scene, Camera]:
+        key = (pose.object_distance, pose.focal_length, side)
+        if key in self._cameras:
+            self._cameras.move_to_end(key)
+            return self._cameras[key]
+        scene, target = self.scene, self.scene.target
+        if (pose.object_distance, pose.focal_length) != (target.object_distance, target.lens.focal_length):
+            lens = target.lens
+            if pose.focal_length != lens.focal_length:
+                lens = replace(lens, focal_length=pose.focal_length)
+            scene = replace(scene, target=replace(target, lens=lens, object_distance=pose.object_distance))
+        corners = torch.tensor([[x, y] for x in (-_EDGE, _EDGE) for y in (-_EDGE, _EDGE)], dtype=torch.float64)
+        steepest = largest_sine(tilt_of_gaze(scene, corners))
+        grid = Grid(side, side, self.pitch)
+        # Light small enough to be drawn faster on the processor: a transfer a picture would eat a GPU's gain.
+        camera = Camera(scene, steepest, output=grid, accuracy=self._accuracy, device="cpu")
+        self._cameras[key] = scene, camera
+        if len(self._cameras) > _CAMERAS_KEPT:
+            self._cameras.popitem(last=False)
+        return scene, camera
+
+
+def period_of(scene: Scene) -> float | None:
+    """Period of the target's photosites in metres; None where no order of theirs finds its way back out of the lens."""
+    sensor, lens = scene.target.sensor, scene.target.lens
+    if sensor.array is None and sensor.microlens is None:
+        return None
+    pitch = sensor.pitch if sensor.array is None or sensor.array.pitch is None else sensor.array.pitch
+    period = pitch * (2 if sensor.array is not None and sensor.array.bayer is not None else 1)
+    if isinstance(lens, PrescriptionLens):
+        length = lens.focal_length
+    else:
+        length, _ = lens_numbers(lens.focal_length, scene.target.object_distance)
+    # An order of direction τ returns displaced by zτ.
+    return period if scene.illumination.wavelength / period * length < 2 * lens.aperture_radius else None
+
+
+def check_scene(scene: Scene) -> None:
+    """Refuse what is not fitted.
+
+    Raises
+    ------
+    InputError
+        For phones, masks and hot pixels.
+    """
+    if isinstance(scene.target, PhoneTarget):
+        what = "a phone, of which several cameras answer at once, is not fitted"
+        raise InputError(what, where="scene.target", remedy="take one of its cameras for the target")
+    if scene.target.sensor.mask is not None:
+        what = "each gaze sees another piece of a mask, which leaves nothing to search along"
+        raise InputError(what, where="scene.target.sensor.mask", remedy="use an array for a mask")
+    if scene.probe.sensor.hot_pixels and scene.probe.sensor.hot_current:
+        what = "a crop does not say where on the sensor it lay, and so not where the hot pixels are"
+        raise InputError(what, where="scene.probe.sensor.hot_pixels", remedy="take them out, and set it to 0")

@@ -1,0 +1,262 @@
+"""Climbing the likelihood of one crop: Fisher scoring with damping, photosites taken apart from the slow picture.
+
+Behind a fast lens the orders of the photosites make a picture repeat, nearly, with every period that the spot moves:
+some thousandth of the field. What changes from period to period is slow and smooth. The two are climbed together but
+told apart: the *slow* gaze is moved by whole periods, the *phase* within one. The likelihood of the two has one top
+where that of the gaze has hundreds; which period is meant is asked at the end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.errors import InputError
+from tapetum.models.simulation_counts import CountModel
+from tapetum.models.simulation_pictures import Pictures, Pose
+
+__all__ = ["FREE", "PHASE", "SLOW", "Search", "Top"]
+
+Array = NDArray[np.float64]
+
+SLOW = ("gaze_x", "gaze_y")
+PHASE = ("phase_x", "phase_y")
+FREE = ("place_x", "place_y", "power", "background", "roll", "object_distance", "focal_length")
+"""What may be free besides the gaze; the phase is the photosites' place under the spot, in fractions of the field."""
+
+# Steps of the differences. Of the gaze in λf/2r, or in periods of the photosites; of a roll in radians.
+_SPOT_SHARE, _PERIODS, _PERIOD_SHARE, _ROLL_STEP = 1 / 20, 2, 1 / 200, 1e-3
+# Of a focus: this share of the wave's change over the pupil's edge, in radians.
+_FOCUS_STEP = 0.05
+# Largest moves of one step: gaze (fractions of the field), place (pixels), roll; and a factor of the power.
+_MOST_GAZE, _MOST_PLACE, _MOST_ROLL, _MOST_POWER = 0.05, 8.0, 0.02, 2.0
+_STEPS, _SETTLED, _HARDEST = 25, 0.03, 1e6
+
+
+@dataclass(frozen=True)
+class Top:
+    """A local maximum of the likelihood.
+
+    Parameters
+    ----------
+    pose
+        Where.
+    slow
+        [2] by which the slow gaze lies beside the pose's, in fractions of the field: 0 unless the phase is free.
+    names
+        What was free.
+    information
+        [P, P] Fisher's, in inverse products of their units.
+    log_likelihood
+        Without constants.
+    misfit
+        Mean squared residual, in variances: 1 where the model is true.
+    settled
+        Whether the last step was small beside the standard deviations.
+    """
+
+    pose: Pose
+    slow: Array
+    names: tuple[str, ...]
+    information: Array
+    log_likelihood: float
+    misfit: float
+    settled: bool
+
+    @property
+    def covariance(self) -> Array:
+        """[P, P], the inverse of the information."""
+        own = np.sqrt(np.maximum(self.information.diagonal(), 1e-300))
+        return np.linalg.pinv(self.information / np.outer(own, own), hermitian=True) / np.outer(own, own)
+
+
+class Search:
+    """One crop's likelihood.
+
+    Parameters
+    ----------
+    pictures
+        Renders poses.
+    counts
+        [side, side] digital numbers.
+    model
+        Of the numbers.
+    free
+        Names of `FREE` that are not known. The gaze always is free.
+    """
+
+    def __init__(self, pictures: Pictures, counts: Array, model: CountModel, free: tuple[str, ...]) -> None:
+        self.pictures, self.counts, self.model, self.free = pictures, counts, model, free
+        scene = pictures.scene
+        wave = 2 * np.pi / scene.illumination.wavelength * scene.target.lens.aperture_radius**2 / 2
+        self._vergence = _FOCUS_STEP / wave
+
+    def climb(self, pose: Pose, *, phase: bool, slow: Array | None = None, steps: int = _STEPS) -> Top:
+        """The maximum near a pose; with `phase` that of the slow gaze and the phase, each for itself."""
+        names = (*SLOW, *(PHASE if phase else ()), *self.free)
+        at, beside = pose, np.zeros(2) if slow is None else slow
+        mean, slopes = self._tangent(at, beside, names)
+        hardness, settled, least = 1e-3, False, np.inf
+        expected, bend, variance = self.model(mean)
+        for _ in range(steps):
+            weight = bend**2 / variance
+            information = (slopes * weight) @ slopes.T
+            score = slopes @ (bend * (self.counts.ravel() - expected) / variance)
+            own = np.sqrt(np.maximum(information.diagonal(), 1e-300))
+            shared = information / np.outer(own, own)
+            step = np.linalg.lstsq(shared + hardness * np.eye(len(own)), score / own, rcond=1e-12)[0] / own
+            least = float(np.abs(step * own).max())
+            if least < _SETTLED:
+                settled = True
+                break
+            new_at, new_beside = self._moved(at, beside, names, step)
+            new_mean, new_slopes = self._tangent(new_at, new_beside, names)
+            new = self.model(new_mean)
+            # Weights stay those that the step was made with: only the fit is to get better, not the scatter wider.
+            before = float(((self.counts.ravel() - expected) ** 2 / variance).sum())
+            after = float(((self.counts.ravel() - new[0]) ** 2 / variance).sum())
+            if after > before + 1e-3:
+                hardness = max(1e-3, hardness) * 8
+                if hardness > _HARDEST:
+                    break
+                continue
+            at, beside, mean, slopes = new_at, new_beside, new_mean, new_slopes
+            expected, bend, variance = new
+            hardness = hardness / 6 if hardness > 1e-6 else 0.0
+        information = (slopes * (bend**2 / variance)) @ slopes.T
+        residual = self.counts.ravel() - expected
+        value = float(-0.5 * (residual**2 / variance + np.log(variance)).sum())
+        misfit = float((residual**2 / variance).mean())
+        return Top(at, beside, names, information, value, misfit, settled)
+
+    def in_phase(self, pose: Pose) -> Pose:
+        """The pose with the gaze moved, within a period, to where the photosites explain most."""
+        period = self.pictures.period
+        if period is None:
+            return pose
+        thirds = np.arange(3) / 3
+        gazes = np.array(pose.gaze) + np.stack(np.meshgrid(thirds, thirds), -1).reshape(-1, 2) * period
+        made = self.pictures.render(pose, gazes)
+        scale = pose.power / self.pictures.scene.illumination.power
+        left = [self._unexplained(one, pose.background + scale * one) for one in made]
+        x, y = gazes[int(np.argmin(left))]
+        return replace(pose, gaze=(float(x), float(y)))
+
+    def _unexplained(self, light: Array, mean: Array) -> float:
+        """Weighted squares that no scale, background or small shift of a picture takes away."""
+        expected, bend, variance = self.model(mean.ravel())
+        weight = bend / np.sqrt(variance)
+        columns = np.stack([light.ravel(), np.ones(light.size), *(one.ravel() for one in _slopes(light))]) * weight
+        rest = (self.counts.ravel() - expected) / np.sqrt(variance)
+        solved = np.linalg.solve(columns @ columns.T + 1e-9 * np.eye(4), columns @ rest)
+        return float((rest - solved @ columns) @ (rest - solved @ columns))
+
+    def _tangent(self, pose: Pose, slow: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
+        """Mean electrons [N] at a pose, and their derivatives [P, N] by what is free."""
+        pictures, scene = self.pictures, self.pictures.scene
+        gaze, period = np.array(pose.gaze), pictures.period
+        phase = PHASE[0] in names
+        if period is not None:
+            near = period * _PERIOD_SHARE
+        else:
+            near = pictures.spot * _SPOT_SHARE
+        steps = [*np.diag(near)]
+        if phase:
+            assert period is not None
+            steps = [*np.diag(_PERIODS * period), *steps]
+        # Towards the middle: no step leaves the field.
+        inward = np.where(gaze > 0, -1.0, 1.0)
+        made = pictures.render(pose, np.stack([gaze, *(gaze + inward * step for step in steps)]))
+        scale = pose.power / scene.illumination.power
+        light, sizes = made[0], [float(inward @ step) for step in steps]
+        by_gaze = [(one - light) / size for one, size in zip(made[1:], sizes, strict=True)]
+        if phase:
+            # A whole period moves the slow picture alone; a part of one moves both.
+            by_gaze[2:] = [fast - slowly for fast, slowly in zip(by_gaze[2:], by_gaze[:2], strict=True)]
+            light = light + slow[0] * by_gaze[0] + slow[1] * by_gaze[1]
+        found = {name: scale * one for name, one in zip((*SLOW, *PHASE), by_gaze, strict=False)}
+        if "place_x" in names or "place_y" in names:
+            dx, dy = _slopes(light)
+            found |= {"place_x": -scale * dx / pictures.pitch, "place_y": -scale * dy / pictures.pitch}
+        found |= {"power": light / scene.illumination.power, "background": np.ones_like(light)}
+        for name, size in (
+            ("roll", _ROLL_STEP),
+            ("object_distance", self._vergence * pose.object_distance**2),
+            ("focal_length", self._vergence * pose.focal_length**2),
+        ):
+            if name in names:
+                moved = replace(pose, **{name: getattr(pose, name) + size})
+                # Without a roll nothing is interpolated; a picture turned by nearly nothing is what to compare with.
+                base = replace(pose, roll=1e-12) if name == "roll" and pose.roll == 0 else pose
+                pair = [pictures.render(one, gaze[None])[0] for one in (base, moved)]
+                found[name] = scale * (pair[1] - pair[0]) / size
+        mean = pose.background + scale * light
+        return mean.ravel(), np.stack([found[name].ravel() for name in names])
+
+    def _moved(self, pose: Pose, slow: Array, names: tuple[str, ...], step: Array) -> tuple[Pose, Array]:
+        """The pose a step farther, no farther than its pictures can be trusted to."""
+        by = dict(zip(names, step, strict=True))
+        pitch = self.pictures.pitch
+        most = dict.fromkeys(SLOW, _MOST_GAZE) | {"place_x": _MOST_PLACE * pitch, "place_y": _MOST_PLACE * pitch}
+        most |= {"roll": _MOST_ROLL, "object_distance": 5 * self._vergence / _FOCUS_STEP * pose.object_distance**2}
+        most |= {"focal_length": 5 * self._vergence / _FOCUS_STEP * pose.focal_length**2}
+        if self.pictures.period is not None:
+            most |= dict(zip(PHASE, 0.3 * self.pictures.period, strict=True))
+            if PHASE[0] not in names:
+                most |= dict(zip(SLOW, 0.3 * self.pictures.period, strict=True))
+        by = {
+            name: float(np.clip(value, -most.get(name, np.inf), most.get(name, np.inf))) for name, value in by.items()
+        }
+        wanted = np.array(pose.gaze) + slow + [by[name] for name in SLOW]
+        if PHASE[0] in names:
+            assert self.pictures.period is not None
+            turned = np.array(pose.gaze) + [by[name] for name in PHASE]
+            gaze = turned + self.pictures.period * np.rint((wanted - turned) / self.pictures.period)
+        else:
+            gaze = wanted
+        gaze = np.clip(gaze, -0.499, 0.499)
+        moved = replace(
+            pose,
+            gaze=(float(gaze[0]), float(gaze[1])),
+            place=(pose.place[0] + by.get("place_x", 0.0), pose.place[1] + by.get("place_y", 0.0)),
+            power=float(np.clip(pose.power + by.get("power", 0.0), pose.power / _MOST_POWER, pose.power * _MOST_POWER)),
+            background=max(0.0, pose.background + by.get("background", 0.0)),
+            roll=float(np.clip(pose.roll + by.get("roll", 0.0), -0.5, 0.5)),
+            object_distance=pose.object_distance + by.get("object_distance", 0.0),
+            focal_length=pose.focal_length + by.get("focal_length", 0.0),
+        )
+        return moved, wanted - gaze if PHASE[0] in names else np.zeros(2)
+
+
+def _slopes(picture: Array) -> tuple[Array, Array]:
+    """Derivatives [H, W] by columns and rows, a pixel: five points, right to 1 % for periods of 5 pixels."""
+    found: list[Array] = []
+    for axis in (1, 0):
+        wide = np.pad(picture, [(2, 2) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
+        n = picture.shape[axis]
+        part = [np.take(wide, np.arange(n) + k, axis=axis) for k in (0, 1, 3, 4)]
+        found.append((part[0] - 8 * part[1] + 8 * part[2] - part[3]) / 12)
+    return found[0], found[1]
+
+
+def check_names(parameters: tuple[str, ...], nuisances: tuple[str, ...]) -> None:
+    """Refuse names that are unknown or given twice.
+
+    Raises
+    ------
+    InputError
+        Naming the first fault.
+    """
+    known, extra = (*SLOW, *FREE), (*PHASE,)
+    for where, names, allowed in (("parameters", parameters, known), ("nuisances", nuisances, (*known, *extra))):
+        for name in names:
+            if name not in allowed:
+                raise InputError(f"unknown parameter {name!r}", where=where, remedy=f"use {', '.join(allowed)}")
+    every = (*parameters, *nuisances)
+    if not parameters or len(set(every)) < len(every):
+        what = f"{list(parameters)} and nuisances {list(nuisances)} name none, or one twice"
+        raise InputError(what, where="parameters", remedy="name each once")
+    if len(set(every) & set(PHASE)) == 1:
+        raise InputError("one phase alone cannot be free", where="nuisances", remedy=f"name {' and '.join(PHASE)}")

@@ -1,0 +1,406 @@
+"""One target read by several probes: their estimates brought to one place and one clock, and made one."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
+from scipy.stats import chi2
+
+from tapetum.errors import InputError
+from tapetum.track.kalman import NORMAL, Series
+from tapetum.track.places import Places
+from tapetum.track.smooth import quantities_in, series_of
+from tapetum.track.tables import finite, track_schema
+
+__all__ = ["Fused", "Fusion", "Places", "at_times", "combine", "fuse", "fuse_tracks"]
+
+Array = NDArray[np.float64]
+GAZE = ("gaze_x", "gaze_y")
+
+
+@dataclass(frozen=True)
+class Fused:
+    """What several probes say together of N moments.
+
+    Parameters
+    ----------
+    value, lower, upper
+        [N, K] estimates and 90 % intervals; NaN where no probe measures.
+    used
+        [N, M] which of the M probes went into a row.
+    consistency
+        [N] probability of so large a disagreement by chance (χ² over all quantities); NaN where a row has one probe.
+    disagree
+        [N] whether probes contradict each other and it cannot be told which is right: the interval then spans them.
+    """
+
+    value: Array
+    lower: Array
+    upper: Array
+    used: NDArray[np.bool_]
+    consistency: Array
+    disagree: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Fusion:
+    """A table of fused tracks, and in how many of its rows which probe had a part.
+
+    Parameters
+    ----------
+    table
+        A table of tracks: `read_tracks` reads it. Two columns more: `probes`, how many went into the row, and
+        `consistency`, as of `Fused`.
+    used
+        Rows that each probe went into.
+    dropped
+        Rows in which a probe was left out because the others contradict it.
+    disagree
+        Rows in which probes contradict each other with nothing to decide.
+    """
+
+    table: pa.Table
+    used: tuple[int, ...]
+    dropped: int
+    disagree: int
+
+
+def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[Array, Array]:
+    """Weigh estimates so that the variance of their mean is least.
+
+    Parameters
+    ----------
+    value, deviation
+        [M, N] estimates of M probes and their standard deviations; NaN where there is none.
+    correlation
+        Of the errors of any two probes. 0: inverse-variance weights. 1: covariance intersection, safe whatever the
+        correlation; of a single number it takes the narrowest interval (Julier and Uhlmann, Proc. ACC (1997)).
+
+    Returns
+    -------
+    value, deviation
+        [N]; NaN where none measures.
+
+    Raises
+    ------
+    InputError
+        When the correlation is out of range.
+
+    Notes
+    -----
+    Best linear unbiased (Bar-Shalom and Campo, IEEE Trans. Aerosp. Electron. Syst. 22, 803 (1986)), with weights that
+    must not be negative: a correlation that is only a guess may not turn a bad estimate against a good one.
+    """
+    if not 0 <= correlation <= 1:
+        raise InputError(f"must lie from 0 to 1, is {correlation}", where="correlation", remedy="1 is always safe")
+    # Just below 1, so that equally wide intervals share the weight.
+    rho = min(correlation, 1 - 1e-9)
+    kept = np.isfinite(value) & np.isfinite(deviation) & (deviation > 0)
+    inverse = np.zeros_like(deviation)
+    weight = np.zeros_like(deviation)
+    for _ in range(len(value)):
+        inverse[:] = 0.0
+        np.divide(1.0, deviation, out=inverse, where=kept)
+        count = kept.sum(axis=0)
+        shared = rho * inverse.sum(axis=0) / (1 - rho + rho * count)
+        weight = inverse * (inverse - shared)
+        negative = kept & (weight < 0)
+        if not negative.any():
+            break
+        # The widest of them goes; then all are weighed again.
+        worst = np.where(negative, deviation, -np.inf).argmax(axis=0)
+        rows = np.flatnonzero(negative.any(axis=0))
+        kept[worst[rows], rows] = False
+    total = weight.sum(axis=0)
+    none = total <= 0
+    weight = weight / np.where(none, 1.0, total)
+    known, wide = np.where(kept, value, 0.0), np.where(kept, deviation, 0.0)
+    variance = (1 - rho) * ((weight * wide) ** 2).sum(axis=0) + rho * (weight * wide).sum(axis=0) ** 2
+    return np.where(none, np.nan, (weight * known).sum(axis=0)), np.where(none, np.nan, np.sqrt(variance))
+
+
+def _disagreement(value: Array, deviation: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Return χ² and its degrees of freedom, [N] each, of estimates [M, N, K] that should be the same for all M."""
+    # Of errors that go together the differences are smaller: without correlation the test is the cautious one.
+    mean = combine(value.reshape(len(value), -1), deviation.reshape(len(value), -1), 0.0)[0].reshape(value.shape[1:])
+    squared = np.nansum(((value - mean) / deviation) ** 2, axis=(0, 2))
+    return squared, np.maximum(np.isfinite(value).sum(axis=0) - 1, 0).sum(axis=1)
+
+
+def fuse(
+    value: ArrayLike, lower: ArrayLike, upper: ArrayLike, *, correlation: float = 0.5, alpha: float = 1e-3
+) -> Fused:
+    """Make one estimate of those of several probes, moment by moment.
+
+    Parameters
+    ----------
+    value, lower, upper
+        [M, N, K] estimates of K quantities by M probes at N moments, with 90 % intervals, already as the first probe
+        would see them. NaN, or an infinite interval, where a probe measures nothing.
+    correlation
+        As of `combine`.
+    alpha
+        Probability below which a disagreement is no chance. Then, of three probes or more, the one that the others
+        contradict most is left out, and so on; of two the interval spans both.
+
+    Returns
+    -------
+    Fused
+
+    Raises
+    ------
+    InputError
+        When shapes differ, or there are fewer than two probes.
+    """
+    x, low, high = (np.array(one, dtype=np.float64) for one in (value, lower, upper))
+    if x.ndim != 3 or not x.shape == low.shape == high.shape:
+        what = f"value, lower and upper must be [M, N, K] alike, are {x.shape}, {low.shape} and {high.shape}"
+        raise InputError(what, where="fuse")
+    if len(x) < 2:
+        raise InputError(f"{len(x)} probe alone cannot be fused", where="fuse", remedy="give two or more")
+    deviation = (high - low) / 2 / NORMAL
+    bad = ~(np.isfinite(x) & np.isfinite(deviation) & (deviation > 0))
+    x[bad], deviation[bad] = np.nan, np.nan
+    disagree = np.zeros(x.shape[1], bool)
+    used: NDArray[np.bool_] = np.asarray(np.isfinite(x).any(axis=2)).T
+    squared, freedom = _disagreement(x, deviation)
+    # Two probes that measure different quantities have nothing to compare.
+    consistency = np.where(freedom > 0, chi2.sf(squared, np.maximum(freedom, 1)), np.nan)
+    for n in np.flatnonzero(consistency < alpha):
+        chance = float(consistency[n])
+        while chance < alpha:
+            if used[n].sum() < 3:
+                disagree[n] = True
+                break
+            trials = {int(m): _without(x[:, n], deviation[:, n], int(m)) for m in np.flatnonzero(used[n])}
+            worst = max(trials, key=lambda m: trials[m])
+            x[worst, n], deviation[worst, n], used[n, worst] = np.nan, np.nan, False
+            chance = trials[worst]
+    flat = x.reshape(len(x), -1)
+    mean, spread = (one.reshape(x.shape[1:]) for one in combine(flat, deviation.reshape(flat.shape), correlation))
+    below, above = mean - NORMAL * spread, mean + NORMAL * spread
+    if disagree.any():
+        below[disagree] = np.nanmin((x - NORMAL * deviation)[:, disagree], axis=0)
+        above[disagree] = np.nanmax((x + NORMAL * deviation)[:, disagree], axis=0)
+    return Fused(mean, below, above, used, consistency, disagree)
+
+
+def _without(value: Array, deviation: Array, probe: int) -> float:
+    """Return the probability of so large a disagreement among the other probes."""
+    rest = np.arange(len(value)) != probe
+    squared, freedom = _disagreement(value[rest][:, None], deviation[rest][:, None])
+    return float(chi2.sf(squared[0], freedom[0])) if freedom[0] else 1.0
+
+
+def at_times(series: Series, times: Array, max_gap: float | None = None) -> tuple[Array, Array, Array]:
+    """Return a quantity at other times, [N] each of value, lower and upper, by straight lines between rows.
+
+    Parameters
+    ----------
+    series
+        The quantity.
+    times
+        [N] seconds.
+    max_gap
+        Seconds. Farther apart two rows do not speak for the time between them; three times the usual step where left
+        out. NaN there, and outside the series.
+    """
+    rows = series.measured
+    known = series.times[rows]
+    if max_gap is None:
+        max_gap = 3 * float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+    if not len(known):
+        none = np.full(len(times), np.nan)
+        return none, none, none
+    after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)
+    before = np.maximum(after - 1, 0)
+    exact = known[after] == times
+    inside = (times >= known[0]) & (times <= known[-1]) & (known[after] - known[before] <= max_gap)
+    # Between two rows the mean of their errors is narrower than either; that is not claimed.
+    told = [np.interp(times, known, one[rows]) for one in (series.value, series.half_width)]
+    value, half = (np.where(exact | inside, one, np.nan) for one in told)
+    return value, value - half, value + half
+
+
+def _timeline(clocks: Sequence[Array]) -> Array:
+    """Return the first probe's times, and of every other those at which nobody before it has one."""
+    line = np.unique(clocks[0])
+    for clock in clocks[1:]:
+        apart = float(np.median(np.diff(clock))) / 2 if len(clock) > 1 else 0.0
+        near = line[np.clip(np.searchsorted(line, clock), 0, len(line) - 1)]
+        left = line[np.clip(np.searchsorted(line, clock) - 1, 0, len(line) - 1)]
+        alone = np.minimum(np.abs(clock - near), np.abs(clock - left)) > apart
+        line = np.union1d(line, clock[alone])
+    return line
+
+
+def _one_track(table: pa.Table, number: int | None, where: str) -> pa.Table:
+    """Return the rows of one target: a track by its number, or all where no two are seen at once."""
+    tracks = table["track"].to_numpy()
+    if number is not None:
+        if number not in tracks:
+            has = ", ".join(str(one) for one in np.unique(tracks)[:10])
+            raise InputError(f"no track {number}", where=where, remedy=f"it has {has}")
+        return table.filter(pa.array(tracks == number))
+    times, seen = table["time"].to_numpy(), np.ones(len(table), bool)
+    if "seen" in table.column_names:
+        seen = table["seen"].fill_null(False).to_numpy(zero_copy_only=False)
+    if len(np.unique(times[seen])) < seen.sum():
+        raise InputError("holds several tracks at once", where=where, remedy="name the target's track of each table")
+    # A target that went and came again elsewhere is a new track, beside which the old one coasts for a while.
+    order = np.lexsort((tracks, seen, times))
+    last = np.append(np.diff(times[order]) > 0, True)
+    return table.take(np.sort(order[last]))
+
+
+def fuse_tracks(
+    tables: Sequence[pa.Table],
+    places: Places | Sequence[tuple[float, float]],
+    *,
+    tracks: Sequence[int | None] | None = None,
+    starts: Sequence[float] | None = None,
+    correlation: float = 0.5,
+    max_gap: float | None = None,
+    quantities: Sequence[str] | None = None,
+    names: Sequence[str] | None = None,
+) -> Fusion:
+    """Fuse the tables of tracks of several probes that watch the same target.
+
+    Parameters
+    ----------
+    tables
+        One of each probe.
+    places
+        Where the probes stand; or of each probe what must be added to its gaze to make it the first one's, in
+        fractions of the field, which holds for small fields and probes near each other.
+    tracks
+        Which track of each table is the target. Not needed where no table has two at once.
+    starts
+        When each table's time is 0, in seconds of one clock (UTC). All the same where left out.
+    correlation
+        As of `combine`.
+    max_gap
+        Seconds between two rows of a probe beyond which it counts as lost; three times its usual step where left out.
+    quantities
+        What to fuse; all that every table has where left out.
+    names
+        What to call the tables in a message.
+
+    Returns
+    -------
+    Fusion
+        Gaze as the first probe sees it, times by the first one's clock.
+
+    Raises
+    ------
+    InputError
+        When there is one probe only, a table has no intervals, tables have no quantity or no time in common, or a
+        number does not fit.
+    """
+    called = list(names or (f"probe {m + 1}" for m in range(len(tables))))
+    if len(tables) < 2:
+        remedy = "give the tables of two probes or more"
+        raise InputError("a single probe cannot be fused", where=called[0] if called else "fuse", remedy=remedy)
+    standing = _checked(places, len(tables))
+    begun = _each(starts, [0.0] * len(tables), "starts")
+    chosen = _each(tracks, [None] * len(tables), "tracks")
+    told = [set(quantities_in(one, quantities, where=name)) for one, name in zip(tables, called, strict=True)]
+    common = [name for name in quantities_in(tables[0], quantities, where=called[0]) if name in set.intersection(*told)]
+    if not common:
+        raise InputError("no quantity is in every table", where=", ".join(called), remedy="track with the same model")
+    if ("gaze_x" in common) != ("gaze_y" in common):
+        raise InputError("gaze needs both gaze_x and gaze_y", where="quantities", remedy="name both, or neither")
+    rows = [_one_track(t, number, name) for t, number, name in zip(tables, chosen, called, strict=True)]
+    clocks = [t["time"].to_numpy() + (start - begun[0]) for t, start in zip(rows, begun, strict=True)]
+    first, last = max(float(one[0]) for one in clocks), min(float(one[-1]) for one in clocks)
+    if first > last:
+        spans = ", ".join(f"{c[0]:.3f} to {c[-1]:.3f} s" for c in clocks)
+        raise InputError(f"the probes' times do not overlap ({spans})", where=", ".join(called), remedy="give starts")
+    times = _timeline(clocks)
+    at = [_estimates(t, clock, common, times, max_gap) for t, clock in zip(rows, clocks, strict=True)]
+    moved = [_moved(one, common, standing, m) for m, one in enumerate(at)]
+    fused = fuse(*np.stack(moved, axis=1), correlation=correlation)
+    before = np.stack([np.isfinite(one[0]).any(axis=1) for one in moved], axis=1)
+    return Fusion(
+        _table(fused, common, times, rows, clocks),
+        tuple(int(n) for n in fused.used.sum(axis=0)),
+        int((before & ~fused.used).any(axis=1).sum()),
+        int(fused.disagree.sum()),
+    )
+
+
+def _checked(places: Places | Sequence[tuple[float, float]], count: int) -> Places | Array:
+    number = len(places.places) if isinstance(places, Places) else len(places)
+    if number != count:
+        raise InputError(f"{number} places for {count} probes", where="places", remedy="give one for each probe")
+    if isinstance(places, Places):
+        return places
+    offsets = np.asarray(places, dtype=np.float64)
+    if offsets.shape != (count, 2) or not np.isfinite(offsets).all():
+        raise InputError("offsets must be pairs of finite numbers", where="places", remedy="give x and y")
+    return offsets
+
+
+def _each(given: Sequence[Any] | None, default: list[Any], where: str) -> list[Any]:
+    if given is not None and len(given) != len(default):
+        raise InputError(f"{len(given)} for {len(default)} probes", where=where, remedy="give one for each probe")
+    return default if given is None else list(given)
+
+
+def _estimates(table: pa.Table, clock: Array, names: Sequence[str], times: Array, max_gap: float | None) -> Array:
+    """Return value, lower and upper [3, N, K] of one probe at the common times."""
+    one = table.set_column(table.column_names.index("track"), "track", pa.array(np.zeros(len(table), np.int64)))
+    found = np.empty((3, len(times), len(names)))
+    for k, name in enumerate(names):
+        series = series_of(one, name)[0]
+        found[:, :, k] = at_times(Series(clock, series.value, series.lower, series.upper), times, max_gap)
+    return found
+
+
+def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int) -> Array:
+    """Return estimates [3, N, K] with the gaze as the first probe sees it."""
+    if "gaze_x" not in names or probe == 0:
+        return told
+    k = [names.index(name) for name in GAZE]
+    gaze = told[:, :, k]
+    if isinstance(places, Places):
+        new = places.to_first(probe, gaze)
+        half = np.abs(new[2] - new[1]) / 2
+        # A roll turns the offset: its error is across it.
+        shape = places.field[1] / places.field[0]
+        across = np.abs(new[0] - gaze[0])[:, ::-1] * np.array([shape, 1 / shape])
+        half = np.hypot(half, NORMAL * places.roll_spread * across)
+        new = np.stack([new[0], new[0] - half, new[0] + half])
+    else:
+        new = gaze + places[probe] - places[0]
+    moved = told.copy()
+    moved[:, :, k] = new
+    return moved
+
+
+def _table(
+    fused: Fused, names: Sequence[str], times: Array, rows: Sequence[pa.Table], clocks: Sequence[Array]
+) -> pa.Table:
+    """Return the fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
+    schema = track_schema(names)
+    schema = schema.append(pa.field("probes", pa.float64())).append(pa.field("consistency", pa.float64()))
+    records: list[Mapping[str, Any]] = []
+    spots = [
+        ({float(t): n for n, t in enumerate(clock)}, table.to_pylist())
+        for clock, table in zip(clocks, rows, strict=True)
+    ]
+    kept = ("x", "y", "snr", "peak_x", "peak_y", "diameter", "active", "name")
+    for n, time in enumerate(times):
+        seen = next((table[index[float(time)]] for index, table in spots if float(time) in index), {})
+        ends = {"": fused.value, "_low": fused.lower, "_high": fused.upper}
+        estimates = {name + end: values[n, k] for k, name in enumerate(names) for end, values in ends.items()}
+        record = {name: seen.get(name) for name in kept} | estimates
+        record |= {"frame": n, "time": float(time), "track": 1, "seen": bool(fused.used[n].any())}
+        record |= {"probes": float(fused.used[n].sum()), "consistency": float(fused.consistency[n])}
+        records.append({name: finite(record.get(name)) for name in schema.names})
+    return pa.Table.from_pylist(records, schema=schema)

@@ -1,0 +1,370 @@
+"""A track's estimates over time: a Kalman filter forward, a Rauch-Tung-Striebel smoother there and back."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pyarrow as pa
+from numpy.typing import ArrayLike, NDArray
+from scipy.optimize import minimize
+
+from tapetum.errors import InputError
+from tapetum.track.kalman import (
+    NORMAL,
+    Motion,
+    Series,
+    State,
+    backward,
+    begin,
+    correct,
+    forward,
+    judged,
+    predict,
+    trust_in,
+    variance_of,
+)
+
+__all__ = ["LiveFilter", "Motion", "Series", "Smoothed", "calibrate", "fit_motion", "quantities_in", "series_of"]
+__all__ += ["smooth", "smooth_tracks"]
+
+Array = NDArray[np.float64]
+
+# Rows that the likelihood looks at: enough for two numbers, and a second's work.
+_MOST_ROWS = 1200
+
+
+@dataclass(frozen=True)
+class Smoothed(Series):
+    """What filter or smoother say of each row.
+
+    Parameters
+    ----------
+    times, value, lower, upper
+        As of `Series`. Rows without a measurement have values too, with wider intervals; not so before the first
+        measurement, nor where the value would be less certain than the quantity's own spread.
+    rate
+        [N] change of the value a second.
+    deviation
+        [N] standard deviation of the value, without what is systematic.
+    trust
+        [N] probability that the row's measurement is no outlier; NaN where there is none.
+    """
+
+    rate: Array
+    deviation: Array
+    trust: Array
+
+
+def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
+    """Filter or smooth one quantity of one track.
+
+    Parameters
+    ----------
+    series
+        The estimates.
+    motion
+        How it moves: see `fit_motion`.
+    causal
+        Use no row after the one that is told: what a live view can show. Else all rows, before and after.
+
+    Returns
+    -------
+    Smoothed
+
+    Raises
+    ------
+    InputError
+        When no row measures.
+
+    Notes
+    -----
+    The half-width of the interval is √(NORMAL² P + (systematic h)²) with the variance P that filter or smoother gives
+    and the raw half-width h, between measurements that of the neighbours.
+    """
+    rows = np.flatnonzero(series.measured)
+    if not len(rows):
+        raise InputError("no row has an estimate with an interval", where="series", remedy="track with a model")
+    first, times = int(rows[0]), series.times
+    part = Series(times[first:], series.value[first:], series.lower[first:], series.upper[first:])
+    passed = forward(part, motion)
+    states, trust = passed.filtered, passed.trust
+    if not causal:
+        states = backward(part.times.tolist(), passed)
+        # Twice more, each row judged by its neighbours on both sides: a filter alone may doubt the truth after a turn.
+        for _ in range(2):
+            trust = judged(part, motion, states, trust)
+            states = backward(part.times.tolist(), forward(part, motion, trust))
+    known = np.array(states)
+    deviation = np.sqrt(np.maximum(known[:, 2], 0.0))
+    raw = np.interp(part.times, times[rows], series.half_width[rows])
+    half = np.sqrt((NORMAL * deviation) ** 2 + (motion.systematic * raw) ** 2)
+    # A guess wider than the quantity itself ever is: after a track's end, or a gap too long.
+    known[~part.measured & (deviation > motion.spread)] = np.nan
+
+    def whole(values: Array) -> Array:
+        return np.concatenate([np.full(first, np.nan), values])
+
+    x = known[:, 0]
+    columns = (x, x - half, x + half, known[:, 1], deviation, trust)
+    return Smoothed(times, *(whole(one) for one in columns))
+
+
+class LiveFilter:
+    """The causal filter of one quantity of one track, a row at a time.
+
+    Parameters
+    ----------
+    motion
+        How it moves.
+    """
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self._state: State | None = None
+        self._time, self._raw = 0.0, math.nan
+
+    def update(self, time: float, value: float, lower: float, upper: float) -> tuple[float, float, float]:
+        """Take a row; return value, lower and upper as they are now known, NaN where `smooth` gives none.
+
+        Parameters
+        ----------
+        time
+            Seconds, not before the last row's.
+        value, lower, upper
+            An estimate and its interval; NaN, or an infinite interval, where there is none.
+
+        Raises
+        ------
+        InputError
+            When time runs backwards or is not finite.
+        """
+        half = (upper - lower) / 2
+        if (self._state is not None and not time >= self._time) or not math.isfinite(time):
+            raise InputError(f"{time} s follows {self._time} s", where="time", remedy="give the rows in order")
+        measures = math.isfinite(value) and math.isfinite(half) and half >= 0
+        r = float(variance_of(np.array(half), self.motion)) if measures else math.nan
+        if self._state is None:
+            if not measures:
+                return math.nan, math.nan, math.nan
+            self._state = begin(value, r, self.motion)
+        else:
+            self._state = predict(self._state, time - self._time, self.motion.acceleration)
+            if measures:
+                trust, _ = trust_in(value - self._state.x, self._state.a + r, self.motion)
+                self._state = correct(self._state, value, r, trust)
+        self._time, self._raw = time, half if measures else self._raw
+        if not measures and self._state.a > self.motion.spread**2:
+            return math.nan, math.nan, math.nan
+        wide = math.sqrt(NORMAL**2 * max(self._state.a, 0.0) + (self.motion.systematic * self._raw) ** 2)
+        return self._state.x, self._state.x - wide, self._state.x + wide
+
+
+def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: float = 0.02) -> Motion:
+    """Find how a quantity moves, and how much of its errors is new in every row, by maximum likelihood.
+
+    Parameters
+    ----------
+    runs
+        Tracks of the same quantity. No truth is needed. Of long ones the first rows are enough.
+    systematic, outliers
+        As of `Motion`.
+
+    Returns
+    -------
+    Motion
+
+    Raises
+    ------
+    InputError
+        When fewer than 3 rows measure.
+    """
+    used: list[Series] = []
+    left = _MOST_ROWS
+    for run in runs:
+        rows = np.flatnonzero(run.measured)[:left]
+        left -= len(rows)
+        if len(rows) > 1:
+            used.append(Series(run.times[rows], run.value[rows], run.lower[rows], run.upper[rows]))
+    if sum(map(len, used)) < 3:
+        raise InputError("fewer than 3 rows have an estimate with an interval", where="series", remedy="track longer")
+    values, halves = np.concatenate([run.value for run in used]), np.concatenate([run.half_width for run in used])
+    spread = max(float(values.std()), float(np.median(halves)), 1e-12)
+
+    def motion(free: ArrayLike) -> Motion:
+        log_q, log_noise = (float(one) for one in np.clip(np.asarray(free), [-14.0, -12.0], [14.0, 4.0]))
+        return Motion(math.exp(log_q) * spread**2, spread, math.exp(log_noise), systematic, outliers)
+
+    def cost(free: ArrayLike) -> float:
+        return -sum(forward(run, motion(free)).likelihood for run in used)
+
+    # The likelihood may have a second hill, all noise and no motion: begin on the higher one.
+    start = min(((q, noise) for q in (-9.0, -4.0, 0.0, 4.0) for noise in (-6.0, -3.0, 0.0)), key=cost)
+    corners = np.array([start, (start[0] + 1.5, start[1]), (start[0], start[1] - 1.0)])
+    options = {"xatol": 0.05, "fatol": 0.05, "maxfev": 90, "initial_simplex": corners}
+    found = minimize(cost, start, method="Nelder-Mead", options=options)
+    return motion(found.x)
+
+
+def calibrate(
+    motion: Motion, runs: Sequence[tuple[Series, ArrayLike]], *, causal: bool = False, coverage: float = 0.9
+) -> Motion:
+    """Find how much of the raw intervals has to stay, on recordings whose truth is known.
+
+    Parameters
+    ----------
+    motion
+        As `fit_motion` found it.
+    runs
+        Tracks with their truth [N], NaN where it is unknown.
+    causal
+        Which of the two is calibrated: see `smooth`.
+    coverage
+        Share of true values that the intervals are to hold.
+
+    Returns
+    -------
+    Motion
+        With `systematic` set. More than 1 where the raw intervals were too narrow.
+
+    Raises
+    ------
+    InputError
+        When too few rows have a truth (9 for 90 %), or shapes differ.
+
+    Notes
+    -----
+    Split-conformal: intervals grow with `systematic`, so each row has the least value that makes its interval hold the
+    truth, √(e² − NORMAL² P)/h, and the ``ceil((n + 1) coverage)``-th smallest of n is taken. Rows of a video resemble
+    each other: the guarantee for exchangeable rows is a guide here, as for the raw intervals.
+    """
+    needed: list[Array] = []
+    for series, given in runs:
+        truth = np.asarray(given, dtype=np.float64)
+        if truth.shape != series.times.shape:
+            what = f"truth of shape {truth.shape} for {len(series)} rows"
+            raise InputError(what, where="calibrate", remedy="give one true value a row, NaN where unknown")
+        told = smooth(series, replace(motion, systematic=0.0), causal=causal)
+        half = series.half_width
+        good = series.measured & np.isfinite(truth) & np.isfinite(told.value) & (half > 0)
+        error, own = truth[good] - told.value[good], NORMAL * told.deviation[good]
+        needed.append(np.sqrt(np.maximum(error**2 - own**2, 0.0)) / half[good])
+    scores = np.sort(np.concatenate(needed)) if needed else np.empty(0)
+    rank = math.ceil((len(scores) + 1) * coverage)
+    if rank > len(scores):
+        what = f"only {len(scores)} rows have an estimate, an interval and a truth"
+        raise InputError(what, where="calibrate", remedy="calibrate on a longer recording")
+    return replace(motion, systematic=float(scores[rank - 1]))
+
+
+def quantities_in(table: pa.Table, wanted: Sequence[str] | None = None, *, where: object = "tracks") -> tuple[str, ...]:
+    """Return the quantities of a table of tracks that have estimates with intervals.
+
+    Parameters
+    ----------
+    table
+        Of tracks.
+    wanted
+        Those that must be among them; all there are where left out.
+    where
+        What to call the table in a message.
+
+    Raises
+    ------
+    InputError
+        When there are none, or a wanted one is missing or has no interval.
+    """
+    columns = set(table.column_names)
+    if missing := [name for name in ("time", "track") if name not in columns]:
+        raise InputError(f"no column {', '.join(missing)}", where=where, remedy="give a table of tracks")
+    found = [name for name in table.column_names if {f"{name}_low", f"{name}_high"} <= columns]
+    for name in wanted or ():
+        if name not in found:
+            has = ", ".join(found) or "none"
+            raise InputError(f"no column {name} with {name}_low and {name}_high", where=where, remedy=f"it has {has}")
+    told = [
+        name
+        for name in found
+        if (wanted is None or name in wanted) and any(one.measured.any() for one in series_of(table, name).values())
+    ]
+    if lacking := [name for name in wanted or () if name not in told]:
+        raise InputError(f"{', '.join(lacking)} has no intervals", where=where, remedy="track with a calibrated model")
+    if not told:
+        remedy = "track with --model, one whose intervals are calibrated"
+        raise InputError("holds no estimates with intervals", where=where, remedy=remedy)
+    return tuple(told)
+
+
+def series_of(table: pa.Table, name: str) -> dict[int, Series]:
+    """Return one quantity of every track in a table, by the track's number.
+
+    Raises
+    ------
+    InputError
+        When a column is missing, or times run backwards.
+    """
+    ends = (name, f"{name}_low", f"{name}_high")
+    if missing := [one for one in ("time", "track", *ends) if one not in table.column_names]:
+        raise InputError(f"no column {', '.join(missing)}", where="tracks", remedy="give a table of tracks")
+    times, value, lower, upper = (_floats(table, one) for one in ("time", *ends))
+    numbers = table["track"].to_numpy()
+    rows = {int(number): np.flatnonzero(numbers == number) for number in np.unique(numbers)}
+    return {number: Series(times[at], value[at], lower[at], upper[at]) for number, at in rows.items()}
+
+
+def _floats(table: pa.Table, name: str) -> Array:
+    try:
+        return table[name].cast(pa.float64()).to_numpy(zero_copy_only=False)
+    except pa.ArrowException as error:
+        raise InputError(f"column {name} holds no numbers", where="tracks", remedy="give a table of tracks") from error
+
+
+def smooth_tracks(
+    table: pa.Table,
+    motions: Mapping[str, Motion] | None = None,
+    *,
+    causal: bool = False,
+    systematic: float = 1.0,
+    quantities: Sequence[str] | None = None,
+) -> pa.Table:
+    """Smooth every estimated quantity of every track in a table.
+
+    Parameters
+    ----------
+    table
+        Of tracks.
+    motions
+        By quantity, calibrated ones for instance. Found from the table itself where not given.
+    causal
+        Use no later row: see `smooth`.
+    systematic
+        As of `Motion`, for those that are found here.
+    quantities
+        What to smooth; all that have intervals where left out. Others stay as they are.
+
+    Returns
+    -------
+    pyarrow.Table
+        With the same rows and columns. Rows in which a track coasts have estimates too.
+
+    Raises
+    ------
+    InputError
+        When no quantity has estimates with intervals, or a named one has none.
+    """
+    for name in quantities_in(table, quantities):
+        runs = series_of(table, name)
+        motion = (motions or {}).get(name) or fit_motion(list(runs.values()), systematic=systematic)
+        numbers = table["track"].to_numpy()
+        columns = {end: np.full(len(table), np.nan) for end in ("", "_low", "_high")}
+        for number, series in runs.items():
+            if series.measured.any():
+                told = smooth(series, motion, causal=causal)
+                for end, values in (("", told.value), ("_low", told.lower), ("_high", told.upper)):
+                    columns[end][numbers == number] = values
+        for end, values in columns.items():
+            place = table.column_names.index(name + end)
+            table = table.set_column(place, name + end, pa.array(values, pa.float64(), from_pandas=True))
+    return table

@@ -1,0 +1,44 @@
+"""`tapetum export`: one ONNX file, or one line and nothing written."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapetum.models import pretrained
+from tapetum.models.fast import FastResNet18
+
+
+def test_the_bundled_model(run, tmp_path: Path) -> None:
+    out = tmp_path / "gaze.onnx"
+    ran = run("export", "thin-lens-gaze", "-o", out)
+    assert (ran.code, ran.err) == (0, "")
+    assert ran.out == f"{out}: 45 MB\n" and out.stat().st_size == pytest.approx(45e6, rel=0.02)
+    images = np.random.default_rng(0).integers(0, 256, (2, 330, 330), dtype=np.uint8)
+    wanted = pretrained().predict(images)
+    np.testing.assert_allclose(FastResNet18(out, threads=1).predict(images).value, wanted.value, rtol=0, atol=1e-5)
+
+
+def test_what_cannot_be_exported(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for arguments, words in (
+        (("thin-lens-gaze", "-o", tmp_path / "m.pt"), "unknown kind of export '.pt'; name it NAME.onnx"),
+        (("no-such", "-o", tmp_path / "m.onnx"), "no-such: is neither a model's folder nor the name of a bundled"),
+        (("thin-lens-gaze",), "Missing option"),
+    ):
+        ran = run("export", *arguments)
+        assert ran.code == 2 and words in ran.complaint
+    monkeypatch.setitem(sys.modules, "onnx", None)
+    ran = run("export", "thin-lens-gaze", "-o", tmp_path / "m.onnx")
+    assert ran.code == 2
+    assert ran.complaint == "error: onnx is not installed; pip install 'tapetum[fast]'"
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_ridge_is_refused(run, chain, tmp_path: Path) -> None:
+    ran = run("export", chain.model, "-o", tmp_path / "m.onnx")
+    assert ran.code == 2
+    assert "only resnet18 models become ONNX, this one is zernike" in ran.complaint
+    assert not list(tmp_path.iterdir())

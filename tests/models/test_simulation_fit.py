@@ -1,0 +1,198 @@
+"""The fit by simulation reaches the bound, tells the sign, says how sure it is, and refuses what it cannot fit."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+import torch
+
+from tapetum.bench import Scene, load_scene
+from tapetum.data import dataset_from_arrays
+from tapetum.errors import InputError
+from tapetum.models.simulation_counts import CountModel
+from tapetum.models.simulation_fit import SimulationFit
+from tapetum.models.simulation_pictures import Pictures, period_of
+from tapetum.models.simulation_search import Search
+from tapetum.progress import quiet
+from tapetum.simulate.exposure import count_moments, digitise
+from tapetum.simulate.gaze import tilt_of_gaze
+from tapetum.simulate.information import fisher
+from tapetum.simulate.radiometry import dark_electrons
+
+NUISANCES = ("power", "place_x", "place_y")
+
+
+@pytest.fixture(scope="module")
+def scene() -> Scene:
+    """The demo's scene with a smaller sensor."""
+    return load_scene("hand-held", ["probe.sensor.pixels=[160, 160]"])
+
+
+@pytest.fixture(scope="module")
+def model(scene: Scene) -> SimulationFit:
+    fit = SimulationFit(scene, nodes=13, starts=2, window=128)
+    fit._prepared(128, quiet)
+    return fit
+
+
+def filmed(scene: Scene, gazes: np.ndarray, seed: int, side: int = 150, roll: float = 0.0) -> np.ndarray:
+    """Crops [N, side, side] of some gazes, each moved a little, with the sensor's noise."""
+    rng = np.random.default_rng(seed)
+    pictures = Pictures(scene, side)
+    frames = []
+    for gaze in gazes:
+        place = tuple(float(one) for one in rng.uniform(-6e-6, 6e-6, 2))
+        power = scene.illumination.power * rng.uniform(0.95, 1.05)
+        pose = dataclasses.replace(pictures.start(), place=place, roll=roll)
+        light = pictures.render(pose, gaze[None])[0] * power / scene.illumination.power
+        mean = torch.from_numpy(light + dark_electrons(scene.probe.sensor))
+        frames.append(digitise(mean, scene.probe.sensor, rng))
+    return np.stack(frames)
+
+
+def test_reaches_the_bound_and_knows_how_sure_it_is(scene: Scene, model: SimulationFit):
+    # In the centre half of the field.
+    gazes = np.random.default_rng(3).uniform(-0.25, 0.25, (30, 2))
+    one_start = SimulationFit(scene, nodes=13, starts=1, window=128)
+    one_start._pictures = model._pictures
+    found = one_start.predict(filmed(scene, gazes, 4))
+    errors = found.value - gazes
+    bounds = []
+    for gaze in gazes[:2]:
+        tilt = torch.asin(tilt_of_gaze(scene, torch.from_numpy(gaze)))
+        turned = dataclasses.replace(scene.target, rotation=(float(tilt[0]), float(tilt[1])))
+        at = dataclasses.replace(scene, target=turned)
+        limits = fisher(at, ("gaze_x", "gaze_y", *NUISANCES)).bounds
+        bounds.append([limits["gaze_x"], limits["gaze_y"]])
+        # The model's own bound is that of `fisher`, but for what its window cuts off.
+        own = model.bounds((float(gaze[0]), float(gaze[1])))
+        np.testing.assert_allclose([own["gaze_x"], own["gaze_y"]], bounds[-1], rtol=0.25)
+    ratio = np.sqrt((errors**2).mean()) / np.sqrt(np.mean(np.square(bounds)))
+    assert ratio < 1.5
+    covered = ((found.lower <= gazes) & (gazes <= found.upper)).mean()
+    assert 0.8 <= covered <= 0.97
+
+
+def test_tells_a_gaze_from_its_opposite(scene: Scene, model: SimulationFit):
+    for gaze in ([0.21, -0.13], [-0.21, 0.13]):
+        result = model.fit_image(filmed(scene, np.array([gaze]), 6)[0])
+        np.testing.assert_allclose(result.values, gaze, atol=1e-3)
+        rivals = [mode for mode in result.modes if np.abs(mode.values - result.values).max() > 0.01]
+        assert rivals and all(mode.log_likelihood < result.log_likelihood - 100 for mode in rivals)
+        assert result.converged and result.misfit == pytest.approx(1, abs=0.05)
+
+
+def test_whole_frames_and_power(scene: Scene, model: SimulationFit):
+    frame = filmed(scene, np.array([[0.1, 0.05]]), 7, side=160)[0]
+    frame = np.roll(frame, (9, -12), (0, 1))
+    fit = SimulationFit(scene, ("gaze_x", "gaze_y", "place_x", "place_y", "power"), (), nodes=13, starts=2, window=128)
+    fit._pictures = model._pictures
+    result = fit.fit_image(frame)
+    assert result["gaze_x"] == pytest.approx(0.1, abs=3e-4) and result["gaze_y"] == pytest.approx(0.05, abs=3e-4)
+    place = np.array([result["place_x"], result["place_y"]]) / 2.2e-6
+    np.testing.assert_allclose(place, [-12, 9], atol=3)
+    assert result["power"] == pytest.approx(scene.illumination.power, rel=0.06)
+    assert result.covariance.shape == (5, 5)
+
+
+def test_focus_of_a_thin_lens(scene: Scene):
+    fit = SimulationFit(scene, ("gaze_x", "gaze_y", "object_distance"), NUISANCES, nodes=13, starts=1, window=128)
+    nearer = dataclasses.replace(scene, target=dataclasses.replace(scene.target, object_distance=5.42))
+    result = fit.fit_image(filmed(nearer, np.array([[0.1, -0.08]]), 8)[0])
+    deviation = np.sqrt(result.covariance.diagonal())
+    # Grids change with the focus: a thousandth of its value is what the scene's accuracy of 1e-2 leaves.
+    assert result["object_distance"] == pytest.approx(5.42, abs=5 * deviation[2] + 5e-3)
+    np.testing.assert_allclose(result.values[:2], [0.1, -0.08], atol=1e-3)
+
+
+def test_derivatives_by_roll_and_place_are_those_of_the_pictures(scene: Scene, model: SimulationFit):
+    pictures = model._pictures[128][0]
+    search = Search(pictures, np.zeros((128, 128)), CountModel(scene.probe.sensor), ("roll", "place_x", "power"))
+    pose = dataclasses.replace(pictures.start(), gaze=(0.1, 0.05), place=(3e-6, -2e-6), roll=0.01)
+    names = ("gaze_x", "gaze_y", "roll", "place_x", "power")
+    mean, slopes = search._tangent(pose, np.zeros(2), names)
+    for name, step in (("roll", 2e-3), ("place_x", 2e-7), ("power", 1e-7)):
+        ends = [
+            search._tangent(dataclasses.replace(pose, **{name: getattr(pose, name) + sign * step}), np.zeros(2), names)[
+                0
+            ]
+            if name != "place_x"
+            else search._tangent(dataclasses.replace(pose, place=(3e-6 + sign * step, -2e-6)), np.zeros(2), names)[0]
+            for sign in (1, -1)
+        ]
+        difference = (ends[0] - ends[1]) / (2 * step)
+        found = slopes[names.index(name)]
+        assert np.linalg.norm(found - difference) < 0.03 * np.linalg.norm(difference), name
+    assert mean.shape == (128 * 128,)
+
+
+def test_counts_follow_the_staircase_of_the_rounding(scene: Scene):
+    sensor = scene.probe.sensor
+    # 40 electrons are 1.57 digital numbers that scatter by a quarter of one; 6500 are the full well.
+    for level in (3.0, 22.0, 40.0, 63.0, 900.0, 6450.0):
+        drawn = digitise(torch.full((400_000,), level), sensor, np.random.default_rng(9)).astype(float)
+        expected, slope, variance = CountModel(sensor)(np.array([level]))
+        deviation = max(float(drawn.std()), 1e-3)
+        assert abs(expected[0] - drawn.mean()) < 5 * deviation / 632 + 0.03, level
+        assert variance[0] == pytest.approx(max(drawn.var(), 0.02), rel=0.12), level
+        assert slope[0] >= 0
+    # What is saturated tells nothing.
+    assert CountModel(sensor)(np.array([8000.0]))[1][0] == 0
+    # Where the steps are finer than the noise the two models are one.
+    fine = dataclasses.replace(sensor, bits=12, read_noise=8.0)
+    smooth = count_moments(torch.tensor([500.0], dtype=torch.float64), fine)
+    expected, _, variance = CountModel(fine)(np.array([500.0]))
+    assert expected[0] == pytest.approx(float(smooth[0]), rel=1e-6)
+    assert variance[0] == pytest.approx(float(smooth[1]), rel=1e-3)
+
+
+def test_photosites_show_behind_a_fast_lens_only(scene: Scene):
+    assert period_of(scene) is None
+    sites = load_scene("hand-held", ["target.sensor.array.pitch=2.2 um", "target.sensor.array.fill=0.5"])
+    assert period_of(sites) is None
+    assert period_of(load_scene("rotation")) == pytest.approx(2.2e-6)
+
+
+def test_parameters_come_back(model: SimulationFit):
+    given = json.loads(json.dumps(model.parameters()))
+    again = SimulationFit.from_state(given, model.state(), model.classes())
+    assert again.parameters() == model.parameters() and again.scene == model.scene
+
+
+def test_fit_asks_for_labels_and_the_probes_own_crops(scene: Scene, model: SimulationFit):
+    images = np.zeros((6, 100, 100), np.uint8)
+    labels = {"gaze_x": np.linspace(-0.2, 0.2, 6), "gaze_y": np.zeros(6)}
+    assert model.fit(dataset_from_arrays(images, labels)) is model
+    with pytest.raises(InputError, match="has no label 'gaze_x'"):
+        model.fit(dataset_from_arrays(images, {"focal_length": np.ones(6)}))
+    with pytest.raises(InputError, match="160 x 160"):
+        model.fit(dataset_from_arrays(np.zeros((6, 200, 200), np.uint8), labels))
+
+
+def test_bad_input_gets_one_line(scene: Scene, model: SimulationFit):
+    hot = ["probe.sensor.hot_pixels=0.01", "probe.sensor.hot_current=1000"]
+    cases = [
+        (lambda: SimulationFit(load_scene("phones")), "phone"),
+        (lambda: SimulationFit(scene, ("gaze",)), "unknown parameter 'gaze'"),
+        (lambda: SimulationFit(scene, ("gaze_x", "gaze_x")), "one twice"),
+        (lambda: SimulationFit(scene, nuisances=("power", "phase_x")), "phase_x and phase_y"),
+        (lambda: SimulationFit(load_scene("rotation"), ("focal_length",)), "focal length of a traced lens"),
+        (lambda: SimulationFit(scene, starts=0), "starts"),
+        (
+            lambda: SimulationFit(load_scene("hand-held", hot)),
+            "hot pixels",
+        ),
+        (lambda: model.fit_image(np.zeros((300, 300), np.uint8)), "300 x 300"),
+        (lambda: model.fit_image(np.zeros((80, 70), np.uint8)), "80"),
+        (lambda: model.fit_image(np.zeros((100, 100, 3), np.uint8)), "grey"),
+        (lambda: model.predict(np.zeros((1, 100, 100), np.uint16), full_scale=4095), "4095"),
+        (lambda: model.fit_image(np.full((100, 100), 300.0)), "0 to 255"),
+    ]
+    for call, words in cases:
+        with pytest.raises(InputError, match=words) as caught:
+            call()
+            pytest.fail(f"nothing was said of {words!r}")
+        assert "\n" not in str(caught.value)
