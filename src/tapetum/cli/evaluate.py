@@ -2,36 +2,64 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import find_model
+from tapetum.cli.inputs import check_replaceable, find_model
 from tapetum.errors import InputError
 from tapetum.progress import bar
+
+# Endings that promise another kind of file than a folder.
+_FILES = (".html", ".htm", ".pdf", ".md", ".txt", ".csv", ".png", ".yaml", ".zip")
 
 
 def evaluate(
     model: Annotated[str, typer.Argument(metavar="MODEL", help="A model's folder, or the bundled thin-lens-gaze.")],
     dataset: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", metavar="FILE", help="Where to write the numbers: NAME.json.")
+        Path | None,
+        typer.Option(
+            "-o",
+            "--out",
+            metavar="REPORT",
+            help="A folder to write: report.html, numbers.json and the figures. NAME.json: the numbers alone.",
+        ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print them as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report of this name.")] = False,
 ) -> None:
-    """Print MAE and RMSE on the test part, beside predicting the training mean."""
-    if out is not None and out.suffix.lower() != ".json":
-        raise InputError(f"unknown kind of report {out.suffix!r}", where=out, remedy="name it NAME.json")
+    """Judge a model by a dataset's test part, beside a guess that looks at no image: predicting the training mean."""
+    numbers_alone = out is not None and out.suffix.lower() == ".json"
+    if out is not None and not numbers_alone:
+        if out.suffix.lower() in _FILES:
+            remedy = "name a folder for the whole report, or NAME.json for the numbers alone"
+            raise InputError(f"unknown kind of report {out.suffix!r}", where=out, remedy=remedy)
+        # Before minutes are spent on predicting.
+        check_replaceable(out, overwrite, "numbers.json", "tapetum-evaluation")
     from tapetum.data import open_dataset
     from tapetum.files import atomic_file
-    from tapetum.report.evaluate import describe, evaluate_model
+    from tapetum.models import model_card
+    from tapetum.report.evaluate import describe
+    from tapetum.report.evaluation import gather, score, write_evaluation
+    from tapetum.report.evaluation.write import samples, subject_of
 
     fitted = find_model(model)
     data = open_dataset(dataset)
-    scores = evaluate_model(fitted, data.tp.test, data.tp.train, progress=bar)
-    if out is not None:
+    outcome = gather(fitted, data, progress=bar)
+    scores = score(outcome)
+    if out is not None and numbers_alone:
         with atomic_file(out) as part:
             part.write_text(json.dumps(scores, indent=1) + "\n", encoding="utf-8")
+    elif out is not None:
+        card = model_card(model) if Path(model).is_dir() else None
+        subject = subject_of(fitted, data, model_name=model, card=card)
+        subject = dataclasses.replace(subject, command=f"tapetum evaluate {model} {dataset} -o {out}")
+        rrs, rrs_at = samples(outcome, data)
+        write_evaluation(out, outcome, subject, rrs=rrs, rrs_at=rrs_at, overwrite=overwrite, progress=bar)
     typer.echo(json.dumps(scores) if as_json else describe(scores))
+    if out is not None and not as_json:
+        typer.echo(f"wrote {out if numbers_alone else out / 'report.html'}")

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import xarray as xr
 
-from tapetum.errors import InputError
 from tapetum.models import Estimator
 from tapetum.progress import Progress, quiet
-from tapetum.report.metrics import coverage, mae, rmse
+from tapetum.report.evaluation.outcome import gather_parts
+from tapetum.report.evaluation.scores import score
 
 __all__ = ["describe", "evaluate_model"]
 
@@ -23,42 +22,36 @@ def evaluate_model(
     Returns
     -------
     dict
-        `frames`, and by label: `mae`, `rmse`, `baseline_mae`, `baseline_rmse` and `coverage`, the share of truths
-        inside the model's 90 % intervals; all in the label's own unit.
+        See `tapetum.report.evaluation.score`.
 
     Raises
     ------
     InputError
-        When the dataset lacks a label that the model predicts, or has no test frames.
+        When the dataset lacks a label that the model predicts, has no test frames, or shows one class only.
     """
-    names = model.target_names
-    missing = [name for name in names if name not in test]
-    if missing:
-        raise InputError(
-            f"has no label {missing[0]}", where="dataset", remedy="use a model of what it is labelled with"
-        )
-    if not test.sizes["frame"]:
-        raise InputError("has no test frames", where="dataset", remedy="build it with a test fraction above 0")
-    predicted = model.predict(test, progress=progress)
-    told: dict[str, Any] = {"frames": int(test.sizes["frame"]), "targets": {}}
-    for k, name in enumerate(names):
-        truth = np.asarray(test[name], dtype=float)
-        mean = np.full(len(truth), float(train[name].mean()))
-        told["targets"][name] = {
-            "mae": float(mae(truth, predicted.value[:, k])),
-            "rmse": float(rmse(truth, predicted.value[:, k])),
-            "baseline_mae": float(mae(truth, mean)),
-            "baseline_rmse": float(rmse(truth, mean)),
-            "coverage": float(coverage(truth, predicted.lower[:, k], predicted.upper[:, k])),
-        }
-    return told
+    return score(gather_parts(model, test, train, progress=progress))
 
 
 def describe(scores: dict[str, Any]) -> str:
     """The numbers of `evaluate_model` in one line a label."""
-    lines = [
-        f"{name}: MAE {s['mae']:.4f}, RMSE {s['rmse']:.4f} (predicting the mean: {s['baseline_mae']:.4f}, "
-        f"{s['baseline_rmse']:.4f}); 90 % intervals hold {s['coverage']:.0%}"
-        for name, s in scores["targets"].items()
-    ]
-    return "\n".join([f"{scores['frames']} test frames", *lines])
+    lines = [f"{scores['frames']} test frames"]
+    for name, one in scores["targets"].items():
+        beside = ""
+        if one["baseline_mae"] is not None:
+            beside = f" (predicting the mean: {one['baseline_mae']:.4f}, {one['baseline_rmse']:.4f})"
+        held = "no intervals: nothing was set aside for them"
+        if one["interval"] is not None:
+            held = f"90 % intervals hold {one['coverage']:.0%}"
+        lines.append(f"{name}: MAE {one['mae']:.4f}, RMSE {one['rmse']:.4f}{beside}; {held}")
+    classes = scores.get("classes")
+    if classes is not None:
+        guess = classes["baseline_top_1"]
+        beside = "" if guess is None else f" (always the commonest: {guess:.2%})"
+        lines.append(
+            f"device: {classes['top_1']:.2%} right{beside}; expected calibration error "
+            f"{classes['expected_calibration_error']:.4f}, Brier score {classes['brier']:.4f}"
+        )
+        unknown = classes["unknown"]
+        if unknown["frames"] and unknown["auroc"] is not None:
+            lines.append(f"unknown devices: {unknown['frames']} frames, AUROC of novelty {unknown['auroc']:.3f}")
+    return "\n".join(lines)

@@ -1,8 +1,8 @@
 """The paper's figures and those that keep them honest: arrays in, a Matplotlib Figure out."""
 
 from tapetum.report.figures._style import figure_png, save_figure
+from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance
 from tapetum.report.figures.gaze import (
-    fig_error_by_distance,
     fig_gaze_over_time,
     fig_gaze_path,
     fig_label_error,
@@ -14,6 +14,8 @@ from tapetum.report.figures.tracks import fig_tracks
 __all__ = [
     "SignRate",
     "draw_rr",
+    "fig_coverage",
+    "fig_error_by",
     "fig_error_by_distance",
     "fig_gaze_over_time",
     "fig_gaze_path",

@@ -20,7 +20,6 @@ from tapetum.report.figures._style import (
     LABEL,
     NOTE,
     QUIET,
-    TICK,
     colour,
     dress,
     dress_bar,
@@ -34,9 +33,8 @@ from tapetum.report.figures._style import (
     signed,
 )
 from tapetum.report.figures.retro import draw_rr
-from tapetum.report.rings import ErrorByDistance
 
-__all__ = ["fig_error_by_distance", "fig_gaze_over_time", "fig_gaze_path", "fig_label_error"]
+__all__ = ["fig_gaze_over_time", "fig_gaze_path", "fig_label_error"]
 
 Array = NDArray[np.float64]
 
@@ -261,66 +259,6 @@ def fig_gaze_over_time(
                 fontsize=NOTE,
                 labelcolor=INK,
             )
-    return figure
-
-
-def fig_error_by_distance(errors: Mapping[str, ErrorByDistance], *, baseline: str | None = None) -> Figure:
-    """Draw the error against the distance from the field's centre, and the frames (the paper's Fig. 10).
-
-    Parameters
-    ----------
-    errors
-        For each name its `ErrorByDistance`, all with the same rings.
-    baseline
-        The name among them that looks at no image: drawn in grey.
-
-    Raises
-    ------
-    InputError
-        When there is none, or the rings differ.
-    """
-    if not errors:
-        raise InputError("no error to draw", where="errors")
-    first = next(iter(errors.values()))
-    if any(not np.array_equal(one.edges, first.edges) for one in errors.values()):
-        raise InputError("the rings differ between models", where="errors", remedy="give each the same edges")
-    figure = new_figure(6.4, 4.7)
-    grid = figure.add_gridspec(2, 1, height_ratios=(4.2, 1.0), hspace=0.02)
-    ax = figure.add_subplot(grid[0])
-    below = figure.add_subplot(grid[1], sharex=ax)
-    width = float(np.diff(first.edges).mean())
-    spread = np.linspace(-0.13, 0.13, len(errors)) * width if len(errors) > 1 else np.zeros(1)
-    order = 0
-    for shift, (name, one) in zip(spread, errors.items(), strict=True):
-        have = np.isfinite(one.mae)
-        x, y = one.centre[have] + shift, one.mae[have]
-        plain = name == baseline
-        tint, sign = (QUIET, "x") if plain else (colour(order), marker(order))
-        order += 0 if plain else 1
-        bars = np.abs(np.stack([y - one.low[have], one.high[have] - y]))
-        ax.errorbar(
-            x,
-            y,
-            yerr=bars,
-            color=tint,
-            marker=sign,
-            markersize=5.5,
-            linewidth=1.2 if plain else 1.7,
-            linestyle=(0, (4, 2)) if plain else "-",
-            elinewidth=1.1,
-            capsize=2.5,
-            label=name,
-        )
-    dress(ax, title="Error against distance from the centre of the field", y="MAE, fraction of the field")
-    ax.set_ylim(bottom=0)
-    ax.tick_params(labelbottom=False)
-    legend(ax, loc="upper left")
-    below.bar(first.centre, first.count, width=0.92 * np.diff(first.edges), color="#c3c9d2")
-    dress(below, x="true distance of the laser from the centre, fraction of the field", y="frames", grid="y")
-    below.set_xlim(float(first.edges[0]), float(first.edges[-1]))
-    below.yaxis.set_major_locator(MaxNLocator(3, integer=True))
-    below.tick_params(labelsize=TICK)
-    figure.align_ylabels([ax, below])
     return figure
 
 

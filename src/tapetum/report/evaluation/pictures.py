@@ -1,0 +1,269 @@
+"""The figures of an evaluation: which ones an outcome calls for, with what a reader must know to read them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.figure import Figure
+from numpy.typing import ArrayLike, NDArray
+
+from tapetum.report.evaluation.binned import binned_errors
+from tapetum.report.evaluation.outcome import COVARIATES, Outcome
+from tapetum.report.evaluation.scores import by_device, by_recording, by_snr, error_map, group, score_classes
+from tapetum.report.figures.classes import fig_confusion, fig_reliability
+from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance, look
+from tapetum.report.figures.learning import fig_by_image, fig_path
+from tapetum.report.figures.maps import fig_error_map
+from tapetum.report.rings import error_by_distance
+
+__all__ = ["MEAN", "Picture", "pictures"]
+
+MEAN = "the training mean"
+FOCUS = ("object_distance", "focal_length")
+# A label that changes in more steps than this is no axis of a map or a staircase.
+_STEPS = 12
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A figure, and the words that go with it.
+
+    Parameters
+    ----------
+    name
+        Of its file, without ending.
+    section
+        Title of the section of the page it stands in.
+    figure
+        The figure.
+    alt
+        What it shows, for those who do not see it.
+    caption
+        How to read it.
+    """
+
+    name: str
+    section: str
+    figure: Figure
+    alt: str
+    caption: str
+
+
+def pictures(
+    outcome: Outcome, name: str, rrs: Sequence[ArrayLike] = (), rrs_at: Sequence[int] = ()
+) -> Iterator[Picture]:
+    """Draw what an outcome calls for.
+
+    Parameters
+    ----------
+    outcome
+        What is drawn.
+    name
+        Of the model, as people call it.
+    rrs, rrs_at
+        Some RRs to show beside the path of the gaze, and the frames they belong to.
+    """
+    if outcome.has_gaze:
+        yield _path(outcome, name, rrs, rrs_at)
+        yield _by_distance(outcome, name)
+    if _steps(outcome):
+        yield _by_image(outcome, name)
+        yield _map(outcome, name)
+    yield from _classes(outcome, name)
+    if outcome.quantities:
+        if _finite(outcome):
+            yield _coverage(outcome)
+        yield from _against(outcome, name)
+
+
+def _finite(outcome: Outcome) -> bool:
+    return bool(np.isfinite(outcome.prediction.lower).all() and np.isfinite(outcome.prediction.upper).all())
+
+
+def _steps(outcome: Outcome) -> bool:
+    """Whether focus is predicted and changes in steps, as in the paper's set."""
+    both = set(FOCUS) <= set(outcome.quantities)
+    return both and all(len(np.unique(outcome.truth[name])) <= _STEPS for name in FOCUS)
+
+
+def path_section(outcome: Outcome, most: int = 120) -> tuple[int, int]:
+    """Return the frames of one recording to draw as a path: the stretch of them whose gaze goes farthest about."""
+    truth, _ = outcome.pair()
+    best, widest = (0, min(2, len(outcome))), -1.0
+    for number in np.unique(outcome.recording):
+        frames = np.flatnonzero(outcome.recording == number)
+        frames = frames[: np.flatnonzero(np.diff(frames, append=frames[-1] + 2) != 1)[0] + 1]
+        for start in range(0, max(1, len(frames) - most + 1), 15):
+            part = truth[frames[start : start + most]]
+            spread = float(np.prod(part.std(axis=0)))
+            if len(part) > 1 and spread > widest:
+                best, widest = (int(frames[start]), int(frames[start]) + len(part)), spread
+    return best
+
+
+def _path(outcome: Outcome, name: str, rrs: Sequence[ArrayLike], rrs_at: Sequence[int]) -> Picture:
+    truth, said = outcome.pair()
+    keep = [outcome.quantities.index(axis) for axis in ("gaze_x", "gaze_y")]
+    section = path_section(outcome)
+    figure = fig_path(
+        truth,
+        said,
+        lower=outcome.prediction.lower[:, keep],
+        upper=outcome.prediction.upper[:, keep],
+        recording=outcome.recording,
+        section=section,
+        rrs=rrs,
+        rrs_at=rrs_at,
+        name=name,
+    )
+    shown = f" Numbers: the {len(rrs)} retro-reflections on the left, each with its gaze." if len(rrs) else ""
+    count = len(np.unique(outcome.recording))
+    videos = "the recording" if count == 1 else f"{count} recordings, parted by dashed lines"
+    return Picture(
+        "path",
+        "Following the gaze",
+        figure,
+        f"The true path of the gaze and {name}'s estimates over {section[1] - section[0]} frames, and x and y of all "
+        f"{len(outcome)} test frames against their number.",
+        f"As the paper's Fig. 9. (a) {section[1] - section[0]} frames of one recording over the target's field of "
+        f"view. Band: the truth; dots: what {name} says from each frame alone, tied to its truth by a thin line; both "
+        f"coloured by the frame's number. (b, c) The same for all test frames of {videos}; the yellow stretch is the "
+        f"one in (a), triangles at the edge stand for estimates beyond the axes.{shown}",
+    )
+
+
+def _by_distance(outcome: Outcome, name: str) -> Picture:
+    truth, said = outcome.pair()
+    edges = np.linspace(0.0, max(float(np.hypot(*truth.T).max()), 1e-6) * 1.0001, 11)
+    rings = {name: error_by_distance(truth, said, edges=edges)}
+    if outcome.guess is not None:
+        guess = np.tile([outcome.guess["gaze_x"], outcome.guess["gaze_y"]], (len(truth), 1))
+        rings[MEAN] = error_by_distance(truth, guess, edges=edges)
+    known = rings[name].mae[np.isfinite(rings[name].mae)]
+    return Picture(
+        "error-over-field",
+        "Where the errors are",
+        fig_error_by_distance(rings, baseline=MEAN),
+        f"Mean absolute error in rings around the centre of the field: {known[0]:.3f} in the middle, "
+        f"{known[-1]:.3f} at the edge.",
+        "As the paper's Fig. 10: mean absolute error, over both axes, of frames whose laser stands so far from the "
+        "centre of the target's field. Grey: a guess that looks at no image. Bars: 95 % bootstrap intervals over "
+        "blocks of 15 neighbouring frames. Below: how many frames each ring holds.",
+    )
+
+
+def _by_image(outcome: Outcome, name: str) -> Picture:
+    said = outcome.prediction
+    ends = {q: (said.lower[:, k], said.upper[:, k]) for k, q in enumerate(outcome.quantities)}
+    truth = {quantity: outcome.truth[quantity] for quantity in FOCUS}
+    return Picture(
+        "by-image",
+        "Focus by test image",
+        fig_by_image(truth, {name: {quantity: said[quantity] for quantity in FOCUS}}, interval=ends),
+        f"{name}'s estimates of object distance and focal length for {len(outcome)} test images, with the truth in "
+        "steps.",
+        "As the paper's Fig. 11. The test images are sorted by their true object distance, and within each by their "
+        "true focal length: the black lines. Dots: the estimate from each image alone; shaded: its 90 % interval.",
+    )
+
+
+def _map(outcome: Outcome, name: str) -> Picture:
+    maps = {quantity: error_map(outcome, quantity) for quantity in FOCUS}
+    return Picture(
+        "error-map",
+        "Where the errors are",
+        fig_error_map({name: maps}),
+        "Mean absolute error of object distance and of focal length for each pair of true values.",
+        "As the paper's Fig. 12: mean absolute error of object distance (above) and focal length (below) for each true "
+        "object distance and focal length. A lens of short focal length has a large depth of field: there the light "
+        "hardly tells how far away it is focused.",
+    )
+
+
+def _classes(outcome: Outcome, name: str) -> Iterator[Picture]:
+    scores = score_classes(outcome)
+    if scores is None:
+        return
+    yield Picture(
+        "confusion",
+        "Devices",
+        fig_confusion(scores.confusion, scores.names),
+        f"Which device was taken for which: {scores.top_1:.1%} of {scores.count} frames are right.",
+        "A row for each true device, a column for what the model said: all on the diagonal would be perfect. Numbers "
+        "are frames, colours the share of the row. The likeliest device counts, however sure the model was.",
+    )
+    yield Picture(
+        "reliability",
+        "Devices",
+        fig_reliability({name: scores.reliability}),
+        f"Share told right against the probability given; expected calibration error {scores.reliability.error:.3f}.",
+        f"Frames are sorted by the probability of their likeliest device into {len(scores.reliability.count)} bins of "
+        "equal numbers. On the dashed line a model is right as often as it says. The expected calibration error is the "
+        "mean distance from that line. Bars: 95 % Wilson intervals that take frames for independent; neighbours in a "
+        "video are not, so they are too short.",
+    )
+
+
+def _coverage(outcome: Outcome) -> Picture:
+    everything = group(outcome, "all test frames", np.ones(len(outcome), dtype=bool))
+    parts = {"": [everything], "by recording": by_recording(outcome), "by signal over noise": by_snr(outcome)}
+    devices = by_device(outcome)
+    if len(devices) > 1 and [one.name for one in devices] != [one.name for one in parts["by recording"]]:
+        parts["by device"] = devices
+    if len(parts["by recording"]) == 1:
+        del parts["by recording"]
+    return Picture(
+        "coverage",
+        "Intervals",
+        fig_coverage(parts, outcome.quantities),
+        "Share of true values inside the 90 % intervals: "
+        + ", ".join(f"{q} {c:.1%}" for q, c in zip(outcome.quantities, everything.coverage, strict=True))
+        + ".",
+        "How often the truth lies inside the model's interval, which is meant to be 90 % of the time. The number of "
+        "frames stands in brackets. Neighbouring frames err alike, so the share in one recording scatters more than "
+        "that number suggests.",
+    )
+
+
+def _against(outcome: Outcome, name: str) -> Iterator[Picture]:
+    """Draw the error against SNR and whatever else is known of the frames."""
+    error, base, label = _error(outcome)
+    known: dict[str, tuple[NDArray[np.float64], str]] = {"SNR": (outcome.snr, "signal-to-noise ratio of the crop")}
+    known |= {key: (values, f"{key}, {COVARIATES.get(key, '')}") for key, values in outcome.covariates.items()}
+    for key, (values, text) in known.items():
+        if len(np.unique(values)) < 2:
+            continue
+        curves = {name: binned_errors(values, error)}
+        if base is not None:
+            curves[MEAN] = binned_errors(values, base)
+        low, high = curves[name].mean[0], curves[name].mean[-1]
+        ends = curves[name].x
+        wide = float(values.min()) > 0 and bool(ends[-1] > 6 * ends[0])
+        yield Picture(
+            f"error-by-{key.lower()}",
+            "What the error hangs on",
+            fig_error_by(curves, x=text, y=label, baseline=MEAN, log_x=wide),
+            f"Mean error against {key}: {low:.3g} where it is least, {high:.3g} where it is most.",
+            f"Mean error of frames by their {text.split(',')[0]}, in bins. Bars: 95 % "
+            "bootstrap intervals over blocks of 15 neighbouring frames. It shows what goes together, not what causes "
+            "what: faint frames may be faint because the gaze is far off.",
+        )
+
+
+def _error(outcome: Outcome) -> tuple[NDArray[np.float64], NDArray[np.float64] | None, str]:
+    """Return one absolute error a frame, the guess', and its label; of several units, in parts of the guess' error."""
+    off = np.abs(outcome.prediction.value - outcome.targets)
+    base = outcome.baseline
+    guess = None if base is None else np.abs(base - outcome.targets)
+    units = {look(quantity).unit for quantity in outcome.quantities}
+    if len(units) == 1:
+        scale = look(outcome.quantities[0]).scale
+        unit = look(outcome.quantities[0]).unit
+        return scale * off.mean(axis=1), None if guess is None else scale * guess.mean(axis=1), f"MAE, {unit}"
+    # Metres of object distance and of focal length have no common measure but how much each varies.
+    each = outcome.targets.std(axis=0) if guess is None else guess.mean(axis=0)
+    each = np.maximum(each, np.finfo(float).tiny)
+    label = "MAE over the labels' deviation" if guess is None else f"MAE over that of {MEAN}"
+    return (off / each).mean(axis=1), None if guess is None else (guess / each).mean(axis=1), label

@@ -1,0 +1,297 @@
+"""The numbers of an evaluation: errors, what the intervals hold, classes; all and by part."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.errors import InputError
+from tapetum.models.prediction import COVERAGE, NONE_OF_THESE
+from tapetum.report.evaluation.classes import (
+    Reliability,
+    brier_score,
+    confusion,
+    novelty_auroc,
+    reliability,
+    top_1,
+)
+from tapetum.report.evaluation.outcome import Outcome
+from tapetum.report.metrics import coverage, mae, rmse, score_gaze
+
+__all__ = [
+    "ClassScores",
+    "ErrorMap",
+    "Group",
+    "by_device",
+    "by_recording",
+    "by_snr",
+    "error_map",
+    "score",
+    "score_classes",
+]
+
+QUARTERS = 4
+
+
+@dataclass(frozen=True)
+class Group:
+    """Some of the frames, and how the model did there.
+
+    Parameters
+    ----------
+    name
+        As a reader knows them.
+    count
+        Frames.
+    mae, rmse, coverage
+        One for each quantity, in the outcome's order; coverage is the share of truths inside the intervals.
+    """
+
+    name: str
+    count: int
+    mae: tuple[float, ...]
+    rmse: tuple[float, ...]
+    coverage: tuple[float, ...]
+
+    def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
+        """Return plain numbers, by quantity."""
+        parts = {key: dict(zip(names, getattr(self, key), strict=True)) for key in ("mae", "rmse", "coverage")}
+        return {"name": self.name, "frames": self.count, **parts}
+
+
+def group(outcome: Outcome, name: str, frames: NDArray[np.bool_]) -> Group:
+    """Score the frames of a mask [N]."""
+    truth, said = outcome.targets[frames], outcome.prediction
+    held = coverage(truth, said.lower[frames], said.upper[frames])
+    errors = mae(truth, said.value[frames]), rmse(truth, said.value[frames])
+    told = [tuple(float(value) for value in column) for column in (*errors, held)]
+    return Group(name, int(frames.sum()), told[0], told[1], told[2])
+
+
+def by_recording(outcome: Outcome) -> list[Group]:
+    """Score every recording by itself."""
+    numbers = np.unique(outcome.recording)
+    return [group(outcome, outcome.recordings[int(n)], outcome.recording == n) for n in numbers]
+
+
+def by_device(outcome: Outcome) -> list[Group]:
+    """Score the frames of every device by themselves (the paper's Table 2); none where devices are not told."""
+    if outcome.device is None:
+        return []
+    told = np.array(outcome.device)
+    return [group(outcome, str(name), told == name) for name in np.unique(told)]
+
+
+def by_snr(outcome: Outcome, parts: int = QUARTERS) -> list[Group]:
+    """Score quarters of equal numbers of frames, from the faintest to the brightest."""
+    edges = np.quantile(outcome.snr, np.arange(1, parts) / parts)
+    place = np.searchsorted(edges, outcome.snr, side="right")
+    found: list[Group] = []
+    for k in np.unique(place):
+        inside = place == k
+        ends = (float(outcome.snr[inside].min()), float(outcome.snr[inside].max()))
+        low, high = (f"{end:.0f}" if end >= 10 else f"{end:.2g}" for end in ends)
+        found.append(group(outcome, f"SNR {low} – {high}", inside))
+    return found
+
+
+@dataclass(frozen=True)
+class ClassScores:
+    """How well devices were told apart, among the frames of known ones.
+
+    Parameters
+    ----------
+    names
+        C classes.
+    count
+        Frames of known devices.
+    top_1
+        Share of them whose likeliest class is the true one, whatever the novelty.
+    baseline
+        The same for always saying the commonest class of the training part; None where that is unknown.
+    confusion
+        [C, C] frames by true (row) and likeliest (column) class.
+    reliability
+        Of the likeliest class' probability.
+    brier
+        Mean squared distance of the probabilities from the truth.
+    told_none
+        Share of them taken for `NONE_OF_THESE`.
+    unknown
+        Frames of devices that the model does not know.
+    unknown_told_none
+        Share of those taken for `NONE_OF_THESE`; None without any.
+    auroc
+        How well novelty tells unknown from known; None without unknown ones.
+    """
+
+    names: tuple[str, ...]
+    count: int
+    top_1: float
+    baseline: float | None
+    confusion: NDArray[np.int64]
+    reliability: Reliability
+    brier: float
+    told_none: float
+    unknown: int
+    unknown_told_none: float | None
+    auroc: float | None
+
+    @property
+    def recall(self) -> list[float | None]:
+        """Share told right of the frames of each class; None where a class has none."""
+        frames, right = self.confusion.sum(axis=1), np.diag(self.confusion)
+        return [float(r / n) if n else None for r, n in zip(right, frames, strict=True)]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return plain numbers, fit for JSON."""
+        rows = zip(self.names, self.confusion.sum(axis=1).tolist(), self.recall, strict=True)
+        bins = {name: values.tolist() for name, values in asdict(self.reliability).items()}
+        return {
+            "frames": self.count,
+            "top_1": self.top_1,
+            "baseline_top_1": self.baseline,
+            "expected_calibration_error": self.reliability.error,
+            "calibration_bins": f"{len(self.reliability.count)} of equal numbers of frames",
+            "brier": self.brier,
+            "told_none_of_these": self.told_none,
+            "unknown": {"frames": self.unknown, "told_none_of_these": self.unknown_told_none, "auroc": self.auroc},
+            "per_class": [{"name": name, "frames": frames, "recall": share} for name, frames, share in rows],
+            "confusion": self.confusion.tolist(),
+            "reliability": bins,
+        }
+
+
+def score_classes(outcome: Outcome) -> ClassScores | None:
+    """Score the classes; None where the model knows none, or the dataset does not tell the devices.
+
+    Raises
+    ------
+    InputError
+        When the model knows none of the dataset's devices.
+    """
+    said = outcome.prediction
+    if said.probability is None or outcome.device is None:
+        return None
+    truth = np.array(outcome.device)
+    known = np.isin(truth, said.classes)
+    if not known.any():
+        what = f"shows none of the devices that the model knows ({', '.join(said.classes)})"
+        raise InputError(what, where=outcome.dataset, remedy="add recordings of some of them")
+    likeliest = np.array(said.classes)[said.probability.argmax(axis=1)]
+    none = np.array(said.device) == NONE_OF_THESE
+    own, told = truth[known].tolist(), likeliest[known].tolist()
+    guess = outcome.commonest
+    return ClassScores(
+        names=said.classes,
+        count=int(known.sum()),
+        top_1=top_1(own, told),
+        baseline=None if guess is None else top_1(own, [guess] * len(own)),
+        confusion=confusion(own, told, said.classes),
+        reliability=reliability(said.device_probability[known], truth[known] == likeliest[known]),
+        brier=brier_score(said.probability[known], own, said.classes),
+        told_none=float(none[known].mean()),
+        unknown=int((~known).sum()),
+        unknown_told_none=None if known.all() else float(none[~known].mean()),
+        auroc=None if said.novelty is None else novelty_auroc(said.novelty, ~known),
+    )
+
+
+@dataclass(frozen=True)
+class ErrorMap:
+    """Mean absolute error of one quantity over two true labels (the paper's Fig. 12).
+
+    Parameters
+    ----------
+    x, y
+        [X], [Y] values of the labels, rising.
+    mae
+        [Y, X]; NaN where there is no frame.
+    count
+        [Y, X] frames.
+    """
+
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    mae: NDArray[np.float64]
+    count: NDArray[np.int64]
+
+
+def error_map(outcome: Outcome, quantity: str, x: str = "object_distance", y: str = "focal_length") -> ErrorMap:
+    """Average a quantity's absolute error for each pair of values of two labels.
+
+    Raises
+    ------
+    InputError
+        When a label is not predicted, or takes too many values for a map.
+    """
+    for name in (quantity, x, y):
+        if name not in outcome.truth:
+            raise InputError("is not among the labels predicted", where=name)
+    across, column = np.unique(outcome.truth[x], return_inverse=True)
+    down, row = np.unique(outcome.truth[y], return_inverse=True)
+    if max(len(across), len(down)) > 30:
+        what = f"takes {max(len(across), len(down))} values: too many for a map"
+        raise InputError(what, where=x if len(across) > 30 else y, remedy="use labels that change in steps")
+    total, count = np.zeros((len(down), len(across))), np.zeros((len(down), len(across)), dtype=np.int64)
+    np.add.at(total, (row, column), np.abs(outcome.prediction[quantity] - outcome.truth[quantity]))
+    np.add.at(count, (row, column), 1)
+    return ErrorMap(across, down, np.divide(total, count, out=np.full(total.shape, np.nan), where=count > 0), count)
+
+
+def score(outcome: Outcome) -> dict[str, Any]:
+    """Return every number of an evaluation, fit for JSON.
+
+    Returns
+    -------
+    dict
+        `frames`; `simulation`; `targets`, by label: `mae`, `rmse`, `baseline_mae`, `baseline_rmse` (None where nothing
+        trains), `coverage`, the share of truths inside the model's 90 % intervals, and `interval`, their median
+        half-width (None where infinite), all in the label's own unit; `gaze` (see `GazeScores`) and `baseline_gaze`
+        where both coordinates are predicted; `classes` where devices are (see `ClassScores`); `recordings`, `snr` and
+        `devices`: the same by part.
+
+    Raises
+    ------
+    InputError
+        When the model knows none of the dataset's devices.
+    """
+    names = outcome.quantities
+    told: dict[str, Any] = {"frames": len(outcome), "simulation": outcome.simulated, "targets": _targets(outcome)}
+    if outcome.has_gaze:
+        truth, said = outcome.pair()
+        told["gaze"] = score_gaze(truth, said).to_dict()
+        base = outcome.guess
+        if base is not None:
+            guess = np.tile([base["gaze_x"], base["gaze_y"]], (len(outcome), 1))
+            told["baseline_gaze"] = score_gaze(truth, guess).to_dict()
+    classes = score_classes(outcome)
+    if classes is not None:
+        told["classes"] = classes.to_dict()
+    if names:
+        held = [target["coverage"] for target in told["targets"].values()]
+        told["coverage"] = {"wanted": COVERAGE, "all": float(np.mean(held))}
+        parts = {"recordings": by_recording(outcome), "snr": by_snr(outcome), "devices": by_device(outcome)}
+        told |= {key: [one.to_dict(names) for one in found] for key, found in parts.items() if found}
+    return told
+
+
+def _targets(outcome: Outcome) -> dict[str, dict[str, float | None]]:
+    said, base = outcome.prediction, outcome.baseline
+    found: dict[str, dict[str, float | None]] = {}
+    for k, name in enumerate(outcome.quantities):
+        truth = outcome.truth[name]
+        half = float(np.median((said.upper[:, k] - said.lower[:, k]) / 2))
+        found[name] = {
+            "mae": float(mae(truth, said.value[:, k])),
+            "rmse": float(rmse(truth, said.value[:, k])),
+            "baseline_mae": None if base is None else float(mae(truth, base[:, k])),
+            "baseline_rmse": None if base is None else float(rmse(truth, base[:, k])),
+            "coverage": float(coverage(truth, said.lower[:, k], said.upper[:, k])),
+            "interval": half if np.isfinite(half) else None,
+        }
+    return found

@@ -1,0 +1,223 @@
+"""The report of an evaluation: a folder with a page that stands alone, the numbers, and the figures."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from tapetum.data.crop import crop
+from tapetum.files import atomic_folder
+from tapetum.models import Estimator
+from tapetum.progress import Progress, quiet
+from tapetum.report import html
+from tapetum.report.evaluation import sections as part
+from tapetum.report.evaluation.outcome import Outcome
+from tapetum.report.evaluation.pictures import Picture, path_section, pictures
+from tapetum.report.evaluation.scores import score
+from tapetum.report.figures import figure_png
+
+__all__ = ["FORMAT", "NUMBERS", "PAGE", "Subject", "samples", "subject_of", "write_evaluation"]
+
+FORMAT, VERSION = "tapetum-evaluation", 1
+PAGE, NUMBERS = "report.html", "numbers.json"
+_NAMES = {"zernike": "Zernike + ridge", "resnet18": "ResNet-18", "simulation": "Fit by simulation"}
+_SAMPLE_SIDE = 200
+_ORDER = (
+    "Following the gaze",
+    "Focus by test image",
+    "Devices",
+    "Where the errors are",
+    "Intervals",
+    "What the error hangs on",
+)
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What was evaluated on what, in words.
+
+    Parameters
+    ----------
+    name
+        Of the model, as people call it.
+    model, data
+        (name, value) of the model and of the dataset.
+    command
+        That makes the report again.
+    """
+
+    name: str
+    model: Sequence[tuple[str, str]] = ()
+    data: Sequence[tuple[str, str]] = ()
+    command: str = ""
+    card: Mapping[str, Any] = field(default_factory=dict)
+
+
+def subject_of(
+    model: Estimator, dataset: xr.Dataset, *, model_name: str = "", card: Mapping[str, Any] | None = None
+) -> Subject:
+    """Say what model and what data an evaluation is about.
+
+    Parameters
+    ----------
+    model
+        Fitted.
+    dataset
+        Whole.
+    model_name
+        The folder or name it was loaded by.
+    card
+        Of the model, where there is one.
+    """
+    kind = _NAMES.get(model.kind, model.kind)
+    own = dataset.attrs.get("sha256")
+    if model.data_hash_ is None:
+        learned = "not known"
+    elif model.data_hash_ == own:
+        learned = "the training part of this dataset"
+    else:
+        learned = f"another dataset, SHA-256 {model.data_hash_[:16]}…"
+    settings = ", ".join(f"{key} {value}" for key, value in model.parameters().items() if key != "target")
+    facts = [
+        ("kind", kind),
+        *([("name", model_name)] if model_name else []),
+        ("estimates", ", ".join(model.target_names)),
+        ("learned from", learned),
+        ("settings", settings),
+    ]
+    told = dict(card or {})
+    notes = told.get("notes")
+    if notes:
+        words = notes if isinstance(notes, str) else ", ".join(f"{key}: {value}" for key, value in notes.items())
+        facts.append(("notes", words))
+    versions = told.get("versions")
+    if isinstance(versions, Mapping):
+        facts.append(("made with", ", ".join(f"{key} {value}" for key, value in versions.items())))
+    return Subject(kind, facts, _data_facts(dataset), card=told)
+
+
+def _data_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
+    test, train = (int(one.sizes["frame"]) for one in (dataset.tp.test, dataset.tp.train))
+    facts = [
+        ("dataset", str(dataset.encoding.get("source", "in memory"))),
+        ("frames", f"{test} to test, {train} to train"),
+        ("recordings", str(len(np.unique(dataset["recording"].values)))),
+        ("crops", f"{dataset.tp.side} × {dataset.tp.side} pixels, full scale {dataset.tp.full_scale:g}"),
+        ("labels", ", ".join(dataset.tp.targets) or "not named"),
+    ]
+    synth = dataset.attrs.get("synth")
+    if isinstance(synth, Mapping):
+        made = f"tapetum dataset synth {synth.get('kind')} --size {synth.get('size')} --seed {synth.get('seed')}"
+        facts.append(("filmed by", f"the virtual bench: `{made}`"))
+    if "sha256" in dataset.attrs:
+        facts.append(("SHA-256", str(dataset.attrs["sha256"])))
+    return facts
+
+
+def samples(outcome: Outcome, dataset: xr.Dataset, count: int = 3) -> tuple[list[NDArray[np.generic]], list[int]]:
+    """Return some RRs of the path's section, from the highest gaze to the lowest, and their places in the outcome."""
+    if not outcome.has_gaze:
+        return [], []
+    begin, end = path_section(outcome)
+    order = begin + np.argsort(outcome.truth["gaze_y"][begin:end], kind="stable")
+    chosen = sorted({int(order[k]) for k in np.linspace(0, len(order) - 1, min(count, len(order))).round().astype(int)})
+    chosen.sort(key=lambda frame: outcome.truth["gaze_y"][frame])
+    test = dataset.tp.test
+    side = min(_SAMPLE_SIDE, test.tp.side)
+    middle = ((test.tp.side - 1) / 2, (test.tp.side - 1) / 2)
+    return [crop(np.asarray(test["image"].isel(frame=frame).values), middle, side) for frame in chosen], chosen
+
+
+def write_evaluation(
+    out: Path,
+    outcome: Outcome,
+    subject: Subject,
+    *,
+    rrs: Sequence[NDArray[np.generic]] = (),
+    rrs_at: Sequence[int] = (),
+    overwrite: bool = False,
+    progress: Progress = quiet,
+) -> dict[str, Any]:
+    """Write the report of an evaluation into a folder, whole or not at all.
+
+    Parameters
+    ----------
+    out
+        The folder: report.html, numbers.json, and every figure as a PNG.
+    outcome, subject
+        What is reported.
+    rrs, rrs_at
+        See `samples`.
+    overwrite
+        Replace a folder that is there already.
+    progress
+        Shown over the figures.
+
+    Returns
+    -------
+    dict
+        The numbers.
+
+    Raises
+    ------
+    InputError
+        When the folder exists or cannot be written.
+    """
+    numbers = {"format": FORMAT, "version": VERSION, **_heading(outcome, subject), **score(outcome)}
+    drawn: list[tuple[Picture, bytes]] = []
+    with atomic_folder(out, overwrite=overwrite) as folder:
+        for picture in progress(pictures(outcome, subject.name, rrs, rrs_at), "drawing the figures"):
+            data = figure_png(picture.figure)
+            (folder / f"{picture.name}.png").write_bytes(data)
+            drawn.append((picture, data))
+        text = json.dumps(numbers, indent=1, allow_nan=False) + "\n"
+        (folder / NUMBERS).write_text(text, encoding="utf-8")
+        (folder / PAGE).write_text(_page(outcome, subject, numbers, drawn), encoding="utf-8")
+    return numbers
+
+
+def _shown(picture: Picture, data: bytes) -> html.Html:
+    """Return a picture that is drawn already, at the size it was designed for: drawing is what takes the time."""
+    text = html.figure(data, alt=picture.alt, caption=picture.caption)
+    return html.Html(text.replace("<img", f'<img width="{round(picture.figure.get_figwidth() * 96)}"', 1))
+
+
+def _heading(outcome: Outcome, subject: Subject) -> dict[str, Any]:
+    return {"model": dict(subject.model), "dataset": {"name": outcome.dataset, **dict(subject.data)}}
+
+
+def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: list[tuple[Picture, bytes]]) -> str:
+    bodies: dict[str, list[html.Html]] = {title: [] for title in ("Results", *_ORDER)}
+    bodies["Results"].append(part.everything(numbers, subject.name))
+    table = part.devices(outcome)
+    if table is not None:
+        bodies["Devices"].append(table)
+    for picture, data in drawn:
+        bodies[picture.section].append(_shown(picture, data))
+    tables = part.parts(outcome)
+    if tables is not None:
+        bodies["Intervals"].append(html.details("By recording and by signal over noise, in numbers", tables))
+    bodies["How far to trust it"] = [part.reading(outcome)]
+    bodies["Model and data"] = [
+        html.facts(subject.model, caption="The model."),
+        html.facts(subject.data, caption="The data."),
+    ]
+    present = [(title, html.join(pieces)) for title, pieces in bodies.items() if any(pieces)]
+    kind = "Simulation: the virtual bench filmed these frames. " if outcome.simulated else ""
+    made = f"Made by `{subject.command}`. " if subject.command else ""
+    return html.page(
+        f"{subject.name} on {outcome.dataset}",
+        part.opening(numbers, subject.name),
+        *(html.section(title, body) for title, body in present),
+        subtitle=f"{kind}What the model says of {len(outcome)} frames that it has not learned from, beside the truth.",
+        contents=[title for title, _ in present],
+        footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file stands alone: it "
+        "asks nothing of any network.",
+    )

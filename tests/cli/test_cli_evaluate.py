@@ -1,0 +1,60 @@
+"""`tapetum evaluate`: the report, the numbers, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+
+from tapetum.record.recording import open_recording
+
+
+def test_writes_a_report_and_never_over_what_is_dear(run, chain, tmp_path: Path) -> None:
+    out = tmp_path / "report"
+    ran = run("evaluate", chain.model, chain.dataset, "-o", out)
+    assert ran.code == 0 and "4 test frames" in ran.out and f"wrote {out}" in ran.out
+    page = (out / "report.html").read_text()
+    assert "Zernike + ridge on spot.zarr" in page and "the training part of this dataset" in page
+    assert {"path.png", "numbers.json", "error-over-field.png"} <= {path.name for path in out.iterdir()}
+    numbers = json.loads((out / "numbers.json").read_text())
+    printed = json.loads(run("evaluate", chain.model, chain.dataset, "--json").out)
+    assert {key: numbers[key] for key in printed} == printed
+    again = run("evaluate", chain.model, chain.dataset, "-o", out)
+    assert again.code == 2 and "pass --overwrite" in again.complaint
+    assert run("evaluate", chain.model, chain.dataset, "-o", out, "--overwrite").code == 0
+    dear = tmp_path / "dear"
+    dear.mkdir()
+    (dear / "letter").write_text("dear")
+    ran = run("evaluate", chain.model, chain.dataset, "-o", dear, "--overwrite")
+    assert ran.code == 2 and "may be replaced" in ran.complaint and (dear / "letter").exists()
+    ran = run("evaluate", chain.model, chain.dataset, "-o", tmp_path / "r.html")
+    assert ran.code == 2 and "name a folder" in ran.complaint
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["dear", "report"]
+
+
+def test_an_interrupted_report_leaves_nothing(run, chain, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def stop(*_: object, **__: object) -> bytes:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tapetum.report.evaluation.write.figure_png", stop)
+    ran = run("evaluate", chain.model, chain.dataset, "-o", tmp_path / "deep" / "report")
+    assert ran.code == 130 and not list(tmp_path.iterdir())
+
+
+def test_a_dataset_of_other_labels_or_smaller_crops(run, chain, tmp_path: Path) -> None:
+    import shutil
+
+    recording, other, little = tmp_path / "a.rec", tmp_path / "other.zarr", tmp_path / "little.zarr"
+    shutil.copytree(chain.recording, recording)
+    table = {"frame": pa.array(range(20), pa.int64()), "focal_length": np.linspace(0.05, 0.1, 20)}
+    open_recording(recording).write_labels(pa.table({**table, "how": ["by hand"] * 20, "quality": np.ones(20)}))
+    assert run("dataset", "build", recording, "-o", other).code == 0
+    ran = run("evaluate", chain.model, other, "-o", tmp_path / "report")
+    assert ran.code == 2 and "has no label gaze_x; it has: focal_length" in ran.err.splitlines()[-1]
+    assert run("dataset", "build", chain.recording, "-o", little, "--side", 100).code == 0
+    ran = run("evaluate", chain.model, little, "-o", tmp_path / "report")
+    assert ran.code == 2 and "400 pixels does not fit crops of 100" in ran.err.splitlines()[-1]
+    assert not (tmp_path / "report").exists() and "Traceback" not in ran.err
