@@ -19,10 +19,10 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
     """Figures of nothing: the real ones are tested with the report."""
 
     def maker(name: str) -> Any:
-        return lambda progress, size: (
+        return lambda work: (
             new_figure(1, 1),
             f"# {name}\n",
-            {"measured": len(list(progress(range(3), name))), "size": size},
+            {"measured": len(list(work.progress(range(3), name))), "size": work.size, "kept": str(work.folder)},
         )
 
     for name in FIGURES:
@@ -59,7 +59,10 @@ def test_all_figures_as_json(run, tmp_path: Path, quick, which: list[str]) -> No
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (["fig9", "-o", "out"], "use one of fig4, fig5, fig6, fig7, fig8, all"),
+        (
+            ["fig3", "-o", "out"],
+            "use one of fig4, fig5, fig6, fig7, fig8, fig9, fig10, fig11, fig12, table1, table2, ablations",
+        ),
         (["fig7", "-o", "out", "--size", "large"], "use one of small, paper"),
         (["fig4"], "Missing option"),
         (["fig4", "-o", "f"], "f:"),

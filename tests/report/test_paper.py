@@ -242,7 +242,7 @@ def test_figures_and_pages_of_samples(turned: list[Sample], fig8: Fig8) -> None:
 def test_files_of_a_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fig6: Fig6) -> None:
     made: list[str] = []
 
-    def small(progress: object, size: str) -> tuple[object, str, dict[str, object]]:
+    def small(work: object) -> tuple[object, str, dict[str, object]]:
         made.append("fig6")
         return draw_fig6(fig6), text_fig6(fig6), fig6.numbers()
 
@@ -255,8 +255,8 @@ def test_files_of_a_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fig6
 
 
 def test_refusals(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="fig9"):
-        reproduce(["fig9"], tmp_path)
+    with pytest.raises(InputError, match="fig3"):
+        reproduce(["fig3"], tmp_path)
     with pytest.raises(InputError, match="large"):
         reproduce(["fig7"], tmp_path, size="large")
     with pytest.raises(InputError, match="none"):

@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import re
-import textwrap
-from collections.abc import Iterable, Sequence
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,6 +12,7 @@ from tapetum.report.paper.fig7 import AT, GAZE, Fig7, Sample
 from tapetum.report.paper.fig8 import GAZE as PHONE_GAZE
 from tapetum.report.paper.fig8 import Fig8
 from tapetum.report.paper.measure import PowerLaw
+from tapetum.report.paper.page import filled, table_of
 
 __all__ = ["text_fig4", "text_fig5", "text_fig6", "text_fig7", "text_fig8"]
 
@@ -45,7 +42,7 @@ def text_fig4(found: Fig4) -> str:
         "up/down (%), 0.5°",
         "1°",
     )
-    table = _table(names, rows)
+    table = table_of(names, rows)
     first = focal[0] / 1e3
     turned = [found.row(first, x_d, ROTATIONS[-1]) for x_d in DISTANCES]
     windows = ", ".join(f"{1e3 * width:g}" for width in found.windows)
@@ -55,7 +52,7 @@ def text_fig4(found: Fig4) -> str:
     focused = ", ".join(f"{x_d:g}" for x_d in DISTANCES)
     side = found.images.shape[-1]
     least, most = (edge(row["return_radius_at_probe_mm"] for row in found.rows) for edge in (min, max))
-    return _filled(f"""# Fig. 4: a thin lens, turned and refocused
+    return filled(f"""# Fig. 4: a thin lens, turned and refocused
 
 ![Retro-reflections of three thin lenses, turned and refocused](fig4.png)
 
@@ -127,7 +124,7 @@ def text_fig5(found: Fig5) -> str:
     times = [_fold(one.diameter) for one in found.strips]
     beyond = [_fold(one.diameter[from_middle]) for one in found.strips]
     disc = 1e3 * LENS["aperture_radius"] * 0.2 / first
-    return _filled(f"""# Fig. 5: head-on, from {first:g} to {last:g} m
+    return filled(f"""# Fig. 5: head-on, from {first:g} to {last:g} m
 
 ![Frames, summed signal and size of a head-on retro-reflection over the distance](fig5.png)
 
@@ -141,7 +138,7 @@ row has one exposure for all distances, chosen so that its brightest pixel is fi
 0.5 m neither. The noise floor is 5 standard deviations of the dark mean frame, {strip.floor:.1f} e⁻. Each exponent
 is a straight line through {points} points in logarithms; ± is its standard error from the residuals.
 
-{_table(names, rows)}
+{table_of(names, rows)}
 
 - **Intensity**: the light that comes back follows 1/d², as the beam's area says: see *all light*. What is *above a
   fixed floor* falls faster, for the outer rings of a dim RR drop below it; that error is systematic, and the ± does
@@ -194,7 +191,7 @@ def text_fig6(found: Fig6) -> str:
         "mirror/cardboard, peak",
         "power",
     )
-    return _filled(f"""# Fig. 6: a mirror, white cardboard, and a filter
+    return filled(f"""# Fig. 6: a mirror, white cardboard, and a filter
 
 ![Retro-reflections of a mirror, of cardboard and of a filter over the distance](fig6.png)
 
@@ -208,7 +205,7 @@ cardboard with an albedo of 0.8 and no mirror image, Lambertian, which carries l
 sideways. Images are expected irradiance: no noise and no speckle, which a laser on real cardboard has. The size is
 the diameter of the even disc that would hold half of its light in the same circle.
 
-{_table(names, rows)}
+{table_of(names, rows)}
 
 Fitted size ∝ dⁿ: cardboard n = {laws[0]}, filter {laws[1]}, mirror {laws[2]}, mirror in a flat wave {laws[3]}.
 
@@ -242,7 +239,7 @@ def text_fig7(found: Fig7) -> str:
     lengths = [one.row["diameter_um"] for one in found.focal_lengths if not one.refused]
     tall = [one.row["width_y_um"] / one.row["width_x_um"] for one in found.rotation if not one.refused]
     tables = "\n\n".join(
-        _table(
+        table_of(
             (
                 f"({letter})",
                 "tilt (°)",
@@ -258,7 +255,7 @@ def text_fig7(found: Fig7) -> str:
         )
         for letter, row in found.rows()
     )
-    return _filled(f"""# Fig. 7: samples of Rotation and Focusing
+    return filled(f"""# Fig. 7: samples of Rotation and Focusing
 
 ![Simulated retro-reflections of a turning, a refocused and a zoomed camera](fig7.png)
 
@@ -314,7 +311,7 @@ def text_fig8(found: Fig8) -> str:
     gaze = ", ".join(f"{part:g}" for part in PHONE_GAZE)
     flashes = [one.row["flash_electrons"] for one in found.opened if "flash_electrons" in one.row]
     least, most = (min(flashes), max(flashes)) if flashes else (0.0, 0.0)
-    return _filled(f"""# Fig. 8: one picture of each phone
+    return filled(f"""# Fig. 8: one picture of each phone
 
 ![Simulated retro-reflections of eleven phones, with the camera app open and shut](fig8.png)
 
@@ -327,7 +324,7 @@ app is toggled.
 Scene `phones`: 785 nm, 5.5 m, the probe at ({gaze}) of the main camera's field. Frames with their noise, cut out as a
 dataset does.{left_out}
 
-{_table(names, rows)}
+{table_of(names, rows)}
 
 *Seen*: cameras whose return is above three times the dark noise of a pixel. *Disc*: diameter of the even disc that
 would hold half of its light in the same circle, of the brightest return, second beam included; the probe's aperture
@@ -369,22 +366,3 @@ def _fold(values: NDArray[np.float64]) -> float:
 
 def _fitted(law: PowerLaw) -> str:
     return f"{law.exponent:.3f} ± {law.error:.3f}".replace("-0.000", "0.000").replace("-", "−")
-
-
-def _table(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [names, ["---"] * len(names), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
-
-
-def _filled(page: str) -> str:
-    """Break a page's paragraphs and points at one width; headings, pictures and tables stay as they are."""
-    done: list[str] = []
-    for block in page.strip().split("\n\n"):
-        if block[0] in "#!|":
-            done.append(block)
-            continue
-        points = [" ".join(point.split()) for point in re.split(r"\n(?=- )", block)]
-        indent = "  " if block.startswith("- ") else ""
-        fill = textwrap.TextWrapper(120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False).fill
-        done.append("\n".join(fill(point) for point in points))
-    return "\n\n".join(done) + "\n"

@@ -1,10 +1,10 @@
-"""Make the paper's figures and write them into a folder: a picture, the text beside it, and the numbers."""
+"""Make the paper's figures and tables and write them into a folder: a picture, the text beside it, and the numbers."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,66 +15,148 @@ from tapetum.files import atomic_file, told_when_full
 from tapetum.progress import Progress, quiet
 from tapetum.report.figures import save_figure
 from tapetum.report.figures.paper import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
+from tapetum.report.paper.beyond import ablations, fresh, unseen, untrained
+from tapetum.report.paper.beyond_text import text_ablations, text_fit, text_fresh, text_unseen
 from tapetum.report.paper.fig4 import DISTANCES, FOCAL_LENGTHS, ROTATIONS, simulate_fig4
 from tapetum.report.paper.fig5 import simulate_fig5
 from tapetum.report.paper.fig6 import simulate_fig6
 from tapetum.report.paper.fig7 import simulate_fig7
 from tapetum.report.paper.fig8 import simulate_fig8
+from tapetum.report.paper.learning import fig9, fig10, fig11, fig12, table1, table2
+from tapetum.report.paper.learning_text import (
+    text_fig9,
+    text_fig10,
+    text_fig11,
+    text_fig12,
+    text_table1,
+    text_table2,
+)
 from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
+from tapetum.report.paper.workshop import Workshop
 
-__all__ = ["FIGURES", "SIZES", "Reproduction", "reproduce"]
+__all__ = ["FIGURES", "LEARNED", "SIZES", "Reproduction", "reproduce"]
 
 SIZES = ("small", "paper")
 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """One figure made anew: its name, the files written, and the numbers measured."""
+    """One figure or table made anew: its name, the files written, and the numbers measured."""
 
     name: str
     files: tuple[Path, ...]
     numbers: dict[str, Any]
 
 
-def _fig4(progress: Progress, _size: str) -> tuple[Figure, str, dict[str, Any]]:
-    found = simulate_fig4(progress=progress)
+Made = tuple[Figure | None, str, dict[str, Any]]
+
+
+def _fig4(work: Workshop) -> Made:
+    found = simulate_fig4(progress=work.progress)
     return draw_fig4(found, FOCAL_LENGTHS, DISTANCES, ROTATIONS), text_fig4(found), found.numbers()
 
 
-def _fig5(progress: Progress, _size: str) -> tuple[Figure, str, dict[str, Any]]:
-    found = simulate_fig5(progress=progress)
+def _fig5(work: Workshop) -> Made:
+    found = simulate_fig5(progress=work.progress)
     return draw_fig5(found), text_fig5(found), found.numbers()
 
 
-def _fig6(progress: Progress, _size: str) -> tuple[Figure, str, dict[str, Any]]:
-    found = simulate_fig6(progress=progress)
+def _fig6(work: Workshop) -> Made:
+    found = simulate_fig6(progress=work.progress)
     return draw_fig6(found), text_fig6(found), found.numbers()
 
 
-def _fig7(progress: Progress, size: str) -> tuple[Figure, str, dict[str, Any]]:
-    found = simulate_fig7(size=size, progress=progress)
+def _fig7(work: Workshop) -> Made:
+    found = simulate_fig7(size=work.size, progress=work.progress)
     return draw_fig7(found), text_fig7(found), found.numbers()
 
 
-def _fig8(progress: Progress, size: str) -> tuple[Figure, str, dict[str, Any]]:
-    found = simulate_fig8(size=size, progress=progress)
+def _fig8(work: Workshop) -> Made:
+    found = simulate_fig8(size=work.size, progress=work.progress)
     return draw_fig8(found), text_fig8(found), found.numbers()
 
 
-_MAKERS: dict[str, Callable[[Progress, str], tuple[Figure, str, dict[str, Any]]]] = {
+def _fig9(work: Workshop) -> Made:
+    figure, numbers = fig9(work)
+    return figure, text_fig9(numbers), numbers
+
+
+def _fig10(work: Workshop) -> Made:
+    figure, found = fig10(work)
+    return figure, text_fig10(found), found.numbers()
+
+
+def _fig11(work: Workshop) -> Made:
+    figure, numbers = fig11(work)
+    return figure, text_fig11(numbers), numbers
+
+
+def _fig12(work: Workshop) -> Made:
+    figure, found = fig12(work)
+    return figure, text_fig12(found), found.numbers()
+
+
+def _table1(work: Workshop) -> Made:
+    rows, classes = table1(work)
+    return None, text_table1(rows, classes), {"rows": [asdict(row) for row in rows], "classes": classes}
+
+
+def _table2(work: Workshop) -> Made:
+    groups = table2(work)
+    return None, text_table2(groups), {"phones": [asdict(one) for one in groups]}
+
+
+def _ablations(work: Workshop) -> Made:
+    rows = ablations(work)
+    return None, text_ablations(rows), {"rows": [asdict(row) for row in rows]}
+
+
+def _fresh(work: Workshop) -> Made:
+    rows = fresh(work)
+    return None, text_fresh(rows), {"rows": [{**asdict(row), "ratio": row.ratio} for row in rows]}
+
+
+def _unseen(work: Workshop) -> Made:
+    scores = unseen(work)
+    return None, text_unseen(scores), scores.to_dict()
+
+
+def _fit(work: Workshop) -> Made:
+    found = untrained(work)
+    return None, text_fit(found), asdict(found)
+
+
+_MAKERS: dict[str, Callable[[Workshop], Made]] = {
     "fig4": _fig4,
     "fig5": _fig5,
     "fig6": _fig6,
     "fig7": _fig7,
     "fig8": _fig8,
+    "fig9": _fig9,
+    "fig10": _fig10,
+    "fig11": _fig11,
+    "fig12": _fig12,
+    "table1": _table1,
+    "table2": _table2,
+    "ablations": _ablations,
+    "fresh": _fresh,
+    "unseen": _unseen,
+    "fit": _fit,
 }
 FIGURES: tuple[str, ...] = tuple(_MAKERS)
+LEARNED = FIGURES[FIGURES.index("fig9") :]
+"""Those for which sets are filmed and models trained."""
 
 
 def reproduce(
-    figures: Sequence[str], out: Path, *, size: str = "paper", progress: Progress = quiet
+    figures: Sequence[str],
+    out: Path,
+    *,
+    size: str = "paper",
+    work: Workshop | None = None,
+    progress: Progress = quiet,
 ) -> list[Reproduction]:
-    """Make figures of the paper anew, each as NAME.png, NAME.md and NAME.json in a folder.
+    """Make figures and tables of the paper anew, each as NAME.png (not tables), NAME.md and NAME.json in a folder.
 
     Parameters
     ----------
@@ -83,7 +165,10 @@ def reproduce(
     out
         The folder; it is made where it is not there. Files of these names in it are replaced, others stay.
     size
-        `paper`, or `small` for fewer images in the figures of samples, 7 and 8.
+        `paper`, or `small`: fewer images in the figures of samples, 7 and 8, and small sets behind 9 to 12 and the
+        tables.
+    work
+        Where sets and models are kept; the folder `work` in `out` where left out.
     progress
         Shows how far it is.
 
@@ -100,14 +185,19 @@ def reproduce(
         raise InputError("is a file, not a folder", where=out, remedy="choose another name")
     with told_when_full(out):
         out.mkdir(parents=True, exist_ok=True)
+    work = Workshop(out / "work", size, progress=progress) if work is None else work
     made: list[Reproduction] = []
     for name in wanted:
-        figure, text, numbers = _MAKERS[name](progress, size)
+        if name in LEARNED:
+            work.folder.mkdir(parents=True, exist_ok=True)
+        figure, text, numbers = _MAKERS[name](work)
         picture, page, table = (out / f"{name}.{kind}" for kind in ("png", "md", "json"))
-        save_figure(figure, picture, dpi=130)
+        if figure is not None:
+            save_figure(figure, picture, dpi=130)
         with atomic_file(page) as part:
             part.write_text(text, encoding="utf-8")
         with atomic_file(table) as part:
             part.write_text(json.dumps(numbers, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-        made.append(Reproduction(name, (picture, page, table), numbers))
+        files = (page, table) if figure is None else (picture, page, table)
+        made.append(Reproduction(name, files, numbers))
     return made

@@ -1,0 +1,297 @@
+"""What no unbiased estimate undercuts, for the sets' figures: gaze by distance from the centre, and focus.
+
+The frames are those of a set but for its sensor's fixed pattern (1 % of the pixels' sensitivity, which an estimate may
+know): light, second beam, exposure, background, bits and noise are the scene's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from numpy.typing import ArrayLike, NDArray
+
+from tapetum.bench import PrescriptionLens, Scene, with_values
+from tapetum.errors import InputError
+from tapetum.progress import Progress, quiet
+from tapetum.simulate import fisher, tilt_of_gaze
+from tapetum.simulate.information import FisherInformation, information_of
+from tapetum.simulate.traced_information import TracedSlopes
+
+__all__ = ["ALL_UNKNOWN", "FRAME", "FocusBounds", "GazeBound", "GazeInformation", "focus_bounds", "gaze_bounds"]
+__all__ += ["gaze_information", "gaze_prior", "rings_of_gazes"]
+
+FRAME = ("power", "place_x", "place_y")
+"""What no estimate knows of a hand-held target: how bright its RR is, and where it lies."""
+
+ALL_UNKNOWN = (*FRAME, "photosite_x", "photosite_y", "roll")
+"""With it the turn of the hand, and where among the photosites the spot falls.
+
+The photosites turn the picture over each time that the spot moves by one of them, some 4e-4 of the field: they tell the
+gaze a hundred times better than all else, to an estimate that knows beforehand which photosite it is. Without that they
+tell nothing, and the limit is that of the smooth change from one photosite to the next.
+"""
+
+Array = NDArray[np.float64]
+_GAZE, _FOCUS = ("gaze_x", "gaze_y"), ("object_distance", "focal_length")
+# Of a Gaussian error with the standard deviation 1.
+_MAE = math.sqrt(2 / math.pi)
+# Azimuths off the sensor's axes and diagonals, which are like no others.
+_FIRST_AZIMUTH = 0.35
+
+
+@dataclass(frozen=True)
+class GazeBound:
+    """The limit of the gaze by the distance from the field's centre.
+
+    Parameters
+    ----------
+    distance
+        [R] in fractions of the field.
+    rms, mae
+        [R] of an unbiased estimate as good as can be, mean over both axes, median over the azimuths; fractions of the
+        field. The MAE is that of a Gaussian error.
+    """
+
+    distance: Array
+    rms: Array
+    mae: Array
+
+
+@dataclass(frozen=True)
+class GazeInformation:
+    """What one frame tells at each of many gazes.
+
+    Parameters
+    ----------
+    names
+        Of the parameters; `gaze_x` and `gaze_y` first.
+    gazes
+        [G, 2] in fractions of the field.
+    information
+        [G, P, P] Fisher's matrices.
+    """
+
+    names: tuple[str, ...]
+    gazes: Array
+    information: Array
+
+    def bounds(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> Array:
+        """Standard deviations [G, 2] of gaze_x and gaze_y while the nuisances are unknown, all where left out.
+
+        Parameters
+        ----------
+        nuisances
+            Of `names`. What is not among them counts as known.
+        priors
+            What is known before the frame, by name: standard deviations. Then it is van Trees' bound, which biased
+            estimates keep too, with the information of this gaze in place of the prior's mean of it.
+        """
+        own = (*_GAZE, *(self.names[2:] if nuisances is None else nuisances))
+        found = [_deviations(self.names, one, own, priors) for one in self.information]
+        return np.array([[one[name] for name in _GAZE] for one in found])
+
+    def curve(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> GazeBound:
+        """The bounds by the distance from the centre: gazes of the same distance, to 1e-6, are put together."""
+        deviation = self.bounds(nuisances, priors)
+        distance = np.hypot(self.gazes[:, 0], self.gazes[:, 1]).round(6)
+        rings = np.unique(distance)
+        rms, mean = np.sqrt((deviation**2).mean(1)), deviation.mean(1)
+        return GazeBound(
+            rings,
+            np.array([np.median(rms[distance == one]) for one in rings]),
+            _MAE * np.array([np.median(mean[distance == one]) for one in rings]),
+        )
+
+
+@dataclass(frozen=True)
+class FocusBounds:
+    """Limits of object distance and focal length, both unknown, for pairs of them.
+
+    Parameters
+    ----------
+    object_distances, focal_lengths
+        [D] and [F] in metres.
+    names
+        Of all that is unknown.
+    information
+        [D, F, P, P] Fisher's matrices of one frame.
+    """
+
+    object_distances: Array
+    focal_lengths: Array
+    names: tuple[str, ...]
+    information: Array
+
+    @property
+    def deviation(self) -> Array:
+        """[D, F, 2] standard deviations of object distance and focal length, in metres."""
+        return self.bounds(_FOCUS)
+
+    @property
+    def mae(self) -> Array:
+        """[D, F, 2] of Gaussian errors as small as can be, in metres."""
+        return _MAE * self.deviation
+
+    def bounds(self, wanted: Sequence[str], unknown: Sequence[str] | None = None) -> Array:
+        """Standard deviations [D, F, W] of some names, while `unknown` ones are not known: all where left out."""
+        own = tuple(dict.fromkeys((*wanted, *(self.names if unknown is None else unknown))))
+        shape = self.information.shape[:2]
+        found = [
+            _deviations(self.names, one, own, None) for one in self.information.reshape(-1, *([len(self.names)] * 2))
+        ]
+        return np.array([[one[name] for name in wanted] for one in found]).reshape(*shape, len(wanted))
+
+
+def gaze_prior(extent: float) -> float:
+    """The standard deviation, extent/π, that counts in `priors` for a gaze within ± extent.
+
+    Van Trees' bound wants a prior that vanishes at its ends: of all such ones, cos²(πx/2e) holds the least information,
+    (π/e)². The even one of the sets has no such bound, and holds no more.
+    """
+    return extent / math.pi
+
+
+def gaze_information(
+    scene: Scene,
+    gazes: ArrayLike,
+    nuisances: Sequence[str] = ALL_UNKNOWN,
+    *,
+    accuracy: float | None = None,
+    progress: Progress = quiet,
+) -> GazeInformation:
+    """Fisher information of one frame at many gazes, by one camera that is prepared once.
+
+    Parameters
+    ----------
+    scene
+        Of the set, as `make_plan` has it.
+    gazes
+        [G, 2] in fractions of the field.
+    nuisances
+        What else may be unknown, as `fisher` names it; of traced lenses `roll`, `photosite_x` and `photosite_y` too.
+    accuracy
+        Of the simulation, in place of the scene's.
+    progress
+        Shows how far it is.
+
+    Raises
+    ------
+    InputError
+        For gazes of another shape, no number, or outside the field, and as `fisher`.
+    """
+    at, names = _checked(gazes), (*_GAZE, *nuisances)
+    places = torch.from_numpy(at)
+    if isinstance(scene.target.lens, PrescriptionLens):
+        slopes = TracedSlopes(scene, names, places, accuracy=accuracy, dtype=torch.complex64)
+        numbers = progress(range(len(at)), "bounding the gaze", total=len(at))
+        found = [information_of(*slopes(number), scene.probe.sensor) for number in numbers]
+    else:
+        each = progress(places, "bounding the gaze", total=len(at))
+        found = [fisher(_turned_to(scene, one), names, accuracy=accuracy).information for one in each]
+    return GazeInformation(names, at, torch.stack(found).numpy())
+
+
+def gaze_bounds(
+    scene: Scene,
+    gazes: ArrayLike,
+    nuisances: Sequence[str] = FRAME,
+    *,
+    priors: Mapping[str, float] | None = None,
+    accuracy: float | None = None,
+    progress: Progress = quiet,
+) -> Array:
+    """Standard deviations [G, 2] of unbiased estimates of gaze_x and gaze_y from one frame, in fractions of the field.
+
+    Parameters as for [`gaze_information`][tapetum.report.bounds.gaze_information], `priors` as for its `bounds`.
+    """
+    return gaze_information(scene, gazes, nuisances, accuracy=accuracy, progress=progress).bounds(priors=priors)
+
+
+def rings_of_gazes(distances: ArrayLike, azimuths: int = 4) -> Array:
+    """Gazes [G, 2] at distances from the centre, each under several azimuths; one at the centre itself."""
+    found: list[tuple[float, float]] = []
+    for distance in np.asarray(distances, dtype=np.float64):
+        for number in range(azimuths if distance > 0 else 1):
+            angle = 2 * math.pi * number / azimuths + _FIRST_AZIMUTH
+            found.append((distance * math.cos(angle), distance * math.sin(angle)))
+    return np.array(found)
+
+
+def focus_bounds(
+    scene: Scene,
+    object_distances: Sequence[float],
+    focal_lengths: Sequence[float],
+    gaze: tuple[float, float] = (0.06, 0.04),
+    nuisances: Sequence[str] = (*_GAZE, *FRAME),
+    *,
+    accuracy: float | None = None,
+    progress: Progress = quiet,
+) -> FocusBounds:
+    """Limits of object distance and focal length, both unknown, from one frame of each pair.
+
+    Parameters
+    ----------
+    scene
+        Of the set; its focus and focal length are replaced.
+    object_distances, focal_lengths
+        In metres.
+    gaze
+        In fractions of the field.
+    nuisances
+        What else is unknown.
+    accuracy, progress
+        As for `gaze_information`.
+
+    Raises
+    ------
+    InputError
+        As `gaze_information`, and for focal lengths and distances that the lens has not.
+    """
+    at, names = _checked([gaze]), (*_FOCUS, *nuisances)
+    pairs = [(distance, length) for distance in object_distances for length in focal_lengths]
+    found: list[torch.Tensor] = []
+    for distance, length in progress(pairs, "bounding the focus", total=len(pairs)):
+        values = {"target.object_distance": distance, "target.lens.focal_length": length}
+        found.append(_focus_information(with_values(scene, values), names, torch.from_numpy(at), accuracy))
+    size = len(names)
+    matrices = torch.stack(found).numpy().reshape(len(object_distances), len(focal_lengths), size, size)
+    return FocusBounds(np.asarray(object_distances, float), np.asarray(focal_lengths, float), names, matrices)
+
+
+def _focus_information(scene: Scene, names: tuple[str, ...], at: torch.Tensor, accuracy: float | None) -> torch.Tensor:
+    if isinstance(scene.target.lens, PrescriptionLens):
+        slopes = TracedSlopes(scene, names, at, accuracy=accuracy, dtype=torch.complex64)
+        return information_of(*slopes(0), scene.probe.sensor)
+    return fisher(_turned_to(scene, at[0]), names, accuracy=accuracy).information
+
+
+def _turned_to(scene: Scene, gaze: torch.Tensor) -> Scene:
+    return with_values(scene, {"target.rotation": torch.asin(tilt_of_gaze(scene, gaze)).tolist()})
+
+
+def _deviations(
+    names: tuple[str, ...], information: Array, own: Sequence[str], priors: Mapping[str, float] | None
+) -> dict[str, float]:
+    """Cramér-Rao bounds of some of the names, the others known."""
+    for name in (*own, *(priors or {})):
+        if name not in names:
+            raise InputError(f"{name!r} was not differentiated by", where="nuisances", remedy=f"use {', '.join(names)}")
+    index = [names.index(name) for name in own]
+    part = torch.from_numpy(information[np.ix_(index, index)].copy())
+    for name, deviation in (priors or {}).items():
+        if name in own:
+            part[own.index(name), own.index(name)] += deviation**-2
+    return FisherInformation(tuple(own), (0.0,) * len(own), part).bounds
+
+
+def _checked(gazes: ArrayLike) -> Array:
+    at = np.atleast_2d(np.asarray(gazes, dtype=np.float64))
+    if at.ndim != 2 or at.shape[1] != 2 or not len(at):
+        raise InputError(f"must be [G, 2], are {list(at.shape)}", where="gazes", remedy="give x and y of each")
+    if not (np.isfinite(at).all() and (np.abs(at) <= 0.5).all()):
+        raise InputError("must be numbers from -0.5 to 0.5", where="gazes", remedy="give fractions of the field")
+    return at

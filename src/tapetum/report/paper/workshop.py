@@ -1,0 +1,197 @@
+"""Sets, models and predictions behind the paper's section 5: each made once, kept in a folder, taken up again."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import xarray as xr
+
+from tapetum.data import open_dataset
+from tapetum.data.synth import Plan, make_plan, synthesise
+from tapetum.errors import InputError
+from tapetum.models import EpochReport, ResNet18, ZernikeRidge, load_model, model_card, save_model
+from tapetum.models.base import json_safe
+from tapetum.models.training import remove_checkpoint
+from tapetum.progress import Progress, quiet
+from tapetum.report.evaluation import Outcome, gather
+
+__all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop"]
+
+SET_SEED = 1
+"""Of the sets. Fixed before anything was measured; so are the seeds of the networks, 0."""
+
+Model = ZernikeRidge | ResNet18
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A model that the paper's section 5, or what goes beyond it, needs.
+
+    Parameters
+    ----------
+    name
+        Of its folder.
+    set
+        The set it learns from.
+    title
+        In figures and tables.
+    make
+        Returns it, not fitted, for a size of the sets.
+    without
+        Devices whose frames are kept from it.
+    """
+
+    name: str
+    set: str
+    title: str
+    make: Callable[[str], Model]
+    without: tuple[str, ...] = ()
+
+
+def _epochs(size: str, paper: int) -> int:
+    return paper if size == "paper" else min(paper, 4)
+
+
+def _gaze(size: str, **changed: Any) -> ResNet18:
+    # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one.
+    return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 8), "gain": 0.3} | changed)
+
+
+def _focus(size: str) -> ResNet18:
+    # The RR fills the crop at 135 mm and 3 m.
+    return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 8))
+
+
+def _phone(size: str, target: str = "phone", epochs: int = 8) -> ResNet18:
+    # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide.
+    return ResNet18(target, crop=400, size=100, epochs=_epochs(size, epochs))
+
+
+def _paper_ridge(target: str) -> ZernikeRidge:
+    return ZernikeRidge(target, calibration_fraction=0)
+
+
+def _tuned_ridge(target: str) -> ZernikeRidge:
+    return ZernikeRidge(target, alpha="cv", standardise=True)
+
+
+PAPER, TUNED, RESNET = "Zernike + ridge", "Zernike + ridge, tuned", "ResNet-18"
+UNSEEN = ("phone-03", "phone-07", "phone-10")
+"""Devices kept from the model that is asked for none of these."""
+
+RECIPES: dict[str, Recipe] = {
+    recipe.name: recipe
+    for recipe in (
+        Recipe("rotation-zernike", "rotation", PAPER, lambda _: _paper_ridge("gaze")),
+        Recipe("rotation-zernike-tuned", "rotation", TUNED, lambda _: _tuned_ridge("gaze")),
+        Recipe("rotation-resnet18", "rotation", RESNET, _gaze),
+        Recipe(
+            "rotation-resnet18-hidden", "rotation", "ResNet-18 without its brightest spot", lambda s: _gaze(s, hide=16)
+        ),
+        Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
+        Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus")),
+        Recipe("focusing-resnet18", "focusing", RESNET, _focus),
+        Recipe("phones-resnet18", "phones", RESNET, _phone),
+        Recipe(
+            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 4), UNSEEN
+        ),
+    )
+}
+
+
+@dataclass
+class Workshop:
+    """What is made for the paper's section 5, once.
+
+    Parameters
+    ----------
+    folder
+        Keeps sets and models; what is whole there is not made again, what was interrupted is taken up.
+    size
+        Of the sets: `small` or `paper`.
+    workers
+        Processes that film; None for this one.
+    sets
+        Datasets to use in place of synthesised ones, by the name of the set.
+    progress, on_epoch
+        Show how far it is.
+    """
+
+    folder: Path
+    size: str = "paper"
+    workers: int | None = None
+    sets: Mapping[str, xr.Dataset] = field(default_factory=dict)
+    progress: Progress = quiet
+    on_epoch: Callable[[EpochReport], None] | None = None
+    _outcomes: dict[str, Outcome] = field(default_factory=dict, init=False)
+
+    def dataset(self, name: str) -> xr.Dataset:
+        """Return a set, filming it first where it is not there."""
+        return self.filmed(name, make_plan(name, self.size, SET_SEED))
+
+    def filmed(self, name: str, plan: Plan) -> xr.Dataset:
+        """Return what a plan films, from the folder where it is there."""
+        if name in self.sets:
+            return self.sets[name]
+        path = self.folder / f"{name}-{self.size}.zarr"
+        if not path.exists():
+            synthesise(plan, path, workers=self.workers, progress=self.progress)
+        return open_dataset(path)
+
+    def model(self, name: str) -> Model:
+        """Return a fitted model, training it first where it is not there.
+
+        Raises
+        ------
+        InputError
+            For a name that is none of `RECIPES`.
+        """
+        if name not in RECIPES:
+            raise InputError(f"no model is called {name!r}", remedy=f"there are: {', '.join(RECIPES)}")
+        recipe, folder = RECIPES[name], self.folder / f"{name}-{self.size}"
+        dataset = self._without(self.dataset(recipe.set), recipe.without)
+        wanted = recipe.make(self.size)
+        if folder.exists() and _is(folder, wanted, dataset):
+            return load_model(folder)
+        checkpoint = self.folder / f"{name}-{self.size}.checkpoint"
+        start = time.monotonic()
+        if isinstance(wanted, ResNet18):
+            try:
+                wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, resume=True, on_epoch=self.on_epoch)
+            except InputError as error:
+                if "other settings or other data" not in str(error):
+                    raise
+                # Left by an older recipe or set: nobody asked for that one to be kept.
+                remove_checkpoint(checkpoint)
+                wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, on_epoch=self.on_epoch)
+        else:
+            wanted.fit(dataset, progress=self.progress)
+        notes = {"made for": "tapetum paper", "seconds": round(time.monotonic() - start), "without": recipe.without}
+        save_model(wanted, folder, notes=notes, overwrite=True)
+        remove_checkpoint(checkpoint)
+        return wanted
+
+    def outcome(self, name: str) -> Outcome:
+        """Return what a model says of its set's test part, devices that were kept from it included."""
+        if name not in self._outcomes:
+            model = self.model(name)
+            self._outcomes[name] = gather(model, self.dataset(RECIPES[name].set), progress=self.progress)
+        return self._outcomes[name]
+
+    @staticmethod
+    def _without(dataset: xr.Dataset, devices: tuple[str, ...]) -> xr.Dataset:
+        if not devices:
+            return dataset
+        left = [k for k, name in enumerate(dataset.tp.classes) if name not in devices]
+        return dataset.isel(frame=dataset["device"].isin(left).values.nonzero()[0])
+
+
+def _is(folder: Path, wanted: Model, dataset: xr.Dataset) -> bool:
+    """Whether the model in a folder is the one wanted, of this set."""
+    card = model_card(folder)
+    parameters = json_safe(wanted.parameters(), "parameters")
+    return card["kind"] == wanted.kind and card["parameters"] == parameters and card["training_data"] == dataset.tp.hash
