@@ -9,7 +9,7 @@ from torch import nn
 
 from tapetum.data import dataset_from_arrays
 from tapetum.models import ResNet18
-from tapetum.models.resnet import prepare
+from tapetum.models.inputs import prepare
 
 from .measure import Contender, Effort, Figure, Row, in_turns
 

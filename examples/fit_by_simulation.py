@@ -15,7 +15,7 @@ from collections.abc import Sequence
 import numpy as np
 
 import tapetum as tp
-from tapetum.models.simulation_fit import SimulationFit
+from tapetum.models.simulation.fit import SimulationFit
 from tapetum.simulate.information import fisher, true_values
 
 UNKNOWN = ("gaze_x", "gaze_y", "power", "place_x", "place_y")

@@ -26,9 +26,17 @@ DEVICES = ("a phone", "another", "a third")
 
 
 @lru_cache
-def made(target: str = "gaze", *, crop: int = 36, size: int = 24, hide: int = 0, conditional: bool = True) -> ResNet18:
+def made(
+    target: str = "gaze",
+    *,
+    crop: int = 36,
+    size: int = 24,
+    hide: int = 0,
+    background: str = "root",
+    conditional: bool = True,
+) -> ResNet18:
     """A model with random weights and statistics, as after a training."""
-    model = ResNet18(target, crop=crop, size=size, hide=hide, device="cpu")
+    model = ResNet18(target, crop=crop, size=size, hide=hide, background=background, device="cpu")
     k, classes = len(model.quantities), DEVICES if "device" in model.target_names else ()
     random = torch.Generator().manual_seed(3)
     network = ResNet18Network(k + len(classes), seed=1)
@@ -83,8 +91,9 @@ def crops(count: int, side: int = 40) -> np.ndarray:
         {"target": "phone", "crop": 38, "hide": 3, "conditional": False},  # areas that overlap
         {"target": "focus", "crop": 35, "size": 35},  # of an odd number of pixels
         {"target": "device"},
+        {"target": "gaze", "background": "level"},
     ],
-    ids=["phone", "overlapping areas, centre hidden", "focus, no reduction", "device"],
+    ids=["phone", "overlapping areas, centre hidden", "focus, no reduction", "device", "background off first"],
 )
 def test_the_numbers_are_torchs(options: dict[str, Any], count: int):
     model = made(**options)

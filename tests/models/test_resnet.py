@@ -12,7 +12,7 @@ import torch
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import ResNet18, ResNet18Network
-from tapetum.models.resnet import prepare
+from tapetum.models.inputs import prepare
 from tapetum.models.training import CHECKPOINT, HISTORY, Augmentation, augment
 
 TINY = {"crop": 36, "size": 24, "epochs": 2, "batch": 20, "device": "cpu"}
@@ -85,6 +85,20 @@ def test_preparing_keeps_brightness_and_drops_the_background():
     assert float(background.abs().max()) < 0.03
     # The middle is 100 and 200 above nothing: roots in the ratio of sqrt 2.
     assert float(out[2, 0, 6, 6] / out[0, 0, 6, 6]) == pytest.approx(2**0.5, rel=0.1)
+
+
+def test_a_background_taken_off_first_leaves_no_trace():
+    at = np.arange(40) - 19.5
+    spot = 100 * np.exp(-(at[:, None] ** 2 + at**2) / 80)
+    dim, bright = (prepare((spot + level)[None], 36, 12, 255, background="level") for level in (20, 90))
+    torch.testing.assert_close(dim, bright, atol=1e-5, rtol=1e-5)
+    # Its root taken off afterwards pales the faint parts.
+    dim, bright = (prepare((spot + level)[None], 36, 12, 255) for level in (20, 90))
+    assert float((dim - bright).abs().max()) > 0.1
+    # Dark pixels scatter about 0: neither cut off nor blown up.
+    noise = np.random.default_rng(0).normal(50, 3, (1, 40, 40))
+    dark = prepare(noise, 36, 36, 255, background="level")
+    assert abs(float(dark.mean())) < 0.01 and 0.02 < float(dark.std()) < 0.1
 
 
 def test_preparing_does_not_depend_on_depth_or_place():
@@ -191,6 +205,7 @@ def test_a_damaged_checkpoint_is_told(few, whole, tmp_path: Path):
         (lambda: ResNet18(batch=1), "batch"),
         (lambda: ResNet18(noise=-1), "noise"),
         (lambda: ResNet18(device="moon"), "device"),
+        (lambda: ResNet18(background="none"), "root, level"),
         (lambda: ResNet18Network(0), "outputs"),
     ],
 )

@@ -12,10 +12,10 @@ import torch
 from tapetum.bench import Scene, load_scene
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
-from tapetum.models.simulation_counts import CountModel
-from tapetum.models.simulation_fit import SimulationFit
-from tapetum.models.simulation_pictures import Pictures, period_of
-from tapetum.models.simulation_search import Search
+from tapetum.models.simulation.counts import CountModel
+from tapetum.models.simulation.fit import SimulationFit
+from tapetum.models.simulation.pictures import Pictures, period_of
+from tapetum.models.simulation.search import Search
 from tapetum.progress import quiet
 from tapetum.simulate.exposure import count_moments, digitise
 from tapetum.simulate.gaze import tilt_of_gaze

@@ -37,6 +37,10 @@ def train(
     ] = None,
     crop: Annotated[int | None, typer.Option(metavar="PX", help="resnet18: side of what it looks at.", min=16)] = None,
     size: Annotated[int | None, typer.Option(metavar="PX", help="resnet18: side it is reduced to.", min=16)] = None,
+    background: Annotated[
+        str | None,
+        typer.Option(metavar="HOW", help="resnet18: take the background off before the root (level) or after (root)."),
+    ] = None,
     gain: Annotated[
         float | None, typer.Option(metavar="X", help="resnet18: how far brightness is varied, in parts of e.", min=0)
     ] = None,
@@ -64,6 +68,7 @@ def train(
         "patience": patience,
         "crop": crop,
         "size": size,
+        "background": background,
         "gain": gain,
         "seed": seed,
         "device": device,

@@ -5,7 +5,7 @@ from tapetum.models.features import feature_names, zernike_features
 from tapetum.models.network import ResNet18Network
 from tapetum.models.prediction import COVERAGE, NONE_OF_THESE, Prediction
 from tapetum.models.resnet import ResNet18
-from tapetum.models.simulation_fit import SimulationFit, SimulationFitResult
+from tapetum.models.simulation import SimulationFit, SimulationFitResult
 from tapetum.models.snr import crop_snr
 from tapetum.models.store import load_model, model_card, pretrained, save_model
 from tapetum.models.training import EpochReport

@@ -17,6 +17,7 @@ from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError, need
 from tapetum.files import atomic_file
 from tapetum.models.base import Estimator
+from tapetum.models.inputs import SOFTENING
 from tapetum.models.network import BasicBlock, ResNet18Network
 from tapetum.models.novelty import Novelty
 from tapetum.models.resnet import ResNet18
@@ -170,7 +171,7 @@ class _Graph:
 
 
 def _prepared(graph: _Graph, model: ResNet18) -> str:
-    """`tapetum.models.resnet.prepare`, [N, 1, size, size]."""
+    """`tapetum.models.inputs.prepare`, [N, 1, size, size]."""
     crop, size = model.crop, model.size
     pictures = graph.add("picture", "Unsqueeze", "counts", graph.constant("channel", [1], np.int64))
     if crop % size == 0:
@@ -186,8 +187,15 @@ def _prepared(graph: _Graph, model: ResNet18) -> str:
     half = graph.constant("half", [(size * size - 1) // 2 + 1], np.int64)
     lower = graph.add("lower_half", "TopK", flat, half, outputs=("lower", "places"), axis=3, largest=0, sorted=0)
     median = graph.add("median", "ReduceMax", lower, graph.constant("along", [3], np.int64))
-    root, background = graph.add("root", "Sqrt", small), graph.add("background", "Sqrt", median)
-    seen = graph.add("seen", "Sub", root, background)
+    if model.background == "level":
+        out = graph.add("out", "Sub", small, median)
+        soft = graph.add("soft", "Add", graph.add("size", "Abs", out), graph.constant("softening", SOFTENING))
+        least = graph.constant("least", SOFTENING**0.5)
+        height = graph.add("height", "Sub", graph.add("soft_root", "Sqrt", soft), least)
+        seen = graph.add("seen", "Mul", height, graph.add("sign", "Sign", out))
+    else:
+        root, background = graph.add("root", "Sqrt", small), graph.add("background", "Sqrt", median)
+        seen = graph.add("seen", "Sub", root, background)
     if not model.hide:
         return seen
     at = (np.arange(size) - (size - 1) / 2) * crop / size

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from tapetum.errors import InputError, need
 from tapetum.models.base import Data, batches, frame_count
 from tapetum.models.export import EXTRA, FORMAT, VERSION, onnx_bytes
+from tapetum.models.inputs import central
 from tapetum.models.intervals import Intervals
 from tapetum.models.prediction import Prediction, joined
 from tapetum.models.resnet import ResNet18
@@ -114,7 +115,10 @@ class FastResNet18:
 
     def _parts(self, images: Any) -> Iterator[Prediction]:
         for crops, depth in images:
-            counts, scale = _central(crops, self.card["crop"]), np.array(depth, dtype=np.float32)
+            counts, scale = (
+                central(crops, self.card["crop"]).astype(np.float32, copy=False),
+                np.array(depth, dtype=np.float32),
+            )
             given = self._session.run(self._outputs, {"counts": counts, "full_scale": scale})
             found = {name: np.asarray(one, dtype=np.float64) for name, one in zip(self._outputs, given, strict=True)}
             # The SNR costs half a millisecond a frame: only where the intervals hang on it.
@@ -185,16 +189,3 @@ def _intervals(card: dict[str, Any], where: object) -> Intervals:
     except (TypeError, ValueError) as error:
         remedy = "export it again with `tapetum export`"
         raise InputError("the intervals on its card cannot be read", where=where, remedy=remedy) from error
-
-
-def _central(images: NDArray[np.generic], crop: int) -> NDArray[np.float32]:
-    """Return the central pixels as float32 counts, checked as `tapetum.models.resnet.prepare` does."""
-    side = images.shape[1]
-    if crop > side:
-        what = f"the model looks at {crop} pixels, the crops have {side}"
-        raise InputError(what, where="images", remedy=f"cut crops of at least {crop} pixels")
-    edge = (side - crop) // 2
-    cut = images[:, edge : edge + crop, edge : edge + crop]
-    if cut.dtype.kind != "u" and not (np.isfinite(cut).all() and cut.min(initial=0) >= 0):
-        raise InputError("intensities must be finite and not negative", where="images", remedy="clip them at 0")
-    return np.ascontiguousarray(cut, dtype=np.float32)

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 import xarray as xr
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
 from tapetum.data.dataset import DEVICE
-from tapetum.errors import InputError
+from tapetum.errors import InputError, one_of
 from tapetum.models.base import (
     Data,
     TrainingPart,
@@ -27,7 +25,9 @@ from tapetum.models.base import (
     training_part,
 )
 from tapetum.models.calibration import fit_temperature, probabilities
+from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import Intervals, fit_intervals
+from tapetum.models.losses import MixedLoss
 from tapetum.models.network import FEATURES, ResNet18Network
 from tapetum.models.novelty import Novelty, fit_novelty
 from tapetum.models.prediction import Prediction, joined
@@ -36,81 +36,11 @@ from tapetum.models.snr import crop_snr
 from tapetum.models.training import Augmentation, EpochReport, TrainingSettings, train
 from tapetum.progress import Progress, quiet
 
-__all__ = ["Loss", "ResNet18", "prepare"]
+__all__ = ["ResNet18"]
 
 _BATCH = 64
 # Frames of each class that its place among the features is learned from, at the most.
 _FRAMES_A_CLASS = 500
-
-
-def prepare(images: NDArray[np.generic], crop: int, size: int, full_scale: float, hide: int = 0) -> Tensor:
-    """Turn crops into what the network sees.
-
-    The central `crop` x `crop` pixels, averaged over areas to `size` x `size`, square root of the intensity
-    (shot noise then has the same spread everywhere), less the root of the image's median: the background
-    becomes 0 whatever its level, the brightness of the RR, which tells of its distance from the axis, stays.
-
-    Parameters
-    ----------
-    images
-        [N, side, side], counts.
-    crop, size
-        Pixels along an edge, of what is used and of what comes out.
-    full_scale
-        Count that becomes 1.
-    hide
-        Radius in pixels of a disc about the centre, where the brightest spot lies, that is filled with the background.
-
-    Returns
-    -------
-    Tensor
-        [N, 1, size, size], float32, about -0.1 ... 1.
-
-    Raises
-    ------
-    InputError
-        When the crops are smaller than `crop`, negative or not finite.
-    """
-    side = images.shape[1]
-    if crop > side:
-        what = f"the model looks at {crop} pixels, the crops have {side}"
-        raise InputError(what, where="images", remedy=f"cut crops of at least {crop} pixels")
-    edge = (side - crop) // 2
-    cut = np.ascontiguousarray(images[:, edge : edge + crop, edge : edge + crop])
-    if cut.dtype.kind != "u" and not (np.isfinite(cut).all() and cut.min(initial=0) >= 0):
-        raise InputError("intensities must be finite and not negative", where="images", remedy="clip them at 0")
-    cut = cut if cut.dtype == np.uint8 else cut.astype(np.float32)
-    small = F.interpolate(torch.from_numpy(cut)[:, None].float(), size=(size, size), mode="area") / full_scale
-    background = small.flatten(1).median(dim=1).values[:, None, None, None]
-    root = small.sqrt() - background.sqrt()
-    if hide:
-        at = (torch.arange(size) - (size - 1) / 2) * crop / size
-        root = root.masked_fill(at[:, None] ** 2 + at**2 <= hide**2, 0.0)
-    return root
-
-
-@dataclass(frozen=True)
-class Loss:
-    """Smooth L1 on standardised quantities, and cross-entropy on the class.
-
-    Parameters
-    ----------
-    quantities
-        How many of the outputs are quantities; the others are the scores of the classes, whose number is the last
-        column of the targets.
-    """
-
-    quantities: int
-
-    def __call__(self, output: Tensor, target: Tensor) -> Tensor:
-        """Return the mean loss of outputs [n, K + C] for targets [n, K] or [n, K + 1]."""
-        k = self.quantities
-        parts: list[Tensor] = []
-        if k:
-            parts.append(F.smooth_l1_loss(output[:, :k], target[:, :k], beta=0.1))
-        if output.shape[1] > k:
-            parts.append(F.cross_entropy(output[:, k:], target[:, k].long()))
-        return torch.stack(parts).sum()
 
 
 class ResNet18:
@@ -125,6 +55,8 @@ class ResNet18:
     hide
         Radius in pixels of a disc about the centre that the network never sees (see `prepare`): what it can tell
         without the brightest spot.
+    background
+        How the background is taken off, "root" or "level": see `prepare`.
     epochs, batch, learning_rate, weight_decay, patience, precision
         See `tapetum.models.training.TrainingSettings`.
     gain, shift, noise
@@ -183,6 +115,7 @@ class ResNet18:
         crop: int = 288,
         size: int = 96,
         hide: int = 0,
+        background: str = "root",
         epochs: int = 12,
         batch: int = 32,
         learning_rate: float = 2e-3,
@@ -205,6 +138,7 @@ class ResNet18:
             raise InputError(f"must lie in 1 ... crop = {crop}, is {size}", where="size", remedy="96 of 288 is usual")
         if not 0 <= self.hide < self.crop / 2:
             raise InputError(f"must lie in 0 ... {crop / 2:g}, is {hide}", where="hide", remedy="0 hides nothing")
+        self.background = one_of(background, BACKGROUNDS, "background")
         self.settings = TrainingSettings(
             int(epochs),
             int(batch),
@@ -287,7 +221,7 @@ class ResNet18:
             images[fit],
             wanted[fit],
             self.settings,
-            loss=Loss(k),
+            loss=MixedLoss(k),
             validate=validate if len(aside) else None,
             device=self.device,
             processes=self.processes,
@@ -324,7 +258,7 @@ class ResNet18:
         total = -(-frame_count(data) // _BATCH)
         parts, snr = [torch.empty(0, 1, self.size, self.size)], [np.empty(0)]
         for images, depth in progress(batches(data, full_scale, _BATCH), "reading the images", total=total):
-            parts.append(prepare(images, self.crop, self.size, depth, self.hide))
+            parts.append(prepare(images, self.crop, self.size, depth, self.hide, self.background))
             snr.append(crop_snr(images, depth))
         return torch.cat(parts), np.concatenate(snr)
 
@@ -371,7 +305,7 @@ class ResNet18:
         total, k = -(-frame_count(data) // _BATCH), len(self.quantities)
         parts = [self._predicted(np.empty((0, k + len(self.classes_))), np.empty((0, FEATURES)), np.empty(0))]
         for images, depth in progress(batches(data, full_scale, _BATCH), "ResNet-18", total=total):
-            prepared = prepare(images, self.crop, self.size, depth, self.hide) / self._unit
+            prepared = prepare(images, self.crop, self.size, depth, self.hide, self.background) / self._unit
             features = self._run(self.network_.features, prepared, device)
             snr = crop_snr(images, depth) if self.intervals_.conditional else np.zeros(len(images))
             parts.append(self._predicted(self._weighed(features), features, snr))
@@ -400,6 +334,7 @@ class ResNet18:
             "crop": self.crop,
             "size": self.size,
             "hide": self.hide,
+            "background": self.background,
             "epochs": settings.epochs,
             "batch": settings.batch,
             "learning_rate": settings.learning_rate,

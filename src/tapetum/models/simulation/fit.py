@@ -16,16 +16,16 @@ from tapetum.bench import PrescriptionLens, Scene, scene_dict, scene_from_dict
 from tapetum.errors import InputError
 from tapetum.models.base import Data, frame_count
 from tapetum.models.prediction import Prediction
-from tapetum.models.simulation_counts import CountModel
-from tapetum.models.simulation_images import checked, images_of, looked_at
-from tapetum.models.simulation_pictures import Pictures, Pose, check_scene
-from tapetum.models.simulation_result import Mode, SimulationFitResult, result_of, same_top
-from tapetum.models.simulation_search import PHASE, SLOW, Search, Top, check_names
-from tapetum.models.simulation_starts import Bank
+from tapetum.models.simulation.counts import CountModel
+from tapetum.models.simulation.images import checked, images_of, looked_at
+from tapetum.models.simulation.pictures import Pictures, Pose, check_scene
+from tapetum.models.simulation.result import SimulationFitResult, result_of, same_top
+from tapetum.models.simulation.search import PHASE, SLOW, Search, Top, check_names
+from tapetum.models.simulation.starts import Bank
 from tapetum.progress import Progress, quiet
 from tapetum.simulate.exposure import gain_of
 
-__all__ = ["Mode", "SimulationFit", "SimulationFitResult"]
+__all__ = ["SimulationFit"]
 
 # Nodes along an edge of the bank: pictures with photosites take longer, and are smoother without them.
 _NODES, _NODES_SLOW = 25, 9
@@ -75,7 +75,7 @@ class SimulationFit:
 
     Where the photosites' orders come back (a fast lens), the likelihood has a narrow top for every period that the spot
     may lie in. The slow gaze and the phase are then climbed apart, and the periods that remain likely compared one by
-    one (`tapetum.models.simulation_search`). With the phases among the nuisances the slow gaze alone is estimated:
+    one (`tapetum.models.simulation.search`). With the phases among the nuisances the slow gaze alone is estimated:
     coarser by far, and what can be had where the photosites' place is not known to a hundredth of a micrometre.
 
     Examples

@@ -8,7 +8,7 @@ import numpy as np
 from numpy import fft
 from numpy.typing import NDArray
 
-from tapetum.models.simulation_pictures import Pictures, Pose
+from tapetum.models.simulation.pictures import Pictures, Pose
 from tapetum.progress import Progress, quiet
 
 __all__ = ["Bank", "Start"]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.errors import InputError
-from tapetum.models.simulation_counts import CountModel
-from tapetum.models.simulation_pictures import Pictures, Pose
+from tapetum.models.simulation.counts import CountModel
+from tapetum.models.simulation.pictures import Pictures, Pose
 
 __all__ = ["FREE", "PHASE", "SLOW", "Search", "Top"]
 

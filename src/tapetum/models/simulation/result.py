@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.errors import InputError
-from tapetum.models.simulation_search import Top
+from tapetum.models.simulation.search import Top
 
 __all__ = ["Mode", "SimulationFitResult", "result_of", "same_top"]
 
