@@ -109,6 +109,9 @@ class Plan:
         ]
 
 
+_FOCUS = ("object_distance", "focal_length")
+
+
 def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
     """Plan a bench: what a scene would give, before it is simulated or built.
 
@@ -119,7 +122,8 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
     parameters
         Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of
         each is that of estimating all of them from one frame. Where left out: those of `PARAMETERS` that have a limit
-        in this scene; the plan says why the others have none.
+        in this scene, but for the focus of a traced lens, which takes four more of it; the plan says why the others
+        have none.
 
     Raises
     ------
@@ -129,7 +133,7 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
     """
     left_out: dict[str, str] = {}
     if parameters is None:
-        reasons = {name: not_told(scene, name) for name in PARAMETERS}
+        reasons = {name: not_told(scene, name) or _costly(scene, name) for name in PARAMETERS}
         left_out = {name: why for name, why in reasons.items() if why is not None}
         parameters = [name for name in PARAMETERS if name not in left_out]
     light = scene.illumination
@@ -145,6 +149,12 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
         left_out=left_out,
         eye=_eye(scene),
     )
+
+
+def _costly(scene: Scene, name: str) -> str | None:
+    """Why a limit is computed only where asked for by name."""
+    traced = not isinstance(scene.target, PhoneTarget) and isinstance(scene.target.lens, PrescriptionLens)
+    return "takes four more lenses to trace: ask for it by name" if traced and name in _FOCUS else None
 
 
 def _geometry(scene: Scene) -> Geometry:
