@@ -24,6 +24,7 @@ from tapetum.data.dataset import (
     QUANTITIES,
     TEST,
     TRAIN,
+    TRUE_GAZE,
     VERSION,
     class_variable,
     finish_hash,
@@ -381,6 +382,10 @@ _COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
     "time": (np.float64, {"units": "s", "long_name": "time since the first frame of the recording"}),
     "frame_index": (np.int64, {"long_name": "number of the frame in the probe's video"}),
 }
+_TRUE: dict[str, tuple[type, dict[str, str]]] = {
+    name: (np.float32, {"units": QUANTITIES["gaze_x"], "long_name": "where it really looked, which no label tells"})
+    for name in TRUE_GAZE
+}
 
 
 def _write_columns(
@@ -388,6 +393,7 @@ def _write_columns(
 ) -> dict[str, NDArray[np.generic]]:
     """Write the variables along ``frame``; return them as they are stored."""
     kinds = {**{n: (np.float32, {"units": QUANTITIES[n]}) for n in names if n != DEVICE}, **_COLUMNS}
+    kinds |= {name: kind for name, kind in _TRUE.items() if name in kept.columns}
     written: dict[str, NDArray[np.generic]] = {}
     attributes: dict[str, dict[str, Any]] = {}
     for name, (kind, attrs) in kinds.items():

@@ -26,6 +26,7 @@ __all__ = [
     "QUANTITIES",
     "TEST",
     "TRAIN",
+    "TRUE_GAZE",
     "VERSION",
     "DatasetAccessor",
     "class_variable",
@@ -45,6 +46,9 @@ QUANTITIES = {
     "focal_length": "m",
 }
 """What a frame may be labelled with, and the unit of each."""
+
+TRUE_GAZE = ("true_gaze_x", "true_gaze_y")
+"""Variables of a synthesised set: where the target that films really looked. No model learns them."""
 
 DEVICE = "device"
 """The one label that is a class: whole numbers whose names are the variable's attribute ``classes``."""
@@ -248,7 +252,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     xarray.Dataset
         ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels
         of the frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``split``; see
-        `DatasetAccessor`.
+        `DatasetAccessor`. Synthesised sets have ``true_gaze_x`` and ``true_gaze_y`` besides.
 
     Raises
     ------

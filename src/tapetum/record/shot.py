@@ -109,6 +109,10 @@ class Shot:
         """Pictures of the target's camera from `first` to before `last`: [T, h, w], uint8."""
         return _stacked([self._target(i) for i in self._range("target", first, last)], self._empty("target"))
 
+    def gaze(self, frames: Sequence[int]) -> Array:
+        """Return where the target that films really looked in frames of the probe, fractions of its field: [N, 2]."""
+        return self._hands[0].gaze(self.beats["probe"].times)[np.asarray(frames, dtype=int)]
+
     def truth(self) -> pa.Table:
         """What was true of every frame: a row a stream, target and frame.
 

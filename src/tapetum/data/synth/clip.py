@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -32,6 +32,8 @@ class Filmed(Protocol):
     def probe(self, first: int, last: int) -> np.ndarray: ...
 
     def target(self, first: int, last: int) -> np.ndarray: ...
+
+    def gaze(self, frames: Sequence[int]) -> np.ndarray: ...
 
 
 @dataclass(frozen=True, eq=False)

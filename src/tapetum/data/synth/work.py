@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from tapetum.bench import Scene
 from tapetum.data.build import Kept, Rules, add_frames, labels_of
+from tapetum.data.dataset import TRUE_GAZE
 from tapetum.data.synth.clip import Clip, Filmed
 from tapetum.data.synth.plan import Part, Video
 from tapetum.errors import InputError
@@ -113,6 +114,9 @@ def make_part(
             labels = labels_of(clip, classes)
             made.told = add_frames(clip, part.video, labels, made, kept, rules, total)
         made.columns = kept.columns
+        if made.crops:
+            true = shot.gaze([int(number) for number in kept.columns["frame_index"]])
+            made.columns |= {name: true[:, axis].tolist() for axis, name in enumerate(TRUE_GAZE)}
         return made
 
 
