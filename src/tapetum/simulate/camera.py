@@ -23,7 +23,7 @@ from tapetum.optics.sampling import (
     plan_round,
     through_aperture,
 )
-from tapetum.simulate.diffuse import diffuse_return
+from tapetum.simulate.diffuse import DiffuseProfile, corner, diffuse_profile
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.light import directions, wavelengths
 from tapetum.simulate.radiometry import (
@@ -125,6 +125,7 @@ class Camera:
         self._steepest = steepest
         self.geometry = self._geometry(light.wavelength, steepest)
         self._plans: list[RoundPlan | SamplingPlan | TracedPlan] = []
+        self._profiles: dict[tuple[float, Scatterer], DiffuseProfile] = {}
 
     @cached_property
     def _lines(self) -> list[_Line]:
@@ -371,21 +372,28 @@ class Camera:
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]
-        images = [
-            diffuse_return(
-                line.geometry,
-                float(self._distance.detach()),
-                self.scene.probe.lens.aperture_radius,
-                self.output,
-                albedo=scatterer.diffuse.albedo * scatterer.transmittance,
-                spread=scatterer.diffuse.spread,
-                image_distance=scatterer.image_distance,
-                lit_radius=min(line.geometry.radius, beam_radius(self.scene)),
-                centre=place,
-            )
-            for place in places
-        ]
+        images = [self._profile(line, scatterer, place).on(self.output, place) for place in places]
         return torch.stack(images).to(self._device)
+
+    def _profile(self, line: _Line, scatterer: Scatterer, place: tuple[float, float]) -> DiffuseProfile:
+        """Scattered light by its distance from a place: kept for those within a pixel of the picture's middle."""
+        near, reach = corner(self.output) + self.output.pitch, corner(self.output, place)
+        key = (line.wavelength, scatterer)
+        if reach <= near and key in self._profiles:
+            return self._profiles[key]
+        profile = diffuse_profile(
+            line.geometry,
+            float(self._distance.detach()),
+            self.scene.probe.lens.aperture_radius,
+            max(near, reach),
+            albedo=scatterer.diffuse.albedo * scatterer.transmittance,
+            spread=scatterer.diffuse.spread,
+            image_distance=scatterer.image_distance,
+            lit_radius=min(line.geometry.radius, beam_radius(self.scene)),
+        )
+        if reach <= near:
+            self._profiles[key] = profile
+        return profile
 
     def window(self, *, margin: bool = False) -> Grid:
         """The smallest square of probe pixels that holds one beam's RR but for its faintest rings.

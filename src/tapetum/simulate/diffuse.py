@@ -40,7 +40,7 @@ from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["diffuse_return", "speckle_return"]
+__all__ = ["DiffuseProfile", "corner", "diffuse_profile", "diffuse_return", "speckle_return"]
 
 Real = npt.NDArray[np.floating]
 
@@ -152,18 +152,82 @@ def diffuse_return(
     Small angles: at an F-number of 1.4 the lens collects sin² = 0.11 of the light, r²/z² = 0.13.
     The autocorrelation of a defocused pupil is that of H. H. Hopkins, Proc. R. Soc. Lond. A 231, 91 (1955).
     """
+    if not all(map(math.isfinite, centre)):
+        raise InputError(f"must be finite, is {centre}", where="centre", remedy="give two lengths in metres")
+    profile = diffuse_profile(
+        geometry,
+        distance,
+        probe_radius,
+        corner(output, centre),
+        albedo=albedo,
+        spread=spread,
+        image_distance=image_distance,
+        lit_radius=lit_radius,
+        accuracy=accuracy,
+    )
+    return profile.on(output, centre)
+
+
+def corner(output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> float:
+    """Distance of a picture's farthest corner from a place on it, in metres."""
+    x, y = output.x() - centre[0], output.y() - centre[1]
+    return math.hypot(float(x.abs().max()) + output.pitch / 2, float(y.abs().max()) + output.pitch / 2)
+
+
+@dataclass(frozen=True, eq=False)
+class DiffuseProfile:
+    """Scattered light on the probe's sensor against the distance from its middle, wherever that lies.
+
+    Parameters
+    ----------
+    radii
+        [N] distances in metres, evenly spaced from 0.
+    irradiance
+        [N] in W/m² for 1 W/m² at the target.
+    """
+
+    radii: Real
+    irradiance: Real
+
+    def on(self, output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> torch.Tensor:
+        """Return the picture [H, W] about a place (x, y) in metres, as `diffuse_return`."""
+        x, y = output.x().numpy() - centre[0], output.y().numpy() - centre[1]
+        return torch.from_numpy(_on_pixels(self.radii, self.irradiance, x, y, output.pitch))
+
+
+def diffuse_profile(
+    geometry: DoublePassGeometry,
+    distance: float,
+    probe_radius: float,
+    reach: float,
+    *,
+    albedo: float,
+    spread: float = 0.0,
+    image_distance: float | None = None,
+    lit_radius: float | None = None,
+    accuracy: float = 1e-2,
+) -> DiffuseProfile:
+    """Scattered light by its distance from the middle: nearly all the work of `diffuse_return`, for many places.
+
+    Parameters
+    ----------
+    reach
+        How far from its middle the picture goes, in metres.
+    geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius, accuracy
+        As for `diffuse_return`.
+
+    Raises
+    ------
+    InputError
+        For a number out of its range.
+    """
     plane = _plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
     if not 1e-4 <= accuracy < 1:
         raise InputError(f"must be from 1e-4 to below 1, is {accuracy}", where="accuracy", remedy="ask for 1e-2")
-    if not all(map(math.isfinite, centre)):
-        raise InputError(f"must be finite, is {centre}", where="centre", remedy="give two lengths in metres")
     f_p = geometry.probe_focal_length
-    x = output.x().numpy() - centre[0]
-    y = output.y().numpy() - centre[1]
     # A ring's irradiance falls as the cube of its number: at this one the peak's `accuracy` is long past.
     rings = 30 * accuracy ** (-1 / 3)
-    farthest = math.hypot(np.abs(x).max() + output.pitch / 2, np.abs(y).max() + output.pitch / 2)
-    end = min(farthest / f_p, plane.reach(rings))
+    end = min(reach / f_p, plane.reach(rings))
     step = plane.wavelength / (6 * plane.limit)
     clipped = plane.footprint(distance) > probe_radius
     if clipped:
@@ -173,8 +237,7 @@ def diffuse_return(
     profile = _unclipped(plane, angles)
     if clipped:
         profile = profile * _passing(plane, distance, probe_radius, angles, accuracy)
-    profile = np.maximum(profile, 0.0) * albedo / math.pi / (plane.z * f_p) ** 2
-    return torch.from_numpy(_on_pixels(angles * f_p, profile, x, y, output.pitch))
+    return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * albedo / math.pi / (plane.z * f_p) ** 2)
 
 
 def speckle_return(
