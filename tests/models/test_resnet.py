@@ -226,3 +226,11 @@ def test_unfit_data_are_told(small, whole):
     blank = dataset_from_arrays(np.full((50, 40, 40), 9, np.uint8), {"a": np.arange(50)})
     with pytest.raises(InputError, match="blank"):
         ResNet18("a", **TINY).fit(blank)
+
+
+def test_a_card_that_does_not_name_the_background_means_the_root(whole):
+    model, _ = whole
+    assert model.background == "level"
+    old = {name: value for name, value in model.parameters().items() if name != "background"}
+    assert ResNet18.from_state(old, model.state()).background == "root"
+    assert ResNet18.from_state(model.parameters(), model.state()).background == "level"

@@ -13,8 +13,9 @@ from tapetum.errors import InputError
 __all__ = ["BACKGROUNDS", "SOFTENING", "central", "prepare"]
 
 BACKGROUNDS = ("root", "level")
-SOFTENING = 1 / 255
-"""In fractions of full scale, one count of an 8-bit camera: below it the root of what stands out turns into a line."""
+SOFTENING = 2 / 255
+"""In fractions of full scale, two counts of an 8-bit camera: below it the root of what stands out turns into a line, so
+that the noise of a dim background does not outgrow the RR."""
 
 
 def central(images: NDArray[np.generic], crop: int) -> NDArray[np.generic]:
@@ -37,7 +38,7 @@ def central(images: NDArray[np.generic], crop: int) -> NDArray[np.generic]:
 
 
 def prepare(
-    images: NDArray[np.generic], crop: int, size: int, full_scale: float, hide: int = 0, background: str = "root"
+    images: NDArray[np.generic], crop: int, size: int, full_scale: float, hide: int = 0, background: str = "level"
 ) -> Tensor:
     """Turn crops into what the network sees.
 

@@ -115,7 +115,7 @@ class ResNet18:
         crop: int = 288,
         size: int = 96,
         hide: int = 0,
-        background: str = "root",
+        background: str = "level",
         epochs: int = 12,
         batch: int = 32,
         learning_rate: float = 2e-3,
@@ -373,7 +373,8 @@ class ResNet18:
         cls, parameters: Mapping[str, Any], state: Mapping[str, Tensor], classes: tuple[str, ...] = ()
     ) -> Self:
         """Make a fitted model of what `parameters`, `state` and `classes` returned."""
-        model = cls(**parameters)
+        # Cards older than the choice do not name it.
+        model = cls(**{"background": "root", **parameters})
         k = len(model.quantities)
         if (DEVICE in model.target_names) != bool(classes):
             what = f"expected {'names' if not classes else 'no names'} of devices"
