@@ -241,7 +241,7 @@ def test_a_model_that_was_altered(run, chain, tmp_path: Path, command: str, chan
 
 def test_no_such_model(run, chain, tmp_path: Path) -> None:
     ran = run("track", chain.recording, "--model", "my-model", "-o", tmp_path / "t.csv")
-    assert ran.code == 2 and "my-model: is neither a model's folder nor" in ran.complaint
+    assert ran.code == 2 and "my-model: is neither a model's folder or .onnx file nor" in ran.complaint
     ran = run("track", chain.recording, "--model", tmp_path / "m", "-o", tmp_path / "t.csv")
     assert ran.code == 2 and "tapetum train" in ran.complaint
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pyarrow import csv
 
 from tapetum.models import pretrained
 from tapetum.models.fast import FastResNet18
@@ -22,10 +23,33 @@ def test_the_bundled_model(run, tmp_path: Path) -> None:
     np.testing.assert_allclose(FastResNet18(out, threads=1).predict(images).value, wanted.value, rtol=0, atol=1e-5)
 
 
+def test_what_was_exported_evaluates_and_tracks(run, chain, tmp_path: Path) -> None:
+    fast, tables = tmp_path / "gaze.onnx", {}
+    assert run("export", "thin-lens-gaze", "-o", fast).code == 0
+    for name in ("thin-lens-gaze", str(fast)):
+        out = tmp_path / "tracks.csv"
+        ran = run("track", chain.recording, "--model", name, "-o", out)
+        assert ran.code == 0
+        tables[name] = csv.read_csv(out)
+    slow, quick = tables.values()
+    assert slow.num_rows == quick.num_rows > 0
+    for column in ("gaze_x", "gaze_x_low", "gaze_y_high"):
+        one, other = (np.array(table[column].to_pylist(), dtype=float) for table in (slow, quick))
+        assert np.isfinite(one).any()
+        np.testing.assert_allclose(other, one, rtol=0, atol=1e-4)
+    again = run("export", fast, "-o", tmp_path / "twice.onnx")
+    assert again.code == 2 and "is exported already" in again.complaint
+    missing = run("track", chain.recording, "--model", tmp_path / "no.onnx", "-o", tmp_path / "t.csv")
+    assert missing.code == 2 and "there is no such model" in missing.complaint
+
+
 def test_what_cannot_be_exported(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for arguments, words in (
         (("thin-lens-gaze", "-o", tmp_path / "m.pt"), "unknown kind of export '.pt'; name it NAME.onnx"),
-        (("no-such", "-o", tmp_path / "m.onnx"), "no-such: is neither a model's folder nor the name of a bundled"),
+        (
+            ("no-such", "-o", tmp_path / "m.onnx"),
+            "no-such: is neither a model's folder or .onnx file nor the name of a bundled",
+        ),
         (("thin-lens-gaze",), "Missing option"),
     ):
         ran = run("export", *arguments)

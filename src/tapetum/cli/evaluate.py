@@ -18,7 +18,12 @@ _FILES = (".html", ".htm", ".pdf", ".md", ".txt", ".csv", ".png", ".yaml", ".zip
 
 
 def evaluate(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A model's folder, or the bundled thin-lens-gaze.")],
+    model: Annotated[
+        str,
+        typer.Argument(
+            metavar="MODEL", help="A model's folder, a network exported to NAME.onnx, or the bundled thin-lens-gaze."
+        ),
+    ],
     dataset: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
     out: Annotated[
         Path | None,

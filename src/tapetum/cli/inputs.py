@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tapetum.errors import InputError
 
 if TYPE_CHECKING:
-    from tapetum.models import Estimator
+    from tapetum.models import Predictor
 
 __all__ = ["check_replaceable", "find_model"]
 
@@ -45,20 +45,20 @@ def check_replaceable(out: Path, overwrite: bool, marker: str, kind: str) -> Non
         raise InputError(what, where=out, remedy="choose another name or remove it yourself")
 
 
-def find_model(name: str) -> Estimator:
-    """Load a model by its folder or by the name of a bundled one.
+def find_model(name: str) -> Predictor:
+    """Load a model by its folder, by its exported file NAME.onnx or by the name of a bundled one.
 
     Raises
     ------
     InputError
         When there is neither, or the folder is damaged.
     """
-    from tapetum.models import load_model, pretrained
+    from tapetum.models import load_predictor, pretrained
 
-    if Path(name).exists() or Path(name).name != name:
-        return load_model(name)
+    if Path(name).exists() or Path(name).suffix == ".onnx" or Path(name).name != name:
+        return load_predictor(name)
     try:
         return pretrained(name)
     except InputError as error:
-        what = "is neither a model's folder nor the name of a bundled model"
+        what = "is neither a model's folder or .onnx file nor the name of a bundled model"
         raise InputError(what, where=name, remedy=error.remedy) from error

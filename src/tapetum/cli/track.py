@@ -36,7 +36,7 @@ def track(
         typer.Option(
             "--model",
             metavar="MODEL",
-            help="A model's folder, or the bundled thin-lens-gaze; may be repeated.",
+            help="A model's folder, a network exported to NAME.onnx, or the bundled thin-lens-gaze; may be repeated.",
         ),
     ] = None,
     detections: Annotated[

@@ -1,13 +1,13 @@
 """Estimators: images of retro-reflections in; gaze, focus and device out, with intervals and probabilities."""
 
-from tapetum.models.base import Data, Estimator
+from tapetum.models.base import Data, Estimator, Predictor
 from tapetum.models.features import feature_names, zernike_features
 from tapetum.models.network import ResNet18Network
 from tapetum.models.prediction import COVERAGE, NONE_OF_THESE, Prediction
 from tapetum.models.resnet import ResNet18
 from tapetum.models.simulation import SimulationFit, SimulationFitResult
 from tapetum.models.snr import crop_snr
-from tapetum.models.store import load_model, model_card, pretrained, save_model
+from tapetum.models.store import load_model, load_predictor, model_card, pretrained, save_model
 from tapetum.models.training import EpochReport
 from tapetum.models.zernike_ridge import ZernikeRidge
 
@@ -18,6 +18,7 @@ __all__ = [
     "EpochReport",
     "Estimator",
     "Prediction",
+    "Predictor",
     "ResNet18",
     "ResNet18Network",
     "SimulationFit",
@@ -26,6 +27,7 @@ __all__ = [
     "crop_snr",
     "feature_names",
     "load_model",
+    "load_predictor",
     "model_card",
     "pretrained",
     "save_model",

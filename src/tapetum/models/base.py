@@ -18,7 +18,16 @@ from tapetum.models.features import as_images
 from tapetum.models.prediction import Prediction
 from tapetum.progress import Progress, quiet
 
-__all__ = ["TARGETS", "Data", "Estimator", "TrainingPart", "quantities_of", "target_names", "training_part"]
+__all__ = [
+    "TARGETS",
+    "Data",
+    "Estimator",
+    "Predictor",
+    "TrainingPart",
+    "quantities_of",
+    "target_names",
+    "training_part",
+]
 
 TARGETS: dict[str, tuple[str, ...]] = {
     "gaze": ("gaze_x", "gaze_y"),
@@ -33,32 +42,37 @@ Data: TypeAlias = xr.Dataset | NDArray[np.generic]
 
 
 @runtime_checkable
-class Estimator(Protocol):
-    """A model of images: scikit-learn's contract, with progress and intervals.
-
-    Parameters are arguments of ``__init__`` and come back from `parameters`; what is learned ends in an
-    underscore.
-    """
+class Predictor(Protocol):
+    """A fitted model, whatever it runs on."""
 
     kind: ClassVar[str]
     target_names: tuple[str, ...]
     quantities: tuple[str, ...]
     data_hash_: str | None
 
-    def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self: ...
-
     def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction: ...
 
     def parameters(self) -> dict[str, Any]:
-        """Return the arguments of ``__init__``, fit for JSON."""
-        ...
-
-    def state(self) -> dict[str, torch.Tensor]:
-        """Return everything that was learned."""
+        """Return how it was made, fit for JSON."""
         ...
 
     def classes(self) -> tuple[str, ...]:
         """Return the names of the devices learned; empty where that is no target."""
+        ...
+
+
+@runtime_checkable
+class Estimator(Predictor, Protocol):
+    """A model of images that learns: scikit-learn's contract, with progress and intervals.
+
+    Parameters are arguments of ``__init__`` and come back from `parameters`; what is learned ends in an
+    underscore.
+    """
+
+    def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self: ...
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return everything that was learned."""
         ...
 
     @classmethod

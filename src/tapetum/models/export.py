@@ -16,7 +16,7 @@ from torch import nn
 from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError, need
 from tapetum.files import atomic_file
-from tapetum.models.base import Estimator
+from tapetum.models.base import Predictor
 from tapetum.models.inputs import SOFTENING
 from tapetum.models.network import BasicBlock, ResNet18Network
 from tapetum.models.novelty import Novelty
@@ -65,7 +65,7 @@ def onnx_card(model: ResNet18) -> dict[str, Any]:
     }
 
 
-def export_onnx(model: Estimator, path: str | Path) -> Path:
+def export_onnx(model: Predictor, path: str | Path) -> Path:
     """Write a fitted ResNet-18 to an ONNX file; one that is there already is replaced.
 
     Parameters
@@ -95,7 +95,7 @@ def export_onnx(model: Estimator, path: str | Path) -> Path:
     return Path(path)
 
 
-def onnx_bytes(model: Estimator) -> bytes:
+def onnx_bytes(model: Predictor) -> bytes:
     """Return a fitted ResNet-18 as an ONNX model, preparation and scaling included.
 
     Inputs: `counts` [N, crop, crop] and `full_scale` [], float32. Outputs: `value` [N, K] in SI units where there are
@@ -115,6 +115,8 @@ def onnx_bytes(model: Estimator) -> bytes:
     """
     if not isinstance(model, ResNet18):
         kind = getattr(model, "kind", type(model).__name__)
+        if kind == ResNet18.kind:
+            raise InputError("is exported already", where="model", remedy="give the model's folder")
         raise InputError(f"only resnet18 models become ONNX, this one is {kind}", where="model", remedy="train one")
     state = model.state()  # says so when the model is not fitted
     card = onnx_card(model)

@@ -88,6 +88,11 @@ class FastResNet18:
         """Return the names of the devices learned; empty where that is no target."""
         return tuple(self.card["classes"])
 
+    def parameters(self) -> dict[str, Any]:
+        """Return what its card tells of the model that was exported."""
+        told = {name: self.card[name] for name in ("crop", "size") if name in self.card}
+        return {"target": list(self.target_names), **told, "runtime": "ONNX"}
+
     def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:
         """Estimate the target for every image.
 

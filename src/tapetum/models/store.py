@@ -16,7 +16,7 @@ from safetensors.torch import load_file, save_file
 from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError
 from tapetum.files import atomic_folder, sha256_file
-from tapetum.models.base import Estimator, json_safe
+from tapetum.models.base import Estimator, Predictor, json_safe
 from tapetum.models.resnet import ResNet18
 from tapetum.models.zernike_ridge import ZernikeRidge
 
@@ -27,6 +27,7 @@ __all__ = [
     "VERSION",
     "WEIGHTS",
     "load_model",
+    "load_predictor",
     "model_card",
     "pretrained",
     "save_model",
@@ -216,6 +217,23 @@ def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
     known = card.get("training_data")
     model.data_hash_ = known if isinstance(known, str) else None
     return model
+
+
+def load_predictor(path: str | Path) -> Predictor:
+    """Load whatever predicts: a model's folder, or a network exported to NAME.onnx, which is faster on a CPU.
+
+    Raises
+    ------
+    InputError
+        As `load_model`, and as `tapetum.models.fast.FastResNet18`.
+    MissingExtraError
+        For a file .onnx, when the extra `fast` is not installed.
+    """
+    if Path(path).suffix.lower() == ".onnx":
+        from tapetum.models.fast import FastResNet18
+
+        return FastResNet18(path)
+    return load_model(path)
 
 
 def pretrained(name: str = "thin-lens-gaze") -> ZernikeRidge | ResNet18:

@@ -6,7 +6,7 @@ from typing import Any
 
 import xarray as xr
 
-from tapetum.models import Estimator
+from tapetum.models import Predictor
 from tapetum.progress import Progress, quiet
 from tapetum.report.evaluation.outcome import gather_parts
 from tapetum.report.evaluation.scores import score
@@ -15,7 +15,7 @@ __all__ = ["describe", "evaluate_model"]
 
 
 def evaluate_model(
-    model: Estimator, test: xr.Dataset, train: xr.Dataset, *, progress: Progress = quiet
+    model: Predictor, test: xr.Dataset, train: xr.Dataset, *, progress: Progress = quiet
 ) -> dict[str, Any]:
     """Score a model on a dataset's test part, beside predicting the mean of its training part.
 

@@ -65,9 +65,9 @@ def _loaded(models: Models) -> list[Predictor]:
     for one in many:
         if isinstance(one, (str, os.PathLike)):
             # PyTorch takes a second to import, and tracking alone does not need it.
-            from tapetum.models.store import load_model
+            from tapetum.models.store import load_predictor
 
-            estimators.append(load_model(Path(one)))
+            estimators.append(load_predictor(Path(one)))
         else:
             estimators.append(one)
     names = [name for estimator in estimators for name in estimator.target_names]

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tapetum.data.crop import crop
 from tapetum.files import atomic_folder
-from tapetum.models import Estimator
+from tapetum.models import Predictor
 from tapetum.progress import Progress, quiet
 from tapetum.report import html
 from tapetum.report.evaluation import sections as part
@@ -61,7 +61,7 @@ class Subject:
 
 
 def subject_of(
-    model: Estimator, dataset: xr.Dataset, *, model_name: str = "", card: Mapping[str, Any] | None = None
+    model: Predictor, dataset: xr.Dataset, *, model_name: str = "", card: Mapping[str, Any] | None = None
 ) -> Subject:
     """Say what model and what data an evaluation is about.
 
