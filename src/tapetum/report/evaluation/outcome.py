@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike, NDArray
 
-from tapetum.data.dataset import DEVICE, image_batches
+from tapetum.data.dataset import DEVICE, TRUE_GAZE, image_batches
 from tapetum.errors import InputError
-from tapetum.models import Estimator, Prediction
+from tapetum.models import Prediction, Predictor
 from tapetum.models.snr import crop_snr
 from tapetum.progress import Progress, quiet
 
@@ -56,6 +56,8 @@ class Outcome:
         Commonest device of the training part: the guess at the class.
     covariates
         [N] of some of `COVARIATES`; absent where unknown.
+    true_gaze
+        [N, 2] where the target really looked, which a label misses by its own error; None where nobody knows.
     simulated
         Whether the virtual bench filmed it, as far as the dataset says.
     """
@@ -71,6 +73,7 @@ class Outcome:
     device: tuple[str, ...] | None = None
     commonest: str | None = None
     covariates: Mapping[str, Array] = field(default_factory=dict)
+    true_gaze: Array | None = None
     simulated: bool = False
 
     def __post_init__(self) -> None:
@@ -81,6 +84,8 @@ class Outcome:
                 raise InputError(f"expected {count} values, got shape {np.shape(values)}", where=name)
         if self.device is not None and len(self.device) != count:
             raise InputError(f"expected {count} names, got {len(self.device)}", where=DEVICE)
+        if self.true_gaze is not None and self.true_gaze.shape != (count, 2):
+            raise InputError(f"expected shape ({count}, 2), got {self.true_gaze.shape}", where="true_gaze")
         missing = [name for name in self.prediction.names if name not in self.truth]
         if missing:
             raise InputError("is predicted, but the truth is not known", where=missing[0])
@@ -123,7 +128,7 @@ class Outcome:
 
 
 def gather(
-    model: Estimator,
+    model: Predictor,
     dataset: xr.Dataset,
     *,
     covariates: Mapping[str, ArrayLike] | None = None,
@@ -152,7 +157,7 @@ def gather(
 
 
 def gather_parts(
-    model: Estimator,
+    model: Predictor,
     test: xr.Dataset,
     train: xr.Dataset,
     *,
@@ -196,6 +201,7 @@ def gather_parts(
         device=device,
         commonest=max(sorted(set(known)), key=known.count) if known else None,
         covariates=_covariates(test, entries, number) | _given(covariates),
+        true_gaze=_true_gaze(test),
         simulated=_simulated(test, entries),
     )
 
@@ -210,6 +216,12 @@ def _devices(dataset: xr.Dataset) -> tuple[str, ...] | None:
         return None
     names = dataset.tp.classes
     return tuple(names[int(k)] for k in dataset[DEVICE].values)
+
+
+def _true_gaze(dataset: xr.Dataset) -> Array | None:
+    if not all(name in dataset for name in TRUE_GAZE):
+        return None
+    return np.stack([np.asarray(dataset[name].values, dtype=np.float64) for name in TRUE_GAZE], axis=1)
 
 
 def _snr(dataset: xr.Dataset, progress: Progress) -> Array:

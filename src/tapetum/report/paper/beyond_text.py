@@ -82,6 +82,7 @@ def text_fit(found: Untrained) -> str:
 
 {_NOT_THERE} {found.frames} frames of the Rotation set's test part, in the centre half of the field, each fitted by the
 simulator that filmed it: maximum likelihood of gaze, brightness, place, background, roll and the photosites' phase.
+Errors count from where the target really looked, not from the label.
 
 RMSE {found.rmse:.2g} of the field over both axes. The Cramér-Rao limit at the same gazes is {found.limit:.2g}: the fit
 is at {found.rmse / found.limit:.2f} times it. Its own 90 % intervals hold {100 * found.coverage:.0f} % of the truths.

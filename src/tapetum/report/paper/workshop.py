@@ -58,17 +58,17 @@ def _epochs(size: str, paper: int) -> int:
 
 def _gaze(size: str, **changed: Any) -> ResNet18:
     # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one.
-    return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 8), "gain": 0.3} | changed)
+    return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 9), "gain": 0.3} | changed)
 
 
 def _focus(size: str) -> ResNet18:
     # The RR fills the crop at 135 mm and 3 m.
-    return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 8))
+    return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 3))
 
 
-def _phone(size: str, target: str = "phone", epochs: int = 8) -> ResNet18:
+def _phone(size: str, target: str = "phone", epochs: int = 3) -> ResNet18:
     # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide.
-    return ResNet18(target, crop=400, size=100, epochs=_epochs(size, epochs))
+    return ResNet18(target, crop=400, size=72, epochs=_epochs(size, epochs))
 
 
 def _paper_ridge(target: str) -> ZernikeRidge:
@@ -97,7 +97,7 @@ RECIPES: dict[str, Recipe] = {
         Recipe("focusing-resnet18", "focusing", RESNET, _focus),
         Recipe("phones-resnet18", "phones", RESNET, _phone),
         Recipe(
-            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 4), UNSEEN
+            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 2), UNSEEN
         ),
     )
 }
