@@ -85,21 +85,18 @@ def sag(lens: Lens, i: int, r_squared: torch.Tensor) -> tuple[torch.Tensor, torc
     root = torch.sqrt((1 - (1 + kappa) * c**2 * r_squared).clamp_min(_TURNING))
     value, slope = c * r_squared / (1 + root), c / (2 * root)
     if _counts(powers):
-        # Two Horner sums: even powers in r², odd ones in r² times r.
-        even, odd = powers[0::2], powers[1::2]
-        for a, first in ((even, 1.0), (odd, 1.5)):
-            if not _counts(a):
+        # Two Horner sums with their derivatives: even powers in r², odd ones in r² times r.
+        for first, coefficients in enumerate((powers[0::2], powers[1::2])):
+            if not _counts(coefficients):
                 continue
             total = torch.zeros_like(r_squared)
             derivative = torch.zeros_like(r_squared)
-            for j in range(len(a) - 1, -1, -1):
-                total = total * r_squared + a[j]
-                derivative = derivative * r_squared + (j + first) * a[j]
-            if first == 1.0:
-                value, slope = value + total * r_squared, slope + derivative
-            else:
-                r = torch.sqrt(r_squared.clamp_min(1e-30))
-                value, slope = value + total * r_squared * r, slope + derivative * r
+            for a in coefficients.flip(0):
+                derivative = torch.addcmul(total, derivative, r_squared)
+                total = torch.addcmul(a, total, r_squared)
+            factor = r_squared if first == 0 else r_squared * torch.sqrt(r_squared.clamp_min(1e-30))
+            lever = 1.0 if first == 0 else 1.5 * torch.sqrt(r_squared.clamp_min(1e-30))
+            value, slope = value + total * factor, slope + total * lever + derivative * factor
     return value, slope
 
 
@@ -181,16 +178,31 @@ def _distance(lens: Lens, i: int, position: torch.Tensor, direction: torch.Tenso
     with torch.no_grad():
         start, way = position.detach(), direction.detach()
         t = (lens.z[i] - start[..., 2]) / way[..., 2]
-        # No step goes farther than the surface is wide: a wild one ends at a root of another place.
-        widest = 2 * lens.semi_diameter[i].detach()
-        for _ in range(_ITERATIONS):
-            step = _step(lens, i, start + t[..., None] * way, way)
-            t = t - torch.minimum(torch.maximum(step, -widest), widest)
-            if bool((step.abs() < _LAST_STEP).all()):
-                break
+        t = _newton(lens, i, start.reshape(-1, 3), way.expand_as(start).reshape(-1, 3), t.reshape(-1)).reshape(t.shape)
         t = torch.nan_to_num(t)
     if any(one.requires_grad for one in (position, direction, lens.z, lens.curvature, lens.conic, lens.asphere)):
         t = t - _step(lens, i, position + t[..., None] * direction, direction)
+    return t
+
+
+def _newton(
+    lens: Lens, i: int, start: torch.Tensor, way: torch.Tensor, t: torch.Tensor, steps: int = _ITERATIONS
+) -> torch.Tensor:
+    """Distances [N] to surface i along rays from `start` [N, 3], from guesses t [N]."""
+    # No step goes farther than the surface is wide: a wild one ends at a root of another place.
+    widest = 2 * lens.semi_diameter[i].detach()
+    for done in range(1, steps + 1):
+        step = _step(lens, i, start + t[:, None] * way, way)
+        t = t - torch.minimum(torch.maximum(step, -widest), widest)
+        far = ~(step.abs() < _LAST_STEP)
+        left = int(far.sum())
+        if left == 0:
+            break
+        # Most rays arrive after a few steps; those that find no surface go on without them.
+        if 4 * left < len(t) and done < steps:
+            rest = far.nonzero()[:, 0]
+            found = _newton(lens, i, start[rest], way[rest], t[rest], steps - done)
+            return t.index_copy(0, rest, found)
     return t
 
 
