@@ -93,7 +93,7 @@ def test_a_background_taken_off_first_leaves_no_trace():
     dim, bright = (prepare((spot + level)[None], 36, 12, 255, background="level") for level in (20, 90))
     torch.testing.assert_close(dim, bright, atol=1e-5, rtol=1e-5)
     # Its root taken off afterwards pales the faint parts.
-    dim, bright = (prepare((spot + level)[None], 36, 12, 255) for level in (20, 90))
+    dim, bright = (prepare((spot + level)[None], 36, 12, 255, background="root") for level in (20, 90))
     assert float((dim - bright).abs().max()) > 0.1
     # Dark pixels scatter about 0: neither cut off nor blown up.
     noise = np.random.default_rng(0).normal(50, 3, (1, 40, 40))
