@@ -14,9 +14,6 @@ from tapetum.errors import InputError
 
 __all__ = ["Augmentation", "augment"]
 
-# Of an uneven background, along an edge of the image.
-_PATCHES = 5
-
 
 @dataclass(frozen=True)
 class Augmentation:
@@ -38,15 +35,11 @@ class Augmentation:
         Standard deviation of white noise, in units of the training images' standard deviation. The root makes
         white noise the right kind: counts of a mean n spread by sqrt(n), their root by 1/2 whatever n is
         (Anscombe, Biometrika 35, 246 (1948)), bright pixels and dark ones alike.
-    unevenness
-        Largest standard deviation of an uneven background, in the same units: smooth over a quarter of the image. It
-        is halved where the image is one standard deviation bright, for there the root moves less.
     """
 
     gain: float = 0.1
     shift: float = 1.5
     noise: float = 0.03
-    unevenness: float = 0.0
 
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
@@ -58,11 +51,11 @@ class Augmentation:
     @classmethod
     def none(cls) -> Self:
         """Leave the images as they are."""
-        return cls(0, 0, 0, 0)
+        return cls(0, 0, 0)
 
 
 def augment(images: Tensor, settings: Augmentation, generator: torch.Generator) -> Tensor:
-    """Return images [N, 1, H, W] with random gain, sub-pixel shift, background and noise; see `Augmentation`.
+    """Return images [N, 1, H, W] with random gain, sub-pixel shift and noise; see `Augmentation`.
 
     The numbers are drawn where the generator lives: one of the images' device spares the way there.
     """
@@ -79,12 +72,6 @@ def augment(images: Tensor, settings: Augmentation, generator: torch.Generator) 
         images = F.grid_sample(images, grid, mode="bilinear", padding_mode="border", align_corners=False)
     if settings.gain > 0:
         images = images * torch.exp(settings.gain * uniform(n, 1, 1, 1))
-    if settings.unevenness > 0:
-        coarse = torch.randn(n, 1, _PATCHES, _PATCHES, generator=generator, device=generator.device).to(images)
-        field = F.interpolate(coarse, size=(height, width), mode="bicubic", align_corners=True)
-        field = field - field.mean((2, 3), keepdim=True)
-        size = settings.unevenness * (1 + uniform(n, 1, 1, 1)) / 2
-        images = images + size * field / (1 + images.abs())
     if settings.noise > 0:
         noise = torch.randn(images.shape, generator=generator, device=generator.device)
         images = torch.add(images, noise.to(images), alpha=settings.noise)

@@ -59,7 +59,7 @@ class ResNet18:
         How the background is taken off, "root" or "level": see `prepare`.
     epochs, batch, learning_rate, weight_decay, patience, precision
         See `tapetum.models.training.TrainingSettings`.
-    gain, shift, noise, unevenness
+    gain, shift, noise
         See `tapetum.models.training.Augmentation`.
     seed
         Of the initial weights, the order of the images and the augmentation. Equal seeds give equal weights
@@ -125,7 +125,6 @@ class ResNet18:
         gain: float = 0.1,
         shift: float = 1.5,
         noise: float = 0.03,
-        unevenness: float = 0.0,
         seed: int = 0,
         calibration_fraction: float = 0.1,
         device: str = "auto",
@@ -146,7 +145,7 @@ class ResNet18:
             learning_rate,
             weight_decay,
             self.seed,
-            Augmentation(gain, shift, noise, unevenness),
+            Augmentation(gain, shift, noise),
             patience,
             precision,
         )
@@ -345,7 +344,6 @@ class ResNet18:
             "gain": varied.gain,
             "shift": varied.shift,
             "noise": varied.noise,
-            "unevenness": varied.unevenness,
             "seed": self.seed,
             "calibration_fraction": self.calibration_fraction,
         }

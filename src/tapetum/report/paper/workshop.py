@@ -58,8 +58,7 @@ def _epochs(size: str, paper: int) -> int:
 
 def _gaze(size: str, **changed: Any) -> ResNet18:
     # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one.
-    usual = {"crop": 144, "size": 72, "epochs": _epochs(size, 9), "gain": 0.3, "unevenness": 0.3}
-    return ResNet18("gaze", **usual | changed)
+    return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 9), "gain": 0.3} | changed)
 
 
 def _focus(size: str) -> ResNet18:
