@@ -56,6 +56,21 @@ def test_it_is_a_dataset_as_any_other(whole: Path):
     assert [path.name for path in whole.parent.iterdir()] == ["whole.zarr"]
 
 
+def test_it_keeps_where_the_target_really_looked(whole: Path):
+    dataset, plan = open_dataset(whole), little_plan()
+    for number, video in enumerate(plan.videos):
+        own = dataset.isel(frame=np.flatnonzero(dataset["recording"].values == number))
+        truth = shot_of(video.scene, video.session).truth().to_pandas()
+        truth = truth[(truth["stream"] == "probe") & (truth["target"] == 0)].set_index("frame")
+        for axis in "xy":
+            looked = truth[f"gaze_{axis}"].loc[own["frame_index"].values]
+            np.testing.assert_allclose(own[f"true_gaze_{axis}"].values, looked, rtol=0, atol=1e-6)
+            # A label is near it, and not the same.
+            apart = np.abs(own[f"gaze_{axis}"].values - looked.values)
+            assert 0 < np.median(apart) < 0.02
+    assert not {"true_gaze_x", "true_gaze_y"} & set(dataset.tp.targets)
+
+
 def test_the_last_fifth_of_every_video_tests(whole: Path):
     dataset = open_dataset(whole)
     for number, one in enumerate(dataset.tp.recordings):

@@ -148,6 +148,11 @@ def test_gathers_what_is_known_of_the_test_frames(small: xr.Dataset, ridge: Zern
     assert found.covariates["exposure"].tolist() == [0.004] * 20
     assert found.simulated and [one.name for one in by_recording(found)] == ["near", "far"]
     assert gather(ridge, small, covariates={"distance": np.ones(20)}).covariates["distance"].tolist() == [1.0] * 20
+    assert found.true_gaze is None
+    count = small.sizes["frame"]
+    looked = small.assign(true_gaze_x=("frame", np.arange(count) / 1e3), true_gaze_y=("frame", -np.arange(count) / 1e3))
+    told = gather(ridge, looked).true_gaze
+    assert told is not None and told[0].tolist() == [0.06, -0.06] and told.shape == (20, 2)
 
 
 def test_scores_agree_with_hand_made_ones_and_with_the_words(small: xr.Dataset, ridge: ZernikeRidge) -> None:
@@ -190,6 +195,8 @@ def test_what_cannot_be_evaluated_is_refused(small: xr.Dataset, ridge: ZernikeRi
     told = Told(Prediction((), empty, empty, empty, NAMES, np.full((2, 3), 1 / 3), np.zeros(2)))
     with pytest.raises(InputError, match="all test frames show one class, A"):
         gather(told, one_class)  # type: ignore[arg-type]
+    with pytest.raises(InputError, match=r"true_gaze: expected shape \(3, 2\)"):
+        outcome_of({"focal_length": np.ones(3)}, np.ones((3, 1)), 1.0, true_gaze=np.ones((3, 1)))
     with pytest.raises(InputError, match="expected 3 values"):
         outcome_of({"focal_length": np.ones(3)}, np.ones((3, 1)), 1.0, snr=np.ones(2))
 

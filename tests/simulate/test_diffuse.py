@@ -16,7 +16,7 @@ from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import spot_field
 from tapetum.optics.sampling import DoublePassGeometry, plan_round, through_aperture
-from tapetum.simulate.diffuse import diffuse_return, speckle_return
+from tapetum.simulate.diffuse import corner, diffuse_profile, diffuse_return, speckle_return
 from tapetum.simulate.round_pass import RoundPass
 
 WAVELENGTH, PROBE_FOCAL = 640e-9, 0.1
@@ -217,6 +217,16 @@ def test_centre_moves_the_image() -> None:
     still = diffuse_return(g, 2.0, math.inf, output, albedo=0.5)
     moved = diffuse_return(g, 2.0, math.inf, output, albedo=0.5, centre=(36e-6, -24e-6))
     assert torch.allclose(moved[:-2, 3:], still[2:, :-3], rtol=1e-6, atol=1e-6 * float(still.max()))
+
+
+@pytest.mark.parametrize("probe_radius", [4e-3, math.inf])
+def test_a_profile_serves_every_place_within_its_reach(probe_radius: float) -> None:
+    g, output, pitch = geometry(distance=0.5), Grid(33, 33, 12e-6), 12e-6
+    profile = diffuse_profile(g, 2.0, probe_radius, corner(output) + pitch, albedo=0.5, spread=1e-5)
+    for centre in ((0.0, 0.0), (0.4 * pitch, -0.3 * pitch), (-0.5 * pitch, 0.5 * pitch)):
+        alone = diffuse_return(g, 2.0, probe_radius, output, albedo=0.5, spread=1e-5, centre=centre)
+        apart = float((profile.on(output, centre) - alone).abs().max())
+        assert apart < 1e-4 * float(alone.max())
 
 
 def test_a_narrow_beam_lights_a_wider_spot() -> None:

@@ -55,7 +55,7 @@ def find_model(name: str) -> Predictor:
     """
     from tapetum.models import load_predictor, pretrained
 
-    if Path(name).exists() or Path(name).suffix == ".onnx" or Path(name).name != name:
+    if Path(name).exists() or Path(name).suffix.lower() == ".onnx" or Path(name).name != name:
         return load_predictor(name)
     try:
         return pretrained(name)

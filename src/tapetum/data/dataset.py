@@ -48,7 +48,7 @@ QUANTITIES = {
 """What a frame may be labelled with, and the unit of each."""
 
 TRUE_GAZE = ("true_gaze_x", "true_gaze_y")
-"""Variables of a synthesised set: where the target that films really looked. No model learns them."""
+"""Variables of a synthesised set: where the target that films really looked. None of its labels."""
 
 DEVICE = "device"
 """The one label that is a class: whole numbers whose names are the variable's attribute ``classes``."""

@@ -86,7 +86,7 @@ def sag(lens: Lens, i: int, r_squared: torch.Tensor) -> tuple[torch.Tensor, torc
     value, slope = c * r_squared / (1 + root), c / (2 * root)
     if _counts(powers):
         # Two Horner sums with their derivatives: even powers in r², odd ones in r² times r.
-        for first, coefficients in enumerate((powers[0::2], powers[1::2])):
+        for coefficients, odd in ((powers[0::2], False), (powers[1::2], True)):
             if not _counts(coefficients):
                 continue
             total = torch.zeros_like(r_squared)
@@ -94,9 +94,12 @@ def sag(lens: Lens, i: int, r_squared: torch.Tensor) -> tuple[torch.Tensor, torc
             for a in coefficients.flip(0):
                 derivative = torch.addcmul(total, derivative, r_squared)
                 total = torch.addcmul(a, total, r_squared)
-            factor = r_squared if first == 0 else r_squared * torch.sqrt(r_squared.clamp_min(1e-30))
-            lever = 1.0 if first == 0 else 1.5 * torch.sqrt(r_squared.clamp_min(1e-30))
-            value, slope = value + total * factor, slope + total * lever + derivative * factor
+            rise, steepness = total * r_squared, derivative * r_squared
+            if odd:
+                r = torch.sqrt(r_squared.clamp_min(1e-30))
+                value, slope = value + rise * r, slope + (1.5 * total + steepness) * r
+            else:
+                value, slope = value + rise, slope + total + steepness
     return value, slope
 
 
