@@ -39,6 +39,29 @@ def test_a_hot_pixel_is_not_a_retro_reflection():
     assert math.dist(find_centre(image), (70, 50)) < 2
 
 
+def lit_room(rr: float, seed: int = 0) -> np.ndarray:
+    """A blurred lamp at (480, 60), and at (250, 300) an RR of rings so high, as a fast lens returns it far off axis."""
+    rows, columns = np.mgrid[:500, :600]
+    lamp = 9 * np.exp(-((columns - 480.0) ** 2 + (rows - 60.0) ** 2) / (2 * 70**2))
+    away = np.hypot(columns - 250.0, rows - 300.0)
+    rings = rr * np.cos(away / 5) ** 2 * np.exp(-((away / 30) ** 2))
+    counts = 4 + lamp + rings + np.random.default_rng(seed).normal(0, 0.3, rows.shape)
+    return np.clip(np.rint(counts), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("rr", [3, 5, 12])
+def test_a_lit_room_is_not_a_retro_reflection(rr: float):
+    image = lit_room(rr)
+    brightest = find_peak(image)
+    assert math.dist((brightest.x, brightest.y), (480, 60)) < 40
+    assert math.dist(find_centre(image), (250, 300)) < 6
+
+
+def test_what_is_smooth_is_centred_where_there_is_nothing_else():
+    peak = find_peak(lit_room(0))
+    assert find_centre(lit_room(0)) == (peak.x, peak.y)
+
+
 def test_near_looks_only_there_and_sees_the_same_image():
     image = np.maximum(spot(40, 60, height=200), spot(120, 60, height=80, seed=1))
     assert math.dist(find_centre(image), (40, 60)) < 0.5

@@ -76,6 +76,27 @@ def test_reaches_the_bound_and_knows_how_sure_it_is(scene: Scene, model: Simulat
     assert 0.8 <= covered <= 0.97
 
 
+def test_shows_how_far_it_is_one_bar_after_the_other(scene: Scene):
+    told: list[str] = []
+    inside = 0
+
+    def shown(items, what, *, total=None):
+        nonlocal inside
+        assert inside == 0, "a bar within a bar"
+        told.append(f"{what}: {total}")
+        inside += 1
+        yield from items
+        inside -= 1
+
+    frames = filmed(scene, np.array([[0.1, 0.05], [-0.05, 0.1]]), 5)
+    small = SimulationFit(scene, nodes=5, starts=1, window=128)
+    found = small.predict(frames, progress=shown)
+    assert told[-1] == "fitting: 2"
+    assert len(told) == 2
+    np.testing.assert_array_equal(found.value, small.predict(frames).value)
+    assert len(small.predict(frames[:0])) == 0
+
+
 def test_tells_a_gaze_from_its_opposite(scene: Scene, model: SimulationFit):
     for gaze in ([0.21, -0.13], [-0.21, 0.13]):
         result = model.fit_image(filmed(scene, np.array([gaze]), 6)[0])

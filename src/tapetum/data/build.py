@@ -207,8 +207,8 @@ def build_dataset(
     """Build a dataset from labelled recordings.
 
     Every probe frame with a good label and a visible RR gives one crop, centred on the brightest point of the
-    smoothed frame. The first part of every video trains and the last part tests (paper, section 5), by place
-    in the video.
+    smoothed frame, or of what has fine structure where a lit room is brighter (`find_centre`). The first part of
+    every video trains and the last part tests (paper, section 5), by place in the video.
 
     Parameters
     ----------

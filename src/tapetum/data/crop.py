@@ -2,6 +2,10 @@
 
 The paper centres every crop on the brightest point of the smoothed frame (section 5). Smoothing here is a 3 x
 3 median, which takes out hot pixels, followed by a Gaussian.
+
+In a lit room that point may lie on a wall or a lamp behind the target. The probe, focused at infinity, sees those
+blurred by its whole aperture, D f_p/d, while laser light that comes back through a lens has rings and lobes as fine as
+λ f_p/D. So light without fine structure is not taken for an RR where light with it is to be had (`find_centre`).
 """
 
 from __future__ import annotations
@@ -27,6 +31,15 @@ at 4 px, 7 px at 12 px and 0.2 px at 20 px.
 
 # A smoothed image varies slowly: a reduced one shows its maximum as well, and costs a tenth.
 _REDUCE_FROM, _REDUCE = 12.0, 4
+
+# Fine structure: Gaussians of three widths, in pixels, weighted so that what varies as slowly as a slope or a bend
+# cancels. The squares of the widths are evenly spaced.
+_FINE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0))
+# Less than so many times the noise may be noise: it reached 6 where a blurred lamp stood 5 counts high. Clearly more is
+# so many times as much.
+_NOISE, _CLEARLY = 8.0, 2.0
+# How far around a place structure is looked for, and how wide a background is taken off: in widths of the smoothing.
+_AROUND, _BROAD = 2.5, 3.0
 
 # Ratio of the standard deviation to the median absolute deviation of a normal distribution.
 _MAD = 1.4826
@@ -173,9 +186,7 @@ def find_peak(
     sample = _thinned(smooth)
     noise = _MAD * float(np.median(np.abs(sample - np.median(sample))))
     if array.dtype.kind in "iu":
-        # Quiet pixels all read the same number: their noise hides inside the quantum, 1/sqrt(12) before
-        # smoothing.
-        noise = max(noise, 1 / math.sqrt(12) / (2 * math.sqrt(math.pi) * sigma))
+        noise = max(noise, _rounding(sigma))
     searched = smooth
     # Pixel n of a reduced image is centred on pixel n step + (step - 1)/2 of the whole one.
     shift = (step - 1) / 2
@@ -196,9 +207,56 @@ def find_peak(
 def find_centre(
     image: NDArray[np.generic], sigma: float = SIGMA, *, near: tuple[float, float, float] | None = None
 ) -> tuple[float, float]:
-    """Return (x, y) in pixels of the brightest point of the smoothed image; see `find_peak`."""
+    """Return (x, y) in pixels of the brightest point of the smoothed image that may be an RR's.
+
+    It is that of `find_peak`, but where all is smooth around that point while elsewhere the image has clearly more of
+    fine structure. There, above what is broad, the brightest point is looked for in that case. With `near` it is always
+    that of `find_peak`. Parameters and errors are the same.
+    """
     peak = find_peak(image, sigma, near=near)
-    return peak.x, peak.y
+    if near is not None:
+        return peak.x, peak.y
+    array = _checked(image)
+    fine, noise = _fine_structure(array)
+    height, width = fine.shape
+    rows, columns = np.ogrid[:height, :width]
+    reach = _AROUND * sigma
+    around = (columns * 2 + 0.5 - peak.x) ** 2 + (rows * 2 + 0.5 - peak.y) ** 2 <= max(reach, 4.0) ** 2
+    here, most = float(fine[around].max(initial=-np.inf)), float(fine.max())
+    if here >= _NOISE * noise or most < max(_CLEARLY * here, _NOISE * noise):
+        return peak.x, peak.y
+    row, column = np.unravel_index(int(np.argmax(fine)), fine.shape)
+    near = (float(column) * 2 + 0.5, float(row) * 2 + 0.5, 2 * sigma)
+    found = find_peak(array - _broad(array, _BROAD * sigma), sigma, near=near)
+    return found.x, found.y
+
+
+def _broad(image: NDArray[np.generic], sigma: float) -> NDArray[np.float32]:
+    """Return [H, W] the image smoothed so widely that a small copy of it will do."""
+    size = max(1, image.shape[1] // 8), max(1, image.shape[0] // 8)
+    small = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+    blurred = cv2.GaussianBlur(small, (0, 0), sigma / 8, borderType=cv2.BORDER_REPLICATE)
+    return np.asarray(cv2.resize(blurred, image.shape[::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32)
+
+
+def _fine_structure(image: NDArray[np.generic]) -> tuple[NDArray[np.float32], float]:
+    """Return [H/2, W/2] what is finer than a blurred room, and its noise."""
+    calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
+    size = max(1, calm.shape[1] // 2), max(1, calm.shape[0] // 2)
+    half = cv2.resize(calm, size, interpolation=cv2.INTER_AREA)
+    fine = np.zeros_like(half)
+    for width, weight in _FINE:
+        fine += weight * cv2.GaussianBlur(half, (0, 0), width / 2, borderType=cv2.BORDER_REPLICATE)
+    sample = _thinned(fine)
+    noise = _MAD * float(np.median(np.abs(sample - np.median(sample))))
+    if image.dtype.kind in "iu":
+        noise = max(noise, _rounding(_FINE[0][0]))
+    return fine, noise
+
+
+def _rounding(sigma: float) -> float:
+    """Noise of rounding to whole numbers, after smoothing: quiet pixels all read the same, and hide it."""
+    return 1 / math.sqrt(12) / (2 * math.sqrt(math.pi) * sigma)
 
 
 def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> NDArray[np.generic]:

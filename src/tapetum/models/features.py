@@ -19,7 +19,10 @@ SCALES = (100, 200, 300, 400)
 ORDER = 12
 POWERS = (1, 2, 3)
 
-# Frames at a time: 32 of 400 x 400 pixels are 20 MB, so that the fit's matrix (58 MB) is not read too often.
+# Whether even down and across: the order in which `_folded` returns what it folds.
+_WAYS = ((True, True), (True, False), (False, True), (False, False))
+
+# Frames at a time: 32 of 400 x 400 pixels are 20 MB, so that the fit's matrices (15 MB) are not read too often.
 _BATCH = 32
 
 
@@ -90,11 +93,17 @@ def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.
 
 
 @lru_cache(maxsize=8)
-def _projection(side: int, order: int, dtype: torch.dtype) -> Tensor:
-    """Return the pseudo-inverse [side*side, modes] that fits all modes at once, zero outside the disc.
+def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor, Tensor], ...]:
+    """Return the pseudo-inverse that fits all modes at once, zero outside the disc, as `_folded` squares want it.
 
     The modes are not quite orthogonal on pixels, so the least-squares fit is a solve with their Gram matrix
-    (condition about 1.03 at 400 pixels). Every mode is even or odd in x and in y: a quadrant tells the whole.
+    (condition about 1.03 at 400 pixels). Every mode is even or odd in x and in y: a quadrant tells the whole, and only
+    modes that are alike in both have to be told apart.
+
+    Returns
+    -------
+    tuple
+        For each way of folding which modes see it, and [half*half, those modes].
     """
     half = (side + 1) // 2
     at = (2 * torch.arange(side // 2, side, dtype=torch.float64) + 1) / side - 1  # the centres at 0 and right of it
@@ -104,24 +113,44 @@ def _projection(side: int, order: int, dtype: torch.dtype) -> Tensor:
     basis = zernike_basis(order, x.reshape(-1)[inside], y.reshape(-1)[inside])
     twice = 2.0 - (at == 0).to(torch.float64)  # how many pixels of the square a quadrant's row or column stands for
     weight = torch.outer(twice, twice).reshape(-1)[inside]
-    azimuthal = [noll_to_nm(j)[1] for j in range(1, modes + 1)]
-    down = torch.tensor([1.0 if m >= 0 else -1.0 for m in azimuthal], dtype=torch.float64)
-    across = torch.tensor([(-1.0) ** m if m >= 0 else -((-1.0) ** m) for m in azimuthal], dtype=torch.float64)
-    alike = (down[:, None] == down) & (across[:, None] == across)
-    gram = torch.where(alike, (basis * weight) @ basis.T, 0.0)
-    if int(torch.linalg.matrix_rank(gram, hermitian=True)) < modes:
-        raise InputError(
-            f"a crop of {side} pixels cannot tell {modes} modes apart",
-            where="scales",
-            remedy="use larger crops or a lower order",
-        )
-    quadrant = torch.zeros(modes, half * half, dtype=torch.float64)
-    quadrant[:, inside] = torch.linalg.solve(gram, basis)
-    quadrant = quadrant.reshape(modes, half, half)
-    # The middle row of an odd side belongs to the quadrant already and is not mirrored.
-    lower = torch.cat([across[:, None, None] * quadrant.flip(2)[:, :, : side // 2], quadrant], dim=2)
-    square = torch.cat([down[:, None, None] * lower.flip(1)[:, : side // 2], lower], dim=1)
-    return square.reshape(modes, side * side).T.contiguous().to(dtype)
+    azimuthal = torch.tensor([noll_to_nm(j)[1] for j in range(1, modes + 1)])
+    down = azimuthal >= 0
+    across = (azimuthal % 2 == 0) == down
+    found: list[tuple[Tensor, Tensor]] = []
+    for even_down, even_across in _WAYS:
+        alike = torch.nonzero((down == even_down) & (across == even_across)).reshape(-1)
+        own = basis[alike]
+        gram = (own * weight) @ own.T
+        if int(torch.linalg.matrix_rank(gram, hermitian=True)) < len(alike):
+            raise InputError(
+                f"a crop of {side} pixels cannot tell {modes} modes apart",
+                where="scales",
+                remedy="use larger crops or a lower order",
+            )
+        quadrant = torch.zeros(half * half, len(alike), dtype=torch.float64)
+        quadrant[inside] = torch.linalg.solve(gram, own).T
+        found.append((alike, quadrant.to(dtype)))
+    return tuple(found)
+
+
+def _folded(squares: Tensor) -> list[Tensor]:
+    """Fold squares [N, side, side] onto their lower right quadrants, [N, half, half] for each of `_WAYS`."""
+    side = squares.shape[-1]
+    parts = [squares]
+    for axis in (1, 2):
+        # The middle row or column of an odd side has no counterpart.
+        near = [one.narrow(axis, side // 2, (side + 1) // 2) for one in parts]
+        far = [one.narrow(axis, 0, side // 2).flip(axis) for one in parts]
+        if side % 2:
+            far = [torch.cat([torch.zeros_like(one.narrow(axis, 0, 1)), one], axis) for one in far]
+        parts = [folded for a, b in zip(near, far, strict=True) for folded in (a + b, a - b)]
+    return parts
+
+
+def _middle(images: Tensor, side: int) -> Tensor:
+    """The middle [N, side, side] of images."""
+    edge = (images.shape[-1] - side) // 2
+    return images[:, edge : edge + side, edge : edge + side]
 
 
 def _checked_scales(scales: Sequence[int], side: int) -> tuple[int, ...]:
@@ -181,13 +210,17 @@ def zernike_features(
     features = np.empty((len(array), len(sides), len(powers), modes))
     # Made outside of inference mode: the cache must not hold tensors that autograd refuses.
     projections = {side: _projection(side, order, dtype) for side in sides}
+    # Folded once: the quadrant of a smaller crop is a corner of a larger one's, where both have a middle pixel or none.
+    largests = {max(one for one in sides if one % 2 == side % 2) for side in sides}
     with torch.inference_mode():
         for start in range(0, len(array), _BATCH):
             root = root_intensity(array[start : start + _BATCH], depth, dtype)
+            folded = {largest % 2: _folded(_middle(root, largest)) for largest in largests}
             for k, side in enumerate(sides):
-                edge = (array.shape[1] - side) // 2
-                square = root[:, edge : edge + side, edge : edge + side].reshape(len(root), -1)
-                fitted = (square @ projections[side]).double().numpy()
+                half, fitted = (side + 1) // 2, np.empty((len(root), modes))
+                for whole, (alike, projection) in zip(folded[side % 2], projections[side], strict=True):
+                    quadrant = whole[:, :half, :half].reshape(len(root), -1)
+                    fitted[:, alike.numpy()] = (quadrant @ projection).numpy()
                 for p, power in enumerate(powers):
                     features[start : start + _BATCH, k, p] = fitted**power
     return features.reshape(len(array), -1)

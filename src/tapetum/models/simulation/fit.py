@@ -27,6 +27,8 @@ from tapetum.simulate.exposure import gain_of
 
 __all__ = ["SimulationFit"]
 
+Array = NDArray[np.float64]
+
 # Nodes along an edge of the bank: pictures with photosites take longer, and are smoother without them.
 _NODES, _NODES_SLOW = 25, 9
 # Pixels that are looked at, by custom: what lies beyond tells 1 % of the gaze in the bundled scenes.
@@ -165,9 +167,15 @@ class SimulationFit:
         InputError
             For images that are none of the scene's probe.
         """
+        images = images_of(data, full_scale)
+        first = next(images, None)
+        if first is not None:
+            # Here, so that its bar stands before that over the images and not within it.
+            self._prepared(len(self._seen(*first)[0]), progress)
+            images = itertools.chain([first], images)
         results = [
             self.fit_image(image, full_scale=depth)
-            for image, depth in progress(images_of(data, full_scale), "fitting", total=frame_count(data))
+            for image, depth in progress(images, "fitting", total=frame_count(data))
         ]
         value, lower, upper = (
             np.array([getattr(one, name) for one in results], np.float64).reshape(len(results), len(self.quantities))
@@ -186,8 +194,7 @@ class SimulationFit:
             For an image that is none of the scene's probe.
         """
         sensor = self.scene.probe.sensor
-        shown = checked(np.asarray(image)[None], full_scale, sensor, self.window)[0]
-        counts, middle = looked_at(shown, sensor, self.window)
+        counts, middle = self._seen(image, full_scale)
         pictures, bank = self._prepared(len(counts), progress)
         search = Search(pictures, counts, self._model, self._free)
         electrons = (counts - sensor.offset) / gain_of(sensor)
@@ -244,6 +251,12 @@ class SimulationFit:
         given = dict(parameters)
         scene = scene_from_dict(given.pop("scene"))
         return cls(scene, tuple(given.pop("parameters")), tuple(given.pop("nuisances")), **given)
+
+    def _seen(self, image: NDArray[np.generic], full_scale: float | None) -> tuple[Array, Array]:
+        """The pixels that are looked at, and their middle from the image's, in metres."""
+        sensor = self.scene.probe.sensor
+        shown = checked(np.asarray(image)[None], full_scale, sensor, self.window)[0]
+        return looked_at(shown, sensor, self.window)
 
     def _prepared(self, side: int, progress: Progress) -> tuple[Pictures, Bank]:
         """Pictures and bank for crops of so many pixels: made once."""

@@ -170,7 +170,8 @@ class Search:
         inward = np.where(gaze > 0, -1.0, 1.0)
         made = pictures.render(pose, np.stack([gaze, *(gaze + inward * step for step in steps)]))
         scale = pose.power / scene.illumination.power
-        light, sizes = made[0], [float(inward @ step) for step in steps]
+        shown = light = made[0]
+        sizes = [float(inward @ step) for step in steps]
         by_gaze = [(one - light) / size for one, size in zip(made[1:], sizes, strict=True)]
         if phase:
             # A whole period moves the slow picture alone; a part of one moves both.
@@ -188,10 +189,11 @@ class Search:
         ):
             if name in names:
                 moved = replace(pose, **{name: getattr(pose, name) + size})
-                # Without a roll nothing is interpolated; a picture turned by nearly nothing is what to compare with.
-                base = replace(pose, roll=1e-12) if name == "roll" and pose.roll == 0 else pose
-                pair = [pictures.render(one, gaze[None])[0] for one in (base, moved)]
-                found[name] = scale * (pair[1] - pair[0]) / size
+                base = shown
+                if name == "roll" and pose.roll == 0:
+                    # Nothing is interpolated without a roll: compare with a picture turned by nearly nothing.
+                    base = pictures.render(replace(pose, roll=1e-12), gaze[None])[0]
+                found[name] = scale * (pictures.render(moved, gaze[None])[0] - base) / size
         mean = pose.background + scale * light
         return mean.ravel(), np.stack([found[name].ravel() for name in names])
 
