@@ -16,8 +16,9 @@ from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import spot_field
 from tapetum.optics.sampling import DoublePassGeometry, plan_round, through_aperture
-from tapetum.simulate.diffuse import corner, diffuse_profile, diffuse_return, speckle_return
+from tapetum.simulate.diffuse import corner, diffuse_profile, diffuse_return
 from tapetum.simulate.round_pass import RoundPass
+from tapetum.simulate.speckle import speckle_return
 
 WAVELENGTH, PROBE_FOCAL = 640e-9, 0.1
 K = 2 * math.pi / WAVELENGTH

@@ -27,74 +27,32 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import gaussian_filter1d
-from scipy.special import j0
 
 from tapetum.errors import InputError
-from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.scattering import (
+    AT_ONCE,
+    NOTHING,
+    Real,
+    ScatteringPlane,
+    autocorrelation,
+    legendre,
+    scattering_plane,
+    transformed,
+)
 
-__all__ = ["DiffuseProfile", "corner", "diffuse_profile", "diffuse_return", "speckle_return"]
+__all__ = ["DiffuseProfile", "corner", "diffuse_profile", "diffuse_return"]
 
-Real = npt.NDArray[np.floating]
-
-# Nodes of one panel of a Gauss-Legendre rule, and radians that its integrand may turn: π a sample is the limit.
-_NODES, _RADIANS = 32, 36.0
-# Exponent at which a Gaussian counts as nothing.
-_NOTHING = 14.0
 # Samples of the target's pupil along its radius, and of the probe's along its own, in the factor of the latter.
 _FINEST, _STEPS = 48, 500
 # Samples a side of a pixel larger than the image's detail.
 _MOST_PARTS = 64
-_MOST_BYTES = 3 << 29
-_AT_ONCE = 1 << 21
-# Radians between two samples of a pupil: π is the Nyquist limit.
-_TURN = 1.5
-
-
-@dataclass(frozen=True)
-class _Plane:
-    """A scattering plane behind the target's lens: its distance z, 1/z - 1/f + 1/R on the way in, 1/z - 1/f out."""
-
-    wavelength: float
-    radius: float
-    lit: float
-    z: float
-    inward: float
-    outward: float
-    spread: float
-
-    @property
-    def wavenumber(self) -> float:
-        return 2 * math.pi / self.wavelength
-
-    @property
-    def limit(self) -> float:
-        """Largest distance of two points of the pupil between which scattered light is coherent, in metres."""
-        if self.spread == 0:
-            return 2 * self.lit
-        return min(2 * self.lit, math.sqrt(2 * _NOTHING) * self.z / (self.wavenumber * self.spread))
-
-    def reach(self, rings: float) -> float:
-        """Half-angle of the light scattered back, by rays, with so many Airy rings, in radians."""
-        rays = self.lit * abs(self.inward) + self.radius * abs(self.outward)
-        return rays + math.sqrt(2 * _NOTHING) * self.spread / self.z + rings * self.wavelength / (2 * self.lit)
-
-    def footprint(self, distance: float) -> float:
-        """Radius that the scattered light fills at the probe, by rays and its first dark ring, in metres."""
-        angle = self.lit * abs(self.inward) + 3 * self.spread / self.z + 0.61 * self.wavelength / self.lit
-        return self.radius * abs(1 + self.outward * distance) + distance * angle
-
-    def coherence(self, apart: Real) -> Real:
-        """Transform of the scattering irradiance: what the spot's pupil and the spread leave at these distances."""
-        spot = _autocorrelation(apart, self.lit, self.inward * self.wavenumber)
-        return spot * np.exp(-((self.wavenumber * self.spread * apart / self.z) ** 2) / 2)
 
 
 def diffuse_return(
@@ -221,7 +179,7 @@ def diffuse_profile(
     InputError
         For a number out of its range.
     """
-    plane = _plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
+    plane = scattering_plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
     if not 1e-4 <= accuracy < 1:
         raise InputError(f"must be from 1e-4 to below 1, is {accuracy}", where="accuracy", remedy="ask for 1e-2")
     f_p = geometry.probe_focal_length
@@ -240,189 +198,16 @@ def diffuse_profile(
     return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * albedo / math.pi / (plane.z * f_p) ** 2)
 
 
-def speckle_return(
-    geometry: DoublePassGeometry,
-    distance: float,
-    probe_radius: float,
-    output: Grid,
-    *,
-    albedo: float,
-    seed: int,
-    spread: float = 0.0,
-    image_distance: float | None = None,
-    lit_radius: float | None = None,
-    centre: tuple[float, float] = (0.0, 0.0),
-    count: int = 1,
-    rings: float = 12.0,
-) -> torch.Tensor:
-    """Speckle patterns of a scattering plane of the target: coherent light off a rough plane, one at a time.
-
-    Parameters
-    ----------
-    geometry, distance, probe_radius, output, albedo, spread, image_distance, lit_radius, centre
-        As for `diffuse_return`, which is the mean of many.
-    seed
-        Of the plane's roughness; the same seed gives the same patterns.
-    count
-        Number of patterns.
-    rings
-        Airy rings of the spot that scatter, beyond its geometric radius. What lies outside is left out: about
-        0.2/rings of the light.
-
-    Returns
-    -------
-    torch.Tensor
-        [count, H, W] float64, W/m² for 1 W/m² at the target, at the middle of each pixel.
-
-    Raises
-    ------
-    InputError
-        For a number out of its range, or where the grids exceed the memory allowed.
-
-    Notes
-    -----
-    The plane's field is circular Gaussian white noise of the variance λ² L(v)/dv² (J. W. Goodman, Speckle Phenomena in
-    Optics, 2007, sections 2.2 and 4.5); samples at half the Airy ring's width make its coherence on the pupil exact.
-    A clipped pattern goes over the probe's aperture in two matrix Fourier transforms. Polarisation is left out: where
-    scattering mixes it, half as many patterns again are seen, and the contrast is 1/√2.
-    """
-    plane = _plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
-    if count < 1:
-        raise InputError(f"must be at least 1, is {count}", where="count", remedy="ask for one pattern or more")
-    if not rings > 0:
-        raise InputError(f"must be positive, is {rings}", where="rings", remedy="leave it out")
-    k, r, z, f_p = plane.wavenumber, plane.radius, plane.z, geometry.probe_focal_length
-    q_x, q_y = output.x() - centre[0], output.y() - centre[1]
-    image = max(float(q_x.abs().max()), float(q_y.abs().max())) / f_p
-    airy = plane.wavelength * z / (2 * r)
-    half = z * plane.lit * abs(plane.inward) + rings * airy * r / plane.lit + 4 * spread
-    side = 2 * math.ceil(2 * half / airy)
-    sensor = Grid(side, side, 2 * half / side)
-    bend = r * abs(plane.outward)
-    clipped = math.isfinite(probe_radius)
-    # The steepest slope of the field on the target's pupil against what it goes to, and on the probe's.
-    onward = r / distance + probe_radius / distance if clipped else image
-    columns = max(48, math.ceil(2 * r * k * (half / z + bend + onward) / _TURN))
-    stop = math.ceil(2 * probe_radius * k * ((r + probe_radius) / distance + image) / _TURN) if clipped else 0
-    stop = max(48, stop) if clipped else 0
-    grids = side**2 + 1.2 * (columns**2 + stop**2) + side * columns + columns * stop + 2 * output.rows * output.columns
-    if 16 * 3 * grids > _MOST_BYTES:
-        what = f"speckle needs {side}² samples of the sensor, {columns}² of its pupil and {stop}² of the probe's"
-        remedy = "take a smaller aperture or spread, or the expected image of `diffuse_return`"
-        raise InputError(what, where="speckle", remedy=remedy)
-
-    v = sensor.x()
-    distances = torch.hypot(v[None, :], v[:, None]).numpy()
-    radiance = torch.from_numpy(_radiance(plane, albedo, half * math.sqrt(2))(distances)).clamp_min(0)
-    amplitude = (radiance / 2).sqrt() * plane.wavelength * sensor.pitch
-    pupil = disc_quadrature(r, columns, math.ceil(1.2 * columns))
-    phase = k / 2 * plane.outward * pupil.rho_squared()
-    onto_pupil = MatrixFourier(v, v, pupil.x, pupil.y, k / z)
-    scale = 1 / (plane.wavelength * z) / (plane.wavelength * f_p)
-    if clipped:
-        aperture = disc_quadrature(probe_radius, stop, math.ceil(1.2 * stop))
-        exit_pupil = pupil.weights * phasor(phase + k / (2 * distance) * pupil.rho_squared())
-        onto_stop = MatrixFourier(pupil.x, pupil.y, aperture.x, aperture.y, k / distance)
-        chirp = aperture.weights * phasor(k / (2 * distance) * aperture.rho_squared())
-        chirp = chirp / (plane.wavelength * distance)
-        onto_image = MatrixFourier(aperture.x, aperture.y, q_x, q_y, k / f_p)
-    else:
-        exit_pupil = pupil.weights * phasor(phase)
-        onto_stop, chirp = None, None
-        onto_image = MatrixFourier(pupil.x, pupil.y, q_x, q_y, k / f_p)
-    random = torch.Generator().manual_seed(seed)
-    patterns: list[torch.Tensor] = []
-    for _ in range(count):
-        noise = torch.randn(2, side, side, generator=random, dtype=torch.float64)
-        field = onto_pupil(torch.complex(noise[0], noise[1]) * amplitude) * exit_pupil * scale
-        if onto_stop is not None and chirp is not None:
-            field = onto_stop(field) * chirp
-        u = onto_image(field)
-        patterns.append(u.real**2 + u.imag**2)
-    return torch.stack(patterns)
-
-
-def _plane(
-    geometry: DoublePassGeometry,
-    distance: float,
-    probe_radius: float,
-    albedo: float,
-    spread: float,
-    image_distance: float | None,
-    lit_radius: float | None,
-) -> _Plane:
-    z = geometry.image_distance if image_distance is None else image_distance
-    for name, value in (("distance", distance), ("image_distance", z)):
-        if not (math.isfinite(value) and value > 0):
-            raise InputError(f"must be positive and finite, is {value} m", where=name, remedy="give a length in metres")
-    if not probe_radius > 0:
-        what = f"must be positive, is {probe_radius} m"
-        raise InputError(what, where="probe_radius", remedy="give a length in metres, or inf for no stop")
-    if not 0 <= albedo <= 1:
-        raise InputError(f"must be from 0 to 1, is {albedo}", where="albedo", remedy="give a share of the power")
-    if not (math.isfinite(spread) and spread >= 0):
-        raise InputError(f"must be 0 or more, is {spread} m", where="spread", remedy="give a length in metres, or 0")
-    if lit_radius is not None and not lit_radius > 0:
-        what = f"must be positive, is {lit_radius} m"
-        raise InputError(what, where="lit_radius", remedy="give a length in metres, or None for the whole aperture")
-    lit = geometry.radius if lit_radius is None else min(lit_radius, geometry.radius)
-    outward = 1 / z - 1 / geometry.focal_length
-    return _Plane(geometry.wavelength, geometry.radius, lit, z, outward + geometry.curvature, outward, spread)
-
-
-def _autocorrelation(apart: Real, radius: float, bend: float) -> Real:
-    """∫ P(x + Δ/2) P(x - Δ/2) exp(i bend x·Δ) d²x over a disc, for distances Δ in metres; bend in rad/m². In m²."""
-    share = np.clip(apart / (2 * radius), 0.0, 1.0)
-    turns = abs(bend) * radius**2
-    nodes, weights = _legendre(0.0, 1.0, turns)
-    out = np.empty_like(share)
-    block = max(1, _AT_ONCE // len(nodes))
-    for i in range(0, len(share), block):
-        s = share[i : i + block, None]
-        # a + Δ/2 = r cosθ: the chord's root is gone.
-        angle = np.arccos(s) * nodes
-        wave = np.cos(2 * bend * radius**2 * s * (np.cos(angle) - s))
-        out[i : i + block] = 4 * radius**2 * ((np.sin(angle) ** 2 * wave) @ weights) * np.arccos(s[:, 0])
-    return out
-
-
-def _legendre(low: float, high: float, turns: float) -> tuple[Real, Real]:
-    """Composite Gauss-Legendre nodes and weights for an integrand that turns by so many radians."""
-    panels = max(1, math.ceil(turns / _RADIANS))
-    nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    width = (high - low) / panels
-    starts = low + width * np.arange(panels)
-    return (starts[:, None] + width * (nodes + 1) / 2).ravel(), np.tile(weights * width / 2, panels)
-
-
-def _transformed(values: Real, apart: Real, weights: Real, slopes: Real, wavenumber: float) -> Real:
-    """∫ values(Δ) J0(kΔs) 2πΔ dΔ for the slopes s, by the rule given."""
-    weighted = values * apart * weights * 2 * math.pi
-    block = max(1, _AT_ONCE // len(apart))
-    parts = [j0(wavenumber * slopes[i : i + block, None] * apart) @ weighted for i in range(0, len(slopes), block)]
-    return np.concatenate(parts)
-
-
-def _unclipped(plane: _Plane, angles: Real) -> Real:
+def _unclipped(plane: ScatteringPlane, angles: Real) -> Real:
     """∫ S(v) |p̂(v/z + angle)|² d²v/λ², exact: the product of the autocorrelations, transformed. In m² W."""
     k = plane.wavenumber
     turns = k * plane.limit * (angles[-1] + plane.lit * abs(plane.inward) + plane.radius * abs(plane.outward))
-    apart, weights = _legendre(0.0, plane.limit, turns)
-    product = plane.coherence(apart) * _autocorrelation(apart, plane.radius, plane.outward * k)
-    return _transformed(product, apart, weights, angles, k) / plane.wavelength**2
+    apart, weights = legendre(0.0, plane.limit, turns)
+    product = plane.coherence(apart) * autocorrelation(apart, plane.radius, plane.outward * k)
+    return transformed(product, apart, weights, angles, k) / plane.wavelength**2
 
 
-def _radiance(plane: _Plane, albedo: float, reach: float) -> CubicSpline:
-    """L(v) up to v = reach, in W/m²."""
-    k, z = plane.wavenumber, plane.z
-    apart, weights = _legendre(0.0, plane.limit, k * plane.limit * (reach / z + plane.lit * abs(plane.inward)))
-    step = plane.wavelength * z / (12 * plane.limit)
-    v = np.arange(math.ceil(reach / step) + 3) * step
-    spot = _transformed(plane.coherence(apart), apart, weights, v / z, k) / (plane.wavelength * z) ** 2
-    return CubicSpline(v, spot * albedo / math.pi)
-
-
-def _passing(plane: _Plane, distance: float, probe_radius: float, angles: Real, accuracy: float) -> Real:
+def _passing(plane: ScatteringPlane, distance: float, probe_radius: float, angles: Real, accuracy: float) -> Real:
     """Share of the light of each angle that the probe's aperture lets through, by rays and |w|²."""
     r = plane.radius
     end = min(angles[-1] * distance, _lit_at_probe(plane, distance, probe_radius, accuracy))
@@ -440,7 +225,7 @@ def _passing(plane: _Plane, distance: float, probe_radius: float, angles: Real, 
     used = weights != 0
     across, down, weights = across[used], down[used], weights[used]
     shares = np.empty_like(places)
-    block = max(1, _AT_ONCE // len(across))
+    block = max(1, AT_ONCE // len(across))
     for i in range(0, len(places), block):
         at = places[i : i + block, None]
         light = radiance(np.sqrt((plane.outward * across - at / distance) ** 2 + plane.outward**2 * down)) * weights
@@ -452,7 +237,7 @@ def _passing(plane: _Plane, distance: float, probe_radius: float, angles: Real, 
     return np.where(angles * distance <= places[-1], CubicSpline(places, shares)(inside), 0.0)
 
 
-def _lit_at_probe(plane: _Plane, distance: float, probe_radius: float, accuracy: float) -> float:
+def _lit_at_probe(plane: ScatteringPlane, distance: float, probe_radius: float, accuracy: float) -> float:
     """Distance from the axis, in metres, beyond which no light counts: edge waves die away as its inverse."""
     return probe_radius + plane.radius + math.sqrt(plane.wavelength * distance / accuracy)
 
@@ -468,18 +253,18 @@ def _window(wavelength: float, radius: float, distance: float, fine: float, reac
     return x, power / gaussian_filter1d(area, fine / step, mode="mirror") / (wavelength * distance) ** 2
 
 
-def _smooth_radiance(plane: _Plane, fine: float, reach: float) -> CubicSpline:
+def _smooth_radiance(plane: ScatteringPlane, fine: float, reach: float) -> CubicSpline:
     """The scattered light by slope, any unit, with the pupil's own diffraction and what samples `fine` apart need."""
     k, r = plane.wavenumber, plane.radius
     blur = plane.spread / plane.z
     wide = math.hypot(blur, abs(plane.outward) * fine)
-    limit = min(2 * plane.lit, math.sqrt(2 * _NOTHING) / (k * wide) if wide > 0 else math.inf)
-    apart, weights = _legendre(0.0, limit, k * limit * (reach + plane.lit * abs(plane.inward)))
-    spot = _autocorrelation(apart, plane.lit, plane.inward * k) * _autocorrelation(apart, r, 0.0)
+    limit = min(2 * plane.lit, math.sqrt(2 * NOTHING) / (k * wide) if wide > 0 else math.inf)
+    apart, weights = legendre(0.0, limit, k * limit * (reach + plane.lit * abs(plane.inward)))
+    spot = autocorrelation(apart, plane.lit, plane.inward * k) * autocorrelation(apart, r, 0.0)
     spot = spot * np.exp(-((k * wide * apart) ** 2) / 2)
     step = plane.wavelength / (10 * limit)
     slopes = np.arange(math.ceil(reach / step) + 3) * step
-    values = _transformed(spot, apart, weights, slopes, k)
+    values = transformed(spot, apart, weights, slopes, k)
     return CubicSpline(slopes, np.maximum(values, values[0] * 1e-12 if values[0] > 0 else 0.0))
 
 
@@ -494,7 +279,7 @@ def _on_pixels(radii: Real, profile: Real, x: Real, y: Real, pitch: float) -> Re
     image = np.zeros((len(y), len(x)))
     distance = np.hypot(y[:, None], x[None, :])
     lit = np.argwhere(distance <= end + pitch)
-    block = max(1, _AT_ONCE // parts**2)
+    block = max(1, AT_ONCE // parts**2)
     for i in range(0, len(lit), block):
         rows, columns = lit[i : i + block].T
         at = np.sqrt((y[rows, None, None] + offsets[:, None]) ** 2 + (x[columns, None, None] + offsets[None, :]) ** 2)

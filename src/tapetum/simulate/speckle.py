@@ -1,0 +1,125 @@
+"""Speckle: what coherent light makes of a rough plane of the target, one roughness at a time."""
+
+# NumPy types what torch takes from it in part only.
+# pyright: reportUnknownMemberType=false
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from tapetum.errors import InputError
+from tapetum.optics.fourier import MatrixFourier, phasor
+from tapetum.optics.grid import Grid
+from tapetum.optics.pupil import disc_quadrature
+from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.scattering import radiance, scattering_plane
+
+__all__ = ["speckle_return"]
+
+_MOST_BYTES = 3 << 29
+# Radians between two samples of a pupil: π is the Nyquist limit.
+_TURN = 1.5
+
+
+def speckle_return(
+    geometry: DoublePassGeometry,
+    distance: float,
+    probe_radius: float,
+    output: Grid,
+    *,
+    albedo: float,
+    seed: int,
+    spread: float = 0.0,
+    image_distance: float | None = None,
+    lit_radius: float | None = None,
+    centre: tuple[float, float] = (0.0, 0.0),
+    count: int = 1,
+    rings: float = 12.0,
+) -> torch.Tensor:
+    """Speckle patterns of a scattering plane of the target: coherent light off a rough plane, one at a time.
+
+    Parameters
+    ----------
+    geometry, distance, probe_radius, output, albedo, spread, image_distance, lit_radius, centre
+        As for `diffuse_return`, which is the mean of many.
+    seed
+        Of the plane's roughness; the same seed gives the same patterns.
+    count
+        Number of patterns.
+    rings
+        Airy rings of the spot that scatter, beyond its geometric radius. What lies outside is left out: about
+        0.2/rings of the light.
+
+    Returns
+    -------
+    torch.Tensor
+        [count, H, W] float64, W/m² for 1 W/m² at the target, at the middle of each pixel.
+
+    Raises
+    ------
+    InputError
+        For a number out of its range, or where the grids exceed the memory allowed.
+
+    Notes
+    -----
+    The plane's field is circular Gaussian white noise of the variance λ² L(v)/dv² (J. W. Goodman, Speckle Phenomena in
+    Optics, 2007, sections 2.2 and 4.5); samples at half the Airy ring's width make its coherence on the pupil exact.
+    A clipped pattern goes over the probe's aperture in two matrix Fourier transforms. Polarisation is left out: where
+    scattering mixes it, half as many patterns again are seen, and the contrast is 1/√2.
+    """
+    plane = scattering_plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
+    if count < 1:
+        raise InputError(f"must be at least 1, is {count}", where="count", remedy="ask for one pattern or more")
+    if not rings > 0:
+        raise InputError(f"must be positive, is {rings}", where="rings", remedy="leave it out")
+    k, r, z, f_p = plane.wavenumber, plane.radius, plane.z, geometry.probe_focal_length
+    q_x, q_y = output.x() - centre[0], output.y() - centre[1]
+    image = max(float(q_x.abs().max()), float(q_y.abs().max())) / f_p
+    airy = plane.wavelength * z / (2 * r)
+    half = z * plane.lit * abs(plane.inward) + rings * airy * r / plane.lit + 4 * spread
+    side = 2 * math.ceil(2 * half / airy)
+    sensor = Grid(side, side, 2 * half / side)
+    bend = r * abs(plane.outward)
+    clipped = math.isfinite(probe_radius)
+    # The steepest slope of the field on the target's pupil against what it goes to, and on the probe's.
+    onward = r / distance + probe_radius / distance if clipped else image
+    columns = max(48, math.ceil(2 * r * k * (half / z + bend + onward) / _TURN))
+    stop = math.ceil(2 * probe_radius * k * ((r + probe_radius) / distance + image) / _TURN) if clipped else 0
+    stop = max(48, stop) if clipped else 0
+    grids = side**2 + 1.2 * (columns**2 + stop**2) + side * columns + columns * stop + 2 * output.rows * output.columns
+    if 16 * 3 * grids > _MOST_BYTES:
+        what = f"speckle needs {side}² samples of the sensor, {columns}² of its pupil and {stop}² of the probe's"
+        remedy = "take a smaller aperture or spread, or the expected image of `diffuse_return`"
+        raise InputError(what, where="speckle", remedy=remedy)
+
+    v = sensor.x()
+    distances = torch.hypot(v[None, :], v[:, None]).numpy()
+    lit = torch.from_numpy(radiance(plane, albedo, half * math.sqrt(2))(distances)).clamp_min(0)
+    amplitude = (lit / 2).sqrt() * plane.wavelength * sensor.pitch
+    pupil = disc_quadrature(r, columns, math.ceil(1.2 * columns))
+    phase = k / 2 * plane.outward * pupil.rho_squared()
+    onto_pupil = MatrixFourier(v, v, pupil.x, pupil.y, k / z)
+    scale = 1 / (plane.wavelength * z) / (plane.wavelength * f_p)
+    if clipped:
+        aperture = disc_quadrature(probe_radius, stop, math.ceil(1.2 * stop))
+        exit_pupil = pupil.weights * phasor(phase + k / (2 * distance) * pupil.rho_squared())
+        onto_stop = MatrixFourier(pupil.x, pupil.y, aperture.x, aperture.y, k / distance)
+        chirp = aperture.weights * phasor(k / (2 * distance) * aperture.rho_squared())
+        chirp = chirp / (plane.wavelength * distance)
+        onto_image = MatrixFourier(aperture.x, aperture.y, q_x, q_y, k / f_p)
+    else:
+        exit_pupil = pupil.weights * phasor(phase)
+        onto_stop, chirp = None, None
+        onto_image = MatrixFourier(pupil.x, pupil.y, q_x, q_y, k / f_p)
+    random = torch.Generator().manual_seed(seed)
+    patterns: list[torch.Tensor] = []
+    for _ in range(count):
+        noise = torch.randn(2, side, side, generator=random, dtype=torch.float64)
+        field = onto_pupil(torch.complex(noise[0], noise[1]) * amplitude) * exit_pupil * scale
+        if onto_stop is not None and chirp is not None:
+            field = onto_stop(field) * chirp
+        u = onto_image(field)
+        patterns.append(u.real**2 + u.imag**2)
+    return torch.stack(patterns)
