@@ -209,9 +209,9 @@ def find_centre(
 ) -> tuple[float, float]:
     """Return (x, y) in pixels of the brightest point of the smoothed image that may be an RR's.
 
-    It is that of `find_peak`, but where all is smooth around that point while elsewhere the image has clearly more of
-    fine structure. There, above what is broad, the brightest point is looked for in that case. With `near` it is always
-    that of `find_peak`. Parameters and errors are the same.
+    It is that of `find_peak`, unless all is smooth around that point while elsewhere the image has clearly more of fine
+    structure: then the brightest point above the broad background is looked for there. With `near` it is always that of
+    `find_peak`. Parameters and errors are the same.
     """
     peak = find_peak(image, sigma, near=near)
     if near is not None:
@@ -227,7 +227,7 @@ def find_centre(
         return peak.x, peak.y
     row, column = np.unravel_index(int(np.argmax(fine)), fine.shape)
     near = (float(column) * 2 + 0.5, float(row) * 2 + 0.5, 2 * sigma)
-    found = find_peak(array - _broad(array, _BROAD * sigma), sigma, near=near)
+    found = find_peak(array.astype(np.float32) - _broad(array, _BROAD * sigma), sigma, near=near)
     return found.x, found.y
 
 
@@ -244,7 +244,7 @@ def _fine_structure(image: NDArray[np.generic]) -> tuple[NDArray[np.float32], fl
     calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
     size = max(1, calm.shape[1] // 2), max(1, calm.shape[0] // 2)
     half = cv2.resize(calm, size, interpolation=cv2.INTER_AREA)
-    fine = np.zeros_like(half)
+    fine = np.zeros(half.shape, np.float32)
     for width, weight in _FINE:
         fine += weight * cv2.GaussianBlur(half, (0, 0), width / 2, borderType=cv2.BORDER_REPLICATE)
     sample = _thinned(fine)
