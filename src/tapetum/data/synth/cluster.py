@@ -55,6 +55,8 @@ def parts_done(
         if address is None:
             client.register_plugin(_plugin(distributed))
         _check_workers(client, staging, plan.digest)
+        # A video stays with one worker, which prepares it once, as long as no other has run out of work.
+        names = sorted(client.nthreads())
         futures = {
             client.submit(
                 keep_part,
@@ -66,7 +68,8 @@ def parts_done(
                 # Unlike any task of an earlier run: what is done is told by the store, not by the cluster's memory.
                 key=f"tapetum-{plan.digest[:12]}-{id(client):x}-{part.number}",
                 pure=False,
-                # In order, so that a worker's next part is likely of the same video.
+                workers=[names[part.video % len(names)]],
+                allow_other_workers=True,
                 priority=-part.number,
             ): part
             for part in parts
