@@ -78,6 +78,17 @@ def test_snr_tells_a_spot_from_noise():
     assert find_peak(spot(80, 60, height=12)).snr > 6
 
 
+@pytest.mark.parametrize("mean", [1.6, 3.0, 3.3, 3.5])
+def test_a_background_between_two_counts_is_no_signal(mean: float):
+    # Hardly any noise but that of rounding: the median of the pixels is a whole number, up to half a count beside it.
+    rng = np.random.default_rng(1)
+    for noise in (0.1, 0.3, 0.5):
+        dark = np.rint(rng.normal(mean, noise, (400, 400))).astype(np.uint8)
+        peak = find_peak(dark, 4.0)
+        assert peak.snr < 10
+        assert peak.height < 0.4
+
+
 @pytest.mark.parametrize("dtype", [np.uint8, np.uint16, np.float32])
 def test_a_blank_image_has_no_signal_and_no_nan(dtype):
     peak = find_peak(np.full((30, 41), 7, dtype=dtype))

@@ -32,6 +32,9 @@ at 4 px, 7 px at 12 px and 0.2 px at 20 px.
 # A smoothed image varies slowly: a reduced one shows its maximum as well, and costs a tenth.
 _REDUCE_FROM, _REDUCE = 12.0, 4
 
+# Edge in pixels of the blocks whose means make the background.
+_BLOCK = 16
+
 # Fine structure: Gaussians of three widths, in pixels, weighted so that what varies as slowly as a slope or a bend
 # cancels. The squares of the widths are evenly spaced.
 _FINE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0))
@@ -56,7 +59,7 @@ class Peak:
     height
         Value of the smoothed frame there, above the background, in the frame's own units.
     background
-        Median of the frame (of the part searched, with a border).
+        Of the frame (of the part searched, with a border): the median of means over blocks.
     noise
         Robust standard deviation of the smoothed frame.
     """
@@ -69,7 +72,7 @@ class Peak:
 
     @property
     def snr(self) -> float:
-        """Height over noise. The maximum of a frame of noise alone lies near 4."""
+        """Height over noise. The maximum of a frame of noise alone lies near 4; where rounding hides it, up to 8."""
         if self.height <= 0:
             return 0.0
         return self.height / self.noise if self.noise > 0 else math.inf
@@ -89,27 +92,46 @@ def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
     return array
 
 
-def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float32], float, int]:
-    """Return the smoothed image above its background, the background, and by how much the image was reduced."""
+def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float32], float, float, int]:
+    """Return the smoothed image above its background, the background, the noise, and by how much it was reduced."""
     calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
-    background = float(np.median(_thinned(calm)))
+    background = _background(calm)
     step = _REDUCE if sigma >= _REDUCE_FROM and min(image.shape) >= _REDUCE else 1
+    smooth = _blurred(calm, background, sigma, step)
+    noise = _scatter(smooth)
+    if image.dtype.kind in "iu":
+        least = _rounding(sigma)
+        if noise < 2 * least:
+            # Where most pixels read the same number, their medians hide the noise that the others show.
+            noise = max(noise, least, _scatter(_blurred(image.astype(np.float32), background, sigma, step)))
+    return smooth, background, noise, step
+
+
+def _background(image: NDArray[np.float32]) -> float:
+    """Return the median of means over blocks: that of pixels is a whole number, and may lie half a count beside it."""
+    height, width = image.shape
+    size = max(1, width // _BLOCK), max(1, height // _BLOCK)
+    base = float(np.median(_thinned(image)))
+    return base + float(np.median(cv2.resize(image - base, size, interpolation=cv2.INTER_AREA)))
+
+
+def _blurred(image: NDArray[np.float32], background: float, sigma: float, step: int) -> NDArray[np.float32]:
+    """Return what a Gaussian leaves of an image above its background, reduced."""
     if step > 1:
         rows, columns = (-(-size // step) * step for size in image.shape)
+        down, across = rows - image.shape[0], columns - image.shape[1]
         # Background beyond the border, here as below.
-        calm = cv2.copyMakeBorder(
-            calm,
-            0,
-            rows - image.shape[0],
-            0,
-            columns - image.shape[1],
-            cv2.BORDER_CONSTANT,
-            value=[background],
-        )
-        calm = cv2.resize(calm, (columns // step, rows // step), interpolation=cv2.INTER_AREA)
+        image = np.asarray(cv2.copyMakeBorder(image, 0, down, 0, across, cv2.BORDER_CONSTANT, value=[background]))
+        image = np.asarray(cv2.resize(image, (columns // step, rows // step), interpolation=cv2.INTER_AREA))
     # Beyond the border lies background: repeated border pixels would make its noise the brightest of all.
-    smooth = cv2.GaussianBlur(calm - background, (0, 0), sigma / step, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(smooth, dtype=np.float32), background, step
+    smooth = cv2.GaussianBlur(image - background, (0, 0), sigma / step, borderType=cv2.BORDER_CONSTANT)
+    return np.asarray(smooth, dtype=np.float32)
+
+
+def _scatter(image: NDArray[np.float32]) -> float:
+    """Return the robust standard deviation of an image."""
+    sample = _thinned(image)
+    return _MAD * float(np.median(np.abs(sample - np.median(sample))))
 
 
 def _thinned(image: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -182,11 +204,7 @@ def find_peak(
                 where="near",
                 remedy="give a place in the image, in pixels",
             )
-    smooth, background, step = _smooth(array[top:bottom, left:right], sigma)
-    sample = _thinned(smooth)
-    noise = _MAD * float(np.median(np.abs(sample - np.median(sample))))
-    if array.dtype.kind in "iu":
-        noise = max(noise, _rounding(sigma))
+    smooth, background, noise, step = _smooth(array[top:bottom, left:right], sigma)
     searched = smooth
     # Pixel n of a reduced image is centred on pixel n step + (step - 1)/2 of the whole one.
     shift = (step - 1) / 2
@@ -247,8 +265,7 @@ def _fine_structure(image: NDArray[np.generic]) -> tuple[NDArray[np.float32], fl
     fine = np.zeros(half.shape, np.float32)
     for width, weight in _FINE:
         fine += weight * cv2.GaussianBlur(half, (0, 0), width / 2, borderType=cv2.BORDER_REPLICATE)
-    sample = _thinned(fine)
-    noise = _MAD * float(np.median(np.abs(sample - np.median(sample))))
+    noise = _scatter(fine)
     if image.dtype.kind in "iu":
         noise = max(noise, _rounding(_FINE[0][0]))
     return fine, noise

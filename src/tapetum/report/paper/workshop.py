@@ -66,9 +66,9 @@ def _focus(size: str) -> ResNet18:
     return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 3))
 
 
-def _phone(size: str, target: str = "phone", epochs: int = 7) -> ResNet18:
-    # A phone's RRs are spread over the crop: which ones there are, and where, shows at a fifth of its size too.
-    return ResNet18(target, crop=400, size=80, epochs=_epochs(size, epochs))
+def _phone(size: str, target: str = "phone", epochs: int = 6) -> ResNet18:
+    # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide.
+    return ResNet18(target, crop=400, size=100, epochs=_epochs(size, epochs))
 
 
 def _paper_ridge(target: str) -> ZernikeRidge:
