@@ -117,15 +117,14 @@ def _background(image: NDArray[np.float32]) -> float:
 
 def _blurred(image: NDArray[np.float32], background: float, sigma: float, step: int) -> NDArray[np.float32]:
     """Return what a Gaussian leaves of an image above its background, reduced."""
+    above = np.asarray(image - background, dtype=np.float32)
     if step > 1:
         rows, columns = (-(-size // step) * step for size in image.shape)
         down, across = rows - image.shape[0], columns - image.shape[1]
-        # Background beyond the border, here as below.
-        image = np.asarray(cv2.copyMakeBorder(image, 0, down, 0, across, cv2.BORDER_CONSTANT, value=[background]))
-        image = np.asarray(cv2.resize(image, (columns // step, rows // step), interpolation=cv2.INTER_AREA))
+        wide = cv2.copyMakeBorder(above, 0, down, 0, across, cv2.BORDER_CONSTANT, value=[0.0])
+        above = np.asarray(cv2.resize(wide, (columns // step, rows // step), interpolation=cv2.INTER_AREA), np.float32)
     # Beyond the border lies background: repeated border pixels would make its noise the brightest of all.
-    smooth = cv2.GaussianBlur(image - background, (0, 0), sigma / step, borderType=cv2.BORDER_CONSTANT)
-    return np.asarray(smooth, dtype=np.float32)
+    return np.asarray(cv2.GaussianBlur(above, (0, 0), sigma / step, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
 def _scatter(image: NDArray[np.float32]) -> float:
