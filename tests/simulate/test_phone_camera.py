@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import resources
+from pathlib import Path
 
 import pytest
 import torch
+import yaml
 
 from tapetum.bench import PhoneTarget, Scene, load_scene, with_values
 from tapetum.optics.grid import Grid
@@ -60,7 +63,7 @@ def test_each_return_lies_where_the_probe_sees_its_camera() -> None:
     camera.scene, camera.output = scene, grid
     bare = [replace(unit.scene, target=replace(unit.scene.target, sensor=_mirror(unit.scene))) for unit in units]
     cameras = [Camera(one, 0.05, output=grid) for one in bare]
-    camera.units = [(one, unit.place) for one, unit in zip(cameras, units, strict=True)]
+    camera.units = list(zip(cameras, units, strict=True))
     image = camera(TILT)
     scale = scene.probe.lens.focal_length / scene.distance
     apart = [
@@ -76,6 +79,31 @@ def test_each_return_lies_where_the_probe_sees_its_camera() -> None:
         share = one[0].double() / one.sum()
         middle = torch.stack([(share.sum(0) * grid.x()).sum(), (share.sum(1) * grid.y()).sum()])
         assert torch.allclose(middle, want.double(), atol=3 * grid.pitch)
+
+
+def test_a_camera_mounted_askew_looks_beside_the_others(tmp_path: Path) -> None:
+    text = yaml.safe_load((resources.files("tapetum.bench") / "phones" / f"{several()}.yaml").read_text("utf-8"))
+    text["cameras"][0]["axis"] = ["0.1 deg", "0 deg"]
+    text["cameras"][1]["axis"] = ["0.6 deg", "-0.3 deg"]
+    path = tmp_path / "askew.yaml"
+    path.write_text(yaml.safe_dump(text), "utf-8")
+    gazing, other, *_ = phone_scenes(phone(str(path), **{"target.rotation": ["20 mrad", "10 mrad"]}))
+    assert gazing.axis == (0.0, 0.0) and gazing.scene.target.rotation == pytest.approx((0.02, 0.01))
+    degree = torch.pi / 180
+    assert other.axis == pytest.approx((0.5 * degree, -0.3 * degree))
+    assert other.scene.target.rotation == pytest.approx((0.02 + 0.5 * degree, 0.01 - 0.3 * degree))
+    assert torch.equal(gazing.sines(TILT), TILT)
+    assert torch.allclose(torch.asin(other.sines(TILT)) - torch.asin(TILT), torch.tensor([other.axis]).double())
+    # Its return is that of the camera alone, turned so much farther.
+    grid = Grid(61, 61, 8e-6)
+    alone = Camera(
+        replace(other.scene, target=replace(other.scene.target, sensor=_mirror(other.scene))), 0.05, output=grid
+    )
+    camera = PhoneCamera.__new__(PhoneCamera)
+    camera.scene, camera.output = other.scene, grid
+    camera.units = [(alone, replace(other, place=(0.0, 0.0)))]
+    assert torch.allclose(camera(TILT), alone(other.sines(TILT)))
+    assert float((camera(TILT) - alone(TILT)).abs().max()) > 0.1 * float(camera(TILT).max())
 
 
 def _mirror(scene: Scene) -> object:

@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from tapetum.bench import Microlens, PixelArray, Scene, TargetSensor, load_scene, with_values
+from tapetum.bench import Layer, Microlens, PixelArray, Scene, TargetSensor, load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid, lens_numbers
@@ -87,6 +87,43 @@ def test_a_tilted_mirror_is_a_sampled_phase(validated: Validated) -> None:
     validated(SECTION, what, apart(got, want, phase=False), 1e-3, "the mask exp(2ik a·u) sampled, double pass by grids")
     straight = by_orders(replace(one, tilt=(0.0, 0.0)), TILT)
     assert apart(straight, want, phase=False) > 0.02
+
+
+def test_a_tilted_filter_is_a_sampled_phase_at_its_depth(validated: Validated) -> None:
+    a, depth = (0.004, 0.002), 0.4e-3
+
+    def mask(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        return phasor(2 * K * (a[0] * x[..., None, :] + a[1] * y[..., :, None]))
+
+    sensor = TargetSensor(0.0, (649, 487), PITCH, layers=(Layer(depth, 1.0, tilt=a),))
+    g = geometry(float(TILT.norm()) + math.hypot(*a))
+    z = torch.tensor(g.image_distance, dtype=torch.float64)
+    ((surface,),) = specular_groups(scene_of(sensor), WAVELENGTH, z, 0.1)
+    before = replace(g, image_distance=g.image_distance - depth)
+    plan = plan_round(before, 1e-3, pixels=OUTPUT.rows * OUTPUT.columns)
+    got = RoundPass(before, plan, OUTPUT, (surface,), dtype=torch.complex128).field(TILT[None])[0]
+    grids = plan_double_pass(before, 3e-3, pixels=OUTPUT.rows * OUTPUT.columns, finest=40e-6)
+    want = DoublePass(before, grids, OUTPUT, mask=mask, dtype=torch.complex128).field(TILT[None])[0]
+    what = "Filter tilted by (4, 2) mrad, 0.4 mm before the sensor, f = 50 mm: complex field"
+    validated(SECTION, what, apart(got, want, phase=False), 1e-3, "the mask exp(2ik a·u) sampled, double pass by grids")
+
+
+def test_a_tilted_filter_close_to_the_sensor_is_the_sensor_tilted() -> None:
+    """Behind a traced lens too."""
+    lens = {"kind": "prescription", "name": "phone-f"}
+    scene = with_values(load_scene("rotation"), {"sampling.accuracy": 0.1, "target.lens": lens})
+    grid, sines = Grid(41, 41, 8.8e-6), torch.tensor([[0.02, -0.05]], dtype=torch.float64)
+
+    def picture(sensor: TargetSensor) -> torch.Tensor:
+        return Camera(replace(scene, target=replace(scene.target, sensor=sensor)), 0.1, output=grid)(sines)
+
+    a, pixels, pitch = (0.006, -0.003), (2000, 1500), 2e-6
+    want = picture(TargetSensor(0.5, pixels, pitch, tilt=a))
+    got = picture(TargetSensor(0.0, pixels, pitch, layers=(Layer(1e-9, 0.5, tilt=a),)))
+    straight = picture(TargetSensor(0.5, pixels, pitch))
+    peak = float(want.max())
+    assert float((got - want).abs().max()) < 1e-3 * peak
+    assert float((straight - want).abs().max()) > 0.05 * peak
 
 
 def test_a_tilt_only_moves_the_point_of_symmetry(validated: Validated) -> None:

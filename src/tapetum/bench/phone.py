@@ -19,6 +19,7 @@ from tapetum.bench.prescription import PrescriptionLens
 from tapetum.bench.quantity import Angle, Length, Power, Time
 from tapetum.bench.sensors import TargetSensor
 from tapetum.bench.strict import STRICT
+from tapetum.bench.surfaces import SmallTilt
 from tapetum.errors import InputError
 
 __all__ = ["PHONE_SCHEMA", "CameraUnit", "Dots", "Phone", "load_phone", "phone_names"]
@@ -42,12 +43,15 @@ class CameraUnit:
         Of its optical axis on the back plate, (x, y) in metres: x right and y down as the probe sees it.
     lens, sensor
         Its optics. The filter is the first of the sensor's layers.
+    axis
+        Where its lens looks against the plate's normal, as a rotation (x, y) in radians: modules are mounted askew.
     """
 
     name: str
     position: tuple[Place, Place]
     lens: PrescriptionLens
     sensor: TargetSensor
+    axis: tuple[SmallTilt, SmallTilt] = (0.0, 0.0)
 
     @model_validator(mode="after")
     def _fits_together(self) -> CameraUnit:

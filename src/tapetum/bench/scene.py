@@ -270,7 +270,11 @@ class PhoneTarget:
             if not images:
                 sensor = replace(sensor, reflectance=0.0, array=None, microlens=None, mask=None, diffuse=None)
             place = (unit.position[0] - gazing.position[0], unit.position[1] - gazing.position[1])
-            found.append((Target(unit.lens, self.object_distance, self.rotation, sensor), place))
+            # Where the gazing camera looks is where the gaze counts from: the others look beside it.
+            rotation = tuple(
+                angle + (own - its) for angle, own, its in zip(self.rotation, unit.axis, gazing.axis, strict=True)
+            )
+            found.append((Target(unit.lens, self.object_distance, (rotation[0], rotation[1]), sensor), place))
         return tuple(found)
 
 

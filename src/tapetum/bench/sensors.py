@@ -7,15 +7,14 @@ from typing import Annotated, TypeVar
 from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.quantity import Angle, Current, Length, Time
+from tapetum.bench.quantity import Current, Length, Time
 from tapetum.bench.strict import STRICT, Positive, Share
-from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask
+from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask, SmallTilt
 
 __all__ = ["ProbeSensor", "TargetSensor"]
 
 S = TypeVar("S", "TargetSensor", "ProbeSensor")
 Pixels = Annotated[tuple[int, int], Field(description="columns, rows")]
-SmallTilt = Annotated[Angle, Field(ge=-0.1, le=0.1)]
 Offset = Annotated[Length, Field(ge=-0.01, le=0.01)]
 
 
@@ -39,8 +38,8 @@ class TargetSensor:
         Further reflecting planes before the sensor.
     tilt
         Of its plane against the lens's image plane, (a_x, a_y) in radians: at the place u from the lens's axis it lies
-        a·u behind it. Layers keep their place. A lens tilted as a whole is the same as a sensor tilted the other way
-        and a change of gaze, so it needs no field of its own.
+        a·u behind it. Layers have tilts of their own. A lens tilted as a whole is the same as its planes tilted the
+        other way and a change of gaze, so it needs no field of its own.
     decentre
         Where the lens's axis meets the sensor, (x, y) in metres from its middle. Gaze counts from the sensor's middle.
     """

@@ -10,10 +10,12 @@ from typing import Annotated, Literal
 from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.quantity import Length, to_si
+from tapetum.bench.quantity import Angle, Length, to_si
 from tapetum.bench.strict import STRICT, Positive, Share
 
-__all__ = ["Diffuse", "Layer", "Microlens", "PixelArray", "SensorMask", "Spectrum", "at_wavelength"]
+__all__ = ["Diffuse", "Layer", "Microlens", "PixelArray", "SensorMask", "SmallTilt", "Spectrum", "at_wavelength"]
+
+SmallTilt = Annotated[Angle, Field(ge=-0.1, le=0.1)]
 
 
 def _spectrum(value: object) -> float | tuple[tuple[float, float], ...]:
@@ -174,6 +176,9 @@ class Layer:
         Power transmittance of one passage; what is not reflected where it is left out.
     diffuse
         A scattered share, besides.
+    tilt
+        Of its plane against the lens's image plane, (a_x, a_y) in radians: at the place u from the lens's axis it lies
+        a·u farther from the lens. What it reflects turns, what passes does not.
     """
 
     depth: Positive
@@ -181,6 +186,7 @@ class Layer:
     transmittance: Spectrum | None = None
     index: Annotated[float, Field(ge=1, le=5)] = 1.0
     diffuse: Diffuse | None = None
+    tilt: tuple[SmallTilt, SmallTilt] = (0.0, 0.0)
 
     @model_validator(mode="after")
     def _keeps_energy(self) -> Layer:

@@ -173,7 +173,7 @@ def returns_of(scene: Scene, gaze: Array, place: Array, roll: Array, distance: A
     for unit in sorted(phone_scenes(scene), key=lambda unit: unit.place != (0.0, 0.0)):
         on_plate = _turned(torch.tensor([unit.place], dtype=torch.float64).expand(len(gaze), -1), roll)
         seen = seen_from_probe(on_plate, turned).numpy()
-        found.append(Returns(unit.scene, tilts, place + seen, roll, distance))
+        found.append(Returns(unit.scene, unit.sines(tilts), place + seen, roll, distance))
     return found
 
 
@@ -272,7 +272,8 @@ def _radius(scene: Scene) -> float:
 def _is_round(scene: Scene) -> bool:
     """Whether turning the target about its axis is the same as turning the light that it meets."""
     sensor = scene.target.sensor
-    return sensor.array is None and sensor.microlens is None and sensor.mask is None
+    straight = all(plane.tilt == (0.0, 0.0) for plane in (sensor, *sensor.layers))
+    return straight and sensor.array is None and sensor.microlens is None and sensor.mask is None
 
 
 def _turned(sines: torch.Tensor, angle: Array) -> torch.Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -17,17 +18,38 @@ __all__ = ["PhoneCamera", "Unit", "open_camera", "phone_scenes", "seen_from_prob
 
 @dataclass(frozen=True)
 class Unit:
-    """One camera of a phone as a scene of its own, and its place (x, y) on the plate against the one that gazes."""
+    """One camera of a phone as a scene of its own.
+
+    Parameters
+    ----------
+    scene
+        Of this camera alone.
+    place
+        (x, y) on the plate against the one that gazes, in metres.
+    axis
+        Where it looks against the one that gazes, (x, y) in radians.
+    """
 
     scene: Scene
     place: tuple[float, float]
+    axis: tuple[float, float] = (0.0, 0.0)
+
+    def sines(self, gazing: torch.Tensor) -> torch.Tensor:
+        """Sines [..., 2] of its tilts where the one that gazes has these."""
+        if self.axis == (0.0, 0.0):
+            return gazing
+        return torch.sin(torch.asin(gazing) + torch.tensor(self.axis).to(gazing))
 
 
 def phone_scenes(scene: Scene) -> tuple[Unit, ...]:
     """The scene of every camera; of a single camera its own."""
     if not isinstance(scene.target, PhoneTarget):
         return (Unit(scene, (0.0, 0.0)),)
-    return tuple(Unit(replace(scene, target=target), place) for target, place in scene.target.cameras())
+    x, y = scene.target.rotation
+    return tuple(
+        Unit(replace(scene, target=target), place, (target.rotation[0] - x, target.rotation[1] - y))
+        for target, place in scene.target.cameras()
+    )
 
 
 def seen_from_probe(places: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
@@ -57,7 +79,8 @@ class PhoneCamera:
     def __init__(self, scene: Scene, steepest: float, *, output: Grid | None = None, **options: Any) -> None:
         self.scene, self.output = scene, output or sensor_grid(scene)
         self.units = [
-            (Camera(unit.scene, steepest, output=self.output, **options), unit.place) for unit in phone_scenes(scene)
+            (Camera(unit.scene, steepest + math.hypot(*unit.axis), output=self.output, **options), unit)
+            for unit in phone_scenes(scene)
         ]
 
     def __call__(
@@ -66,9 +89,9 @@ class PhoneCamera:
         """As `Camera.__call__`; the centre is that of the camera that gazes."""
         scale = self.scene.probe.lens.focal_length / self.scene.distance
         total: torch.Tensor | None = None
-        for camera, place in self.units:
-            at = scale * seen_from_probe(torch.tensor([place]), sines.double())
-            image = camera(sines, at if centres is None else centres + at, equivalent=equivalent)
+        for camera, unit in self.units:
+            at = scale * seen_from_probe(torch.tensor([unit.place]), sines.double())
+            image = camera(unit.sines(sines), at if centres is None else centres + at, equivalent=equivalent)
             total = image if total is None else total + image
         assert total is not None
         return total
@@ -86,7 +109,7 @@ class PhoneCamera:
     def metadata(self) -> dict[str, Any]:
         """Of the first camera, with the places of all."""
         told = self.units[0][0].metadata()
-        return {**told, "expected_error": self.plan.expected_error, "cameras": [place for _, place in self.units]}
+        return {**told, "expected_error": self.plan.expected_error, "cameras": [unit.place for _, unit in self.units]}
 
 
 def open_camera(scene: Scene, steepest: float, **options: Any) -> Camera | PhoneCamera:

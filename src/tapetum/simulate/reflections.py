@@ -117,10 +117,10 @@ def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, wides
     # From the lens inwards: each layer dims what lies behind it, there and back.
     for layer in sorted(sensor.layers, key=lambda layer: -layer.depth):
         reflectance = at_wavelength(layer.reflectance, wavelength)
-        orders = (Order(amplitude=math.sqrt(reflectance)),) if reflectance > 0 else ()
+        orders = (_turned(Order(amplitude=math.sqrt(reflectance)), layer.tilt),) if reflectance > 0 else ()
         reached = image_distance - layer.depth / layer.index
         nearer = layer.index * layer.depth
-        planes.append(_Plane(reached, nearer, through, orders, layer.diffuse, layer.depth, layer.index))
+        planes.append(_Plane(reached, nearer, through, orders, layer.diffuse, layer.depth, layer.index, layer.tilt))
         through *= layer_transmittance(layer, wavelength) ** 2
     orders: tuple[Order, ...] = ()
     if sensor.array is not None or sensor.microlens is not None:
@@ -128,13 +128,14 @@ def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, wides
         orders = orders_of(sensor, wavelength, widest + 2 * math.hypot(*sensor.tilt))
     elif sensor.reflectance > 0 and sensor.mask is None:
         orders = (Order(amplitude=math.sqrt(sensor.reflectance)),)
-    if sensor.tilt != (0.0, 0.0):
-        orders = tuple(_turned(order, sensor.tilt) for order in orders)
+    orders = tuple(_turned(order, sensor.tilt) for order in orders)
     planes.append(_Plane(image_distance, 0.0, through, orders, sensor.diffuse, tilt=sensor.tilt))
     return planes
 
 
 def _turned(order: Order, tilt: tuple[float, float]) -> Order:
     """An order of a plane that lies a·u farther at the place u: its reflection gains exp(2ik a·u)."""
+    if tilt == (0.0, 0.0):
+        return order
     across, down = order.direction
     return replace(order, direction=(across + 2 * tilt[0], down + 2 * tilt[1]))

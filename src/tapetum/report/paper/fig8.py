@@ -97,7 +97,8 @@ def _parts(scene: Scene, refused: list[str], *, first_only: bool = False) -> lis
     for unit in units[: 1 if first_only else None]:
         at = scale * seen_from_probe(torch.tensor([unit.place], dtype=torch.float64), sines)
         try:
-            image = Camera(unit.scene, largest_sine(farthest), output=sensor_grid(scene))(sines, at)[0]
+            own = unit.sines(torch.cat([sines, farthest]))
+            image = Camera(unit.scene, largest_sine(own), output=sensor_grid(scene))(own[:1], at)[0]
         except InputError as error:
             # One camera that the engine refuses must not hide the others: it is named instead.
             refused.append(f"camera at {unit.place}: {error}")
