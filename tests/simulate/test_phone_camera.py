@@ -67,7 +67,7 @@ def test_each_return_lies_where_the_probe_sees_its_camera() -> None:
     image = camera(TILT)
     scale = scene.probe.lens.focal_length / scene.distance
     apart = [
-        one(TILT, scale * seen_from_probe(torch.tensor([unit.place]), TILT))
+        one(unit.sines(TILT), scale * seen_from_probe(torch.tensor([unit.place]), TILT))
         for one, unit in zip(cameras, units, strict=True)
     ]
     assert torch.allclose(image, sum(apart[1:], apart[0]))
