@@ -242,6 +242,7 @@ def test_the_fit_is_measured_against_the_limit_of_its_own_frames(work, fitted):
     truth, _ = work.outcome("rotation-resnet18").pair()
     assert found.frames == min(6, np.count_nonzero(np.hypot(*truth.T) < 0.25)) > 2
     assert found.rmse == pytest.approx(2e-3) and found.limit == pytest.approx(1e-3) and found.coverage == 1
+    assert found.median == pytest.approx(2e-3) and found.lost == 0
 
 
 def test_every_page_is_written(work, fitted, tmp_path: Path):

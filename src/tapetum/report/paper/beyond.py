@@ -182,6 +182,10 @@ class Untrained:
         Fitted.
     rmse
         Over both axes, fractions of the field.
+    median
+        Of a frame's error over both axes: few frames that it takes for others decide the RMSE alone.
+    lost
+        Frames that are off by more than ten times the limit.
     limit
         Root mean square of the Cramér-Rao limits at their gazes, photosites known.
     coverage
@@ -192,6 +196,8 @@ class Untrained:
 
     frames: int
     rmse: float
+    median: float
+    lost: int
     limit: float
     coverage: float
     network_rmse: float
@@ -213,7 +219,10 @@ def untrained(work: Workshop) -> Untrained:
     limits = gaze_information(scene, truth[chosen], progress=work.progress).bounds()
     error, other = found.value - truth[chosen], said[chosen] - truth[chosen]
     held = (found.lower <= truth[chosen]) & (truth[chosen] <= found.upper)
-    return Untrained(len(chosen), _rms(error), _rms(limits), float(held.mean()), _rms(other))
+    each, limit = np.sqrt(np.square(error).mean(axis=1)), _rms(limits)
+    lost = int((each > 10 * limit).sum())
+    coverage = float(held.mean())
+    return Untrained(len(chosen), _rms(error), float(np.median(each)), lost, limit, coverage, _rms(other))
 
 
 def _rms(values: Array) -> float:
