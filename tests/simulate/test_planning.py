@@ -57,6 +57,9 @@ pytestmark = pytest.mark.usefixtures("known")
 @pytest.mark.parametrize("name", scene_names())
 def test_every_number_is_its_module_s(name: str) -> None:
     bench = scene(name, rotation=[0.1, 0.3])
+    if bench.target.lens.kind != "thin":
+        # The same numbers are asked for three times: a rough plan does.
+        bench = with_values(bench, {"sampling.accuracy": 0.1})
     plan = plan_bench(bench)
     sine = math.hypot(math.sin(math.radians(0.1)), math.sin(math.radians(0.3)))
     camera = open_camera(bench, sine)
