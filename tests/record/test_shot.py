@@ -19,6 +19,7 @@ from tapetum.record.session import Placed, Session
 from tapetum.record.shot import Shot
 from tapetum.record.stray import Ground
 from tapetum.simulate import Camera, tilt_of_gaze
+from tapetum.simulate.phone import phone_scenes
 
 SECTION = "The virtual bench"
 BUSY = HandMotion(roll=0.05, reach=0.01)
@@ -243,3 +244,23 @@ def test_what_cannot_be_filmed_is_refused(small: Scene) -> None:
     for wrong in (lambda: HandMotion(sway=-1.0), lambda: Session(seed=-1), lambda: Exposure(factor=0.0)):
         with pytest.raises(InputError):
             wrong()
+
+
+def test_a_phones_cameras_look_where_their_axes_say(monkeypatch: pytest.MonkeyPatch) -> None:
+    shown: list[tuple[Scene, torch.Tensor, np.ndarray]] = []
+
+    def returns(scene: Scene, tilts: torch.Tensor, place: np.ndarray, *_: np.ndarray) -> None:
+        shown.append((scene, tilts, place))
+
+    monkeypatch.setattr("tapetum.record.returns.Returns", returns)
+    scene = with_values(load_scene("phones"), {"target.name": "phone-08"})
+    gaze, none = np.array([[0.1, -0.05]]), np.zeros(1)
+    returns_of(scene, gaze, np.zeros((1, 2)), none, np.full(1, 5.5))
+    (_, gazing, at), *others = shown
+    assert len(others) == 2 and not np.asarray(at).any()
+    assert torch.allclose(gazing, tilt_of_gaze(scene, torch.from_numpy(gaze)))
+    for one, tilts, place in others:
+        (unit,) = (unit for unit in phone_scenes(scene) if unit.scene == one)
+        assert np.hypot(*place[0]) > 5e-3
+        assert unit.axis != (0.0, 0.0)
+        assert torch.allclose(torch.asin(tilts) - torch.asin(gazing), torch.tensor([unit.axis]).double())

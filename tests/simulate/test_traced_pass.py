@@ -256,6 +256,22 @@ def test_a_layer_is_the_sensor_moved(validated: Any) -> None:
         validated(SECTION, what, error, 2e-2, "the sensor moved by its reduced depth")
 
 
+def test_a_tilted_layer_is_the_tilted_sensor_moved(validated: Any) -> None:
+    """Where the light on it is out of focus."""
+    depth, a, output, tilt = 50e-6, (0.004, -0.003), picture(PHONE), along_y(2.0)
+    focused, _ = traced(PHONE)
+    orders = (Order((2 * a[0], 2 * a[1])),)
+    layered = planned(PHONE, output, 1e-2, Surface(focused.image - depth, orders, depth=depth, tilt=a))
+    nearer = fit_pupils(with_mirror_at(focused, depth), PHONE.steepest)
+    moved = bare(nearer, layered.passes[0].grids, output, Surface(focused.image - depth, orders, tilt=a))
+    want = moved.field(tilt)[0]
+    what = f"a layer tilted by (4, -3) mrad 50 µm before the sensor, {PHONE}, 2°"
+    error = irradiance_difference(layered.field(tilt)[0], want)
+    validated(SECTION, what, error, 1e-3, "the tilted sensor moved there")
+    straight = planned(PHONE, output, 1e-2, Surface(focused.image - depth, depth=depth)).field(tilt)[0]
+    assert irradiance_difference(straight, want) > 0.1
+
+
 def test_planes_interfere() -> None:
     output, tilt = picture(PHONE), along_y(1.0)
     focused, fits = traced(PHONE)

@@ -38,6 +38,8 @@ _BLOCK = 16
 # Fine structure: Gaussians of three widths, in pixels, weighted so that what varies as slowly as a slope or a bend
 # cancels. The squares of the widths are evenly spaced.
 _FINE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0))
+# They are wide enough to be made on an image of half the size.
+_HALVE = 2
 # Less than so many times the noise may be noise: it reached 6 where a blurred lamp stood 5 counts high. Clearly more is
 # so many times as much.
 _NOISE, _CLEARLY = 8.0, 2.0
@@ -235,15 +237,14 @@ def find_centre(
         return peak.x, peak.y
     array = _checked(image)
     fine, noise = _fine_structure(array)
-    height, width = fine.shape
-    rows, columns = np.ogrid[:height, :width]
-    reach = _AROUND * sigma
-    around = (columns * 2 + 0.5 - peak.x) ** 2 + (rows * 2 + 0.5 - peak.y) ** 2 <= max(reach, 4.0) ** 2
+    # Places in the image of the reduced pixels' middles.
+    y, x = (_HALVE * np.arange(size) + (_HALVE - 1) / 2 for size in fine.shape)
+    around = (x - peak.x) ** 2 + (y[:, None] - peak.y) ** 2 <= max(_AROUND * sigma, 2.0 * _HALVE) ** 2
     here, most = float(fine[around].max(initial=-np.inf)), float(fine.max())
     if here >= _NOISE * noise or most < max(_CLEARLY * here, _NOISE * noise):
         return peak.x, peak.y
     row, column = np.unravel_index(int(np.argmax(fine)), fine.shape)
-    near = (float(column) * 2 + 0.5, float(row) * 2 + 0.5, 2 * sigma)
+    near = (float(x[column]), float(y[row]), 2 * sigma)
     found = find_peak(array.astype(np.float32) - _broad(array, _BROAD * sigma), sigma, near=near)
     return found.x, found.y
 
@@ -259,11 +260,11 @@ def _broad(image: NDArray[np.generic], sigma: float) -> NDArray[np.float32]:
 def _fine_structure(image: NDArray[np.generic]) -> tuple[NDArray[np.float32], float]:
     """Return [H/2, W/2] what is finer than a blurred room, and its noise."""
     calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
-    size = max(1, calm.shape[1] // 2), max(1, calm.shape[0] // 2)
+    size = max(1, calm.shape[1] // _HALVE), max(1, calm.shape[0] // _HALVE)
     half = cv2.resize(calm, size, interpolation=cv2.INTER_AREA)
     fine = np.zeros(half.shape, np.float32)
     for width, weight in _FINE:
-        fine += weight * cv2.GaussianBlur(half, (0, 0), width / 2, borderType=cv2.BORDER_REPLICATE)
+        fine += weight * cv2.GaussianBlur(half, (0, 0), width / _HALVE, borderType=cv2.BORDER_REPLICATE)
     noise = _scatter(fine)
     if image.dtype.kind in "iu":
         noise = max(noise, _rounding(_FINE[0][0]))
