@@ -16,6 +16,7 @@ from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.fit import SimulationFit
 from tapetum.models.simulation.pictures import Pictures, period_of
 from tapetum.models.simulation.search import Search
+from tapetum.models.simulation.starts import Start
 from tapetum.progress import quiet
 from tapetum.simulate.exposure import count_moments, digitise
 from tapetum.simulate.gaze import tilt_of_gaze
@@ -104,6 +105,32 @@ def test_tells_a_gaze_from_its_opposite(scene: Scene, model: SimulationFit):
         rivals = [mode for mode in result.modes if np.abs(mode.values - result.values).max() > 0.01]
         assert rivals and all(mode.log_likelihood < result.log_likelihood - 100 for mode in rivals)
         assert result.converged and result.misfit == pytest.approx(1, abs=0.05)
+
+
+def test_looks_farther_where_no_start_explains_the_image(
+    scene: Scene, model: SimulationFit, monkeypatch: pytest.MonkeyPatch
+):
+    gaze = np.array([0.21, -0.13])
+    frame = filmed(scene, gaze[None], 6)[0]
+    one = SimulationFit(scene, nodes=13, starts=1, window=128)
+    one._pictures = model._pictures
+    assert one.fit_image(frame).starts == 1
+    bank = model._pictures[128][1]
+    best = bank.match
+
+    def worst_first(*given: object) -> list[Start]:
+        return best(*given)[::-1]  # type: ignore[arg-type]
+
+    monkeypatch.setattr(bank, "match", worst_first)
+    found = one.fit_image(frame)
+    assert 1 < found.starts <= 5
+    assert found.misfit == pytest.approx(1, abs=0.05)
+    np.testing.assert_allclose(found.values, gaze, atol=1e-3)
+    # An image that this scene cannot explain is not climbed for ever, and the misfit says so.
+    stray = np.random.default_rng(1).integers(0, 200, frame.shape).astype(frame.dtype)
+    found = one.fit_image(stray)
+    assert found.starts <= 5
+    assert found.misfit > 1.3
 
 
 def test_whole_frames_and_power(scene: Scene, model: SimulationFit):

@@ -37,6 +37,8 @@ _WINDOW = 200
 _UNLIKELY, _PERIODS_ASKED = 20.0, 9
 # Logarithm of the likelihood by which a start must fall behind after its first steps to be given up.
 _HOPELESS, _FIRST_STEPS = 200.0, 4
+# Misfit above which the search looks farther, where a true scene leaves 1.00 ± 0.05; and starts then, in all.
+_LOST, _FARTHER = 1.3, 4
 
 
 class SimulationFit:
@@ -55,7 +57,8 @@ class SimulationFit:
         `phase_x` and `phase_y`, where under the spot the photosites lie. A gaze that is not named is a nuisance.
     starts
         How many places of the field the search begins at: those of a coarse bank of pictures that match best, the
-        opposite of the best one's gaze among them.
+        opposite of the best one's gaze among them. Where none of them explains the image (a misfit above 1.3) it
+        begins anew opposite to the best maximum, and then at the next best places, four times as many in all.
     accuracy
         Of the simulation, in fractions of the peak; the scene's own when None.
     window
@@ -200,14 +203,12 @@ class SimulationFit:
         electrons = (counts - sensor.offset) / gain_of(sensor)
         expected, slope, variance = self._model(np.maximum(electrons, 1.0))
         del expected
-        starts = bank.match(electrons, slope**2 / variance, self.starts)
+        poses = [start.pose for start in bank.match(electrons, slope**2 / variance, _FARTHER * self.starts)]
         if "power" not in self._free:
-            power = self.scene.illumination.power
-            starts = [replace(start, pose=replace(start.pose, power=power)) for start in starts]
-        tops = self._climbed(search, [start.pose for start in starts])
-        tops.sort(key=lambda top: -top.log_likelihood)
+            poses = [replace(pose, power=self.scene.illumination.power) for pose in poses]
+        tops = self._climbed(search, poses)
         rivals = [top for top in tops[1:] if not same_top(top, tops[0])]
-        return result_of(self.quantities, self._periods(search, tops[0]), rivals, len(starts), middle)
+        return result_of(self.quantities, self._periods(search, tops[0]), rivals, len(tops), middle)
 
     def bounds(self, gaze: tuple[float, float]) -> dict[str, float]:
         """Standard deviation of each parameter that no unbiased fit of one crop undercuts (Cramér-Rao).
@@ -271,16 +272,27 @@ class SimulationFit:
         return pictures, bank
 
     def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
-        """The maxima above some poses; those that fall far behind are left where they are after a few steps."""
-        phase = search.pictures.period is not None
+        """The maxima above some poses, the best first; more than `starts` only where these explain the image badly."""
         tops: list[Top] = []
-        for pose in poses:
-            top = search.climb(search.in_phase(pose), phase=phase, steps=_FIRST_STEPS)
-            best = max((one.log_likelihood for one in tops), default=-np.inf)
-            if not top.settled and top.log_likelihood > best - _HOPELESS:
-                top = search.climb(top.pose, phase=phase, slow=top.slow)
-            tops.append(top)
-        return tops
+        for pose in poses[: self.starts]:
+            tops.append(self._top(search, pose, tops))
+        best = max(tops, key=lambda top: top.log_likelihood)
+        # A climb that ended beside the truth's opposite knows better than the bank where the opposite lies.
+        x, y = np.clip(np.array(best.pose.gaze) + best.slow, -0.48, 0.48)
+        for pose in [replace(best.pose, gaze=(-float(x), -float(y))), *poses[self.starts :]]:
+            if min(top.misfit for top in tops) <= _LOST:
+                break
+            tops.append(self._top(search, pose, tops))
+        return sorted(tops, key=lambda top: -top.log_likelihood)
+
+    def _top(self, search: Search, pose: Pose, others: list[Top]) -> Top:
+        """The maximum above a pose; one that falls far behind others is left where it is after a few steps."""
+        phase = search.pictures.period is not None
+        top = search.climb(search.in_phase(pose), phase=phase, steps=_FIRST_STEPS)
+        best = max((one.log_likelihood for one in others), default=-np.inf)
+        if top.settled or top.log_likelihood <= best - _HOPELESS:
+            return top
+        return search.climb(top.pose, phase=phase, slow=top.slow)
 
     def _periods(self, search: Search, top: Top) -> list[Top]:
         """The best maximum alone, or those of the photosites' periods that the slow picture leaves likely."""
