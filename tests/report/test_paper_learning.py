@@ -17,8 +17,9 @@ from tapetum.models import Prediction, ResNet18, ZernikeRidge
 from tapetum.report.bounds import FocusBounds, GazeInformation
 from tapetum.report.paper import LEARNED, RECIPES, Workshop, beyond, learning, reproduce
 from tapetum.report.paper import workshop as shop
-from tapetum.report.paper.beyond import ablations, fresh, fresh_plan, unseen, untrained
+from tapetum.report.paper.beyond import ablations, fresh, unseen, untrained
 from tapetum.report.paper.learning import fig10, fig12, table1, table2
+from tapetum.report.paper.recordings import fresh_plan, varied_plan
 from tapetum.report.paper.workshop import SET_SEED
 
 SIDE = 40
@@ -69,7 +70,8 @@ def sets() -> dict[str, xr.Dataset]:
     far = np.where(recording < 3, 5.5, 8.0)
     again = blob(np.where(far > 6, 4.5, 3.0), gaze, 9)
     made["fresh"] = dataset_from_arrays(again, axes, split=np.ones(count, int), recording=recording)
-    return made | {"fresh": made["fresh"].assign(distance=("frame", far))}
+    made["varied"] = dataset_from_arrays(again, axes, split=split, recording=recording)
+    return made | {name: made[name].assign(distance=("frame", far)) for name in ("fresh", "varied")}
 
 
 @pytest.fixture(scope="module")
@@ -78,7 +80,7 @@ def work(sets, tmp_path_factory) -> Workshop:
     before, threads = dict(RECIPES), torch.get_num_threads()
     torch.set_num_threads(1)
     for name, recipe in before.items():
-        target = {"rotation": "gaze", "focusing": "focus", "phones": "phone"}[recipe.set]
+        target = {"rotation": "gaze", "varied": "gaze", "focusing": "focus", "phones": "phone"}[recipe.set]
         if isinstance(recipe.make("small"), ResNet18):
             target = recipe.make("small").target
             small = lambda _, t=target: ResNet18(t, crop=36, size=24, epochs=1, batch=16, device="cpu")  # noqa: E731
@@ -196,11 +198,16 @@ def test_ablations_leave_out_what_they_say(work):
 
 
 def test_fresh_recordings_are_told_by_distance(work):
-    found = next(one for one in fresh(work) if one.model == "Zernike + ridge, tuned")
+    rows = fresh(work)
+    found = next(one for one in rows if one.model == "Zernike + ridge, tuned")
     assert found.distance == (5.5, 8.0)
     assert found.mae[1] > found.mae[0]
     truth, said = work.outcome("rotation-zernike-tuned").pair()
     assert found.ratio == pytest.approx(np.mean(found.mae) / np.abs(said - truth).mean())
+    # What learned from varied recordings is measured against its own.
+    varied = next(one for one in rows if one.model == "ResNet-18, varied recordings")
+    truth, said = work.outcome("rotation-resnet18-varied").pair()
+    assert varied.own == pytest.approx(np.abs(said - truth).mean())
 
 
 def test_fresh_recordings_differ_in_all_but_the_camera():
@@ -212,6 +219,20 @@ def test_fresh_recordings_differ_in_all_but_the_camera():
         light = video.scene.probe.sensor.exposure / video.scene.distance**2
         assert light == pytest.approx(own.videos[0].scene.probe.sensor.exposure / 5.5**2)
     assert plan.rules.test_fraction == 1
+
+
+def test_varied_recordings_cover_the_distances_and_are_no_fresh_ones():
+    plan, again, own = varied_plan("paper"), fresh_plan("paper"), make_plan("rotation", "paper", SET_SEED)
+    far = [video.scene.distance for video in plan.videos]
+    assert min(far) == 3 and max(far) == 8 and len(set(far)) == len(far) == 28
+    assert sum(video.frames for video in plan.videos) == sum(video.frames for video in own.videos)
+    seeds = [video.session.seed for video in plan.videos]
+    assert len(set(seeds)) == 28
+    assert set(seeds).isdisjoint(video.session.seed for video in (*again.videos, *own.videos))
+    # Nothing tells the distance but the RR: the background does not grow with it beyond what the exposure does.
+    light = [video.scene.probe.sensor.background / video.scene.probe.sensor.exposure for video in plan.videos]
+    assert abs(np.corrcoef(far, light)[0, 1]) < 0.4
+    assert plan.rules == own.rules
 
 
 def test_phones_never_seen_are_counted_apart(work):

@@ -2,31 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import Ridge
 
-from tapetum.bench import load_scene, with_values
-from tapetum.data.synth import Plan, make_plan, rotation_plan
+from tapetum.data.synth import make_plan
 from tapetum.models import SimulationFit, ZernikeRidge
 from tapetum.models.features import feature_names
-from tapetum.record.stray import DimRoom, FixedPattern
 from tapetum.report.bounds import FRAME, gaze_information
 from tapetum.report.evaluation import ClassScores, Outcome, gather_parts, score_classes
 from tapetum.report.paper.learning import CENTRE, ROTATION_MODELS
 from tapetum.report.paper.workshop import RECIPES, SET_SEED, Workshop
 
-__all__ = ["Ablation", "Fresh", "Untrained", "ablations", "fresh", "fresh_plan", "unseen", "untrained"]
+__all__ = ["Ablation", "Fresh", "Untrained", "ablations", "fresh", "unseen", "untrained"]
 
-FRESH_SEED = 2
-DISTANCES = (3.0, 4.0, 5.5, 7.0, 8.0)
-"""Of the fresh recordings, in metres; the set was filmed at 5.5."""
-
-_FRESH_SECONDS = {"paper": 20.0, "small": 2.0}
-_OTHER_BACKGROUND = 80.0
-_ROOM = 30.0
+VARIED_MODEL = "rotation-resnet18-varied"
 # Frames of the test part that are fitted by simulation, seconds each.
 _FITTED = {"paper": 60, "small": 6}
 
@@ -84,31 +76,9 @@ def _ablation(name: str, features: int | None, truth: Array, said: Array) -> Abl
     return Ablation(name, features, float(np.abs(error).mean()), float(np.sqrt(np.square(error).mean())))
 
 
-def fresh_plan(size: str) -> Plan:
-    """Return the plan of fresh recordings of the Rotation set's camera: other seeds, distances and background.
-
-    The exposure is set as anyone would, so that the picture is as bright as at 5.5 m: it goes with the square of the
-    distance, and with it what is not the laser's.
-    """
-    scene = load_scene("rotation")
-    videos = []
-    for number, distance in enumerate(DISTANCES):
-        longer = (distance / scene.distance) ** 2
-        values = {
-            "distance": distance,
-            "probe.sensor.exposure": scene.probe.sensor.exposure * longer,
-            "probe.sensor.background": _OTHER_BACKGROUND * longer,
-        }
-        video = rotation_plan(with_values(scene, values), size, FRESH_SEED).videos[number]
-        session = replace(video.session, seconds=_FRESH_SECONDS[size], stray=(FixedPattern(), DimRoom(_ROOM * longer)))
-        videos.append(replace(video, name=f"fresh-{distance:g}m", session=session))
-    plan = make_plan("rotation", size, FRESH_SEED)
-    return replace(plan, videos=tuple(videos), rules=replace(plan.rules, test_fraction=1.0))
-
-
 @dataclass(frozen=True)
 class Fresh:
-    """Errors on fresh recordings beside those on the last fifth of the ones trained on.
+    """Errors on fresh recordings beside those on the last fifth of each of the recordings trained on.
 
     Parameters
     ----------
@@ -137,12 +107,11 @@ class Fresh:
 
 
 def fresh(work: Workshop) -> list[Fresh]:
-    """Let the Rotation set's models predict fresh recordings."""
-    found = work.filmed("fresh", fresh_plan(work.size))
-    train = work.dataset("rotation").tp.train
+    """Let the Rotation set's models, and one that learned from varied recordings, predict fresh ones."""
+    found = work.dataset("fresh")
     rows: list[Fresh] = []
-    for name in ROTATION_MODELS:
-        own = work.outcome(name)
+    for name in (*ROTATION_MODELS, VARIED_MODEL):
+        own, train = work.outcome(name), work.dataset(RECIPES[name].set).tp.train
         outcome = gather_parts(work.model(name), found, train, progress=work.progress)
         truth, said = outcome.pair()
         error = np.abs(said - truth).mean(axis=1)

@@ -18,8 +18,9 @@ from tapetum.models.base import json_safe
 from tapetum.models.training import remove_checkpoint
 from tapetum.progress import Progress, quiet
 from tapetum.report.evaluation import Outcome, gather
+from tapetum.report.paper.recordings import fresh_plan, varied_plan
 
-__all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop"]
+__all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop", "plan_of"]
 
 SET_SEED = 1
 """Of the sets. Fixed before anything was measured; so are the seeds of the networks, 0."""
@@ -56,7 +57,7 @@ def _epochs(size: str, paper: int) -> int:
     return paper if size == "paper" else min(paper, 4)
 
 
-def _gaze(size: str, **changed: Any) -> ResNet18:
+def _gaze(size: str, /, **changed: Any) -> ResNet18:
     # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one.
     return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 9), "gain": 0.3} | changed)
 
@@ -91,6 +92,13 @@ RECIPES: dict[str, Recipe] = {
         Recipe("rotation-resnet18", "rotation", RESNET, _gaze),
         Recipe(
             "rotation-resnet18-hidden", "rotation", "ResNet-18 without its brightest spot", lambda s: _gaze(s, hide=16)
+        ),
+        # At 3 m the RR is half as wide again.
+        Recipe(
+            "rotation-resnet18-varied",
+            "varied",
+            "ResNet-18, varied recordings",
+            lambda size: _gaze(size, crop=200, size=80),
         ),
         Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
         Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus")),
@@ -131,15 +139,11 @@ class Workshop:
 
     def dataset(self, name: str) -> xr.Dataset:
         """Return a set, filming it first where it is not there."""
-        return self.filmed(name, make_plan(name, self.size, SET_SEED))
-
-    def filmed(self, name: str, plan: Plan) -> xr.Dataset:
-        """Return what a plan films, from the folder where it is there."""
         if name in self.sets:
             return self.sets[name]
         path = self.folder / f"{name}-{self.size}.zarr"
         if not path.exists():
-            synthesise(plan, path, workers=self.workers, progress=self.progress)
+            synthesise(plan_of(name, self.size), path, workers=self.workers, progress=self.progress)
         return open_dataset(path)
 
     def model(self, name: str) -> Model:
@@ -188,6 +192,12 @@ class Workshop:
             return dataset
         left = [k for k, name in enumerate(dataset.tp.classes) if name not in devices]
         return dataset.isel(frame=dataset["device"].isin(left).values.nonzero()[0])
+
+
+def plan_of(name: str, size: str) -> Plan:
+    """Return the plan of one of the paper's sets, or of the recordings beside them."""
+    beside = {"fresh": fresh_plan, "varied": varied_plan}
+    return beside[name](size) if name in beside else make_plan(name, size, SET_SEED)
 
 
 def _is(folder: Path, wanted: Model, dataset: xr.Dataset) -> bool:

@@ -1,0 +1,80 @@
+"""Recordings of the Rotation set's camera that the paper has not: fresh ones, and ones as varied as those."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from tapetum.bench import Scene, load_scene, with_values
+from tapetum.data.synth import Plan, make_plan, rotation_plan
+from tapetum.data.synth.plan import Video
+from tapetum.record.stray import DimRoom, FixedPattern
+
+__all__ = ["DISTANCES", "fresh_plan", "varied_plan"]
+
+DISTANCES = (3.0, 4.0, 5.5, 7.0, 8.0)
+"""Of the fresh recordings, in metres; the Rotation set was filmed at 5.5."""
+
+# Seeds of the fresh recordings and of the varied ones: neither the set's own nor each other's.
+_FRESH_SEED, _VARIED_SEED = 2, 3
+_FRESH_SECONDS = {"paper": 20.0, "small": 2.0}
+_FRESH_BACKGROUND, _FRESH_ROOM = 80.0, 30.0
+# Together as long as the Rotation set.
+_VARIED = 28
+_VARIED_SECONDS = {"paper": 25.0, "small": 1.0}
+# Electrons of the even background and of the room at 5.5 m: evenly drawn logarithms.
+_VARIED_BACKGROUND, _VARIED_ROOM = (20.0, 160.0), (3.0, 60.0)
+
+
+def fresh_plan(size: str) -> Plan:
+    """Return the plan of fresh recordings: other seeds, distances and background than the Rotation set's."""
+    scene = load_scene("rotation")
+    videos = [
+        _before_room(
+            rotation_plan(scene, size, _FRESH_SEED).videos[number],
+            f"fresh-{distance:g}m",
+            distance,
+            _FRESH_SECONDS[size],
+            background=_FRESH_BACKGROUND,
+            room=_FRESH_ROOM,
+        )
+        for number, distance in enumerate(DISTANCES)
+    ]
+    plan = make_plan("rotation", size, _FRESH_SEED)
+    return replace(plan, videos=tuple(videos), rules=replace(plan.rules, test_fraction=1.0))
+
+
+def varied_plan(size: str) -> Plan:
+    """Return the plan of recordings to learn from, each at another distance and before another room.
+
+    Together they are as long as the Rotation set's. Distances go in even steps over those of the fresh recordings.
+    """
+    scene = load_scene("rotation")
+    per_plan = len(rotation_plan(scene, size, _VARIED_SEED).videos)
+    videos: list[Video] = []
+    for number, distance in enumerate(np.linspace(DISTANCES[0], DISTANCES[-1], _VARIED)):
+        rng = np.random.default_rng([_VARIED_SEED, number])
+        background, room = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (_VARIED_BACKGROUND, _VARIED_ROOM))
+        video = rotation_plan(scene, size, _VARIED_SEED + number // per_plan).videos[number % per_plan]
+        name = f"varied-{distance:.2f}m"
+        seconds = _VARIED_SECONDS[size]
+        videos.append(_before_room(video, name, float(distance), seconds, background=background, room=room))
+    return replace(make_plan("rotation", size, _VARIED_SEED), videos=tuple(videos))
+
+
+def _before_room(video: Video, name: str, distance: float, seconds: float, *, background: float, room: float) -> Video:
+    """The video filmed from elsewhere, before a dimly lit room.
+
+    The exposure is set as anyone would, so that the picture is as bright as before: it goes with the square of the
+    distance, and with it what is not the laser's.
+    """
+    scene: Scene = video.scene
+    longer = (distance / scene.distance) ** 2
+    values = {
+        "distance": distance,
+        "probe.sensor.exposure": scene.probe.sensor.exposure * longer,
+        "probe.sensor.background": background * longer,
+    }
+    session = replace(video.session, seconds=seconds, stray=(FixedPattern(), DimRoom(room * longer)))
+    return replace(video, name=name, scene=with_values(scene, values), session=session)
