@@ -156,7 +156,7 @@ class Untrained:
     lost
         Frames that are off by more than ten times the limit.
     limit
-        Root mean square of the Cramér-Rao limits at their gazes, photosites known.
+        Root mean square of the Cramér-Rao limits at their gazes, photosites unknown.
     coverage
         Share of truths in its 90 % intervals.
     network_rmse

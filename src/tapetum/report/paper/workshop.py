@@ -98,7 +98,7 @@ RECIPES: dict[str, Recipe] = {
             "rotation-resnet18-varied",
             "varied",
             "ResNet-18, varied recordings",
-            lambda size: _gaze(size, crop=200, size=80),
+            lambda size: _gaze(size, crop=200, size=80, epochs=_epochs(size, 6)),
         ),
         Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
         Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus")),
