@@ -14,7 +14,7 @@ import torch
 from tapetum.bench import PrescriptionLens
 from tapetum.errors import InputError
 from tapetum.simulate.pupil_fits import TiltNodes
-from tapetum.simulate.traced_bundle import trace_bundle
+from tapetum.simulate.traced_bundle import spot_middles
 
 __all__ = ["FieldMap", "field_map"]
 
@@ -89,7 +89,7 @@ def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float,
     def height(sine: float) -> float:
         try:
             at = torch.tensor([sine], dtype=torch.float64)
-            return float(trace_bundle(focused, at, count=_COUNT).middle[0])
+            return float(spot_middles(focused, at, count=_COUNT)[0])
         except InputError:
             return math.nan
 
@@ -104,5 +104,4 @@ def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float,
                 high = middle
         high = low if math.isnan(height(high)) else high
     nodes = TiltNodes.up_to(high)
-    bundle = trace_bundle(focused, nodes.sines, count=_COUNT)
-    return FieldMap(nodes, nodes.coefficients(bundle.middle))
+    return FieldMap(nodes, nodes.coefficients(spot_middles(focused, nodes.sines, count=_COUNT)))

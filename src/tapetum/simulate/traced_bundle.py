@@ -22,7 +22,7 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
 
-__all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "trace_bundle"]
+__all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "spot_middles", "trace_bundle"]
 
 # Rays a side of a bundle, and of the coarse one that finds the pupil.
 _COARSE = 49
@@ -127,11 +127,7 @@ def trace_bundle(
     InputError
         Where no ray gets through.
     """
-    lower, upper = _pupil_boxes(focused, sines, curvature) if box is None else box
-    centre, half = (upper + lower) / 2, (upper - lower) / 2 * (BEYOND if box is None else 1.0)
-    line = torch.linspace(-1, 1, count, dtype=torch.float64)
-    grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
-    e = (centre[:, None, :] + half[:, None, :] * grid).requires_grad_()
+    e = _starts(focused, sines, curvature, count, box).requires_grad_()
     with torch.enable_grad():
         rays, before, s, psi, landing, middle, chief = _followed(focused, e, sines, curvature, middle)
         # Every ray's s depends on its own e alone: two sums give the whole map's derivative.
@@ -144,17 +140,47 @@ def trace_bundle(
     return Bundle(*found, rays=Rays(**where))
 
 
+def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> torch.Tensor:
+    """Where the light of a far source lands on the sensor, on average: y in metres, [F], as `trace_bundle` has it.
+
+    It takes half the time, for nothing is differentiated. Parameters and errors are the same.
+    """
+    with torch.no_grad():
+        start, way, _ = _incoming(focused, _starts(focused, sines, 0.0, count, None), sines, 0.0)
+        return _landed(focused, trace(focused.lens, start, way))[1]
+
+
+def _starts(
+    focused: FocusedLens,
+    sines: torch.Tensor,
+    curvature: float,
+    count: int,
+    box: tuple[torch.Tensor, torch.Tensor] | None,
+) -> torch.Tensor:
+    """Where the rays of each bundle cross the entrance pupil's plane, [F, N, 2]."""
+    lower, upper = _pupil_boxes(focused, sines, curvature) if box is None else box
+    centre, half = (upper + lower) / 2, (upper - lower) / 2 * (BEYOND if box is None else 1.0)
+    line = torch.linspace(-1, 1, count, dtype=torch.float64)
+    grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
+    return centre[:, None, :] + half[:, None, :] * grid
+
+
+def _landed(focused: FocusedLens, rays: Rays) -> tuple[torch.Tensor, torch.Tensor]:
+    """Where rays meet the sensor, [F, N, 3], and the mean y of those that pass, [F]."""
+    landing, _ = to_plane(rays.position, rays.direction, focused.image)
+    passing = rays.good & (rays.height <= 1).all(-1)
+    # A ray that went astray may have landed nowhere.
+    landed = torch.where(passing, landing[..., 1], torch.zeros_like(landing[..., 1]))
+    return landing, (landed.sum(-1) / passing.sum(-1)).detach()
+
+
 def _followed(
     focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float, middle: torch.Tensor | None
 ) -> tuple[Rays, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     start, way, before = _incoming(focused, e, sines, curvature)
     rays = trace(focused.lens, start, way)
-    landing, _ = to_plane(rays.position, rays.direction, focused.image)
-    passing = rays.good & (rays.height <= 1).all(-1)
-    if middle is None:
-        # A ray that went astray may have landed nowhere.
-        landed = torch.where(passing, landing[..., 1], torch.zeros_like(landing[..., 1]))
-        middle = (landed.sum(-1) / passing.sum(-1)).detach()
+    landing, found = _landed(focused, rays)
+    middle = found if middle is None else middle
     p, back = to_plane(rays.position, rays.direction, _exit_plane(focused))
     y0 = torch.stack([torch.zeros_like(middle), middle, torch.full_like(middle, focused.image)], -1)
     apart = y0[:, None, :] - p
