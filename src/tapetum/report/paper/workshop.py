@@ -67,9 +67,9 @@ def _focus(size: str) -> ResNet18:
     return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 3))
 
 
-def _phone(size: str, target: str = "phone", epochs: int = 20) -> ResNet18:
-    # A phone's RRs are spread over the crop, discs of 83 pixels. How bright they are tells more than their rings.
-    return ResNet18(target, crop=400, size=50, epochs=_epochs(size, epochs), gain=0.03)
+def _phone(size: str, target: str = "phone", epochs: int = 6) -> ResNet18:
+    # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide.
+    return ResNet18(target, crop=400, size=100, epochs=_epochs(size, epochs))
 
 
 def _paper_ridge(target: str) -> ZernikeRidge:
@@ -105,7 +105,7 @@ RECIPES: dict[str, Recipe] = {
         Recipe("focusing-resnet18", "focusing", RESNET, _focus),
         Recipe("phones-resnet18", "phones", RESNET, _phone),
         Recipe(
-            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 8), UNSEEN
+            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 4), UNSEEN
         ),
     )
 }
