@@ -406,7 +406,9 @@ def run(count: int, derandomized: bool) -> Counter[str]:
 def test_any_scene_gives_an_image_or_a_refusal() -> None:
     seen = run(80, derandomized=True)
     assert seen["image"] >= 20 and seen["refused"] >= 10
-    assert seen["slow"] <= 8
+    # A tenth on average. Hypothesis draws constants of whatever modules are loaded too: the number is not the same each
+    # time, and 16 is three standard deviations more.
+    assert seen["slow"] <= 16
 
 
 @pytest.mark.slow
