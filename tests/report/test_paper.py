@@ -24,6 +24,7 @@ from tapetum.report.paper.fig7 import Fig7, Sample, sample
 from tapetum.report.paper.fig8 import Fig8, simulate_fig8
 from tapetum.report.paper.measure import holding_diameter, mirror_error, power_law, widths
 from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
+from tapetum.report.paper.workshop import Workshop
 
 SECTION = "The paper's figures"
 
@@ -51,7 +52,7 @@ def turned() -> list[Sample]:
 
 @pytest.fixture(scope="module")
 def fig8() -> Fig8:
-    return simulate_fig8(names=("phone-02",))
+    return simulate_fig8(names=("phone-01", "phone-02"))
 
 
 def disc(radius: float, size: int = 201) -> np.ndarray:
@@ -221,7 +222,7 @@ def test_fig8_filters_show_the_probes_aperture(fig8: Fig8, validated) -> None:
     error = abs(single.row["disc_um"] / (1e6 * fig8.disc) - 1)
     validated(SECTION, what, error, 0.25, "D_p f_p/d", "of the diameter")
     # Shutting the app takes light away and adds none.
-    assert [one.name for one in fig8.shut] == ["phone-02"] and single.row["flash_electrons"] > 0
+    assert [one.name for one in fig8.shut] == ["phone-02"] and fig8.opened[1].row["flash_electrons"] > 0
 
 
 def test_figures_and_pages_of_samples(turned: list[Sample], fig8: Fig8) -> None:
@@ -268,3 +269,6 @@ def test_refusals(tmp_path: Path) -> None:
         reproduce(["fig4"], taken)
     with pytest.raises(InputError, match="taken"):
         reproduce(["fig4"], taken / "below")
+    with pytest.raises(InputError, match="taken: is a file, not a folder"):
+        reproduce(["fit"], tmp_path / "out", work=Workshop(taken))
+    assert not (tmp_path / "out").exists()

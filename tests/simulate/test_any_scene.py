@@ -22,6 +22,7 @@ import pytest
 import torch
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from hypothesis.internal.conjecture import providers
 
 from tapetum.bench import Scene, scene_from_dict
 from tapetum.errors import InputError
@@ -399,16 +400,29 @@ def run(count: int, derandomized: bool) -> Counter[str]:
     def examine(content: dict[str, Any]) -> None:
         seen[outcome(content)] += 1
 
-    examine()
+    with no_constants_of_modules() if derandomized else contextlib.nullcontext():
+        examine()
     return seen
+
+
+@contextlib.contextmanager
+def no_constants_of_modules() -> Iterator[None]:
+    """Draw the same scenes whatever else is loaded.
+
+    Hypothesis mixes numbers that stand in the source of loaded modules into what it draws, derandomized or not: which
+    scenes came would hang on the tests that ran before in the same process. It has no setting against it.
+    """
+    none = providers.Constants()
+    providers.CONSTANTS_CACHE.cache.clear()
+    with mock.patch.object(providers, "_get_local_constants", lambda: none):
+        yield
+    providers.CONSTANTS_CACHE.cache.clear()
 
 
 def test_any_scene_gives_an_image_or_a_refusal() -> None:
     seen = run(80, derandomized=True)
     assert seen["image"] >= 20 and seen["refused"] >= 10
-    # A tenth on average. Hypothesis draws constants of whatever modules are loaded too: the number is not the same each
-    # time, and 16 is three standard deviations more.
-    assert seen["slow"] <= 16
+    assert seen["slow"] <= 8
 
 
 @pytest.mark.slow

@@ -9,9 +9,10 @@ import pytest
 import torch
 from traced_cases import WAVELENGTH, Case, traced
 
+from tapetum.bench import PrescriptionLens
 from tapetum.errors import InputError
 from tapetum.simulate.pupil_fits import TiltNodes, chebyshev, fit_pupils, on_grid, on_tilt_grid, open_share, values_at
-from tapetum.simulate.traced_bundle import limiting_surfaces, trace_bundle
+from tapetum.simulate.traced_bundle import limiting_surfaces, spot_middles, trace_bundle
 
 SECTION = "Traced lenses"
 PHONE = Case("phone-d", 6.0)
@@ -108,6 +109,16 @@ def test_nodes_interpolate() -> None:
     found = nodes.terms(torch.tensor([0.0, 0.1, 0.3], dtype=torch.float64)) @ nodes.coefficients(torch.cos(nodes.sines))
     assert torch.allclose(found, torch.cos(torch.tensor([0.0, 0.1, 0.3], dtype=torch.float64)), atol=1e-9)
     assert torch.allclose(chebyshev(torch.tensor(0.3).double(), 4)[3], torch.tensor(4 * 0.3**3 - 0.9).double())
+
+
+def test_spot_middles_are_the_bundles() -> None:
+    # With aspheres, which are met by Newton's method, and without.
+    for lens in (PrescriptionLens("phone-b"), PrescriptionLens("zoom-18-140mm", focal_length=0.05)):
+        focused = lens.focused(WAVELENGTH, 5.0)
+        sines = torch.tensor([0.0, 0.03, 0.08], dtype=torch.float64)
+        own = trace_bundle(focused, sines, count=21).middle
+        assert float(own[2]) > float(own[1]) > 1e-5
+        torch.testing.assert_close(spot_middles(focused, sines, count=21), own, rtol=0, atol=1e-14)
 
 
 def test_the_stop_limits_a_simple_lens() -> None:

@@ -8,13 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import Ridge
 
-from tapetum.data.synth import make_plan
 from tapetum.models import SimulationFit, ZernikeRidge
 from tapetum.models.features import feature_names
 from tapetum.report.bounds import FRAME, gaze_information
 from tapetum.report.evaluation import ClassScores, Outcome, gather_parts, score_classes
 from tapetum.report.paper.learning import CENTRE, ROTATION_MODELS
-from tapetum.report.paper.workshop import RECIPES, SET_SEED, Workshop
+from tapetum.report.paper.workshop import RECIPES, Workshop, plan_of
 
 __all__ = ["Ablation", "Fresh", "Untrained", "ablations", "fresh", "unseen", "untrained"]
 
@@ -181,7 +180,7 @@ def untrained(work: Workshop) -> Untrained:
         truth = network.true_gaze
     centre = np.flatnonzero(np.hypot(*truth.T) < CENTRE)
     chosen = centre[np.linspace(0, len(centre) - 1, min(_FITTED[work.size], len(centre))).round().astype(int)]
-    scene = make_plan("rotation", work.size, SET_SEED).videos[0].scene
+    scene = plan_of("rotation", work.size).videos[0].scene
     model = SimulationFit(scene, nuisances=(*FRAME, "background", "roll", "phase_x", "phase_y"), unevenness=0.01)
     test = work.dataset("rotation").tp.test.isel(frame=chosen)
     found = model.predict(test, progress=work.progress)

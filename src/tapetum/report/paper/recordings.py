@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tapetum.bench import Scene, load_scene, with_values
+from tapetum.bench import load_scene, with_values
 from tapetum.data.synth import Plan, make_plan, rotation_plan
 from tapetum.data.synth.plan import Video
 from tapetum.record.stray import DimRoom, FixedPattern
@@ -16,12 +16,11 @@ __all__ = ["DISTANCES", "fresh_plan", "varied_plan"]
 DISTANCES = (3.0, 4.0, 5.5, 7.0, 8.0)
 """Of the fresh recordings, in metres; the Rotation set was filmed at 5.5."""
 
-# Seeds of the fresh recordings and of the varied ones: neither the set's own nor each other's.
-_FRESH_SEED, _VARIED_SEED = 2, 3
+# Of the fresh recordings and, seven each, of the varied ones: neither the set's own nor each other's.
+_FRESH_SEED, _VARIED_SEEDS = 2, range(3, 7)
 _FRESH_SECONDS = {"paper": 20.0, "small": 2.0}
 _FRESH_BACKGROUND, _FRESH_ROOM = 80.0, 30.0
 # Together as long as the Rotation set.
-_VARIED = 28
 _VARIED_SECONDS = {"paper": 25.0, "small": 1.0}
 # Electrons of the even background and of the room at 5.5 m: evenly drawn logarithms.
 _VARIED_BACKGROUND, _VARIED_ROOM = (20.0, 160.0), (3.0, 60.0)
@@ -51,16 +50,14 @@ def varied_plan(size: str) -> Plan:
     Together they are as long as the Rotation set's. Distances go in even steps over those of the fresh recordings.
     """
     scene = load_scene("rotation")
-    per_plan = len(rotation_plan(scene, size, _VARIED_SEED).videos)
+    base = [video for seed in _VARIED_SEEDS for video in rotation_plan(scene, size, seed).videos]
     videos: list[Video] = []
-    for number, distance in enumerate(np.linspace(DISTANCES[0], DISTANCES[-1], _VARIED)):
-        rng = np.random.default_rng([_VARIED_SEED, number])
+    for number, distance in enumerate(np.linspace(DISTANCES[0], DISTANCES[-1], len(base))):
+        rng = np.random.default_rng([_VARIED_SEEDS[0], number])
         background, room = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (_VARIED_BACKGROUND, _VARIED_ROOM))
-        video = rotation_plan(scene, size, _VARIED_SEED + number // per_plan).videos[number % per_plan]
-        name = f"varied-{distance:.2f}m"
-        seconds = _VARIED_SECONDS[size]
-        videos.append(_before_room(video, name, float(distance), seconds, background=background, room=room))
-    return replace(make_plan("rotation", size, _VARIED_SEED), videos=tuple(videos))
+        name, seconds = f"varied-{distance:.2f}m", _VARIED_SECONDS[size]
+        videos.append(_before_room(base[number], name, float(distance), seconds, background=background, room=room))
+    return replace(make_plan("rotation", size, _VARIED_SEEDS[0]), videos=tuple(videos))
 
 
 def _before_room(video: Video, name: str, distance: float, seconds: float, *, background: float, room: float) -> Video:
@@ -69,7 +66,7 @@ def _before_room(video: Video, name: str, distance: float, seconds: float, *, ba
     The exposure is set as anyone would, so that the picture is as bright as before: it goes with the square of the
     distance, and with it what is not the laser's.
     """
-    scene: Scene = video.scene
+    scene = video.scene
     longer = (distance / scene.distance) ** 2
     values = {
         "distance": distance,

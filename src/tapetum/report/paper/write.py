@@ -181,11 +181,12 @@ def reproduce(
     one_of(size, SIZES, "size")
     if not wanted:
         raise InputError("none is asked for", where="figure", remedy=f"choose of {', '.join(FIGURES)}")
-    if out.exists() and not out.is_dir():
-        raise InputError("is a file, not a folder", where=out, remedy="choose another name")
+    work = Workshop(out / "work", size, progress=progress) if work is None else work
+    for folder in (out, work.folder):
+        if folder.exists() and not folder.is_dir():
+            raise InputError("is a file, not a folder", where=folder, remedy="choose another name")
     with told_when_full(out):
         out.mkdir(parents=True, exist_ok=True)
-    work = Workshop(out / "work", size, progress=progress) if work is None else work
     made: list[Reproduction] = []
     for name in wanted:
         if name in LEARNED:
