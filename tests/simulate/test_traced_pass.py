@@ -323,6 +323,18 @@ def test_a_batch_is_its_parts_and_centres_move_the_picture() -> None:
     assert bool((one.field(along_y(9.0)) == 0).all())
 
 
+def test_tilts_that_return_nothing_are_dark_among_others() -> None:
+    """Nothing is computed past the last tilt that the pupils were fitted for, and the others do not change."""
+    case = Case("phone-d", 5.0)
+    one = planned(case, picture(case)).passes[0]
+    last = math.degrees(math.asin(one.fits.nodes.steepest))
+    mixed = one.field(along_y(last + 1, 2.0, last + 5, 4.0))
+    assert float(mixed[0].abs().max()) == 0 and float(mixed[2].abs().max()) == 0
+    assert torch.allclose(mixed[1::2], one.field(along_y(2.0, 4.0)))
+    nothing = one.field(along_y(last + 1))
+    assert nothing.shape == mixed[:1].shape and float(nothing.abs().max()) == 0
+
+
 def test_single_precision_agrees_with_double(validated: Any) -> None:
     output = picture(PHONE)
     single = planned(PHONE, output).passes[0]

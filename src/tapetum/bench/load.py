@@ -177,7 +177,8 @@ def field_path(key: str) -> tuple[str, ...]:
         names = " or ".join(".".join(path) for path in found)
         raise InputError("names more than one field", where=key, remedy=f"say {names}")
     near = difflib.get_close_matches(words[-1], {path[-1] for path in _paths()}, n=3)
-    names = [".".join(p) for p in _paths() if p[-1] in near] or sorted({p[0] for p in _paths()})
+    # The nearest word's fields first.
+    names = [".".join(p) for word in near for p in _paths() if p[-1] == word] or sorted({p[0] for p in _paths()})
     raise InputError("a scene has no such field", where=key, remedy="did you mean " + " or ".join(names) + "?")
 
 

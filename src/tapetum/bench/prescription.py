@@ -14,6 +14,7 @@ from tapetum.bench.lens_data import LensState, Prescription, Surface, build_lens
 from tapetum.bench.lens_file import lens_names, load_lens
 from tapetum.bench.quantity import Length
 from tapetum.bench.strict import STRICT, Positive
+from tapetum.bench.surfaces import Spectrum
 from tapetum.bench.zoom import focal_range, surfaces_at
 from tapetum.errors import InputError
 
@@ -47,6 +48,9 @@ class PrescriptionLens:
         at 785 nm.
     focus
         `unit` moves the whole lens against the sensor, `group` what the prescription names; left out, as it says.
+    coating
+        Power reflectance of each of its surfaces between glass and air, plane plates' apart, one number or by
+        wavelength: what they send back themselves. Light that passes is not dimmed by it. 0 leaves their light out.
     """
 
     name: str
@@ -55,6 +59,7 @@ class PrescriptionLens:
     f_number: Annotated[float, Field(gt=0.3, lt=200)] | None = None
     design_wavelength: Annotated[Length, Field(ge=405e-9, le=1e-6)] = 587.56e-9
     focus: Literal["unit", "group"] | None = None
+    coating: Spectrum = 0.0
 
     @model_validator(mode="after")
     def _can_be_built(self) -> PrescriptionLens:

@@ -25,6 +25,7 @@ from tapetum.optics.sampling import (
 )
 from tapetum.simulate.diffuse import DiffuseProfile, corner, diffuse_profile
 from tapetum.simulate.double_pass import DoublePass
+from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
 from tapetum.simulate.radiometry import (
     beam_radius,
@@ -57,6 +58,7 @@ class _Line:
     passes: tuple[Pass, ...]
     scatterers: tuple[Scatterer, ...]
     geometry: DoublePassGeometry
+    glints: Glints | None = None
 
 
 class Camera:
@@ -254,7 +256,8 @@ class Camera:
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry)
+        glints = lens.glints(self.output, wavelength, float(self._distance) if self._finite else None)
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints)
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
         sensor, sampling = self.scene.target.sensor, self.scene.sampling
@@ -363,6 +366,9 @@ class Camera:
             for scatterer in line.scatterers:
                 part = weight * self._scattered(line, scatterer, centres)
                 total = part.expand(len(sines), -1, -1) if total is None else total + part.to(total.dtype)
+            if line.glints is not None:
+                part = weight * line.glints(sines, None if middle else centres).to(self._device)
+                total = part if total is None else total + part.to(total.dtype)
         if total is None:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
         return total

@@ -61,7 +61,7 @@ class ExitPath:
         self._constant = 1 / (1j * wavelength * probe_focal_length)
         edges = torch.tensor([-reach, reach], dtype=torch.float64, device=device)
         x, y = output.x(device=device), output.y(device=device)
-        self._pixels = x, y
+        self._pixels, self.shape = (x, y), (output.rows, output.columns)
         if aperture is None:
             self._kappa = self._to_pixels
             # What a pupil of this width makes of the picture is known from few of its places.

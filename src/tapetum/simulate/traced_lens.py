@@ -12,6 +12,7 @@ from tapetum.bench import PrescriptionLens, Scene, at_wavelength
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
+from tapetum.simulate.glints import Glints, GlintTable, glint_tables
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.round_pass import Surface
@@ -112,6 +113,38 @@ class TracedLens:
             dtype=dtype,
             device=device,
         )
+
+    def glints(self, output: Grid, wavelength: float, distance: float | None) -> Glints | None:
+        """What its surfaces themselves send back; None where they are not said to reflect.
+
+        Raises
+        ------
+        InputError
+            Where all light is taken to reach the probe, `distance` None: glints spread over everything before the lens.
+        """
+        reflectance = at_wavelength(self._lens.coating, wavelength)
+        if reflectance == 0:
+            return None
+        if distance is None:
+            what = "glints of a coating spread far beyond any probe, and 'far field' would let all of them in"
+            raise InputError(
+                what, where="sampling.propagation", remedy="use 'finite', or leave target.lens.coating out"
+            )
+        probe = self._scene.probe.lens
+        return Glints(
+            _glint_tables(self._lens, wavelength, self._object_distance),
+            reflectance,
+            output,
+            wavelength=wavelength,
+            distance=distance,
+            probe_radius=probe.aperture_radius,
+            probe_focal_length=probe.focal_length,
+        )
+
+
+@functools.lru_cache(maxsize=32)
+def _glint_tables(lens: PrescriptionLens, wavelength: float, object_distance: float) -> list[GlintTable]:
+    return glint_tables(lens.focused(wavelength, object_distance), wavelength)
 
 
 @functools.lru_cache(maxsize=16)

@@ -101,6 +101,7 @@ class TracedPass:
         self._square = self._v[None, :] ** 2 + self._v[:, None] ** 2
         fade = ((self._square.sqrt() - grids.flat) / (grids.half_width - grids.flat)).clamp(0, 1)
         self._window = torch.cos(fade * (math.pi / 2)) ** 2
+        self._last = fits.nodes.steepest * (1 + 1e-9)
         self._unit = step**2 / (1j * wavelength) ** 2
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
@@ -116,12 +117,19 @@ class TracedPass:
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
+        # Nothing comes back past the last tilt that returns anything, and nothing is computed there.
+        returns = tilt_and_azimuth(sines)[0] <= self._last
+        lit = returns.nonzero()[:, 0]
         parts: list[torch.Tensor] = []
-        for i in range(0, len(sines), _AT_ONCE):
-            some = sines[i : i + _AT_ONCE]
-            pupil, x, y = self.exit_pupil(some)
-            parts.append(self.path(pupil, x, y, some, None if centres is None else centres[i : i + _AT_ONCE]))
-        return torch.cat(parts) if len(parts) != 1 else parts[0]
+        for i in range(0, len(lit), _AT_ONCE):
+            some = lit[i : i + _AT_ONCE]
+            pupil, x, y = self.exit_pupil(sines[some])
+            parts.append(self.path(pupil, x, y, sines[some], None if centres is None else centres[some]))
+        found = torch.cat(parts) if parts else torch.zeros(0, *self.path.shape, dtype=self.dtype, device=self.device)
+        if len(lit) == len(sines):
+            return found
+        dark = torch.zeros(len(sines), *self.path.shape, dtype=self.dtype, device=self.device)
+        return dark.index_copy(0, lit, found)
 
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, n, n].
@@ -132,7 +140,7 @@ class TracedPass:
         k, fits = self._k, self.fits
         size, toward = tilt_and_azimuth(sines)
         # Past the last tilt that returns anything the polynomials mean nothing.
-        returns = (size <= fits.nodes.steepest * (1 + 1e-9)).to(torch.float64)
+        returns = (size <= self._last).to(torch.float64)
         size = size.clamp_max(fits.nodes.steepest)
         tilt = fits.nodes.terms(size)
         middle, radius = tilt @ fits.middle, tilt @ fits.radius

@@ -225,6 +225,11 @@ def _planned(
     # A phase that is off by so much changes a picture by as much at the most.
     unsure = 2 * math.pi * departure / wavelength
     zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
+    if accepted is not None:
+        # However small the aperture, waves reach it from some Fresnel zones about the ray that leaves straight back.
+        # Of a return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where
+        # rays turn by √(λ/L): light is faded out from twice that, the fourth zone, to four times, the sixteenth.
+        accepted = max(accepted, math.sqrt(wavelength * angle / fits.aperture[1]))
     pupils, by_rays = fits, False
     if zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted)):
         found = corrected(focused, fits, curvature=curvature, accepted=accepted)

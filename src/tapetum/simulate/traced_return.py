@@ -34,7 +34,7 @@ _LEAST_SHARE, _BISECTIONS = 0.03, 7
 _FEWEST_RAYS, _KEPT = 60, 4.0
 _COARSE, _NARROWINGS = 25, 2
 # Squared height over a rim beyond which a ray says nothing of the light inside.
-_STRAY = 1.6
+_STRAY = 1.15
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,274 @@
+"""What the surfaces of a traced lens themselves send back: the glints of its coatings.
+
+A ray that meets a surface along its normal goes back the way it came. For each gaze each surface has one such ray, or a
+few, or none, where its normal points out of the lens. About it the surface, seen through those before it, is a curved
+mirror: parallel light of 1 W/m² leaves as if from a point, with R dA/dΩ watts a steradian, dA/dΩ = 1/|det ∂s/∂e| by the
+rays beside it (e in the entrance pupil, s the direction at the end). That point lies millimetres to centimetres from
+the pupil. From the probe, metres away, all glints look alike but for place and brightness: discs of the probe's
+aperture, out of focus, with its rings.
+
+A glint wanders as the lens turns, each by its own surface: as the Purkinje images of an eye do.
+
+Geometrical optics but for the probe's aperture: an edge of the lens cuts a glint at once, where waves would fade within
+a Fresnel zone √(λL). Glints add to each other and to the light of mirrors as intensities: their paths differ by
+millimetres times the gaze, and a hand turns fringes away within an exposure. Light reflected twice is left out, and so
+is what the coatings take from the light that passes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import torch
+
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.grid import Grid
+from tapetum.optics.radial import disc_transform
+from tapetum.optics.rays import Lens, Rays, reversed_lens, sag, to_plane, trace
+from tapetum.simulate.foreshortening import foreshortening
+
+__all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
+
+# Places along each surface, and the displacement of the rays beside each, in pupil radii.
+_PLACES, _BESIDE = 1201, 1e-4
+# Between the indices of air and of any glass.
+_AIR = 1.1
+# Of the radial profile, in parts of the finest ring's period.
+_FINE = 8
+
+
+@dataclass(frozen=True, eq=False)
+class GlintTable:
+    """Glints of one surface, by the place where light meets it: [N] each, from one rim to the other.
+
+    Parameters
+    ----------
+    surface
+        Its number in the lens.
+    sine
+        Sine of the tilt that lights the place along its normal, positive as for `trace_bundle`.
+    e
+        Where that ray crosses the entrance pupil, along the tilt, in metres.
+    area
+        dA/dΩ, in m²/sr.
+    passes
+        Whether no rim stops the ray.
+    """
+
+    surface: int
+    sine: torch.Tensor
+    e: torch.Tensor
+    area: torch.Tensor
+    passes: torch.Tensor
+
+    def at(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Glints of tilts [B] of these sines: the number of each one's tilt, its place e and its area, [G] each."""
+        low, high = self.sine[:-1], self.sine[1:]
+        both = self.passes[:-1] & self.passes[1:]
+        s = sines[:, None]
+        # Half-open, so that a tilt that falls on a node counts once.
+        meets = both & (((low <= s) & (s < high)) | ((high <= s) & (s < low)))
+        which, k = meets.nonzero(as_tuple=True)
+        t = (sines[which] - low[k]) / (high[k] - low[k])
+        e = self.e[k] + t * (self.e[k + 1] - self.e[k])
+        # The area is smooth where it is finite; its inverse is smooth where it is not.
+        inverse = 1 / self.area[k] + t * (1 / self.area[k + 1] - 1 / self.area[k])
+        return which, e, 1 / inverse
+
+
+def glint_tables(focused: FocusedLens, wavelength: float) -> list[GlintTable]:
+    """The tables of all surfaces between glass and air, plane plates' apart, at the wavelength of `focused`."""
+    return [glint_table(focused, i, wavelength) for i in range(len(focused.lens)) if _coated(focused.lens, i)]
+
+
+def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintTable:
+    """Trace the rays that meet a surface along its normal.
+
+    Parameters
+    ----------
+    focused
+        The lens.
+    surface
+        Its number.
+    wavelength
+        In metres.
+    """
+    lens = focused.lens
+    h = torch.linspace(-1, 1, _PLACES, dtype=torch.float64) * lens.semi_diameter[surface]
+    zero = torch.zeros_like(h)
+    height, slope = sag(lens, surface, h**2)
+    normal = torch.stack([zero, -2 * slope * h, torch.ones_like(h)], -1)
+    normal = normal / torch.sqrt((normal**2).sum(-1, keepdim=True))
+    at = torch.stack([zero, h, lens.z[surface] + height], -1)
+    # Outwards along the normal: where such a ray leaves the lens, another one comes in.
+    out = _outwards(lens, surface, at, -normal)
+    crossing, _ = to_plane(out.position, out.direction, focused.entrance_pupil)
+    sine, e = -out.direction[:, 1], crossing[:, 1]
+    inwards = -out.direction
+    # Three rays of the same direction: this one, and those beside it across and along.
+    step = _BESIDE * focused.entrance_radius
+    beside = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64) * step
+    start = torch.stack([zero, e, zero + focused.entrance_pupil], -1)[:, None] + beside
+    back, good = _there_and_back(lens, surface, start, inwards[:, None].expand_as(start))
+    # Seen along the ray, so in the coordinates across it: its own, and those of the displacements.
+    along = torch.stack([zero, inwards[:, 2], -inwards[:, 1]], -1)
+    turned = (back[:, 1:] - back[:, :1]) / step
+    matrix = torch.stack([turned[..., 0], (turned * along[:, None]).sum(-1)], -1)
+    # Where rays would all go one way, at folds and where a whole ring of the surface faces the light, the pupil spreads
+    # what returns as an L of its Fresnel length a²/λ would.
+    most = focused.entrance_radius**2 / wavelength
+    steep, flat = (one.clamp_min(1 / most) for one in _singular_values(torch.nan_to_num(matrix)))
+    area = inwards[:, 2] / (steep * flat)
+    passes = out.good & (out.height <= 1).all(-1) & good.all(-1) & torch.isfinite(matrix).all(-1).all(-1)
+    return GlintTable(surface, sine, e, area, passes)
+
+
+class Glints:
+    """The glints of a lens before a probe, for any number of gazes.
+
+    Parameters
+    ----------
+    tables
+        Of its surfaces, at the wavelength.
+    reflectance
+        Power that each surface between glass and air reflects.
+    output
+        Pixels of the probe's sensor.
+    wavelength, distance, probe_radius, probe_focal_length
+        λ, d, R_p and f_p, in metres.
+    """
+
+    def __init__(
+        self,
+        tables: Sequence[GlintTable],
+        reflectance: float,
+        output: Grid,
+        *,
+        wavelength: float,
+        distance: float,
+        probe_radius: float,
+        probe_focal_length: float,
+    ) -> None:
+        self._tables = tables
+        self._output, self._scale = output, probe_focal_length / distance
+        k = 2 * math.pi / wavelength
+        # Shadow of the aperture, its rings, and as far as a picture reaches beyond them.
+        reach = math.hypot(output.width, output.height) + probe_radius * self._scale
+        finest = wavelength * probe_focal_length / (2 * probe_radius)
+        values, self._step = disc_transform(
+            probe_radius, k / (2 * distance), k / probe_focal_length, reach, spacing=finest / _FINE
+        )
+        strength = reflectance / (distance * wavelength * probe_focal_length) ** 2
+        self._profile = torch.as_tensor(abs(values) ** 2 * strength, dtype=torch.float64)
+
+    def places(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """All glints of tilts [B, 2] (sines).
+
+        Returns
+        -------
+        tuple
+            The number of each one's tilt [G], its (x, y) on the probe's sensor against the RR's centre [G, 2] in
+            metres, and its area [G] in m²/sr.
+        """
+        size = torch.sqrt((sines**2).sum(-1).clamp_min(1e-22))
+        found = [table.at(size) for table in self._tables]
+        which, e, area = (torch.cat(parts) for parts in zip(*found, strict=True))
+        at = e[:, None] * (sines / size[:, None])[which]
+        rotation, triangle = foreshortening(sines)
+        seen = ((rotation @ triangle)[which] @ at[..., None])[..., 0]
+        return which, -self._scale * seen, area
+
+    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Irradiance [B, H, W] on the probe's pixels for 1 W/m² at the target.
+
+        Parameters
+        ----------
+        sines
+            [B, 2] sines of the tilt along x and y.
+        centres
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+        """
+        sines = sines.cpu().to(torch.float64)
+        x, y = self._output.x(), self._output.y()
+        images = torch.zeros(len(sines), len(y), len(x), dtype=torch.float64)
+        for which, place, area in zip(*self.places(sines), strict=True):
+            number = int(which)
+            at = place if centres is None else place + centres[number].to(place)
+            images[number] = images[number] + area * self._disc(x - at[0], y - at[1])
+        return images
+
+    def _disc(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        """The profile on pixels, [H, W]."""
+        place = torch.sqrt((x[None, :] ** 2 + y[:, None] ** 2).clamp_min(1e-30)) / self._step
+        place = place.clamp_max(len(self._profile) - 2)
+        low = place.detach().long()
+        value = self._profile[low]
+        return value + (place - low) * (self._profile[low + 1] - value)
+
+
+def _singular_values(matrix: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Of matrices [N, 2, 2]: the larger ones [N], and the smaller ones."""
+    # Half the sum and half the difference of the two, by the matrix's rotating and its mirroring part.
+    a, b, c, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 0], matrix[:, 1, 1]
+    turning, mirroring = torch.hypot(a + d, c - b) / 2, torch.hypot(a - d, c + b) / 2
+    return turning + mirroring, (turning - mirroring).abs()
+
+
+def _coated(lens: Lens, i: int) -> bool:
+    """Whether a surface parts glass from air: cement has no coat, and plane plates are a sensor's layers."""
+    before, behind = float(lens.index[i]), float(lens.index[i + 1])
+    if not min(before, behind) < _AIR < max(before, behind):
+        return False
+    other = i + 1 if behind > before else i - 1
+    return _bends(lens, i) or (0 <= other < len(lens) and _bends(lens, other))
+
+
+def _bends(lens: Lens, i: int) -> bool:
+    return bool((lens.curvature[i] != 0) | (lens.asphere[i] != 0).any())
+
+
+def _front(lens: Lens, surface: int) -> Lens:
+    """What lies before a surface."""
+    return replace(
+        lens,
+        z=lens.z[:surface],
+        curvature=lens.curvature[:surface],
+        conic=lens.conic[:surface],
+        asphere=lens.asphere[:surface],
+        semi_diameter=lens.semi_diameter[:surface],
+        index=lens.index[: surface + 1],
+        stop=0,
+    )
+
+
+def _outwards(lens: Lens, surface: int, position: torch.Tensor, direction: torch.Tensor) -> Rays:
+    """Rays [..., 3] from a surface out of the front, in the lens's own coordinates."""
+    if surface == 0:
+        here = direction[..., 0]
+        nothing = torch.zeros(*here.shape, 0, dtype=torch.float64)
+        return Rays(position, direction, torch.zeros_like(here), nothing, torch.ones_like(here, dtype=torch.bool))
+    front = _front(lens, surface)
+    flip = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
+    end = torch.stack([torch.zeros(()), torch.zeros(()), front.z[-1]]).to(torch.float64)
+    rays = trace(reversed_lens(front), (position - end) * flip, direction * flip)
+    return replace(rays, position=rays.position * flip + end, direction=rays.direction * flip)
+
+
+def _there_and_back(
+    lens: Lens, surface: int, position: torch.Tensor, direction: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Directions [..., 3] in which rays leave that a surface reflected, and whether they came through, rims apart."""
+    part = _front(lens, surface + 1)
+    # Glass does not change at the surface: the rays arrive there as they are.
+    part = replace(part, index=torch.cat([part.index[:-1], part.index[-2:-1]]))
+    rays = trace(part, position, direction)
+    _, slope = sag(lens, surface, (rays.position[..., :2] ** 2).sum(-1))
+    normal = torch.stack(
+        [-2 * slope * rays.position[..., 0], -2 * slope * rays.position[..., 1], torch.ones_like(slope)], -1
+    )
+    normal = normal / torch.sqrt((normal**2).sum(-1, keepdim=True))
+    turned = rays.direction - 2 * (rays.direction * normal).sum(-1, keepdim=True) * normal
+    back = _outwards(lens, surface, rays.position, turned)
+    return back.direction, rays.good & back.good

@@ -1,0 +1,208 @@
+"""What a lens's own surfaces send back: closed forms of one surface and two, and waves off a plane mirror."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+import torch
+from traced_cases import along_y
+
+from tapetum.bench import PrescriptionLens, Scene, Target, load_scene, with_values
+from tapetum.bench.sensors import TargetSensor
+from tapetum.bench.surfaces import Layer
+from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.grid import Grid
+from tapetum.simulate.camera import Camera
+from tapetum.simulate.glints import Glints, GlintTable, glint_table, glint_tables
+
+SECTION = "Glints of lens surfaces"
+WAVELENGTH, DISTANCE, APERTURE, FOCAL = 785e-9, 5.5, 5e-3, 0.1
+PIXELS = Grid(160, 160, 2.2e-6)
+
+
+def focused(name: str) -> FocusedLens:
+    return PrescriptionLens(name).focused(WAVELENGTH, math.inf)
+
+
+def at(table: GlintTable, *degrees: float) -> tuple[torch.Tensor, torch.Tensor]:
+    sines = torch.sin(torch.deg2rad(torch.tensor(degrees, dtype=torch.float64)))
+    which, e, area = table.at(sines)
+    assert which.tolist() == list(range(len(degrees)))
+    return e, area
+
+
+def glints(tables: list[GlintTable], reflectance: float = 1.0, output: Grid = PIXELS) -> Glints:
+    return Glints(
+        tables,
+        reflectance,
+        output,
+        wavelength=WAVELENGTH,
+        distance=DISTANCE,
+        probe_radius=APERTURE,
+        probe_focal_length=FOCAL,
+    )
+
+
+def test_a_sphere_is_a_mirror_of_its_radius(validated: Any) -> None:
+    """A first surface of radius R sends R²/4 a steradian, along the ray through its centre."""
+    lens = focused("photo-50mm-f1.8")
+    radius = 1 / float(lens.lens.curvature[0])
+    degrees = (-7.0, 0.5, 4.0, 11.0)
+    e, area = at(glint_table(lens, 0, WAVELENGTH), *degrees)
+    centre = float(lens.lens.z[0]) + radius
+    wanted = (lens.entrance_pupil - centre) * torch.tan(torch.deg2rad(torch.tensor(degrees, dtype=torch.float64)))
+    validated(SECTION, "place of a sphere's glint", float((e - wanted).abs().max()) / radius, 1e-6, "its centre", "R")
+    worst = float((area / (radius**2 / 4) - 1).abs().max())
+    validated(SECTION, "brightness of a sphere's glint", worst, 1e-5, "R²/4", "relative")
+
+
+def test_the_back_of_a_lens_is_a_mirror_seen_through_its_front(validated: Any) -> None:
+    """LA1509 near its axis: parallel light through R1, t of glass, off the plane, and back, by 2 by 2 matrices."""
+    lens = focused("la1509")
+    n, power = float(lens.lens.index[1]), (float(lens.lens.index[1]) - 1) * float(lens.lens.curvature[0])
+    thick = float(lens.lens.z[1] - lens.lens.z[0])
+    # Refraction, there and back through the glass, refraction: what C makes of a height is an angle.
+    once = torch.tensor([[1.0, 0.0], [-power, 1.0]], dtype=torch.float64)
+    glass = torch.tensor([[1.0, 2 * thick / n], [0.0, 1.0]], dtype=torch.float64)
+    bend = float((once @ glass @ once)[1, 0])
+    _, area = at(glint_table(lens, 1, WAVELENGTH), 0.02)
+    validated(
+        SECTION, "brightness of LA1509's plane back", abs(float(area) * bend**2 - 1), 1e-4, "matrices", "relative"
+    )
+
+
+def test_a_lens_of_glass_has_a_glint_for_every_surface_in_air() -> None:
+    doublet = glint_tables(focused("photo-50mm-f1.8"), WAVELENGTH)
+    surfaces = focused("photo-50mm-f1.8").lens
+    assert surfaces.stop not in [one.surface for one in doublet]
+    # Plane plates before the sensor are its layers.
+    phone = focused("phone-f")
+    told = [one.surface for one in glint_tables(phone, WAVELENGTH)]
+    assert len(phone.lens) - 1 not in told and len(phone.lens) - 2 not in told and 0 in told
+    # The plane back of a lens is none.
+    assert [one.surface for one in glint_tables(focused("la1509"), WAVELENGTH)] == [0, 1]
+
+
+def test_rays_of_a_glint_go_back_the_way_they_came() -> None:
+    """Each wanders its own way with the gaze, and mirrored gazes have mirrored glints."""
+    tables = glint_tables(focused("phone-b"), WAVELENGTH)
+    slopes: list[float] = []
+    for table in tables:
+        which, e, _ = table.at(along_y(0.5, 1.0)[:, 1])
+        _, mirrored, _ = table.at(-along_y(0.5, 1.0)[:, 1])
+        assert torch.allclose(torch.sort(e).values, torch.sort(-mirrored).values, atol=1e-9)
+        if which.tolist() == [0, 1]:
+            slopes.append(float(e[1] - e[0]))
+    assert len(slopes) >= 8
+    assert min(slopes) < 0 < max(slopes)
+
+
+def test_a_glint_is_the_probe_s_aperture_out_of_focus(validated: Any) -> None:
+    """All that the aperture takes of R dA/dΩ watts a steradian lands, in a disc of its shadow."""
+    tables = glint_tables(focused("phone-b"), WAVELENGTH)[:1]
+    one = glints(tables, 0.02, Grid(400, 400, 2.2e-6))
+    sines = along_y(3.0)
+    which, place, area = one.places(sines)
+    assert which.tolist() == [0]
+    image = one(sines)[0]
+    wanted = 0.02 * float(area) * math.pi * APERTURE**2 / DISTANCE**2
+    landed = float(image.sum()) * 2.2e-6**2
+    validated(
+        SECTION, "light of a glint on the probe's sensor", abs(landed / wanted - 1), 0.02, "its aperture", "relative"
+    )
+    moved = one(sines, torch.tensor([[44e-6, 0.0]], dtype=torch.float64))[0]
+    assert torch.allclose(moved[:, 20:], image[:, :-20], atol=1e-6 * float(image.max()))
+    y, x = (torch.arange(400) - 199.5) * 2.2e-6, (torch.arange(400) - 199.5) * 2.2e-6
+    middle = float((image.sum(0) * x).sum() / image.sum()), float((image.sum(1) * y).sum() / image.sum())
+    assert middle == pytest.approx(place[0].tolist(), abs=2e-7)
+
+
+def mirror_scene(lens: PrescriptionLens, depth: float, **values: Any) -> Scene:
+    """The bench of the phones with one camera, whose filter alone reflects, all of it."""
+    scene = load_scene("phones")
+    layers = (Layer(depth=depth, reflectance=1.0),) if depth else ()
+    sensor = TargetSensor(pixels=(4000, 3000), pitch=1e-6, reflectance=0.0, layers=layers)
+    light = replace(scene.illumination, second_beam=None)
+    return replace(scene, target=Target(lens, DISTANCE, sensor=sensor), illumination=light, **values)
+
+
+@pytest.mark.parametrize(
+    ("name", "depth"),
+    [
+        ("phone-e", 0.6e-3),
+        *(pytest.param(*one, marks=pytest.mark.slow) for one in (("phone-b", 0.6e-3), ("phone-f", 0.66e-3))),
+    ],
+)
+def test_waves_off_a_mirror_before_the_focus_are_its_glint(name: str, depth: float, validated: Any) -> None:
+    """The double pass of waves off a plane mirror, over the distance, against the rays that meet it upright."""
+    lens = PrescriptionLens(name)
+    scene = mirror_scene(lens, depth)
+    camera = Camera(scene, math.sin(math.radians(7)), output=PIXELS)
+    at_focus = lens.focused(WAVELENGTH, DISTANCE)
+    surfaces = at_focus.lens
+    plane = torch.tensor([at_focus.image - depth], dtype=torch.float64)
+    nothing, wide = torch.zeros(1, dtype=torch.float64), torch.full((1,), 3e-3, dtype=torch.float64)
+    with_mirror = replace(
+        surfaces,
+        z=torch.cat([surfaces.z, plane]),
+        curvature=torch.cat([surfaces.curvature, nothing]),
+        conic=torch.cat([surfaces.conic, nothing]),
+        asphere=torch.cat([surfaces.asphere, nothing.expand(1, surfaces.asphere.shape[1])]),
+        semi_diameter=torch.cat([surfaces.semi_diameter, wide]),
+        index=torch.cat([surfaces.index, surfaces.index[-1:]]),
+    )
+    rays = glints([glint_table(replace(at_focus, lens=with_mirror), len(surfaces), WAVELENGTH)])
+    degrees = torch.tensor([[0.0, 2.0], [3.0, 0.0], [-3.0, 4.0]], dtype=torch.float64)
+    sines = torch.sin(torch.deg2rad(degrees))
+    waves = camera(sines).double()
+    ray = rays(sines) * (float(waves[0].sum()) / float(rays(sines)[0].sum()))
+    # The irradiance at the target from the scene itself: brightness is what is asked for.
+    scale = 0.5 * irradiance(scene)
+    power = (waves.sum((1, 2)) / (rays(sines).sum((1, 2)) * scale) - 1).abs().max()
+    validated(SECTION, f"power of a filter's return, {name}", float(power), 0.06, "rays", "relative")
+    apart = (middles(waves) - middles(ray)).abs().max() / PIXELS.pitch
+    validated(SECTION, f"place of a filter's return, {name}", float(apart), 0.6, "rays", "pixels")
+    picture = (waves - rays(sines) * scale).abs().amax((1, 2)) / waves.amax((1, 2))
+    validated(SECTION, f"picture of a filter's return, {name}", float(picture.max()), 0.1, "rays")
+
+
+def irradiance(scene: Scene) -> float:
+    """Of the beam's even disc at the target, in W/m²."""
+    light = scene.illumination
+    assert light.divergence is not None
+    return light.power / (math.pi * (scene.distance * light.divergence / 2) ** 2)
+
+
+def middles(images: torch.Tensor) -> torch.Tensor:
+    share = images / images.sum((1, 2), keepdim=True)
+    x, y = PIXELS.x(), PIXELS.y()
+    return torch.stack([(share.sum(1) * x).sum(-1), (share.sum(2) * y).sum(-1)], -1)
+
+
+COATED = PrescriptionLens("phone-d", coating=((400e-9, 0.005), (785e-9, 0.02)))
+STEEPEST = math.sin(math.radians(9))
+
+
+def test_a_camera_s_picture_has_the_glints_of_its_lens() -> None:
+    """At the reflectance of the wavelength, in the light that arrives; nothing else reflects here."""
+    scene = mirror_scene(COATED, 0.0)
+    sines = along_y(4.0, 8.0)
+    image = Camera(scene, STEEPEST, output=PIXELS)(sines)
+    own = glints(glint_tables(COATED.focused(WAVELENGTH, DISTANCE), WAVELENGTH), 0.02)(sines)
+    assert float(own[0].max()) > 0
+    assert torch.allclose(image.double(), own * 0.5 * irradiance(scene), rtol=2e-2, atol=0)
+
+
+def test_glints_want_a_probe_of_finite_size() -> None:
+    scene = with_values(mirror_scene(COATED, 0.0), {"sampling.propagation": "far field"})
+    with pytest.raises(InputError, match=r"sampling\.propagation: glints"):
+        Camera(scene, STEEPEST, output=PIXELS)(along_y(1.0))
+
+
+def test_a_coating_is_a_share() -> None:
+    with pytest.raises(ValueError, match="out of range"):
+        PrescriptionLens("phone-d", coating=1.2)
