@@ -17,8 +17,11 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.optics.rays import Lens
+from tapetum.simulate.budget import link_budget
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.glints import Glints, GlintTable, glint_table, glint_tables
+from tapetum.simulate.information import not_told
+from tapetum.simulate.traced_information import TracedSlopes
 
 SECTION = "Glints of lens surfaces"
 WAVELENGTH, DISTANCE, APERTURE, FOCAL = 785e-9, 5.5, 5e-3, 0.1
@@ -88,8 +91,7 @@ def test_a_lens_of_glass_has_a_glint_for_every_surface_in_air() -> None:
     assert [one.surface for one in glint_tables(focused("la1509"), WAVELENGTH)] == [0, 1]
 
 
-def test_rays_of_a_glint_go_back_the_way_they_came() -> None:
-    """Each wanders its own way with the gaze, and mirrored gazes have mirrored glints."""
+def test_each_glint_wanders_its_own_way_and_mirrored_gazes_have_mirrored_ones() -> None:
     tables = glint_tables(focused("phone-b"), WAVELENGTH)
     slopes: list[float] = []
     for table in tables:
@@ -158,9 +160,8 @@ def test_waves_off_a_mirror_before_the_focus_are_its_glint(name: str, depth: flo
     sines = torch.sin(torch.deg2rad(degrees))
     image = Camera(scene, STEEPEST, output=PIXELS)(sines).double()
     at_focus = lens.focused(WAVELENGTH, DISTANCE)
-    # For 1 W/m² at the target, and half of it back.
     own = glints(glint_tables(at_focus, WAVELENGTH), 0.02)(sines)
-    scale = 0.5 * irradiance(scene)
+    scale = scene.probe.transmission * irradiance(scene)
     assert float(own[3].max()) > 0
     assert torch.allclose(image[3], own[3] * scale, rtol=1e-4, atol=1e-6 * float(own[3].max()) * scale)
     waves = image[:3] - own[:3] * scale
@@ -207,6 +208,39 @@ def test_glints_want_a_probe_of_finite_size() -> None:
     scene = with_values(mirror_scene(coated("phone-e"), 0.0), {"sampling.propagation": "far field"})
     with pytest.raises(InputError, match=r"sampling\.propagation: glints"):
         Camera(scene, STEEPEST, output=PIXELS)(along_y(1.0))
+
+
+def test_glints_are_carried_over_the_distance_whatever_the_return() -> None:
+    """A sensor in focus sends back no more than the probe's aperture takes: its lens's glints still do."""
+    scene = load_scene("rotation", ["target.lens.coating=0.01", "probe.lens.aperture_radius=40 mm"])
+    auto = with_values(scene, {"sampling.propagation": "auto"})
+    bare = with_values(auto, {"target.lens.coating": 0.0})
+    assert Camera(auto, 0.01, output=PIXELS).finite and not Camera(bare, 0.01, output=PIXELS).finite
+
+
+def test_the_gradient_of_the_tilt_is_that_of_differences() -> None:
+    one = glints(glint_tables(focused("phone-b"), WAVELENGTH)[:2])
+    weights = torch.linspace(0, 1, PIXELS.columns, dtype=torch.float64)
+    tilt = torch.tensor([[0.02, 0.05]], dtype=torch.float64, requires_grad=True)
+    (one(tilt)[0] * weights).sum().backward()
+    assert tilt.grad is not None
+    step = 1e-5
+    for axis in (0, 1):
+        move = torch.zeros(1, 2, dtype=torch.float64)
+        move[0, axis] = step
+        with torch.no_grad():
+            more, less = ((one(tilt + sign * move)[0] * weights).sum() for sign in (1, -1))
+        assert float(tilt.grad[0, axis]) == pytest.approx(float(more - less) / (2 * step), rel=2e-2)
+
+
+def test_limits_of_focus_are_refused_behind_a_coated_lens() -> None:
+    """Its glints would be taken not to move."""
+    scene = load_scene("rotation", ["target.lens.coating=0.01", "sampling.propagation=auto"])
+    assert "lens surfaces" in (not_told(scene, "object_distance") or "")
+    assert not_told(scene, "gaze_x") is None
+    with pytest.raises(InputError, match="off lens surfaces"):
+        TracedSlopes(scene, ["object_distance"], torch.zeros(1, 2))
+    assert "the glints of the lens's surfaces are not counted" in link_budget(scene).notes
 
 
 def test_a_coating_is_a_share() -> None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import torch
 
-__all__ = ["Lens", "Rays", "reversed_lens", "sag", "to_plane", "trace"]
+__all__ = ["Lens", "Rays", "before", "normals", "reversed_lens", "sag", "to_plane", "trace", "trace_out"]
 
 _ITERATIONS = 12
 # A root of a surface's equation may be off by this share of its semi-diameter; others are stray, or none.
@@ -103,6 +103,17 @@ def sag(lens: Lens, i: int, r_squared: torch.Tensor) -> tuple[torch.Tensor, torc
     return value, slope
 
 
+def normals(lens: Lens, i: int, position: torch.Tensor) -> torch.Tensor:
+    """Unit normals [..., 3] of surface i at points [..., 3] of it, towards +z."""
+    _, slope = sag(lens, i, position[..., 0] ** 2 + position[..., 1] ** 2)
+    return _normals(position, slope)
+
+
+def _normals(position: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
+    normal = torch.stack([-2 * slope * position[..., 0], -2 * slope * position[..., 1], torch.ones_like(slope)], dim=-1)
+    return normal / torch.sqrt((normal**2).sum(-1, keepdim=True))
+
+
 def trace(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
     """Send rays through all surfaces.
 
@@ -140,13 +151,42 @@ def trace(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
         turning = (1 - (1 + lens.conic[i]) * lens.curvature[i] ** 2 * r_squared).detach()
         good = good & (off < _RESIDUAL * lens.semi_diameter[i]) & (turning > _TURNING)
         heights.append(r_squared / lens.semi_diameter[i] ** 2)
-        normal = torch.stack(
-            [-2 * slope * position[..., 0], -2 * slope * position[..., 1], torch.ones_like(slope)], dim=-1
-        )
-        normal = normal / torch.sqrt((normal**2).sum(-1, keepdim=True))
-        direction, passed = _refracted(direction, normal, lens.index[i] / lens.index[i + 1])
+        direction, passed = _refracted(direction, _normals(position, slope), lens.index[i] / lens.index[i + 1])
         good = good & passed
-    return Rays(position, direction, path, torch.stack(heights, dim=-1), good)
+    height = torch.stack(heights, dim=-1) if heights else position.new_zeros(*path.shape, 0)
+    return Rays(position, direction, path, height, good)
+
+
+def trace_out(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
+    """Send rays that come from behind the lens, towards -z, out through all surfaces: arguments as for `trace`.
+
+    Returns
+    -------
+    Rays
+        At the first surface, in the lens's own coordinates, heights in the order of its surfaces.
+    """
+    if len(lens) == 0:
+        return trace(lens, position, direction)
+    # The lens turned round: z runs the other way, and so does the light.
+    flip, end = position.new_tensor([1.0, 1.0, -1.0]), lens.z[-1] * position.new_tensor([0.0, 0.0, 1.0])
+    rays = trace(reversed_lens(lens), (position - end) * flip, direction * flip)
+    return replace(
+        rays, position=rays.position * flip + end, direction=rays.direction * flip, height=rays.height.flip(-1)
+    )
+
+
+def before(lens: Lens, surface: int) -> Lens:
+    """The surfaces before one of this number; the stop is the nearest of them where it lies behind."""
+    return replace(
+        lens,
+        z=lens.z[:surface],
+        curvature=lens.curvature[:surface],
+        conic=lens.conic[:surface],
+        asphere=lens.asphere[:surface],
+        semi_diameter=lens.semi_diameter[:surface],
+        index=lens.index[: surface + 1],
+        stop=min(lens.stop, max(surface - 1, 0)),
+    )
 
 
 def to_plane(position: torch.Tensor, direction: torch.Tensor, z: torch.Tensor | float) -> tuple[torch.Tensor, ...]:

@@ -27,6 +27,7 @@ from tapetum.simulate.radiometry import (
     share_in_disc,
     specular_reflectance,
 )
+from tapetum.simulate.reflections import glinting
 
 __all__ = ["LinkBudget", "Reflection", "link_budget"]
 
@@ -335,6 +336,8 @@ def _notes(scene: Scene, lit: float, wavelength: float, radius: float) -> tuple[
         notes.append("the higher orders of the pixel array are not counted")
     if sensor.diffuse is not None or any(layer.diffuse is not None for layer in sensor.layers):
         notes.append("the diffuse return is not counted")
+    if glinting(scene, wavelength):
+        notes.append("the glints of the lens's surfaces are not counted")
     if lit < scene.target.lens.aperture_radius:
         notes.append("the beam is narrower than the target's aperture")
     if light.mode == "collimated" and scene.distance > math.pi * lit**2 / wavelength:

@@ -33,7 +33,7 @@ from tapetum.simulate.radiometry import (
     irradiance_at_target,
     return_radius_by_rays,
 )
-from tapetum.simulate.reflections import Scatterer, mirrors, reaching_sensor, scatterers, specular_groups
+from tapetum.simulate.reflections import Scatterer, glinting, mirrors, reaching_sensor, scatterers, specular_groups
 from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.traced_lens import TracedLens
@@ -153,7 +153,8 @@ class Camera:
             return False
         if wanted != "auto":
             return wanted == "finite"
-        return self._return_radius > self.scene.probe.lens.aperture_radius
+        # Glints spread far beyond any probe.
+        return glinting(self.scene) > 0 or self._return_radius > self.scene.probe.lens.aperture_radius
 
     def _widest_return(self) -> float:
         """Radius at the probe of the widest return, of all mirrors and wavelengths, by rays and diffraction, in metres.

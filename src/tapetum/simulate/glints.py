@@ -26,7 +26,7 @@ import torch
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.optics.radial import disc_transform
-from tapetum.optics.rays import Lens, Rays, reversed_lens, sag, to_plane, trace
+from tapetum.optics.rays import Lens, before, normals, sag, to_plane, trace, trace_out
 from tapetum.simulate.foreshortening import foreshortening
 
 __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
@@ -98,12 +98,10 @@ def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintT
     lens = focused.lens
     h = torch.linspace(-1, 1, _PLACES, dtype=torch.float64) * lens.semi_diameter[surface]
     zero = torch.zeros_like(h)
-    height, slope = sag(lens, surface, h**2)
-    normal = torch.stack([zero, -2 * slope * h, torch.ones_like(h)], -1)
-    normal = normal / torch.sqrt((normal**2).sum(-1, keepdim=True))
+    height, _ = sag(lens, surface, h**2)
     at = torch.stack([zero, h, lens.z[surface] + height], -1)
     # Outwards along the normal: where such a ray leaves the lens, another one comes in.
-    out = _outwards(lens, surface, at, -normal)
+    out = trace_out(before(lens, surface), at, -normals(lens, surface, at))
     crossing, _ = to_plane(out.position, out.direction, focused.entrance_pupil)
     sine, e = -out.direction[:, 1], crossing[:, 1]
     inwards = -out.direction
@@ -229,46 +227,15 @@ def _bends(lens: Lens, i: int) -> bool:
     return bool((lens.curvature[i] != 0) | (lens.asphere[i] != 0).any())
 
 
-def _front(lens: Lens, surface: int) -> Lens:
-    """What lies before a surface."""
-    return replace(
-        lens,
-        z=lens.z[:surface],
-        curvature=lens.curvature[:surface],
-        conic=lens.conic[:surface],
-        asphere=lens.asphere[:surface],
-        semi_diameter=lens.semi_diameter[:surface],
-        index=lens.index[: surface + 1],
-        stop=0,
-    )
-
-
-def _outwards(lens: Lens, surface: int, position: torch.Tensor, direction: torch.Tensor) -> Rays:
-    """Rays [..., 3] from a surface out of the front, in the lens's own coordinates."""
-    if surface == 0:
-        here = direction[..., 0]
-        nothing = torch.zeros(*here.shape, 0, dtype=torch.float64)
-        return Rays(position, direction, torch.zeros_like(here), nothing, torch.ones_like(here, dtype=torch.bool))
-    front = _front(lens, surface)
-    flip = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
-    end = torch.stack([torch.zeros(()), torch.zeros(()), front.z[-1]]).to(torch.float64)
-    rays = trace(reversed_lens(front), (position - end) * flip, direction * flip)
-    return replace(rays, position=rays.position * flip + end, direction=rays.direction * flip)
-
-
 def _there_and_back(
     lens: Lens, surface: int, position: torch.Tensor, direction: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Directions [..., 3] in which rays leave that a surface reflected, and whether they came through, rims apart."""
-    part = _front(lens, surface + 1)
+    part = before(lens, surface + 1)
     # Glass does not change at the surface: the rays arrive there as they are.
     part = replace(part, index=torch.cat([part.index[:-1], part.index[-2:-1]]))
     rays = trace(part, position, direction)
-    _, slope = sag(lens, surface, (rays.position[..., :2] ** 2).sum(-1))
-    normal = torch.stack(
-        [-2 * slope * rays.position[..., 0], -2 * slope * rays.position[..., 1], torch.ones_like(slope)], -1
-    )
-    normal = normal / torch.sqrt((normal**2).sum(-1, keepdim=True))
+    normal = normals(lens, surface, rays.position)
     turned = rays.direction - 2 * (rays.direction * normal).sum(-1, keepdim=True) * normal
-    back = _outwards(lens, surface, rays.position, turned)
+    back = trace_out(before(lens, surface), rays.position, turned)
     return back.direction, rays.good & back.good

@@ -17,6 +17,7 @@ from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import count_moments, gain_of, hot_currents
 from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import beam_radius, electrons
+from tapetum.simulate.reflections import only_sensor
 from tapetum.simulate.traced_information import TRACED, TracedSlopes
 
 __all__ = ["PARAMETERS", "FisherInformation", "expected_electrons", "fisher", "information_of", "not_told"]
@@ -120,9 +121,9 @@ def fisher(
     ------
     InputError
         For unknown or repeated parameters, an object distance at infinity among them, parameters by which the chain is
-        not differentiated (scattered light by other than gaze and power, behind a traced lens and layers there by focus
-        and focal length; distance through a traced lens, or where a diverging beam underfills the target or meets a
-        mask), phones, and as `retroreflect`.
+        not differentiated (scattered light by other than gaze and power, behind a traced lens and layers there, and
+        glints, by focus and focal length; distance through a traced lens, or where a diverging beam underfills the
+        target or meets a mask), phones, and as `retroreflect`.
 
     Notes
     -----
@@ -316,9 +317,9 @@ def not_told(scene: Scene, name: str) -> str | None:
         return "not computed for a phone, of which several cameras may answer"
     if isinstance(target.lens, PrescriptionLens) and name not in TRACED:
         return "not differentiated through a traced lens"
-    mirror = not target.sensor.layers and target.sensor.diffuse is None
-    if isinstance(target.lens, PrescriptionLens) and name in ("object_distance", "focal_length") and not mirror:
-        return "light off layers, or scattered, is not followed through a traced lens as it changes focus"
+    lengths = ("object_distance", "focal_length")
+    if isinstance(target.lens, PrescriptionLens) and name in lengths and not only_sensor(scene):
+        return "light off layers, off lens surfaces or scattered is not followed as a traced lens changes focus"
     if name == "object_distance" and target.object_distance == float("inf"):
         return "the target is focused at infinity"
     return None

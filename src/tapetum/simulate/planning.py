@@ -19,6 +19,7 @@ from tapetum.simulate.information import FisherInformation, fisher, not_told
 from tapetum.simulate.phone import open_camera
 from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, wrapped
 from tapetum.simulate.radiometry import illumination_curvature
+from tapetum.simulate.reflections import glinting
 
 __all__ = ["PARAMETERS", "Plan", "plan_bench"]
 
@@ -225,6 +226,8 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
         reason += "; a mask on the target's sensor allows no other"
     elif scene.sampling.propagation != "auto":
         reason += "; sampling.propagation asks for it"
+    elif returning <= aperture and glinting(scene):
+        reason += "; the glints of the lens's surfaces overfill it"
     return SamplingChoice(
         plan=plan.as_dict(),
         expected_error=error,

@@ -1,4 +1,4 @@
-"""Which planes of the target reflect, how strongly, and which of them interfere."""
+"""What of the target reflects, how strongly, and which of its planes interfere."""
 
 from __future__ import annotations
 
@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 
 import torch
 
-from tapetum.bench import Diffuse, Scene, at_wavelength
+from tapetum.bench import Diffuse, PrescriptionLens, Scene, at_wavelength
 from tapetum.simulate.light import coherence_length
 from tapetum.simulate.radiometry import layer_transmittance
 from tapetum.simulate.round_pass import Order, Surface
 from tapetum.simulate.sensor_plane import orders_of
 
-__all__ = ["Scatterer", "mirrors", "reaching_sensor", "scatterers", "specular_groups"]
+__all__ = ["Scatterer", "glinting", "mirrors", "only_sensor", "reaching_sensor", "scatterers", "specular_groups"]
 
 
 @dataclass(frozen=True)
@@ -104,6 +104,21 @@ def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[floa
         if at_wavelength(layer.reflectance, wavelength) > 0
     ]
     return [image_distance, *found] if sensor.reflectance > 0 or not found else found
+
+
+def glinting(scene: Scene, wavelength: float | None = None) -> float:
+    """Power reflectance of the lens's surfaces, the largest of the scene's light without a wavelength; 0 for none."""
+    lens, light = scene.target.lens, scene.illumination
+    if not isinstance(lens, PrescriptionLens):
+        return 0.0
+    asked = (light.wavelength, *(line.wavelength for line in light.lines)) if wavelength is None else (wavelength,)
+    return max(at_wavelength(lens.coating, one) for one in asked)
+
+
+def only_sensor(scene: Scene) -> bool:
+    """Whether nothing answers but the sensor's mirror: no layer, nothing that scatters, no glint."""
+    sensor = scene.target.sensor
+    return not sensor.layers and sensor.diffuse is None and not glinting(scene)
 
 
 def reaching_sensor(scene: Scene, wavelength: float) -> float:

@@ -26,6 +26,7 @@ from tapetum.simulate.camera import Camera
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import dark_electrons, illumination_curvature, photoelectrons
+from tapetum.simulate.reflections import only_sensor
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
@@ -80,7 +81,7 @@ class TracedSlopes:
     Raises
     ------
     InputError
-        For names that are neither, phones, focus and focal length before a sensor with layers or one that scatters, and
+        For names that are neither, phones, focus and focal length where anything but the sensor's mirror answers, and
         as `Camera`.
 
     Notes
@@ -379,12 +380,11 @@ def _check(scene: Scene, names: Sequence[str]) -> None:
         what = "photosite_x, photosite_y: the target's sensor is a mirror without photosites"
         raise InputError(what, where="parameters", remedy="leave them out, or give the sensor an array")
     lengths = [name for name in names if name in ("object_distance", "focal_length")]
-    sensor = scene.target.sensor
-    if lengths and (sensor.layers or sensor.diffuse is not None):
+    if lengths and not only_sensor(scene):
         raise InputError(
-            f"how light off layers, or scattered, changes with {', '.join(lengths)} is not followed by a traced lens",
+            f"how light off layers, off lens surfaces or scattered changes with {', '.join(lengths)} is not followed",
             where="parameters",
-            remedy=f"leave {', '.join(lengths)} out, or take layers and diffuse out of the scene",
+            remedy=f"leave {', '.join(lengths)} out, or take layers, diffuse and coating out of the scene",
         )
     if "object_distance" in names and math.isinf(scene.target.object_distance):
         what = "object_distance: the target is focused at infinity"

@@ -15,6 +15,7 @@ from tapetum.optics.grid import Grid
 from tapetum.simulate.glints import Glints, GlintTable, glint_tables
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
+from tapetum.simulate.reflections import glinting
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_bundle import trace_bundle
 from tapetum.simulate.traced_plan import TracedGroup, aperture_of, return_angle, traced_group
@@ -122,7 +123,7 @@ class TracedLens:
         InputError
             Where all light is taken to reach the probe, `distance` None: glints spread over everything before the lens.
         """
-        reflectance = at_wavelength(self._lens.coating, wavelength)
+        reflectance = glinting(self._scene, wavelength)
         if reflectance == 0:
             return None
         if distance is None:

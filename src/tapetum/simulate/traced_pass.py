@@ -101,7 +101,6 @@ class TracedPass:
         self._square = self._v[None, :] ** 2 + self._v[:, None] ** 2
         fade = ((self._square.sqrt() - grids.flat) / (grids.half_width - grids.flat)).clamp(0, 1)
         self._window = torch.cos(fade * (math.pi / 2)) ** 2
-        self._last = fits.nodes.steepest * (1 + 1e-9)
         self._unit = step**2 / (1j * wavelength) ** 2
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
@@ -117,9 +116,8 @@ class TracedPass:
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
-        # Nothing comes back past the last tilt that returns anything, and nothing is computed there.
-        returns = tilt_and_azimuth(sines)[0] <= self._last
-        lit = returns.nonzero()[:, 0]
+        # Most gazes of a phone lie where nothing returns: they are not computed.
+        lit = self._returns(tilt_and_azimuth(sines)[0]).nonzero()[:, 0]
         parts: list[torch.Tensor] = []
         for i in range(0, len(lit), _AT_ONCE):
             some = lit[i : i + _AT_ONCE]
@@ -139,8 +137,7 @@ class TracedPass:
         """
         k, fits = self._k, self.fits
         size, toward = tilt_and_azimuth(sines)
-        # Past the last tilt that returns anything the polynomials mean nothing.
-        returns = (size <= self._last).to(torch.float64)
+        returns = self._returns(size).to(torch.float64)
         size = size.clamp_max(fits.nodes.steepest)
         tilt = fits.nodes.terms(size)
         middle, radius = tilt @ fits.middle, tilt @ fits.radius
@@ -191,6 +188,10 @@ class TracedPass:
         planes = torch.view_as_real(back).permute(0, 3, 1, 2)
         seen = torch.nn.functional.grid_sample(planes, at.to(self._real), "bicubic", "border", align_corners=True)
         return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi + self.surface.phase / k), x, y
+
+    def _returns(self, size: torch.Tensor) -> torch.Tensor:
+        """Whether anything returns from tilts of these sizes [B]: past the last one the polynomials mean nothing."""
+        return size <= self.fits.nodes.steepest * (1 + 1e-9)
 
     def entering_power(self, sines: torch.Tensor) -> torch.Tensor:
         """Power [B] that 1 W/m² sends into the lens at tilts [B, 2], in watts."""

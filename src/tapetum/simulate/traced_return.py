@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import torch
 
 from tapetum.optics.focus import FocusedLens
-from tapetum.optics.rays import reversed_lens, to_plane, trace
+from tapetum.optics.rays import to_plane, trace_out
 from tapetum.simulate.pupil_fits import (
     MAP_DEGREE,
     PHASE_DEGREE,
@@ -127,15 +127,12 @@ def trace_return(
 def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor) -> Returned:
     rays = bundle.rays
     at, way = to_plane(rays.position, rays.direction, focused.image)
-    # The lens turned round: z runs the other way, and so does the light.
-    end = focused.lens.z[-1]
-    start = torch.stack([at[..., 0], at[..., 1], end - at[..., 2]], -1)
-    back = trace(reversed_lens(focused.lens), start, rays.direction)
-    out, more = to_plane(back.position, back.direction, end - focused.entrance_pupil)
+    mirrored = torch.stack([rays.direction[..., 0], rays.direction[..., 1], -rays.direction[..., 2]], -1)
+    back = trace_out(focused.lens, at, mirrored)
+    out, more = to_plane(back.position, back.direction, focused.entrance_pupil)
     path = bundle.before + rays.path + way + back.path + more + sines[:, None] * out[..., 1]
     turned = back.direction[..., :2] + torch.stack([torch.zeros_like(sines), sines], -1)[:, None, :]
-    # The same surfaces once more, in the same order.
-    height = torch.cat([rays.height, back.height.flip(-1)], -1)
+    height = torch.cat([rays.height, back.height], -1)
     return Returned(bundle, at[..., :2], out[..., :2], path, turned, height, bundle.good & back.good)
 
 
