@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 NAMES = ("retroreflection", "growth", "lenses", "features", "tracking", "filming", "synth")
-NAMES += ("learning", "training", "inference")
+NAMES += ("learning", "training", "inference", "gpu")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -38,6 +38,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         benchmark = importlib.import_module(f".{name}", __package__)
         print(f"{name}: {benchmark.TITLE} …", file=sys.stderr, flush=True)
         rows, where = benchmark.run(effort), machine(*benchmark.PEERS)
+        if not rows:
+            print(f"{name}: needs a GPU, and there is none", file=sys.stderr)
+            continue
         show(benchmark.TITLE, rows, where)
         if options.write:
             write(name, rows, where)

@@ -137,7 +137,8 @@ def machine(*packages: str) -> str:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     count = f"{cores} core{'s' if cores != 1 else ''}"
     system = f"{platform.system()}, Python {platform.python_version()}"
-    return f"{_processor()}, {count}, {torch.get_num_threads()} torch threads; {system}; {versions}"
+    gpu = f"{torch.cuda.get_device_name()}; " if torch.cuda.is_available() else ""
+    return f"{gpu}{_processor()}, {count}, {torch.get_num_threads()} torch threads; {system}; {versions}"
 
 
 def _processor() -> str:

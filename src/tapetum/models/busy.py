@@ -53,7 +53,8 @@ class BusySample:
         """Say that a step begins."""
         if step == self._first >= 0:
             on_gpu = self._device.type == "cuda"
-            self._profile = profile(activities=[ProfilerActivity.CUDA if on_gpu else ProfilerActivity.CPU])
+            kinds = [ProfilerActivity.CUDA if on_gpu else ProfilerActivity.CPU]
+            self._profile = profile(activities=kinds, acc_events=True)
             self._wait()
             self._profile.start()
             self._start = time.perf_counter()

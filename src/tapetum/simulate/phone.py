@@ -90,7 +90,7 @@ class PhoneCamera:
         scale = self.scene.probe.lens.focal_length / self.scene.distance
         total: torch.Tensor | None = None
         for camera, unit in self.units:
-            at = scale * seen_from_probe(torch.tensor([unit.place]), sines.double())
+            at = scale * seen_from_probe(torch.tensor([unit.place], device=sines.device), sines.double())
             image = camera(unit.sines(sines), at if centres is None else centres + at, equivalent=equivalent)
             total = image if total is None else total + image
         assert total is not None

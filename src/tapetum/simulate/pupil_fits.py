@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
@@ -96,6 +96,11 @@ class Fit:
     odd: torch.Tensor
     degrees: tuple[int, int]
 
+    def to(self, device: torch.device) -> Fit:
+        """The same on another device."""
+        centre, half = self.centre.to(device), self.half.to(device)
+        return Fit(centre, half, self.even.to(device), self.odd.to(device), self.degrees)
+
 
 @dataclass(frozen=True)
 class PupilFits:
@@ -131,6 +136,14 @@ class PupilFits:
     aberration: float
     misfit: float
     aperture: tuple[float, float]
+
+    def to(self, device: torch.device) -> PupilFits:
+        """The same on another device: lenses are traced on the CPU, fields are computed where one likes."""
+        middle = self.middle.to(device)
+        if middle is self.middle:
+            return self
+        entering, leaving, radius = self.entering.to(device), self.leaving.to(device), self.radius.to(device)
+        return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius)
 
 
 def fit_pupils(

@@ -266,10 +266,11 @@ class _Camera(Camera):
 
     def tilts_like(self, other: _Camera, sines: torch.Tensor) -> torch.Tensor:
         """Tilts [B, 2] that put the spot where the other one's tilts put it."""
-        size = torch.sqrt((sines**2).sum(-1))
         own, wanted = self._first.fits, other._first.fits
         if own is wanted:
             return sines
+        sines = sines.to(self.device)
+        size = torch.sqrt((sines**2).sum(-1))
         to = (wanted.nodes.terms(size) * wanted.middle).sum(-1)
         slope = self.scene.target.lens.focal_length
         found = size

@@ -92,8 +92,8 @@ class TracedPass:
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.fits, self.grids, self.surface, self.path = fits, grids, surface, path
         self.dtype, self.device, self.accepted = dtype, torch.device(device), accepted
+        self.fits, self.grids, self.surface, self.path = fits.to(self.device), grids, surface, path
         self._wavelength, self._k = wavelength, 2 * math.pi / wavelength
         self._real = torch.float32 if dtype == torch.complex64 else torch.float64
         n, step = grids.sensor, 2 * grids.half_width / grids.sensor
@@ -135,7 +135,7 @@ class TracedPass:
         At columns x [B, n] and rows y [B, n] of the entrance pupil, in coordinates turned by the rotation of
         `foreshortening`: so `ExitPath` wants them.
         """
-        k, fits = self._k, self.fits
+        k, fits, sines = self._k, self.fits, sines.to(self.device, torch.float64)
         size, toward = tilt_and_azimuth(sines)
         returns = self._returns(size).to(torch.float64)
         size = size.clamp_max(fits.nodes.steepest)
@@ -195,7 +195,7 @@ class TracedPass:
 
     def entering_power(self, sines: torch.Tensor) -> torch.Tensor:
         """Power [B] that 1 W/m² sends into the lens at tilts [B, 2], in watts."""
-        size, _ = tilt_and_azimuth(sines)
+        size, _ = tilt_and_azimuth(sines.to(self.device, torch.float64))
         size = size.clamp_max(self.fits.nodes.steepest)
         _, _, _, amplitude, cell = self._entering(self.fits.nodes.terms(size), size)
         return (amplitude**2).sum((1, 2)) * cell

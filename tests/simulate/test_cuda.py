@@ -1,0 +1,47 @@
+"""What a GPU computes against the CPU: every kind of lens, of way and of light. Skipped where there is no GPU."""
+
+import pytest
+import torch
+
+import tapetum as tp
+from tapetum.simulate import fisher
+
+pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU")
+
+PIXELS = "probe.sensor.pixels=[160, 160]"
+GAZES = torch.tensor([[0.3, 0.2], [-0.2, 0.4]], dtype=torch.float64)
+CASES = {
+    "thin lens": ("thin-lens", []),
+    "thin lens, through the aperture": ("thin-lens", ["sampling.propagation=finite"]),
+    "traced lens": ("rotation", []),
+    "traced zoom": ("focusing", []),
+    "hand-held": ("hand-held", []),
+    "phone, filters, scatter and glints": ("phones", []),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_gpu_returns_what_the_cpu_returns(case):
+    name, changes = CASES[case]
+    scene = tp.load_scene(name, [PIXELS, *changes])
+    one, other = (tp.retroreflect(scene, GAZES, device=device).irradiance for device in ("cuda", "cpu"))
+    assert one.device.type == "cuda"
+    assert (one.cpu() - other).abs().max() < 1e-4 * other.max()
+
+
+def test_gradients_flow_on_a_gpu():
+    scene = tp.load_scene("thin-lens", [PIXELS])
+    slopes = []
+    for device in ("cuda", "cpu"):
+        rotation = GAZES[:1].clone().requires_grad_()
+        image = tp.retroreflect(scene, rotation, device=device).irradiance
+        weighed = (image * torch.linspace(0, 1, image.shape[-1], device=image.device)).sum() / image.detach().sum()
+        slopes += torch.autograd.grad(weighed, rotation)
+    assert slopes[0] == pytest.approx(slopes[1], rel=1e-3)
+
+
+@pytest.mark.parametrize("name", ["thin-lens", "rotation"])
+def test_the_limit_is_the_same_on_a_gpu(name):
+    scene = tp.load_scene(name, [PIXELS, "target.rotation=0.3 deg"])
+    one, other = (fisher(scene, ("gaze_x", "gaze_y", "object_distance"), device=device) for device in ("cuda", "cpu"))
+    assert one.bounds == pytest.approx(other.bounds, rel=1e-2)
