@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, ClassVar, Self
 
@@ -65,6 +65,9 @@ class SimulationFit:
         Pixels along the edge of what is looked at, in the crop's middle.
     unevenness
         Root mean square of the pixels' sensitivities, in parts of one.
+    offsets
+        Root mean square of the offsets of the sensor's columns and of its rows, in electrons. Where they are left out
+        of the account, intervals come out too narrow.
     nodes
         Of the bank along an edge of the field: 25, or 9 behind a lens in whose picture the photosites show.
     seed
@@ -106,6 +109,7 @@ class SimulationFit:
         accuracy: float | None = None,
         window: int = _WINDOW,
         unevenness: float = 0.0,
+        offsets: Sequence[float] = (0.0, 0.0),
         nodes: int | None = None,
         seed: int = 0,
     ) -> None:
@@ -129,6 +133,7 @@ class SimulationFit:
         if "object_distance" in every and np.isinf(scene.target.object_distance):
             what = "the search for a focus cannot begin at infinity"
             raise InputError(what, where="scene.target.object_distance", remedy="start from a distance in metres")
+        self.offsets = _checked_offsets(offsets)
         self._free = tuple(name for name in (*self.quantities, *self.nuisances) if name not in (*SLOW, *PHASE))
         self._model = CountModel(scene.probe.sensor, unevenness)
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
@@ -199,7 +204,7 @@ class SimulationFit:
         sensor = self.scene.probe.sensor
         counts, middle = self._seen(image, full_scale)
         pictures, bank = self._prepared(len(counts), progress)
-        search = Search(pictures, counts, self._model, self._free)
+        search = Search(pictures, counts, self._model, self._free, self.offsets)
         electrons = (counts - sensor.offset) / gain_of(sensor)
         expected, slope, variance = self._model(np.maximum(electrons, 1.0))
         del expected
@@ -223,7 +228,8 @@ class SimulationFit:
             Fractions of the field.
         """
         pictures, _ = self._prepared(min(self.window, *self.scene.probe.sensor.pixels), quiet)
-        search = Search(pictures, np.zeros((pictures.side, pictures.side)), self._model, self._free)
+        blank = np.zeros((pictures.side, pictures.side))
+        search = Search(pictures, blank, self._model, self._free, self.offsets)
         phase = set(PHASE) <= set(self.nuisances)
         top = search.climb(replace(pictures.start(), gaze=gaze), phase=phase, steps=0)
         deviations = np.sqrt(np.maximum(top.covariance.diagonal(), 0.0))
@@ -232,7 +238,7 @@ class SimulationFit:
     def parameters(self) -> dict[str, Any]:
         """Return the arguments of ``__init__``, fit for JSON."""
         names = ("starts", "accuracy", "window", "unevenness", "nodes", "seed")
-        lists = {"parameters": list(self.quantities), "nuisances": list(self.nuisances)}
+        lists = {"parameters": list(self.quantities), "nuisances": list(self.nuisances), "offsets": list(self.offsets)}
         return {"scene": scene_dict(self.scene), **lists, **{name: getattr(self, name) for name in names}}
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -313,3 +319,11 @@ class SimulationFit:
             at = replace(top.pose, gaze=(float(gaze[0]), float(gaze[1])))
             found.append(search.climb(at, phase=False, steps=8))
         return sorted(found, key=lambda one: -one.log_likelihood)
+
+
+def _checked_offsets(offsets: Sequence[float]) -> tuple[float, float]:
+    found = tuple(float(one) for one in offsets)
+    if len(found) != 2 or not all(np.isfinite(one) and one >= 0 for one in found):
+        what = f"must be two numbers of electrons, 0 or more, is {list(offsets)}"
+        raise InputError(what, where="offsets", remedy="give those of columns and of rows: 0.5, 0.2")
+    return found[0], found[1]

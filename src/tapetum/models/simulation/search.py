@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 from tapetum.models.simulation.counts import CountModel
+from tapetum.models.simulation.noise import Noise
 from tapetum.models.simulation.pictures import Pictures, Pose
 
 __all__ = ["FREE", "PHASE", "SLOW", "Search", "Top"]
@@ -85,10 +86,19 @@ class Search:
         Of the numbers.
     free
         Names of `FREE` that are not known. The gaze always is free.
+    offsets
+        Root mean square of the offsets of the sensor's columns and of its rows, in electrons.
     """
 
-    def __init__(self, pictures: Pictures, counts: Array, model: CountModel, free: tuple[str, ...]) -> None:
-        self.pictures, self.counts, self.model, self.free = pictures, counts, model, free
+    def __init__(
+        self,
+        pictures: Pictures,
+        counts: Array,
+        model: CountModel,
+        free: tuple[str, ...],
+        offsets: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        self.pictures, self.counts, self.model, self.free, self.offsets = pictures, counts, model, free, offsets
         scene = pictures.scene
         wave = 2 * np.pi / scene.illumination.wavelength * scene.target.lens.aperture_radius**2 / 2
         self._vergence = _FOCUS_STEP / wave
@@ -101,9 +111,9 @@ class Search:
         hardness, settled, least = 1e-3, False, np.inf
         expected, bend, variance = self.model(mean)
         for _ in range(steps):
-            weight = bend**2 / variance
-            information = (slopes * weight) @ slopes.T
-            score = slopes @ (bend * (self.counts.ravel() - expected) / variance)
+            noise = self._noise(bend, variance)
+            bent, residual = slopes * bend, self._residual(expected)
+            information, score = noise(bent, bent), noise(bent, residual)[:, 0]
             own = np.sqrt(np.maximum(information.diagonal(), 1e-300))
             shared = information / np.outer(own, own)
             step = np.linalg.lstsq(shared + hardness * np.eye(len(own)), score / own, rcond=1e-12)[0] / own
@@ -115,8 +125,8 @@ class Search:
             new_mean, new_slopes = self._tangent(new_at, new_beside, names)
             new = self.model(new_mean)
             # Weights stay those that the step was made with: only the fit is to get better, not the scatter wider.
-            before = float(((self.counts.ravel() - expected) ** 2 / variance).sum())
-            after = float(((self.counts.ravel() - new[0]) ** 2 / variance).sum())
+            left = self._residual(new[0])
+            before, after = float(noise(residual, residual)[0, 0]), float(noise(left, left)[0, 0])
             if after > before + 1e-3:
                 hardness = max(1e-3, hardness) * 8
                 if hardness > _HARDEST:
@@ -125,11 +135,18 @@ class Search:
             at, beside, mean, slopes = new_at, new_beside, new_mean, new_slopes
             expected, bend, variance = new
             hardness = hardness / 6 if hardness > 1e-6 else 0.0
-        information = (slopes * (bend**2 / variance)) @ slopes.T
-        residual = self.counts.ravel() - expected
-        value = float(-0.5 * (residual**2 / variance + np.log(variance)).sum())
-        misfit = float((residual**2 / variance).mean())
-        return Top(at, beside, names, information, value, misfit, settled)
+        noise = self._noise(bend, variance)
+        bent, residual = slopes * bend, self._residual(expected)
+        squares = float(noise(residual, residual)[0, 0])
+        value, misfit = -0.5 * (squares + noise.log_determinant), squares / residual.size
+        return Top(at, beside, names, noise(bent, bent), value, misfit, settled)
+
+    def _noise(self, bend: Array, variance: Array) -> Noise:
+        return Noise(bend.reshape(self.counts.shape), variance, self.offsets)
+
+    def _residual(self, expected: Array) -> Array:
+        """[1, N] digital numbers that are not explained."""
+        return (self.counts.ravel() - expected)[None]
 
     def in_phase(self, pose: Pose) -> Pose:
         """The pose with the gaze moved, within a period, to where the photosites explain most."""
