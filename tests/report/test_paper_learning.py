@@ -10,10 +10,12 @@ import pytest
 import torch
 import xarray as xr
 
+from tapetum.bench import load_scene
 from tapetum.data import dataset_from_arrays
 from tapetum.data.synth import make_plan
 from tapetum.errors import InputError
 from tapetum.models import Prediction, ResNet18, ZernikeRidge
+from tapetum.record import FixedPattern
 from tapetum.report.bounds import FocusBounds, GazeInformation
 from tapetum.report.paper import LEARNED, RECIPES, Workshop, beyond, learning, reproduce
 from tapetum.report.paper import workshop as shop
@@ -247,14 +249,20 @@ class Fit:
     def __init__(self, scene, **options) -> None:
         assert "phase_x" in options["nuisances"]
 
-    def predict(self, dataset, **_) -> Prediction:
-        value = dataset.tp.values(("gaze_x", "gaze_y")) + 2e-3
-        return Prediction(("gaze_x", "gaze_y"), value, value - 3e-3, value + 1e-3)
+    def predict(self, frames, **_) -> Prediction:
+        if not isinstance(frames, np.ndarray):
+            self.truth, off = frames.tp.values(("gaze_x", "gaze_y")), 2e-3
+        else:
+            assert len(frames) == len(self.truth)
+            off = 1e-3
+        value = self.truth + off
+        return Prediction(("gaze_x", "gaze_y"), value, value - 3e-3, value - 1.5e-3)
 
 
 @pytest.fixture
 def fitted(monkeypatch: pytest.MonkeyPatch, known_limits) -> None:
     monkeypatch.setattr(beyond, "SimulationFit", Fit)
+    monkeypatch.setattr(beyond, "_exact", lambda scene, gazes, pattern: np.zeros((len(gazes), 8, 8), np.uint8))
     monkeypatch.setattr(beyond, "gaze_information", learning.gaze_information)
 
 
@@ -262,8 +270,26 @@ def test_the_fit_is_measured_against_the_limit_of_its_own_frames(work, fitted):
     found = untrained(work)
     truth, _ = work.outcome("rotation-resnet18").pair()
     assert found.frames == min(6, np.count_nonzero(np.hypot(*truth.T) < 0.25)) > 2
-    assert found.rmse == pytest.approx(2e-3) and found.limit == pytest.approx(1e-3) and found.coverage == 1
-    assert found.median == pytest.approx(2e-3) and found.lost == 0
+    filmed, exact = found.filmed, found.exact
+    assert filmed.rmse == filmed.median == pytest.approx(2e-3) and found.limit == pytest.approx(1e-3)
+    assert exact.rmse == pytest.approx(1e-3) and filmed.lost == exact.lost == 0
+    assert filmed.coverage == 1 and exact.coverage == 0
+
+
+def test_frames_made_for_the_fit_are_the_scenes_own_with_its_noise():
+    scene = load_scene("hand-held")
+    gazes = np.array([[0.1, 0.05], [0.1, 0.05], [-0.3, 0.2]])
+    frames = beyond._exact(scene, gazes, FixedPattern())
+    assert frames.shape == (3, 200, 200) and frames.dtype == np.uint8
+    light = frames.astype(float) - np.median(frames)
+    y, x = np.indices((200, 200)) - 99.5
+    for one in light:
+        # About the middle: far from it the RR is cut on one side.
+        lit = np.where(one > 0.2 * one.max(), one, 0)
+        assert one.max() > 100 and np.hypot((lit * x).sum(), (lit * y).sum()) < 40 * lit.sum()
+    # The same gaze twice: alike, but for noise, place and roll.
+    alike, other = (np.corrcoef(light[0].ravel(), one.ravel())[0, 1] for one in light[1:])
+    assert 0.9 < alike < 1 and other < alike
 
 
 def test_every_page_is_written(work, fitted, tmp_path: Path):

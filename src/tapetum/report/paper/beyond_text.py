@@ -80,16 +80,31 @@ of known phones and {told} of those of unknown ones are taken for none of these.
 
 def text_fit(found: Untrained) -> str:
     """The page fit.md."""
+    kinds = {"filmed": found.filmed, "turned exactly": found.exact}
+    rows = [
+        (
+            name,
+            f"{one.rmse:.2g}",
+            f"{one.rmse / found.limit:.2f}",
+            f"{one.median / found.limit:.2f}",
+            f"{one.lost}",
+            f"{100 * one.coverage:.0f} %",
+        )
+        for name, one in kinds.items()
+    ]
+    table = table_of(("frames", "RMSE", "over the limit", "median over it", "lost", "in 90 % intervals"), rows)
     return filled(f"""# Fit by simulation: no training at all
 
 {_NOT_THERE} {found.frames} frames of the Rotation set's test part, in the centre half of the field, each fitted by the
 simulator that filmed it: maximum likelihood of gaze, brightness, place, background, roll and the photosites' phase.
 Errors count from where the target really looked, not from the label.
 
-RMSE {found.rmse:.2g} of the field over both axes. The Cramér-Rao limit at the same gazes is {found.limit:.2g}: the fit
-is at {found.rmse / found.limit:.2f} times it, half of the frames at {found.median / found.limit:.2f} times or less, and
-{found.lost} frames at more than ten times. Its own 90 % intervals hold {100 * found.coverage:.0f} % of the truths.
-ResNet-18's RMSE on the same frames is {found.network_rmse:.2g}.
+{table}
+
+*The limit*: Cramér-Rao's at the same gazes, {found.limit:.2g} of the field. *Median*: half of the frames are off by so
+much or less. *Lost*: frames at more than ten times the limit. The film turns its pictures fast, to 1 % of their peak;
+frames *turned exactly* have the same gazes, light, noise and unevenness. ResNet-18's RMSE on the filmed frames is
+{found.network_rmse:.2g}.
 
 The fit knows the lens, the sensor and the light exactly; a real camera's are known as well as they were measured.
 """)

@@ -59,17 +59,17 @@ def _epochs(size: str, paper: int) -> int:
 
 def _gaze(size: str, /, **changed: Any) -> ResNet18:
     # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one.
-    return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 9), "gain": 0.3} | changed)
+    return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 60), "gain": 0.3} | changed)
 
 
 def _focus(size: str) -> ResNet18:
     # The RR fills the crop at 135 mm and 3 m.
-    return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 3))
+    return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 20))
 
 
-def _phone(size: str, target: str = "phone", epochs: int = 6) -> ResNet18:
-    # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide.
-    return ResNet18(target, crop=400, size=100, epochs=_epochs(size, epochs))
+def _phone(size: str, target: str = "phone", epochs: int = 48) -> ResNet18:
+    # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide, and its fine structure tells the phone.
+    return ResNet18(target, crop=400, size=200 if size == "paper" else 100, epochs=_epochs(size, epochs))
 
 
 def _paper_ridge(target: str) -> ZernikeRidge:
@@ -98,14 +98,14 @@ RECIPES: dict[str, Recipe] = {
             "rotation-resnet18-varied",
             "varied",
             "ResNet-18, varied recordings",
-            lambda size: _gaze(size, crop=200, size=80, epochs=_epochs(size, 6)),
+            lambda size: _gaze(size, crop=200, size=80, epochs=_epochs(size, 40)),
         ),
         Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
         Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus")),
         Recipe("focusing-resnet18", "focusing", RESNET, _focus),
         Recipe("phones-resnet18", "phones", RESNET, _phone),
         Recipe(
-            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 4), UNSEEN
+            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 24), UNSEEN
         ),
     )
 }
