@@ -18,6 +18,7 @@ from tapetum.simulate.pupil_fits import (
     MAP_DEGREE,
     PHASE_DEGREE,
     SMOOTH_DEGREE,
+    Fit,
     PupilFits,
     TiltNodes,
     fit_functions,
@@ -222,9 +223,34 @@ def corrected(
     reach = torch.where(passing, length(back.e), torch.zeros_like(path)).max()
     # The way in is fitted again at the tilts that are left.
     inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
-    return replace(
-        inwards, leaving=leaving, misfit=max(misfit, inwards.misfit), aperture=(inwards.aperture[0], float(reach))
-    )
+    misfit = max(misfit, inwards.misfit, _between(focused, fits, leaving, nodes, curvature, accepted))
+    return replace(inwards, leaving=leaving, misfit=misfit, aperture=(inwards.aperture[0], float(reach)))
+
+
+def _between(
+    focused: FocusedLens, fits: PupilFits, leaving: Fit, nodes: TiltNodes, curvature: float, accepted: float | None
+) -> float:
+    """Worst RMS of the corrected paths against rays of tilts between the nodes, in metres.
+
+    Where few rays return, at the steepest nodes, they may be fitted by coefficients that no neighbour shares: right at
+    every node, and nonsense between them.
+    """
+    # From the steepest to the smallest, as the nodes are.
+    sines = ((nodes.sines[1:] + nodes.sines[:-1]) / 2)[1::2]
+    tilt = fits.nodes.terms(sines)
+    middle = tilt @ fits.middle
+    box = None if accepted is None else _accepted_box(focused, sines, curvature, middle, accepted)
+    back = _sent_back(focused, trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box), sines)
+    passing = back.passing
+    if accepted is not None:
+        passing = back.good & (back.height <= 1).all(-1) & (length(back.turned) <= accepted)
+    wanted = values_at(fits.leaving, tilt, back.e)[0][:, 0] + back.path - _model_path(fits, tilt, back)
+    error = values_at(leaving, nodes.terms(sines), back.e)[0][:, 0] - wanted
+    some = passing.sum(-1).clamp_min(1)
+    error = torch.where(passing, error, torch.zeros_like(error))
+    mean = error.sum(-1) / some
+    square = torch.where(passing, (error - mean[:, None]) ** 2, torch.zeros_like(error))
+    return float(torch.sqrt(square.sum(-1) / some).max())
 
 
 def _accepted_box(
