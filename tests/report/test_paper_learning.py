@@ -262,7 +262,7 @@ class Fit:
 @pytest.fixture
 def fitted(monkeypatch: pytest.MonkeyPatch, known_limits) -> None:
     monkeypatch.setattr(beyond, "SimulationFit", Fit)
-    monkeypatch.setattr(beyond, "_exact", lambda scene, gazes, pattern: np.zeros((len(gazes), 8, 8), np.uint8))
+    monkeypatch.setattr(beyond, "_exact", lambda scene, gazes, pattern, turned: np.zeros((len(gazes), 8, 8), np.uint8))
     monkeypatch.setattr(beyond, "gaze_information", learning.gaze_information)
 
 
@@ -279,7 +279,7 @@ def test_the_fit_is_measured_against_the_limit_of_its_own_frames(work, fitted):
 def test_frames_made_for_the_fit_are_the_scenes_own_with_its_noise():
     scene = load_scene("hand-held")
     gazes = np.array([[0.1, 0.05], [0.1, 0.05], [-0.3, 0.2]])
-    frames = beyond._exact(scene, gazes, FixedPattern())
+    frames = beyond._exact(scene, gazes, FixedPattern(), 0.02)
     assert frames.shape == (3, 200, 200) and frames.dtype == np.uint8
     light = frames.astype(float) - np.median(frames)
     y, x = np.indices((200, 200)) - 99.5

@@ -156,11 +156,16 @@ def check_return(
     tilt = fits.nodes.terms(sines)
     back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle)
     passing = back.passing
-    error = torch.where(passing, back.path - _model_path(fits, tilt, back), torch.zeros_like(back.path))
+    departure = _spread(back.path - _model_path(fits, tilt, back), passing)
+    return TracedReturn(departure, passing.sum(-1) / back.bundle.passing.sum(-1), back.angle)
+
+
+def _spread(path: torch.Tensor, passing: torch.Tensor) -> torch.Tensor:
+    """Standard deviation [T] of paths [T, N] over the rays that pass."""
     some = passing.sum(-1)
-    mean = error.sum(-1) / some
-    square = torch.where(passing, (error - mean[:, None]) ** 2, torch.zeros_like(error))
-    return TracedReturn(torch.sqrt(square.sum(-1) / some), some / back.bundle.passing.sum(-1), back.angle)
+    mean = torch.where(passing, path, torch.zeros_like(path)).sum(-1) / some
+    square = torch.where(passing, (path - mean[:, None]) ** 2, torch.zeros_like(path))
+    return torch.sqrt(square.sum(-1) / some)
 
 
 def corrected(
@@ -235,7 +240,7 @@ def _between(
     Where few rays return, at the steepest nodes, they may be fitted by coefficients that no neighbour shares: right at
     every node, and nonsense between them.
     """
-    # From the steepest to the smallest, as the nodes are.
+    # In every second gap: tracing is most of what a correction costs.
     sines = ((nodes.sines[1:] + nodes.sines[:-1]) / 2)[1::2]
     tilt = fits.nodes.terms(sines)
     middle = tilt @ fits.middle
@@ -246,11 +251,8 @@ def _between(
         passing = back.good & (back.height <= 1).all(-1) & (length(back.turned) <= accepted)
     wanted = values_at(fits.leaving, tilt, back.e)[0][:, 0] + back.path - _model_path(fits, tilt, back)
     error = values_at(leaving, nodes.terms(sines), back.e)[0][:, 0] - wanted
-    some = passing.sum(-1).clamp_min(1)
-    error = torch.where(passing, error, torch.zeros_like(error))
-    mean = error.sum(-1) / some
-    square = torch.where(passing, (error - mean[:, None]) ** 2, torch.zeros_like(error))
-    return float(torch.sqrt(square.sum(-1) / some).max())
+    # Where no ray passes there is nothing to be wrong about.
+    return float(torch.nan_to_num(_spread(error, passing)).max())
 
 
 def _accepted_box(

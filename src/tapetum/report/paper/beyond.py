@@ -27,8 +27,6 @@ __all__ = ["Ablation", "Fitted", "Fresh", "Untrained", "ablations", "fresh", "un
 VARIED_MODEL = "rotation-resnet18-varied"
 # Frames of the test part that are fitted by simulation, seconds each.
 _FITTED = {"paper": 60, "small": 6}
-# Pixels along a crop that is made for the fit, and how far a hand turns the camera, in radians.
-_SIDE, _ROLL = 200, 0.02
 
 Array = NDArray[np.float64]
 
@@ -206,10 +204,11 @@ def untrained(work: Workshop) -> Untrained:
     centre = np.flatnonzero(np.hypot(*truth.T) < CENTRE)
     chosen = centre[np.linspace(0, len(centre) - 1, min(_FITTED[work.size], len(centre))).round().astype(int)]
     truth, said = truth[chosen], said[chosen]
-    scene = plan_of("rotation", work.size).videos[0].scene
+    video = plan_of("rotation", work.size).videos[0]
+    scene, session = video.scene, video.session
     nuisances = (*FRAME, "background", "roll", "phase_x", "phase_y")
     # How uneven a sensor is can be measured before a lamp; which pixel is which is left unknown.
-    sensor = FixedPattern()
+    sensor = next(one for one in session.stray if isinstance(one, FixedPattern))
     offsets = sensor.columns, sensor.rows
     model = SimulationFit(scene, nuisances=nuisances, unevenness=sensor.gain, offsets=offsets)
     limit = _rms(gaze_information(scene, truth, progress=work.progress).bounds())
@@ -221,25 +220,29 @@ def untrained(work: Workshop) -> Untrained:
         return Fitted(_rms(each), float(np.median(each)), int((each > 10 * limit).sum()), float(held.mean()))
 
     filmed = fitted(work.dataset("rotation").tp.test.isel(frame=chosen))
-    return Untrained(len(chosen), filmed, fitted(_exact(scene, truth, sensor)), limit, _rms(said - truth))
+    return Untrained(
+        len(chosen), filmed, fitted(_exact(scene, truth, sensor, session.motion.roll)), limit, _rms(said - truth)
+    )
 
 
-def _exact(scene: Scene, gazes: Array, pattern: FixedPattern) -> NDArray[np.uint8]:
-    """Crops [N, side, side] of some gazes, a little off their middle and turned as a hand turns them."""
+def _exact(
+    scene: Scene, gazes: Array, pattern: FixedPattern, turned: float, side: int = 200
+) -> NDArray[np.uint8 | np.uint16]:
+    """Crops [N, side, side] of some gazes, a little off their middle and turned by some radians (RMS)."""
     rng = np.random.default_rng(0)
-    pictures, sensor = Pictures(scene, _SIDE), scene.probe.sensor
+    pictures, sensor = Pictures(scene, side), scene.probe.sensor
     offset, gain = (np.asarray(one, np.float64) for one in pattern.draw(scene))
-    frames: list[NDArray[np.generic]] = []
+    frames: list[NDArray[np.uint8 | np.uint16]] = []
     for gaze in gazes:
         off = rng.uniform(-0.5, 0.5, 2) * pictures.pitch
-        roll = _ROLL * rng.standard_normal()
+        roll = turned * rng.standard_normal()
         pose = replace(pictures.start(), place=(float(off[0]), float(off[1])), roll=float(roll))
-        left, top = (int(rng.integers(size - _SIDE)) for size in sensor.pixels)
-        here = slice(top, top + _SIDE), slice(left, left + _SIDE)
+        left, top = (int(rng.integers(size - side)) for size in sensor.pixels)
+        here = slice(top, top + side), slice(left, left + side)
         light = pictures.render(pose, gaze[None])[0] + dark_electrons(sensor) + offset[here]
         mean = torch.from_numpy(np.maximum(light, 0.0) * gain[here])
         frames.append(digitise(mean, sensor, rng))
-    return np.stack(frames).astype(np.uint8)
+    return np.stack(frames)
 
 
 def _rms(values: Array) -> float:
