@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any
 
 import torch
 
 import tapetum as tp
 
-from .measure import Contender, Effort, Figure, Row, in_turns
+from .measure import Contender, Effort, Figure, Row, in_turns, wait
+from .retroreflection import share_of_ceiling
 
 TITLE = "On a GPU: frames of 400 × 400 pixels, error ≤ 0.01 of the peak"
 PEERS = ()
@@ -32,10 +31,10 @@ def run(effort: Effort) -> list[Row]:
 
 def _frames(scene: str, what: str, effort: Effort) -> Row:
     """Images of a batch of gazes, the camera held."""
-    gazes, few = _gazes(effort.of(512, 8)), _gazes(effort.of(32, 2))
+    gazes, few = _gazes(effort.of(512, 8)).cuda(), _gazes(effort.of(32, 2))
     cameras = {name: tp.Camera(tp.load_scene(scene, _SCENES[scene]), _SINE, device=name) for name in ("cuda", "cpu")}
     contenders = {
-        "cuda": Contender(_waited(lambda: cameras["cuda"](gazes.cuda())), work=len(gazes), repeats=effort.of(3, 1)),
+        "cuda": Contender(lambda: wait(cameras["cuda"](gazes)), work=len(gazes), repeats=effort.of(3, 1)),
         "cpu": Contender(lambda: cameras["cpu"](few), work=len(few)),
     }
     timings = in_turns(contenders, effort.rounds)
@@ -51,44 +50,12 @@ def _frames(scene: str, what: str, effort: Effort) -> Row:
 
 
 def _share_of_ceiling(effort: Effort) -> Row:
-    """The hot loop in operations of the plain matrix transform, beside that transform alone."""
     camera = tp.Camera(tp.load_scene("thin-lens", _SCENES["thin-lens"]), _SINE, device="cuda")
-    out, plan = camera.output, camera.plan
-    gazes = _gazes(effort.of(512, 8)).cuda()
-    generator = torch.Generator("cuda").manual_seed(0)
-
-    def matrix(*shape: int) -> torch.Tensor:
-        return torch.randn(*shape, dtype=torch.complex64, device="cuda", generator=generator)
-
-    pupil = matrix(len(gazes), plan.rows, plan.columns)
-    across, down = matrix(plan.columns, out.columns), matrix(out.rows, plan.rows)
-    contenders = {
-        "ours": Contender(_waited(lambda: camera(gazes)), work=len(gazes), repeats=effort.of(3, 1)),
-        "peer": Contender(_waited(lambda: down @ (pupil @ across)), work=len(gazes), repeats=effort.of(3, 1)),
-    }
-    timings = in_turns(contenders, effort.rounds)
-    # A complex multiplication with its addition counts as eight operations.
-    giga = 8 * (plan.rows * plan.columns * out.columns + out.rows * plan.rows * out.columns) / 1e9
-    return Row(
-        "hot loop of the thin lens, in operations of the plain matrix transform",
-        Figure(giga / timings.typical("ours"), "GFLOP/s"),
-        "that transform alone, complex64",
-        Figure(giga / timings.typical("peer"), "GFLOP/s"),
-        timings.speed_up("ours", "peer"),
-        f"{plan.columns} × {plan.rows} samples over the pupil; {torch.cuda.get_device_name()}",
-    )
+    case = "hot loop of the thin lens, in operations of the plain matrix transform"
+    note = f"{camera.plan.columns} × {camera.plan.rows} samples over the pupil"
+    return share_of_ceiling(camera, _gazes(effort.of(512, 8)).cuda(), effort, case, note)
 
 
 def _gazes(count: int) -> torch.Tensor:
     generator = torch.Generator().manual_seed(0)
     return (2 * torch.rand(count, 2, dtype=torch.float64, generator=generator) - 1) * _SINE / math.sqrt(2)
-
-
-def _waited(work: Callable[[], Any]) -> Callable[[], None]:
-    """The work, done when it returns: a GPU's calls return before."""
-
-    def done() -> None:
-        work()
-        torch.cuda.synchronize()
-
-    return done

@@ -14,7 +14,7 @@ from statistics import median
 
 import torch
 
-__all__ = ["Contender", "Effort", "Figure", "Row", "Timings", "in_turns", "machine"]
+__all__ = ["Contender", "Effort", "Figure", "Row", "Timings", "in_turns", "machine", "wait"]
 
 
 @dataclass(frozen=True)
@@ -78,6 +78,12 @@ def in_turns(contenders: Mapping[str, Contender], rounds: int) -> Timings:
                 runs.append(time.perf_counter() - start)
             seconds[name].append(median(runs) / contender.work)
     return Timings({name: tuple(values) for name, values in seconds.items()})
+
+
+def wait(made: torch.Tensor) -> None:
+    """Until it is there: a GPU's calls return before."""
+    if made.device.type == "cuda":
+        torch.cuda.synchronize(made.device)
 
 
 @dataclass(frozen=True)
