@@ -6,11 +6,15 @@ import importlib
 from types import ModuleType
 from typing import Any
 
-__all__ = ["InputError", "MissingExtraError", "TapetumError", "need"]
+__all__ = ["InputError", "MissingExtraError", "StoppedError", "TapetumError", "need"]
 
 
 class TapetumError(Exception):
     """Base of every error that Tapetum raises on purpose."""
+
+
+class StoppedError(TapetumError):
+    """Work that Ctrl-C ended after part of it was kept: says what is kept and how to go on. Exit code 130."""
 
 
 class InputError(TapetumError, ValueError):

@@ -13,7 +13,7 @@ from typer.core import TyperGroup
 
 from tapetum.cli import dataset, demo, evaluate, export, fuse, paper, plan, record, simulate, track, train
 from tapetum.cli.memory import keep_big_blocks
-from tapetum.errors import InputError, TapetumError
+from tapetum.errors import InputError, StoppedError, TapetumError
 
 __all__ = ["app", "main"]
 
@@ -102,6 +102,8 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
         return code, "interrupted" if code == _INTERRUPTED else ""
     except InputError as error:
         return 2, f"error: {error}"
+    except StoppedError as error:
+        return _INTERRUPTED, f"interrupted: {error}"
     except TapetumError as error:
         return 1, f"error: {error}"
     except (KeyboardInterrupt, typer.Abort):

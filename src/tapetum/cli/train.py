@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tapetum.cli.inputs import check_replaceable
-from tapetum.errors import InputError, one_of
+from tapetum.errors import InputError, StoppedError, one_of
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
+    import xarray as xr
+
     from tapetum.models import ResNet18, ZernikeRidge
     from tapetum.models.epochs import EpochReport
 
@@ -58,9 +60,10 @@ def train(
         bool, typer.Option("--overwrite", help="Replace a model or a checkpoint of this name.")
     ] = False,
 ) -> None:
-    """Fit a model to the training part of a dataset; print its error on the test part.
+    """Fit a model to the training part of a dataset, save it, and print its error on the test part.
 
-    ResNet-18 keeps a checkpoint beside the model, MODEL.checkpoint, until the model is saved.
+    ResNet-18 keeps a checkpoint beside the model, MODEL.checkpoint, until the model is saved. The model is saved before
+    it is evaluated: where the evaluation fails, the model stays.
     """
     one_of(model, KINDS, "--model")
     given: dict[str, Any] = {
@@ -86,7 +89,6 @@ def train(
     from tapetum.data import open_dataset
     from tapetum.models import ResNet18, ZernikeRidge, save_model
     from tapetum.models.training import remove_checkpoint
-    from tapetum.report.evaluate import describe, evaluate_model
 
     data = open_dataset(dataset)
     fitted: ZernikeRidge | ResNet18
@@ -95,14 +97,46 @@ def train(
         fitted = ZernikeRidge(target, **chosen).fit(data.tp.train, progress=bar)
     else:
         network = ResNet18(target, **options)
-        fitted = network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=_say_epoch)
-    # A dataset that only trains is no reason to lose the model.
-    tested = bool(data.tp.test.sizes["frame"])
-    scores = evaluate_model(fitted, data.tp.test, data.tp.train, progress=bar) if tested else None
-    save_model(fitted, out, metrics=scores, overwrite=overwrite)
+        done: list[EpochReport] = []
+
+        def told(report: EpochReport) -> None:
+            done.append(report)
+            _say_epoch(report)
+
+        try:
+            fitted = network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told)
+        except KeyboardInterrupt as error:
+            if not checkpoint.exists():
+                raise
+            raise StoppedError(_kept(checkpoint, done)) from error
+    save_model(fitted, out, overwrite=overwrite)
     remove_checkpoint(checkpoint)
-    typer.echo("no test frames: not evaluated" if scores is None else describe(scores))
     typer.echo(f"saved {out}")
+    if not data.tp.test.sizes["frame"]:
+        typer.echo("no test frames: not evaluated")
+        return
+    _evaluate(fitted, data, dataset, out)
+
+
+def _evaluate(model: ZernikeRidge | ResNet18, data: xr.Dataset, dataset: Path, out: Path) -> None:
+    """Print the errors of a model that is saved, and put them on its card."""
+    from tapetum.models.store import write_metrics
+    from tapetum.report.evaluate import describe, evaluate_model
+
+    try:
+        scores = evaluate_model(model, data.tp.test, data.tp.train, progress=bar)
+    except InputError as error:
+        remedy = f"the model is saved: mend the set, then `tapetum evaluate {out} {dataset}`"
+        raise InputError(f"not evaluated: {error.what}", where=error.where, remedy=remedy) from error
+    write_metrics(out, scores)
+    typer.echo(describe(scores))
+
+
+def _kept(checkpoint: Path, done: list[EpochReport]) -> str:
+    """What an interrupted training leaves, and how to go on with it."""
+    how = "go on with the same command and --resume"
+    epochs = f"{done[-1].epoch} of {done[-1].epochs} epochs are" if done else "the last whole epoch is"
+    return f"{epochs} kept in {checkpoint}; {how}"
 
 
 def _count(processes: str | None) -> int | str | None:

@@ -15,7 +15,7 @@ from safetensors.torch import load_file, save_file
 
 from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError
-from tapetum.files import atomic_folder, sha256_file
+from tapetum.files import atomic_file, atomic_folder, sha256_file
 from tapetum.models.base import Estimator, Predictor, json_safe
 from tapetum.models.resnet import ResNet18
 from tapetum.models.zernike_ridge import ZernikeRidge
@@ -31,6 +31,7 @@ __all__ = [
     "model_card",
     "pretrained",
     "save_model",
+    "write_metrics",
 ]
 
 FORMAT, VERSION = "tapetum-model", 1
@@ -133,6 +134,26 @@ def save_model(
         }
         (folder / CARD).write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
     return Path(path)
+
+
+def write_metrics(path: str | Path, metrics: Mapping[str, Any]) -> None:
+    """Put figures on the card of a model that is saved already; its weights stay untouched.
+
+    Parameters
+    ----------
+    path
+        The model's folder.
+    metrics
+        What was measured, on what; replaces the figures on the card.
+
+    Raises
+    ------
+    InputError
+        When there is no readable card, the figures are not JSON, or the card cannot be written.
+    """
+    card = model_card(path) | {"metrics": json_safe(dict(metrics), "metrics")}
+    with atomic_file(Path(path) / CARD) as part:
+        part.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
 
 
 def model_card(path: str | Path) -> dict[str, Any]:
