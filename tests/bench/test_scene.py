@@ -205,6 +205,15 @@ def test_changes_are_checked_with_the_whole() -> None:
         load_scene("thin-lens", ["object_distance=5 cm"])
 
 
+@pytest.mark.parametrize("name", ["rotation", "focusing"])
+def test_the_bundled_cameras_are_built_about_half_as_badly_as_makers_allow(name: str) -> None:
+    """Basler's pilot: 40 um over the sensor, at most 0.63 deg, and 0.25 mm (docs/sign.md)."""
+    sensor = load_scene(name).target.sensor
+    for pixels, tilt, decentre in zip(sensor.pixels, sensor.tilt, sensor.decentre, strict=True):
+        assert 0.4 < abs(math.tan(tilt)) * pixels * sensor.pitch / 40e-6 < 0.6
+        assert abs(tilt) < math.radians(0.63) and 0.3 < abs(decentre) / 0.25e-3 < 0.6
+
+
 def test_a_lens_and_a_phone_are_changed_by_name() -> None:
     other = load_scene("rotation", ["target.lens.name=phone-f", "target.lens.focal_length=4.06 mm"])
     assert isinstance(other.target.lens, PrescriptionLens) and other.target.lens.name == "phone-f"

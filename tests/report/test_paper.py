@@ -46,7 +46,8 @@ def fig6() -> Fig6:
 
 @pytest.fixture(scope="module")
 def turned() -> list[Sample]:
-    scene = load_scene("rotation", ["sampling.accuracy=0.1"])
+    # The second beam's RR lies beside the first one's, and widens what is measured.
+    scene = load_scene("rotation", ["sampling.accuracy=0.1", "illumination.second_beam=null"])
     return [sample(f"{gaze:g}", scene, (0.0, gaze), seed=1) for gaze in (0.0, 0.4)]
 
 
@@ -210,7 +211,7 @@ def test_samples_are_neither_black_nor_saturated(turned: list[Sample], fig8: Fig
 
 def test_fig7_turns_from_rings_into_a_line(turned: list[Sample]) -> None:
     middle, edge = (one.row for one in turned)
-    assert middle["width_y_um"] == pytest.approx(middle["width_x_um"], rel=0.1)
+    assert middle["width_y_um"] == pytest.approx(middle["width_x_um"], rel=0.02)
     assert edge["width_y_um"] > 1.25 * edge["width_x_um"]
 
 
