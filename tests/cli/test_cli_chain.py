@@ -121,3 +121,23 @@ def test_overwrite_replaces_only_its_own_kind(run, chain, tmp_path: Path, comman
     assert run(*arguments, own, "--overwrite").code == 0
     assert {path: path.stat().st_ino for path in own.iterdir()} != before
     assert sorted(path.name for path in tmp_path.iterdir()) == ["mine", "own"]
+
+
+def test_the_papers_ridge_fits_every_training_frame(run, chain, tmp_path: Path) -> None:
+    from tapetum.data import open_dataset
+    from tapetum.models import ZernikeRidge, load_model
+
+    data = open_dataset(chain.dataset)
+    whole = ZernikeRidge("gaze", calibration_fraction=0.0).fit(data)
+    kept = load_model(chain.model)
+    np.testing.assert_allclose(kept.coef_, whole.coef_)
+    told = json.loads((chain.model / "model.json").read_text())["training"]
+    assert (told["frames"], told["fitted"], told["calibrated_on"]) == (16, 16, 0)
+    assert "as in the paper" in told["intervals"] and "our reading" in told["centring"]
+    assert "no intervals" in run("evaluate", chain.model, chain.dataset).out
+    # Intervals are a choice of their own.
+    assert run("train", chain.dataset, "-o", tmp_path / "sure", "--intervals").code == 0
+    card = json.loads((tmp_path / "sure" / "model.json").read_text())
+    assert card["parameters"]["calibration_fraction"] == 0.1
+    assert card["training"]["fitted"] + card["training"]["calibrated_on"] <= 16 > card["training"]["fitted"]
+    assert "zernike fits all training frames" in " ".join(run("train", "--help").out.split())

@@ -16,7 +16,7 @@ from tapetum.models.store import CARD, WEIGHTS
 
 @pytest.fixture(scope="module")
 def ridge(small) -> ZernikeRidge:
-    return ZernikeRidge(scales=(20, 40), order=3).fit(small)
+    return ZernikeRidge(scales=(20, 40), order=3, calibration_fraction=0.1).fit(small)
 
 
 @pytest.fixture(scope="module")

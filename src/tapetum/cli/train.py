@@ -32,6 +32,15 @@ def train(
         bool,
         typer.Option("--tuned", help="zernike, not the paper's: standardised, its penalty chosen by cross-validation."),
     ] = False,
+    intervals: Annotated[
+        bool | None,
+        typer.Option(
+            "--intervals/--no-intervals",
+            help="Keep the last tenth of each recording's training frames out of the fit, to set 90 % intervals. By "
+            "default zernike fits all training frames, as the paper does, and has no intervals; resnet18 keeps them.",
+            show_default=False,
+        ),
+    ] = None,
     epochs: Annotated[int | None, typer.Option(metavar="N", help="resnet18: passes over the images.", min=1)] = None,
     patience: Annotated[
         int | None,
@@ -66,6 +75,9 @@ def train(
     it is evaluated: where the evaluation fails, the model stays.
     """
     one_of(model, KINDS, "--model")
+    if model == "resnet18" and intervals is False and patience is not None:
+        raise InputError("needs frames kept aside", where="--patience", remedy="leave out --no-intervals")
+    aside: dict[str, Any] = {} if intervals is None else {"calibration_fraction": 0.1 if intervals else 0.0}
     given: dict[str, Any] = {
         "epochs": epochs,
         "patience": patience,
@@ -94,9 +106,9 @@ def train(
     fitted: ZernikeRidge | ResNet18
     if model == "zernike":
         chosen: dict[str, Any] = {"alpha": "cv", "standardise": True} if tuned else {}
-        fitted = ZernikeRidge(target, **chosen).fit(data.tp.train, progress=bar)
+        fitted = ZernikeRidge(target, **chosen, **aside).fit(data.tp.train, progress=bar)
     else:
-        network = ResNet18(target, **options)
+        network = ResNet18(target, **options, **aside)
         done: list[EpochReport] = []
 
         def told(report: EpochReport) -> None:

@@ -17,7 +17,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
-from tapetum.data.crop import SIGMA, crop, find_centre, find_peak
+from tapetum.data.crop import CENTRING, SIGMA, crop, find_centre, find_peak
 from tapetum.data.dataset import (
     DEVICE,
     FORMAT,
@@ -62,6 +62,7 @@ class Rules:
     min_quality: float = 0.5
     min_snr: float = 6.0
     sigma: float = SIGMA
+    centring: str = CENTRING
 
 
 @dataclass
@@ -206,9 +207,9 @@ def build_dataset(
 ) -> Path:
     """Build a dataset from labelled recordings.
 
-    Every probe frame with a good label and a visible RR gives one crop, centred on the brightest point of the
-    smoothed frame, or of what has fine structure where a lit room is brighter (`find_centre`). The first part of
-    every video trains and the last part tests (paper, section 5), by place in the video.
+    Every probe frame with a good label and a visible RR gives one crop, centred by our reading of the paper: on the
+    brightest point of the smoothed frame, or of what has fine structure where a lit room is brighter (`find_centre`).
+    The first part of every video trains and the last part tests (paper, section 5), by place in the video.
 
     Parameters
     ----------
@@ -296,6 +297,7 @@ def finish(
             "targets": list(names),
             "full_scale": full_scale,
             "centre_sigma": rules.sigma,
+            "centring": rules.centring,
             "min_quality": rules.min_quality,
             "min_snr": rules.min_snr,
             "test_fraction": rules.test_fraction,

@@ -1,11 +1,12 @@
 """Where a retro-reflection is in a frame, and the square cut out around it.
 
-The paper centres every crop on the brightest point of the smoothed frame (section 5). Smoothing here is a 3 x
-3 median, which takes out hot pixels, followed by a Gaussian.
+The paper centres every crop on the brightest point of the smoothed frame (section 5) and says no more. What follows is
+our reading of it (`CENTRING`). Smoothing here is a 3 x 3 median, which takes out hot pixels, followed by a Gaussian.
 
 In a lit room that point may lie on a wall or a lamp behind the target. The probe, focused at infinity, sees those
 blurred by its whole aperture, D f_p/d, while laser light that comes back through a lens has rings and lobes as fine as
-λ f_p/D. So light without fine structure is not taken for an RR where light with it is to be had (`find_centre`).
+λ f_p/D. So light without fine structure is not taken for an RR where light with it is to be had (`find_centre`): a
+departure from the paper's words, for rooms that its recordings did not have.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak"]
+__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak"]
 
 SIGMA = 20.0
 """Standard deviation in pixels of the smoothing Gaussian.
@@ -28,6 +29,12 @@ The paper does not give its own. It has to be wider than the RR's rings and lobe
 the brightest and the crop jumps: on simulated RRs of an f = 100 mm, f/12.5 target the centre scatters by 16 px (median)
 at 4 px, 7 px at 12 px and 0.2 px at 20 px.
 """
+
+CENTRING = (
+    "our reading of the paper's: the brightest point after a 3 x 3 median and a Gaussian, or that of what has fine "
+    "structure where a broad light outshines it"
+)
+"""How crops are centred, for cards and pages."""
 
 # A smoothed image varies slowly: a reduced one shows its maximum as well, and costs a tenth.
 _REDUCE_FROM, _REDUCE = 12.0, 4

@@ -69,6 +69,8 @@ class Estimator(Predictor, Protocol):
     underscore.
     """
 
+    training_: dict[str, Any] | None
+
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self: ...
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -129,6 +131,20 @@ class TrainingPart:
     calibrate: NDArray[np.intp]
     full_scale: float
     data_hash: str | None
+
+    @property
+    def summary(self) -> dict[str, Any]:
+        """What the model's card says of the training: counts of frames, intervals, and how crops were centred."""
+        kept = len(self.calibrate)
+        return {
+            "frames": len(self.targets),
+            "fitted": len(self.fit),
+            "calibrated_on": kept,
+            "intervals": "from the last part of every recording's training frames, kept out of the fit"
+            if kept
+            else "none: every training frame is fitted, as in the paper",
+            "centring": self.dataset.attrs.get("centring"),
+        }
 
 
 def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fraction: float) -> TrainingPart:

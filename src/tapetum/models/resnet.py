@@ -89,6 +89,8 @@ class ResNet18:
         `tapetum.models.novelty.Novelty`, or None without classes.
     data_hash_
         Hash of the dataset fitted to, where known.
+    training_
+        How many frames were fitted and kept aside, and how crops were centred: `TrainingPart.summary`.
 
     Examples
     --------
@@ -107,6 +109,7 @@ class ResNet18:
     temperature_: float
     novelty_: Novelty | None
     data_hash_: str | None
+    training_: dict[str, Any] | None
 
     def __init__(
         self,
@@ -150,7 +153,7 @@ class ResNet18:
             precision,
         )
         self.calibration_fraction = float(calibration_fraction)
-        self.data_hash_ = None
+        self.data_hash_ = self.training_ = None
         self.device, self.processes = device, processes
         training_device(device)
 
@@ -231,7 +234,7 @@ class ResNet18:
             progress=progress,
             on_epoch=on_epoch,
         )
-        self.network_, self.data_hash_ = network, part.data_hash
+        self.network_, self.data_hash_, self.training_ = network, part.data_hash, part.summary
         self._calibrate(part, images, snr, device)
         return self
 

@@ -117,6 +117,7 @@ def save_model(
         "classes": list(model.classes()),
         "parameters": model.parameters(),
         "training_data": model.data_hash_ if data_hash is None else data_hash,
+        "training": model.training_,
         "metrics": dict(metrics or {}),
         "notes": notes if notes is None or isinstance(notes, str) else dict(notes),
         "versions": _versions(),
@@ -237,6 +238,7 @@ def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
         raise InputError(f"parameters do not fit ({error})", where=folder / CARD, remedy=remedy) from error
     known = card.get("training_data")
     model.data_hash_ = known if isinstance(known, str) else None
+    model.training_ = card.get("training")
     return model
 
 

@@ -46,8 +46,8 @@ class ZernikeRidge:
         Scale every feature to unit variance first. The paper does not.
     calibration_fraction
         Share of the training frames, the last ones of each recording, that is kept out of the fit to set the
-        intervals. With 0 every training frame is fitted, exactly the paper's protocol, and intervals are
-        infinite.
+        intervals. By default 0, as in the paper: every training frame is fitted, and intervals are infinite. 0.1
+        is usual for intervals.
 
     Attributes
     ----------
@@ -59,6 +59,8 @@ class ZernikeRidge:
         `tapetum.models.intervals.Intervals`, calibrated on frames that took no part in fitting.
     data_hash_
         Hash of the dataset fitted to, where known.
+    training_
+        How many frames were fitted and kept aside, and how crops were centred: `TrainingPart.summary`.
 
     Notes
     -----
@@ -88,6 +90,7 @@ class ZernikeRidge:
     intervals_: Intervals
     alpha_: float
     data_hash_: str | None
+    training_: dict[str, Any] | None
 
     def __init__(
         self,
@@ -98,7 +101,7 @@ class ZernikeRidge:
         powers: Sequence[int] = POWERS,
         alpha: float | Literal["cv"] = 1e-6,
         standardise: bool = False,
-        calibration_fraction: float = 0.1,
+        calibration_fraction: float = 0.0,
     ) -> None:
         self.target = target if isinstance(target, str) else tuple(target)
         self.target_names = self.quantities = target_names(self.target)
@@ -115,7 +118,7 @@ class ZernikeRidge:
         self.alpha: float | Literal["cv"] = alpha
         self.standardise = bool(standardise)
         self.calibration_fraction = float(calibration_fraction)
-        self.data_hash_ = None
+        self.data_hash_ = self.training_ = None
 
     def features(
         self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet
@@ -171,7 +174,7 @@ class ZernikeRidge:
         self.intercept_ = np.asarray(ridge.intercept_, dtype=np.float64).reshape(-1)
         aside = part.calibrate
         self.intervals_ = fit_intervals(part.targets[aside] - self._linear(features[aside]), snr[aside])
-        self.data_hash_ = part.data_hash
+        self.data_hash_, self.training_ = part.data_hash, part.summary
         return self
 
     def _linear(self, features: NDArray[np.float64]) -> NDArray[np.float64]:

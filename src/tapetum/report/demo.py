@@ -114,7 +114,7 @@ def run_demo(
         build_dataset([recording.path], out / "demo.zarr", progress=progress, overwrite=True)
     dataset = open_dataset(out / "demo.zarr")
     with watch.step("Training Zernike + ridge"):
-        ridge = ZernikeRidge(target="gaze", calibration_fraction=0.0).fit(dataset.tp.train, progress=progress)
+        ridge = ZernikeRidge(target="gaze").fit(dataset.tp.train, progress=progress)
         save_model(ridge, out / "zernike", overwrite=True)
     if train:
         with watch.step("Training ResNet-18 (this takes a while; interrupt it as you like, it resumes)"):

@@ -201,7 +201,9 @@ def _rules(parts: list[_Part], mapping: ImportMapping) -> Rules:
     if any(stack.split is not None for stack in mapping.stacks):
         split = np.concatenate([part.split for part in parts])
         share = float(np.mean(split == TEST))
-    return Rules(mapping.side, share, min_quality=0.0, min_snr=0.0 if mapping.centred else Rules.min_snr)
+    if mapping.centred:
+        return Rules(mapping.side, share, min_quality=0.0, min_snr=0.0, centring="as imported")
+    return Rules(mapping.side, share, min_quality=0.0)
 
 
 def write_stacks(

@@ -48,10 +48,10 @@ phones (always the commonest: {100 * (classes["baseline_top_1"] or 0):.0f} %; th
 calibration error {classes["expected_calibration_error"]:.4f}; {100 * classes["told_none_of_these"]:.1f} % of these
 frames are taken for none of the phones.
 
-*Zernike + ridge* is the paper's model to the letter: 1092 features, nothing standardised, α = 1e-6, every training
-frame fitted, and so no intervals. *Tuned* standardises the features, picks α by cross-validation and keeps a tenth of
-every video's training frames aside for its intervals. *ResNet-18* keeps the same tenth aside; on the phones one network
-tells the gaze and the phone.
+*Zernike + ridge* is the paper's model: 1092 features, nothing standardised, α = 1e-6, every training frame fitted, and
+so no intervals. Crops are centred by our reading of the paper's centring. *Tuned* standardises the
+features, picks α by cross-validation and keeps a tenth of every video's training frames aside for its intervals.
+*ResNet-18* keeps the same tenth aside; on the phones one network tells the gaze and the phone.
 
 **What differs**: lenses, sensors and phones are stand-ins, the second beam's place and strength are assumed, and labels
 have no error beyond that of finding the laser's spot in the target's video. A task that is easier here than in the

@@ -73,11 +73,11 @@ def _phone(size: str, target: str = "phone", epochs: int = 48) -> ResNet18:
 
 
 def _paper_ridge(target: str) -> ZernikeRidge:
-    return ZernikeRidge(target, calibration_fraction=0)
+    return ZernikeRidge(target)
 
 
 def _tuned_ridge(target: str) -> ZernikeRidge:
-    return ZernikeRidge(target, alpha="cv", standardise=True)
+    return ZernikeRidge(target, alpha="cv", standardise=True, calibration_fraction=0.1)
 
 
 PAPER, TUNED, RESNET = "Zernike + ridge", "Zernike + ridge, tuned", "ResNet-18"
