@@ -37,7 +37,7 @@ def test_the_last_tenth_of_every_recording_calibrates(small):
     part = training_part(small, ("gaze_x",), 0.1)
     assert part.calibrate.tolist() == [*range(90, 100), *range(190, 200)]
     assert part.fit.tolist() == [*range(90), *range(100, 190)]
-    assert part.data_hash == small.tp.hash
+    assert part.data_hash == small.tp.train.tp.hash
     np.testing.assert_array_equal(part.targets[:, 0], small["gaze_x"].values[:200].astype(float))
 
 

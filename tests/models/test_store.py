@@ -34,7 +34,7 @@ def test_a_ridge_comes_back_exactly(ridge, small, tmp_path: Path):
         loaded = load_model(save_model(ridge, tmp_path / f"{half}", half=half))
         np.testing.assert_array_equal(loaded.predict(small).value, ridge.predict(small).value)
         np.testing.assert_array_equal(loaded.predict(small).upper, ridge.predict(small).upper)
-        assert loaded.data_hash_ == small.tp.hash
+        assert loaded.data_hash_ == small.tp.train.tp.hash
 
 
 def test_a_resnet_comes_back(resnet, small, tmp_path: Path):
@@ -54,7 +54,7 @@ def test_the_card_says_what_it_is(ridge, small, tmp_path: Path):
     assert card["format"] == "tapetum-model"
     assert (card["kind"], card["targets"]) == ("zernike", ["gaze_x", "gaze_y"])
     assert card["units"]["gaze_x"] == "fraction of the field of view"
-    assert card["training_data"] == small.tp.hash
+    assert card["training_data"] == small.tp.train.tp.hash
     assert card["metrics"] == {"mae": 0.1}
     assert card["notes"] == {"seeds": [1, 2]}
     assert {"torch", "numpy", "tapetum"} <= set(card["versions"])

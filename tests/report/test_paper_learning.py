@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from pathlib import Path
 
@@ -9,9 +10,11 @@ import numpy as np
 import pytest
 import torch
 import xarray as xr
+import zarr
 
 from tapetum.bench import load_scene
 from tapetum.data import dataset_from_arrays
+from tapetum.data.build import Images, Kept, Rules, finish
 from tapetum.data.synth import make_plan
 from tapetum.errors import InputError
 from tapetum.models import Prediction, ResNet18, ZernikeRidge
@@ -123,14 +126,56 @@ def test_a_model_is_trained_once_and_kept(work, sets, monkeypatch):
     np.testing.assert_allclose(again, first, atol=1e-6)
 
 
-def test_a_model_of_another_set_or_recipe_is_made_anew(work, sets, tmp_path: Path):
+def test_a_model_of_another_set_or_recipe_is_made_anew(work, sets, tmp_path: Path, monkeypatch):
     own = Workshop(tmp_path, "small", sets=sets)
     own.model("rotation-zernike")
     other = sets["rotation"].isel(frame=slice(0, 200))
-    other.attrs = {**other.attrs, "sha256": "another"}
-    assert Workshop(tmp_path, "small", sets={"rotation": other}).model("rotation-zernike").data_hash_ == "another"
+    made = Workshop(tmp_path, "small", sets={"rotation": other}).model("rotation-zernike")
+    assert made.data_hash_ == other.tp.train.tp.hash != sets["rotation"].tp.train.tp.hash
+    # The first is still there.
+    monkeypatch.setattr(ZernikeRidge, "fit", lambda *_, **__: pytest.fail("trained again"))
+    assert own.model("rotation-zernike").data_hash_ == sets["rotation"].tp.train.tp.hash
     with pytest.raises(InputError, match="no model is called 'oracle'"):
         own.model("oracle")
+
+
+def test_devices_kept_from_a_model_change_the_model(work, sets, tmp_path: Path, monkeypatch):
+    name = "phones-resnet18-unseen"
+    with_all = shop.Recipe(name, "phones", "", RECIPES[name].make)
+    monkeypatch.setitem(RECIPES, name, with_all)
+    assert Workshop(tmp_path, "small", sets=sets).model(name).classes() == PHONES
+    # The same model, and two devices fewer to learn from.
+    monkeypatch.setitem(RECIPES, name, dataclasses.replace(with_all, without=PHONES[:1]))
+    assert Workshop(tmp_path, "small", sets=sets).model(name).classes() == PHONES[1:]
+
+
+def test_a_set_of_another_plan_is_not_taken_for_the_one_wanted(tmp_path: Path, monkeypatch):
+    filmed: list[Path] = []
+
+    def film(plan, path: Path, **_) -> None:
+        filmed.append(path)
+        build = zarr.create_group(str(path), zarr_format=3)
+        kept = Kept()
+        for n in range(4):
+            columns = dict.fromkeys(("centre_x", "centre_y", "snr", "quality", "time"), 1.0)
+            kept.add(**columns, gaze_x=n / 9, gaze_y=0.0, recording=0, frame_index=n, split=n // 3)
+        images = Images(build, 8, np.dtype(np.uint8))
+        for n in range(4):
+            images.add(np.full((8, 8), n, np.uint8))
+        finish(build, images, kept, [], Rules(side=8), ("gaze_x", "gaze_y"), [], 255)
+        build.attrs["synth"] = {"plan": plan.digest}
+
+    monkeypatch.setattr(shop, "synthesise", film)
+    first = Workshop(tmp_path, "small").dataset("rotation")
+    assert Workshop(tmp_path, "small").dataset("rotation").tp.hash == first.tp.hash and len(filmed) == 1
+    # Today's code films something else under the same name.
+    monkeypatch.setattr(shop, "SET_SEED", 2)
+    Workshop(tmp_path, "small").dataset("rotation")
+    assert len(filmed) == 2 and all(path.exists() for path in filmed)
+    # A set of an earlier version, by its plain name, serves where its plan is the one wanted.
+    filmed[1].rename(tmp_path / "rotation-small.zarr")
+    Workshop(tmp_path, "small").dataset("rotation")
+    assert len(filmed) == 2
 
 
 def test_what_is_kept_from_a_model_is_scored_as_unknown(work, sets):

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+import pyarrow.compute as pc
 import pytest
 
 from tapetum.models import load_model, model_card
+from tapetum.progress import quiet
+from tapetum.record import HandMotion, Session, open_recording
 from tapetum.report import pretrain
 
 
@@ -39,3 +44,27 @@ def test_an_interrupted_making_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert card["weights"]["precision"] == "half"
     assert set(card["metrics"]["targets"]) == {"gaze_x", "gaze_y"}
     assert load_model(out).target_names == ("gaze_x", "gaze_y")
+
+
+@pytest.mark.usefixtures("tiny")
+def test_what_was_made_before_serves_only_what_it_was_made_for(tmp_path: Path) -> None:
+    path = tmp_path / "a.rec"
+    session = Session(2.0, seed=7)
+    pretrain.labelled_recording(path, session)
+    first = open_recording(path).uuid
+    pretrain.labelled_recording(path, session)
+    assert open_recording(path).uuid == first
+    # The same length and seed of another take.
+    pretrain.labelled_recording(path, replace(session, motion=HandMotion(roll=0.2)))
+    second = open_recording(path)
+    assert second.uuid != first
+
+    built = pretrain._built(tmp_path, "train", [path], 0.5, quiet)
+    assert pretrain._built(tmp_path, "train", [path], 0.5, quiet).tp.hash == built.tp.hash
+    labels = second.labels()
+    assert labels is not None
+    moved = pc.add(labels["gaze_x"], 0.01)
+    second.write_labels(labels.set_column(labels.column_names.index("gaze_x"), "gaze_x", moved))
+    other = pretrain._built(tmp_path, "train", [path], 0.5, quiet)
+    np.testing.assert_allclose(other["gaze_x"].values, built["gaze_x"].values + 0.01, atol=1e-6)
+    assert len(list(tmp_path.glob("train-*.zarr"))) == 2

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 import os
@@ -17,6 +16,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
+from tapetum.data.content import DIGEST, hash_of, image_digests
 from tapetum.data.crop import CENTRING, SIGMA, crop, find_centre, find_peak
 from tapetum.data.dataset import (
     DEVICE,
@@ -27,7 +27,6 @@ from tapetum.data.dataset import (
     TRUE_GAZE,
     VERSION,
     class_variable,
-    finish_hash,
     split_variable,
 )
 from tapetum.errors import InputError
@@ -83,17 +82,17 @@ class Sink(Protocol):
 
 
 class Images:
-    """Appends crops to an array of the store, whole chunks at a time, and sums them up."""
+    """Appends crops to an array of the store, whole chunks at a time, and keeps a digest of each."""
 
     def __init__(self, group: zarr.Group, side: int, dtype: np.dtype[Any]) -> None:
-        self.digest = hashlib.sha256()
+        self.digests: list[NDArray[np.uint8]] = []
         self._buffer: list[NDArray[np.generic]] = []
         self._array = make_array(group, "image", (0, side, side), (CHUNK, side, side), dtype, ("frame", "y", "x"))
         self._array.attrs["units"] = "count"
         self._array.attrs["long_name"] = "crop around the retro-reflection"
 
     def add(self, image: NDArray[np.generic]) -> None:
-        self.digest.update(np.ascontiguousarray(image).data)
+        self.digests.append(image_digests([image]))
         self._buffer.append(image)
         if len(self._buffer) == CHUNK:
             self.flush()
@@ -290,6 +289,11 @@ def finish(
     images.flush()
     _check_parts(kept, told, rules.test_fraction)
     variables = _write_columns(group, kept, names, classes)
+    digests = np.concatenate(images.digests)
+    array = make_array(group, DIGEST, digests.shape, digests.shape, digests.dtype, ("frame", "digest_byte"))
+    array[:] = digests
+    array.attrs["long_name"] = "BLAKE2b of the crop"
+    known = classes if DEVICE in names else ()
     group.attrs.update(
         {
             "format": FORMAT,
@@ -302,7 +306,7 @@ def finish(
             "min_snr": rules.min_snr,
             "test_fraction": rules.test_fraction,
             "recordings": json.dumps(told),
-            "sha256": finish_hash(images.digest, variables),
+            "sha256": hash_of(digests, variables, full_scale=full_scale, targets=names, classes=known),
         }
     )
 

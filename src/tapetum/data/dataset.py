@@ -6,7 +6,6 @@ Importing this module registers the accessor ``.tp`` on every xarray Dataset: ``
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -17,6 +16,7 @@ import xarray as xr
 import zarr
 from numpy.typing import ArrayLike, NDArray
 
+from tapetum.data.content import DIGEST, DIGEST_BYTES, hash_of, image_digests
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 
@@ -57,28 +57,28 @@ _NEEDED = ("image", "split", "recording")
 
 
 def content_hash(dataset: xr.Dataset, *, progress: Progress = quiet) -> str:
-    """Return the SHA-256 of a dataset's images and variables: equal for equal contents, however stored.
+    """Return the SHA-256 of a dataset's content, every image read: equal for equal contents, however stored.
+
+    Images, all variables along ``frame`` (labels, split and recording among them), the names of the classes, the names
+    of the labels and the full scale count.
 
     Parameters
     ----------
     dataset
-        A dataset with ``image(frame, y, x)``; every other variable along ``frame`` counts as well.
+        A dataset with ``image(frame, y, x)``.
     progress
         Shown over the batches of images.
     """
-    digest = hashlib.sha256()
     total = -(-dataset.sizes["frame"] // 64)
-    for images in progress(image_batches(dataset, 64), "hashing the dataset", total=total):
-        digest.update(np.ascontiguousarray(images).data)
-    return finish_hash(digest, {str(k): v.values for k, v in dataset.variables.items() if v.dims == ("frame",)})
+    batches = progress(image_batches(dataset, 64), "hashing the dataset", total=total)
+    digests = [image_digests(images) for images in batches]
+    return _hash(dataset, np.concatenate(digests) if digests else np.empty((0, DIGEST_BYTES), np.uint8))
 
 
-def finish_hash(digest: Any, variables: Mapping[str, NDArray[np.generic]]) -> str:
-    """Add the variables along ``frame``, by name, to a digest of the images; return the hexadecimal sum."""
-    for name in sorted(variables):
-        digest.update(f"{name}:{variables[name].dtype.str}".encode())
-        digest.update(np.ascontiguousarray(variables[name]).tobytes())
-    return digest.hexdigest()
+def _hash(dataset: xr.Dataset, digests: NDArray[np.uint8]) -> str:
+    along = {str(name): one.values for name, one in dataset.variables.items() if one.dims == ("frame",)}
+    accessor = dataset.tp
+    return hash_of(digests, along, full_scale=accessor.full_scale, targets=accessor.targets, classes=accessor.classes)
 
 
 def image_batches(dataset: xr.Dataset, size: int = 64) -> Iterator[NDArray[np.generic]]:
@@ -221,7 +221,7 @@ def dataset_from_arrays(
     videos = np.asarray(zeros if recording is None else recording).astype(np.int32)
     if parts.shape != (len(array),) or videos.shape != (len(array),) or not np.isin(parts, (TRAIN, TEST)).all():
         raise InputError(f"expected {len(array)} values, split of 0 (train) or 1 (test)", where="split, recording")
-    dataset = xr.Dataset(
+    return xr.Dataset(
         {
             "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
             **columns,
@@ -235,8 +235,6 @@ def dataset_from_arrays(
             "targets": list(columns),
         },
     )
-    dataset.attrs["sha256"] = content_hash(dataset)
-    return dataset
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
@@ -381,8 +379,16 @@ class DatasetAccessor:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of the contents of the whole set as built; its parts (``train``, ``test``) share it."""
-        return str(self._dataset.attrs["sha256"])
+        """SHA-256 of what this set holds now: a part of it (``train``, ``test``) or a relabelled copy has its own.
+
+        Images in memory are hashed as they are; of a stored set the digests kept beside its images are taken, and sets
+        of earlier versions, which have none, are read. See `content_hash`.
+        """
+        image, digests = _images_of(self._dataset), self._dataset.get(DIGEST)
+        # Digests are those of the stored images: what is in memory may have been changed.
+        if digests is None or image.variable._in_memory:
+            return content_hash(self._dataset)
+        return _hash(self._dataset, _read(digests, self._dataset))
 
     @property
     def recordings(self) -> list[dict[str, Any]]:

@@ -120,7 +120,7 @@ class TrainingPart:
     full_scale
         Largest count of the camera.
     data_hash
-        Hash of the dataset they come from, where known.
+        Of the content of the training frames: images, labels, recordings, classes.
     """
 
     dataset: xr.Dataset
@@ -130,7 +130,7 @@ class TrainingPart:
     fit: NDArray[np.intp]
     calibrate: NDArray[np.intp]
     full_scale: float
-    data_hash: str | None
+    data_hash: str
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -187,8 +187,7 @@ def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fract
     fit = np.flatnonzero(~aside)
     if len(fit) < 2:
         raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
-    known, full_scale = train.attrs.get("sha256"), train.tp.full_scale
-    return TrainingPart(train, targets, device, classes, fit, np.flatnonzero(aside), full_scale, known)
+    return TrainingPart(train, targets, device, classes, fit, np.flatnonzero(aside), train.tp.full_scale, train.tp.hash)
 
 
 def _of(videos: int) -> str:

@@ -88,7 +88,7 @@ class ResNet18:
     novelty_
         `tapetum.models.novelty.Novelty`, or None without classes.
     data_hash_
-        Hash of the dataset fitted to, where known.
+        Hash of the content of the training frames fitted to, where known.
     training_
         How many frames were fitted and kept aside, and how crops were centred: `TrainingPart.summary`.
 

@@ -58,7 +58,7 @@ class ZernikeRidge:
     intervals_
         `tapetum.models.intervals.Intervals`, calibrated on frames that took no part in fitting.
     data_hash_
-        Hash of the dataset fitted to, where known.
+        Hash of the content of the training frames fitted to, where known.
     training_
         How many frames were fitted and kept aside, and how crops were centred: `TrainingPart.summary`.
 

@@ -119,7 +119,7 @@ def run_demo(
     if train:
         with watch.step("Training ResNet-18 (this takes a while; interrupt it as you like, it resumes)"):
             work = out / "training"
-            if not (work / "model").exists():
+            if not pretrain.is_made(work / "model"):
                 pretrain.make_pretrained(work, work / "model", progress=progress, on_epoch=lambda e: say(f"  {e}"))
             resnet = load_model(work / "model")
         origin = "trained by this demo on recordings of other seeds"

@@ -2,16 +2,24 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
+
+import xarray as xr
 
 from tapetum.bench import load_scene
 from tapetum.data import build_dataset, open_dataset
-from tapetum.models import EpochReport, ResNet18, load_model, save_model
+from tapetum.files import sha256_file
+from tapetum.models import EpochReport, ResNet18, load_model, model_card, save_model
+from tapetum.models.base import json_safe
 from tapetum.progress import Progress, quiet
 from tapetum.record import Session, film, label_recording, open_recording
-from tapetum.record.layout import is_recording
+from tapetum.record.layout import LABELS, is_recording
+from tapetum.record.shot import Shot
 from tapetum.report.evaluate import evaluate_model
 
 __all__ = [
@@ -22,6 +30,7 @@ __all__ = [
     "SCENE",
     "SECONDS",
     "TRAIN_SEEDS",
+    "is_made",
     "labelled_recording",
     "make_pretrained",
 ]
@@ -37,10 +46,11 @@ CROP = 320
 
 
 def labelled_recording(path: Path, session: Session, scene: str = SCENE, *, progress: Progress = quiet) -> None:
-    """Film a scene and label it, unless a finished recording of this length and seed is there already."""
+    """Film a scene and label it, unless a finished recording of this very scene and session is there already."""
     if is_recording(path):
         there = open_recording(path)
-        same = there.meta.get("seed") == session.seed and there.meta.get("seconds") == session.seconds
+        wanted = json_safe(Shot(load_scene(scene), session).parameters(), "session")
+        same = all(there.meta.get(name) == value for name, value in wanted.items())
         if same and there.finished and there.truth() is not None:
             if there.labels() is None:
                 label_recording(there, progress)
@@ -72,15 +82,17 @@ def make_pretrained(
     work.mkdir(parents=True, exist_ok=True)
     for seed in (*TRAIN_SEEDS, FRESH_SEED):
         labelled_recording(work / f"{seed}.rec", Session(SECONDS, seed=seed), progress=progress)
-    parts = {"train": (TRAIN_SEEDS, 0.0), "fresh": ((FRESH_SEED,), 0.2)}
-    for name, (seeds, test_fraction) in parts.items():
-        if not (work / f"{name}.zarr").exists():
-            recordings = [work / f"{seed}.rec" for seed in seeds]
-            build_dataset(recordings, work / f"{name}.zarr", test_fraction=test_fraction, progress=progress)
-    train, fresh = open_dataset(work / "train.zarr"), open_dataset(work / "fresh.zarr")
+    train, fresh = (
+        _built(work, name, [work / f"{seed}.rec" for seed in seeds], test_fraction, progress)
+        for name, seeds, test_fraction in (("train", TRAIN_SEEDS, 0.0), ("fresh", (FRESH_SEED,), 0.2))
+    )
     start = time.monotonic()
     model = ResNet18(target="gaze", crop=CROP, epochs=epochs).fit(
-        train, progress=progress, checkpoint=work / "checkpoint", resume=True, on_epoch=on_epoch
+        train,
+        progress=progress,
+        checkpoint=work / f"checkpoint-{train.tp.hash[:8]}-{epochs}",
+        resume=True,
+        on_epoch=on_epoch,
     )
     notes = {
         "command": "make models",
@@ -98,3 +110,24 @@ def make_pretrained(
     scores = evaluate_model(load_model(work / NAME), fresh.tp.test, fresh.tp.train, progress=progress)
     save_model(model, out, metrics=scores, notes=notes, half=True, overwrite=True)
     return model
+
+
+def is_made(out: Path) -> bool:
+    """Whether the model in a folder is the one that `make_pretrained` makes today."""
+    if not out.exists():
+        return False
+    card = model_card(out)
+    notes, wanted = card.get("notes"), ResNet18(target="gaze", crop=CROP, epochs=EPOCHS)
+    about = {"scene": SCENE, "seeds": list(TRAIN_SEEDS), "seconds_a_recording": SECONDS}
+    told = isinstance(notes, dict) and all(notes.get(name) == value for name, value in about.items())
+    return told and card["parameters"] == wanted.parameters() and card["versions"].get("tapetum") == version("tapetum")
+
+
+def _built(work: Path, name: str, recordings: list[Path], test_fraction: float, progress: Progress) -> xr.Dataset:
+    """Cut a set, unless one of these recordings, with these labels, is there already."""
+    about = [(open_recording(path).uuid, sha256_file(path / LABELS)) for path in recordings]
+    key = hashlib.sha256(json.dumps([about, test_fraction, version("tapetum")]).encode()).hexdigest()
+    path = work / f"{name}-{key[:8]}.zarr"
+    if not path.exists():
+        build_dataset(recordings, path, test_fraction=test_fraction, progress=progress)
+    return open_dataset(path)

@@ -150,7 +150,7 @@ class SimulationFit:
         dataset.tp.values(tuple(name for name in self.quantities if name in (*SLOW, "object_distance", "focal_length")))
         like = np.zeros((1, dataset.tp.side, dataset.tp.side), np.uint8)
         checked(like, dataset.tp.full_scale, self.scene.probe.sensor, self.window)
-        self.data_hash_ = dataset.attrs.get("sha256")
+        self.data_hash_ = dataset.tp.train.tp.hash
         return self
 
     def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:

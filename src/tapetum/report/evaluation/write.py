@@ -77,10 +77,11 @@ def subject_of(
         Of the model, where there is one.
     """
     kind = _NAMES.get(model.kind, model.kind)
-    own = dataset.attrs.get("sha256")
+    # Models of earlier versions name the whole set's hash of that time, which its store still states.
+    own = {dataset.tp.train.tp.hash, dataset.attrs.get("sha256")}
     if model.data_hash_ is None:
         learned = "not known"
-    elif model.data_hash_ == own:
+    elif model.data_hash_ in own:
         learned = "the training part of this dataset"
     else:
         learned = f"another dataset, SHA-256 {model.data_hash_[:16]}…"
@@ -116,8 +117,7 @@ def _data_facts(dataset: xr.Dataset) -> list[tuple[str, str]]:
     if isinstance(synth, Mapping):
         made = f"tapetum dataset synth {synth.get('kind')} --size {synth.get('size')} --seed {synth.get('seed')}"
         facts.append(("filmed by", f"the virtual bench: `{made}`"))
-    if "sha256" in dataset.attrs:
-        facts.append(("SHA-256", str(dataset.attrs["sha256"])))
+    facts.append(("SHA-256", dataset.tp.hash))
     return facts
 
 

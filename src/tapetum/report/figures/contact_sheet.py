@@ -290,7 +290,7 @@ def _footing(figure: Figure, dataset: xr.Dataset, notes: Sequence[str]) -> None:
     for n, line in enumerate(lines):
         figure.text(0.03, 0.102 - 0.021 * n, line, fontsize=NOTE + 0.5, color=INK, va="center")
     figure.add_artist(_rule(figure))
-    mark = f"sha256 {str(dataset.attrs.get('sha256', 'unknown'))[:16]}…  ·  drawn by Tapetum {version('tapetum')}"
+    mark = f"sha256 {dataset.tp.hash[:16]}…  ·  drawn by Tapetum {version('tapetum')}"
     told = ", ".join(str(one.get("name", "")) for one in dataset.tp.recordings[:6])
     more = "" if len(dataset.tp.recordings) <= 6 else f" and {len(dataset.tp.recordings) - 6} more"
     source = f"from {told}{more}" if told else ""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -141,10 +143,19 @@ class Workshop:
         """Return a set, filming it first where it is not there."""
         if name in self.sets:
             return self.sets[name]
-        path = self.folder / f"{name}-{self.size}.zarr"
+        plan = plan_of(name, self.size)
+        # A set of another plan (another scene, recipe or version) may stand beside: it is neither used nor removed.
+        path = self.folder / f"{name}-{self.size}-{plan.digest[:8]}.zarr"
+        plain = self.folder / f"{name}-{self.size}.zarr"
+        if not path.exists() and plain.exists() and _planned(plain) == plan.digest:
+            return open_dataset(plain)
         if not path.exists():
-            synthesise(plan_of(name, self.size), path, workers=self.workers, progress=self.progress)
-        return open_dataset(path)
+            synthesise(plan, path, workers=self.workers, progress=self.progress)
+        dataset = open_dataset(path)
+        if _planned(path) != plan.digest:
+            remedy = "remove it, or give another folder"
+            raise InputError("is a set of another plan than its name says", where=path, remedy=remedy)
+        return dataset
 
     def model(self, name: str) -> Model:
         """Return a fitted model, training it first where it is not there.
@@ -156,26 +167,24 @@ class Workshop:
         """
         if name not in RECIPES:
             raise InputError(f"no model is called {name!r}", remedy=f"there are: {', '.join(RECIPES)}")
-        recipe, folder = RECIPES[name], self.folder / f"{name}-{self.size}"
+        recipe = RECIPES[name]
         dataset = self._without(self.dataset(recipe.set), recipe.without)
         wanted = recipe.make(self.size)
-        if folder.exists() and _is(folder, wanted, dataset):
+        # Named by recipe and content: a model of other frames, labels or parameters is neither used nor overwritten.
+        folder = self.folder / f"{name}-{self.size}-{_key(wanted, dataset)[:8]}"
+        if folder.exists():
+            if not _is(folder, wanted, dataset):
+                remedy = "remove it, or give another folder"
+                raise InputError("is another model than its name says", where=folder, remedy=remedy)
             return load_model(folder)
-        checkpoint = self.folder / f"{name}-{self.size}.checkpoint"
+        checkpoint = folder.with_name(f"{folder.name}.checkpoint")
         start = time.monotonic()
         if isinstance(wanted, ResNet18):
-            try:
-                wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, resume=True, on_epoch=self.on_epoch)
-            except InputError as error:
-                if "other settings or other data" not in str(error):
-                    raise
-                # Left by an older recipe or set: nobody asked for that one to be kept.
-                remove_checkpoint(checkpoint)
-                wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, on_epoch=self.on_epoch)
+            wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, resume=True, on_epoch=self.on_epoch)
         else:
             wanted.fit(dataset, progress=self.progress)
         notes = {"made for": "tapetum paper", "seconds": round(time.monotonic() - start), "without": recipe.without}
-        save_model(wanted, folder, notes=notes, overwrite=True)
+        save_model(wanted, folder, notes=notes)
         remove_checkpoint(checkpoint)
         return wanted
 
@@ -200,8 +209,20 @@ def plan_of(name: str, size: str) -> Plan:
     return beside[name](size) if name in beside else make_plan(name, size, SET_SEED)
 
 
+def _planned(path: Path) -> str | None:
+    """Return the digest of the plan that a stored set was filmed by."""
+    synth = open_dataset(path).attrs.get("synth")
+    return synth.get("plan") if isinstance(synth, Mapping) else None
+
+
+def _key(wanted: Model, dataset: xr.Dataset) -> str:
+    """Return what names a model: a hash of its kind, its parameters and the content of what it learns from."""
+    about = [wanted.kind, json_safe(wanted.parameters(), "parameters"), dataset.tp.train.tp.hash]
+    return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
+
+
 def _is(folder: Path, wanted: Model, dataset: xr.Dataset) -> bool:
-    """Whether the model in a folder is the one wanted, of this set."""
+    """Whether the model in a folder is the one wanted, of these training frames."""
     card = model_card(folder)
-    parameters = json_safe(wanted.parameters(), "parameters")
-    return card["kind"] == wanted.kind and card["parameters"] == parameters and card["training_data"] == dataset.tp.hash
+    parameters, learned = json_safe(wanted.parameters(), "parameters"), dataset.tp.train.tp.hash
+    return card["kind"] == wanted.kind and card["parameters"] == parameters and card["training_data"] == learned
