@@ -74,6 +74,26 @@ def test_watts_and_peak_against_the_simulation(validated) -> None:
     validated("Radiometry", what, error, 0.08, "the wave simulation's sum over the image", "of it")
 
 
+@pytest.mark.parametrize("degrees", [10.0, 20.0])
+def test_watts_under_a_steep_tilt(degrees: float, validated) -> None:
+    """A fast short lens, where sines are no tangents and the cosine counts."""
+    one = scene(
+        **{
+            "target.lens": {"focal_length": 4e-3, "aperture_radius": 3.6e-3},
+            "object_distance": math.inf,
+            "rotation": [degrees, 0.0],
+            "probe.sensor.pixels": [256, 256],
+            "sampling.propagation": "far field",
+        }
+    )
+    image = retroreflect(one).irradiance[0].double()
+    # The budget counts what enters the probe's aperture; without one all of it does.
+    told = link_budget(one).leaving_watts * one.probe.transmission
+    ratio = told / (float(image.sum()) * one.probe.sensor.pitch**2)
+    what = f"Watts that leave the target, f/0.56, f = 4 mm, {degrees:g}°"
+    validated("Radiometry", what, abs(ratio - 1), 0.015, "the wave simulation's sum over the image", "of it")
+
+
 def test_snr_against_drawn_frames() -> None:
     one = scene(
         **{

@@ -234,9 +234,10 @@ def test_foreshortening_in_any_direction(validated: Validated) -> None:
     cosine = math.sqrt(1 - float((tilt**2).sum()))
     unit = tilt[0] / tilt[0].norm()
     matrix = torch.eye(2, dtype=torch.float64) - (1 - cosine) * unit[:, None] * unit[None, :]
-    offset = 2 * K * tilt[0]
+    offset = 2 * K * tilt[0] / cosine
     spot = one._spot * phasor(offset[0] * one._v[None, :] + offset[1] * one._v[:, None])
-    pupil = one._to_pupil(spot) * one._exit
+    # The lens takes in cosθ of the light, and sends it onto a picture foreshortened by cosθ.
+    pupil = one._to_pupil(spot) * one._exit * cosine
 
     def plain(shear: torch.Tensor) -> torch.Tensor:
         values = torch.empty(9, 9, dtype=torch.float64)
@@ -279,13 +280,13 @@ def test_a_mask_lies_in_the_sensors_own_coordinates(validated: Validated) -> Non
 
     one = passing(0.01, 0.7e-3, 0.3, sine=0.06, output=output, mask=mask, finest=10e-6)
     tilt = torch.tensor([[0.045, 0.03]], dtype=torch.float64)
-    got, (sx, sy) = one.field(tilt)[0], tilt[0]
+    cosine = math.sqrt(1 - float((tilt**2).sum()))
+    got, (sx, sy) = one.field(tilt)[0], tilt[0] / cosine
     # The mirror's spot, its mask where the gaze puts it, and the pupil by the plain kernel.
     seen = one._spot * mask(one._z * sx + one._v[None, :], one._z * sy + one._v[None, :])[0]
     seen = seen * phasor(2 * K * (sx * one._v[None, :] + sy * one._v[:, None]))
     to_x, to_y = (phasor(-K / one._z * torch.outer(axis, one._v)) for axis in (one._x, one._y))
-    pupil = torch.einsum("yv,vu,xu->yx", to_y, seen, to_x) * one._exit
-    cosine = math.sqrt(1 - float((tilt**2).sum()))
+    pupil = torch.einsum("yv,vu,xu->yx", to_y, seen, to_x) * one._exit * cosine
     unit = tilt[0] / tilt[0].norm()
     matrix = torch.eye(2, dtype=torch.float64) - (1 - cosine) * unit[:, None] * unit[None, :]
     want = torch.empty_like(got)

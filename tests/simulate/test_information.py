@@ -17,6 +17,7 @@ from scipy.stats import norm, poisson
 
 from tapetum.bench import ProbeSensor, Scene, load_scene
 from tapetum.errors import InputError
+from tapetum.optics.grid import lens_numbers
 from tapetum.simulate import information as module
 from tapetum.simulate.exposure import digitise, gain_of
 from tapetum.simulate.information import PARAMETERS, FisherInformation, expected_electrons, fisher, true_values
@@ -414,14 +415,20 @@ def test_scenes_of_all_kinds(kind: str) -> None:
     assert float(found.information[1, 1]) == pytest.approx(float(want), rel=1e-2)
 
 
-def test_scattered_light_tells_of_the_power_alone() -> None:
+def test_scattered_light_tells_of_the_power_and_of_the_tilts_cosine() -> None:
     scene = bench("target.sensor.diffuse={albedo: 0.5}", "target.sensor.reflectance=0", "illumination.power=0.5")
     found = fisher(scene, ("gaze_x", "power"))
-    assert found.alone["gaze_x"] == math.inf
     mean = mean_of(scene)
     light = mean - scene.probe.sensor.background
+    # It goes by cos²θ = 1/(1 + t²), t = gaze × field/z.
+    sensor, z = scene.target.sensor, lens_numbers(scene.target.lens.focal_length, scene.target.object_distance)[0]
+    gaze = true_values(scene, ("gaze_x", "gaze_y"))
+    across, down = (value * side * sensor.pitch / z for value, side in zip(gaze.values(), sensor.pixels, strict=True))
+    slope = 2 * across * sensor.pixels[0] * sensor.pitch / z / (1 + across**2 + down**2)
+    told = float((light**2 / (mean + noise_variance(scene.probe.sensor))).sum().sqrt())
+    assert found.alone["gaze_x"] == pytest.approx(1 / (slope * told), rel=1e-3)
     want = float(0.5 / (light**2 / (mean + noise_variance(scene.probe.sensor))).sum().sqrt())
-    assert found.bounds["power"] == pytest.approx(want, rel=1e-4)
+    assert found.alone["power"] == pytest.approx(want, rel=1e-4)
 
 
 @pytest.mark.parametrize(

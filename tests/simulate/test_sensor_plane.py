@@ -69,7 +69,7 @@ def by_samples(
 
 def widest(g: DoublePassGeometry) -> float:
     """Orders whose light still finds the aperture, diffraction included."""
-    return 1.35 * (g.return_radius + g.radius) / g.image_distance + 2 * g.sine
+    return 1.35 * (g.return_radius + g.radius) / g.image_distance + 2 * g.tangent
 
 
 # Array, microlens, pixels of the sensor, f, r, x_d, tilt, and what is special about it.
@@ -101,7 +101,7 @@ def test_orders_agree_with_the_sampled_array(validated: Validated, case: str) ->
     got = by_orders(g, output, orders).field(sines)[0]
     want = by_samples(g, output, one, one.pitch / 5).field(sines)[0]
     # The grids leave out the mirror's own phase, the same for all orders.
-    got = got * cmath.exp(-1j * K * g.image_distance * (tilt[0] ** 2 + tilt[1] ** 2))
+    got = got * cmath.exp(-1j * K * g.image_distance * math.tan(math.asin(math.hypot(*tilt))) ** 2)
     peak = float(want.abs().max())
     lengths = f"p = 30 um, f = {focal * 1e3:g} mm, r = {radius * 1e3:g} mm, x_d = {distance:g} m"
     what = f"{case}, {lengths}, {len(orders)} orders"

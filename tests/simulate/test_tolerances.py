@@ -48,7 +48,7 @@ def by_orders(sensor: TargetSensor, tilt: torch.Tensor) -> torch.Tensor:
     """Complex field on the probe, without the mirror's own phase, which the grids leave out."""
     turn = math.hypot(*sensor.tilt)
     g = geometry(float(tilt.norm()) + turn)
-    widest = 1.35 * (g.return_radius + g.radius) / g.image_distance + 2 * g.sine
+    widest = 1.35 * (g.return_radius + g.radius) / g.image_distance + 2 * g.tangent
     z = torch.tensor(g.image_distance, dtype=torch.float64)
     (surfaces,) = specular_groups(scene_of(sensor), WAVELENGTH, z, widest)
     plan = plan_round(g, 1e-3, pixels=OUTPUT.rows * OUTPUT.columns)
@@ -56,7 +56,7 @@ def by_orders(sensor: TargetSensor, tilt: torch.Tensor) -> torch.Tensor:
     if len(surfaces[0].orders) == 1:
         # One order alone keeps no phase of its own.
         return field
-    return field * phasor(-K * z * (tilt**2).sum())
+    return field * phasor(-K * z * (tilt**2).sum() / (1 - (tilt**2).sum()))
 
 
 def by_samples(mask: Mask, tilt: torch.Tensor, turn: float, finest: float) -> torch.Tensor:

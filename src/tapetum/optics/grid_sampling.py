@@ -161,7 +161,7 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     # a window that comes near that bound is better taken beyond it, whole, and then cuts off nothing.
     # A mask's detail turns the light by `spread` at the lens.
     spread = 0.0 if finest is None else g.wavelength * g.image_distance / finest
-    bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.sine) + 4 * g.airy_step + spread / 2
+    bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.tangent) + 4 * g.airy_step + spread / 2
     # With a mask that costs too much, so near the bound.
     if half > (_NEAR_BOUND if finest is None else 1.3) * bound:
         half, flat = 1.3 * bound, bound
@@ -175,7 +175,7 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
     # Light that entered at x and met the sensor at v comes back at 2v - x: the diffracted tail, too, must not be folded
     # into the accepting pupil by the period that the sensor's samples impose.
-    reach = 2 * (half + g.radius + g.image_distance * g.sine) + spread
+    reach = 2 * (half + g.radius + g.image_distance * g.tangent) + spread
     step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
     if finest is not None:
         step = min(step, finest / effort.details)
@@ -192,7 +192,7 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
 
 def _width_on_return(g: DoublePassGeometry) -> float:
     """Half-widths of the returning and of the accepting pupil and their offset: what one period must hold."""
-    return g.return_radius + g.radius + 2 * g.image_distance * g.sine
+    return g.return_radius + g.radius + 2 * g.image_distance * g.tangent
 
 
 def _forced(

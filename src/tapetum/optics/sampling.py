@@ -61,6 +61,11 @@ class DoublePassGeometry:
     curvature: float = 0.0
 
     @property
+    def tangent(self) -> float:
+        """Tangent of the largest tilt: slopes behind the lens go by it."""
+        return self.sine / math.sqrt(1 - self.sine**2)
+
+    @property
     def spot_radius(self) -> float:
         """Geometric radius of the light on the target's sensor."""
         return self.radius * abs(1 - self.image_distance * (1 / self.focal_length - self.curvature))
@@ -79,7 +84,7 @@ class DoublePassGeometry:
     @property
     def returning(self) -> float:
         """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
-        return disc_overlap(self.return_radius, self.radius, 2 * self.image_distance * self.sine)
+        return disc_overlap(self.return_radius, self.radius, 2 * self.image_distance * self.tangent)
 
     @property
     def exit_angle(self) -> float:
@@ -200,7 +205,7 @@ def plan_round(
     pixels
         Pixels of the wanted image, for the memory it takes.
     orders
-        Half the largest direction sine of the diffraction orders: they return light past the mirror's cut-off.
+        Half the largest slope of the diffraction orders: they return light past the mirror's cut-off.
 
     Raises
     ------
@@ -218,7 +223,7 @@ def plan_round(
     plan = plan_round_with(geometry, effort)
     if orders and math.isinf(plan.expected_error) and geometry.sine:
         # Some order comes back nearly as if head on: the claim is the mirror's at that tilt.
-        nearest = replace(geometry, sine=max(geometry.sine - orders, 0.0))
+        nearest = replace(geometry, sine=math.sin(math.atan(max(geometry.tangent - orders, 0.0))))
         plan = replace(plan, expected_error=plan_round_with(nearest, effort).expected_error)
     if pupil_samples is not None:
         plan = _forced(plan, geometry, pupil_samples)
@@ -359,7 +364,7 @@ def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) 
     geometry, plan
         Of the pass.
     steepest
-        Sine of the steepest tilt, orders of a grating included.
+        Tangent of the steepest tilt, and half the steepest order's direction.
 
     Raises
     ------

@@ -298,7 +298,7 @@ def _returned(
     rays = return_radius_by_rays(g.radius, g.focal_length, g.image_distance, g.curvature, distance)
     # The light that leaves, as a disc of the same area. Light that the target brings to a focus in its own lens is as
     # wide there as diffraction makes it.
-    lit = disc_overlap(g.radius, g.return_radius, 2 * g.image_distance * g.sine)
+    lit = disc_overlap(g.radius, g.return_radius, 2 * g.image_distance * g.tangent)
     out = max(g.radius * math.sqrt(lit), min(g.radius, g.wavelength * g.image_distance / g.radius)) if share else 0.0
     leaving = math.pi * out**2
     rays_out = rays * out / max(min(g.radius, g.return_radius), out)

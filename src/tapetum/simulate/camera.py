@@ -25,6 +25,7 @@ from tapetum.optics.sampling import (
 )
 from tapetum.simulate.diffuse import DiffuseProfile, corner, diffuse_profile
 from tapetum.simulate.double_pass import DoublePass
+from tapetum.simulate.foreshortening import cosines, off_axis
 from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
 from tapetum.simulate.radiometry import (
@@ -180,7 +181,7 @@ class Camera:
     def _geometry(self, wavelength: float, steepest: float) -> DoublePassGeometry:
         f, z = float(self._focal_at(wavelength).detach()), float(self._z.detach())
         spread = max(math.hypot(x, y) for x, y, _ in self._directions)
-        return scene_geometry(self.scene, steepest + spread, f, z, self.output, wavelength, spread)
+        return scene_geometry(self.scene, steepest, f, z, self.output, wavelength, spread)
 
     def _line(self, wavelength: float, watts: float, steepest: float) -> _Line:
         scene, geometry = self.scene, self._geometry(wavelength, steepest)
@@ -188,7 +189,7 @@ class Camera:
         if self._lens is not None:
             return self._traced_line(self._lens, wavelength, watts, geometry)
         # Beyond this a diffraction order finds no way out of the lens again.
-        widest = 2 * (geometry.return_radius + radius) / geometry.image_distance + 2 * geometry.sine
+        widest = 2 * (geometry.return_radius + radius) / geometry.image_distance + 2 * geometry.tangent
         focal = self._focal_at(wavelength)
         curvature = self._curvature()
         passes: list[Pass] = []
@@ -208,7 +209,7 @@ class Camera:
                 pixels=self.output.rows * self.output.columns,
                 orders=tilt,
             )
-            check_table(at, plan, at.sine + tilt)
+            check_table(at, plan, at.tangent + tilt)
             if distance is not None:
                 check_aperture(at, plan, float(distance.detach()), scene.probe.lens.aperture_radius)
             self._plans.append(plan)
@@ -347,7 +348,7 @@ class Camera:
                 angle = torch.tensor((x + dx, y + dy), dtype=torch.float64, device=sines.device)
                 # It meets the target steeper by its angle, and comes back along its own direction.
                 place = centres.to(angle) - focal * torch.tan(angle)
-                found.append((sines + torch.sin(angle), place, ratio * share))
+                found.append((off_axis(sines.to(angle), angle), place, ratio * share))
         return found
 
     def render(
@@ -365,8 +366,10 @@ class Camera:
                 part = weight.to(image.dtype) * image
                 total = part if total is None else total + part
             for scatterer in line.scatterers:
-                part = weight * self._scattered(line, scatterer, centres)
-                total = part.expand(len(sines), -1, -1) if total is None else total + part.to(total.dtype)
+                # The spot's light and what the lens sends of it go by the width that the tilted lens shows the probe.
+                seen = cosines(sines)[:, None, None].to(self._device) ** 2
+                part = weight * seen * self._scattered(line, scatterer, centres)
+                total = part if total is None else total + part.to(total.dtype)
             if line.glints is not None:
                 part = weight * line.glints(sines, None if middle else centres).to(self._device)
                 total = part if total is None else total + part.to(total.dtype)
@@ -375,7 +378,7 @@ class Camera:
         return total
 
     def _scattered(self, line: _Line, scatterer: Scatterer, centres: torch.Tensor) -> torch.Tensor:
-        """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target: no gaze changes it."""
+        """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target, head on."""
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]
@@ -454,7 +457,7 @@ def scene_geometry(
     wavelength: float | None = None,
     spread: float = 0.0,
 ) -> DoublePassGeometry:
-    """The lengths of a scene that decide its sampling; `spread` is the source's half angle."""
+    """The lengths of a scene that decide its sampling; `steepest` is a sine, `spread` the source's half angle."""
     second = scene.illumination.second_beam
     probe_f = scene.probe.lens.focal_length
     offset = math.hypot(*second.angle) if second is not None else 0.0
@@ -464,8 +467,8 @@ def scene_geometry(
         focal_length=focal_length,
         image_distance=image_distance,
         probe_focal_length=probe_f,
-        window=math.hypot(output.width, output.height) / 2 + probe_f * (offset + spread),
-        sine=steepest + offset,
+        window=math.hypot(output.width, output.height) / 2 + probe_f * math.tan(offset + spread),
+        sine=math.sin(math.asin(steepest) + offset + spread),
         curvature=illumination_curvature(scene),
     )
 

@@ -5,12 +5,12 @@ The slower engine, for any sensor plane. `RoundPass` computes mirrors and gratin
 The quadratic phases of lens and free space are taken out before anything is sampled; what is left is the defocus
 and a tilt (paper, equations 1 to 6, in the form of docs/conventions.md, "The double pass"):
 
-    G(v)  = 1/(iλz) ∫ P(x) exp(iφ_in(x)) exp(-ik x·v/z) d²x            the spot, seen from its own centre u0 = z s
+    G(v)  = 1/(iλz) ∫ P(x) exp(iφ_in(x)) exp(-ik x·v/z) d²x            the spot, seen from its own centre u0 = z t
     U3(x) = 1/(iλz) ∫ Arr G(v) exp(ik|v|²/z) exp(-ik (x - 2u0)·v/z) d²v
-    U5(q) = 1/(iλf_p) ∫ P(x) exp(iφ_out(x)) U3(x) exp(-ik x·Mq/f_p) d²x
+    U5(q) = cosθ/(iλf_p) ∫ P(x) exp(iφ_out(x)) U3(x) exp(-ik x·Mq/f_p) d²x
 
 G does not depend on the gaze, so one instance serves a whole sweep; Arr is the sensor's reflectance where the gaze puts
-the spot, at u0 + v. M foreshortens the probe's picture by the cosine of the tilt along the tilt.
+the spot, at u0 + v; t are the tilt's tangents. M foreshortens the probe's picture by the cosine of the tilt along it.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.grid_sampling import SamplingPlan
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.sampling import DoublePassGeometry
-from tapetum.simulate.foreshortening import foreshortening, foreshortens, twisted
+from tapetum.simulate.foreshortening import cosines, foreshortening, foreshortens, tangents, twisted
 
 __all__ = ["DoublePass"]
 
@@ -129,19 +129,21 @@ class DoublePass:
         sines = sines.to(self.device, torch.float64)
         # A mirror may turn with the pupil, a mask may not.
         turned = self._mask is None and foreshortens(self, sines)
-        offset = 2 * self._k * (twisted(sines, sines) if turned else sines)
+        slopes = tangents(sines)
+        offset = 2 * self._k * (twisted(slopes, sines) if turned else slopes)
         column = phasor(offset[:, 0, None, None] * self._v[None, None, :]).to(self.dtype)
         row = phasor(offset[:, 1, None, None] * self._v[None, :, None]).to(self.dtype)
         returned = self._spot * column * row
         if self._mask is not None:
-            places = self._z * sines[:, :, None] + self._v
+            places = self._z * slopes[:, :, None] + self._v
             returned = returned * self._mask(places[:, 0], places[:, 1]).to(self.dtype)
-        return self._to_pupil(returned) * self._exit
+        return self._to_pupil(returned) * self._exit * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
         sines = sines.to(self.device, torch.float64)
-        pupil = self.exit_pupil(sines)
+        # What a tilted pupil sends spreads over a foreshortened picture.
+        pupil = self.exit_pupil(sines) * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
         if centres is not None:
             shift = self._kappa * centres.to(self.device, torch.float64)
             column = phasor(shift[:, 0, None, None] * self._x[None, None, :]).to(self.dtype)

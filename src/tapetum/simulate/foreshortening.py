@@ -9,7 +9,7 @@ import torch
 
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["Tilted", "foreshortening", "foreshortens", "twisted"]
+__all__ = ["Tilted", "cosines", "foreshortening", "foreshortens", "off_axis", "tangents", "twisted"]
 
 
 class _Plan(Protocol):
@@ -26,6 +26,30 @@ class Tilted(Protocol):
     def plan(self) -> _Plan: ...
 
 
+def cosines(sines: torch.Tensor) -> torch.Tensor:
+    """Cosine [B] of the angle between the laser and the lens's axis, for tilts [B, 2]."""
+    return torch.sqrt(1 - (sines**2).sum(-1))
+
+
+def tangents(sines: torch.Tensor) -> torch.Tensor:
+    """Slopes [B, 2] behind a lens without distortion: light of the tilt s [B, 2] is aimed at z s/cosθ."""
+    return sines / cosines(sines)[:, None]
+
+
+def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
+    """Sines [B, 2] of light that comes `angles` [2], in radians along x and y, beside the light of the tilts [B, 2].
+
+    The angles are the probe's, whose picture is upright where the lens looks at it: the rotation that brings the lens's
+    axis onto the laser, and turns nothing about it, takes them to the lens.
+    """
+    slopes = torch.tan(angles)
+    along = 1 / torch.sqrt(1 + slopes.square().sum())
+    across = slopes * along
+    # M a + s a_z, with M of `foreshortening`.
+    share = (sines * across).sum(-1, keepdim=True) / (1 + cosines(sines)[:, None])
+    return across + sines * (along - share)
+
+
 def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
     """Whether the cosine of the tilt moves anything in the picture by more than the plan's error allows."""
     if sines.requires_grad:
@@ -39,9 +63,8 @@ def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
 
 def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Rotation R and lower triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
-    square = (sines**2).sum(-1)
     # (1 - cosθ)/sin²θ = 1/(1 + cosθ): no division by zero at zero tilt.
-    scale = 1 / (1 + torch.sqrt(1 - square))
+    scale = 1 / (1 + cosines(sines))
     eye = torch.eye(2, dtype=sines.dtype, device=sines.device)
     m = eye - scale[:, None, None] * sines[:, :, None] * sines[:, None, :]
     length = torch.sqrt(m[:, 0, 1] ** 2 + m[:, 1, 1] ** 2)

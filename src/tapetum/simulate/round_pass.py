@@ -1,14 +1,14 @@
 """The double pass of a round lens before plane mirrors, gratings included: the fast way.
 
 Light that enters a round aperture, meets a plane mirror and comes back to the lens is a round field F about a point
-that the tilt s displaces (docs/conventions.md, "The round pass"):
+that the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sines s and its tangents t = s/cosθ:
 
-    U3'(x) = P(x) exp(ik x²(1/z - 1/f)/2) exp(ikz s²) F(|x - 2z s|)
-    U5(q)  = 1/(iλf_p) ∫ U3'(x) exp(-ik x·Mq/f_p) d²x
+    U3'(x) = √cosθ P(x) exp(ik x²(1/z - 1/f)/2) exp(ikz t²) F(|x - 2z t|)
+    U5(q)  = √cosθ/(iλf_p) ∫ U3'(x) exp(-ik x·Mq/f_p) d²x
 
 F is tabulated once for all gazes; a gaze costs a look-up for each sample of the pupil and one transform onto the
-probe's pixels. A grating's order m of direction τ = mλ/p returns what the mirror would return from the tilt s + τ/2,
-and every plane has its own z, so pixel arrays and layers are sums of such terms.
+probe's pixels. A grating's order m of direction τ = mλ/p returns what the mirror would return from the tangents
+t + τ/2, and every plane has its own z, so pixel arrays and layers are sums of such terms.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import DiscRows
 from tapetum.optics.radial import RadialTable, returning_field
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
-from tapetum.simulate.foreshortening import foreshortens, twisted
+from tapetum.simulate.foreshortening import cosines, foreshortens, tangents, twisted
 from tapetum.simulate.probe_path import ProbePath
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
@@ -207,7 +207,7 @@ class RoundPass:
             device=self.device,
         )
         directions = [math.hypot(*order.direction) for one in surfaces for order in one.orders]
-        self._steepest = geometry.sine + max(directions, default=0.0) / 2
+        self._steepest = geometry.tangent + max(directions, default=0.0) / 2
         # One plane mirror needs no phase of its own: nothing interferes with it.
         self._interferes = sum(len(one.orders) for one in surfaces) > 1
         self._lit: torch.Tensor | None = None
@@ -283,7 +283,10 @@ class RoundPass:
         return torch.cat(parts) if len(parts) != 1 else parts[0]
 
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights."""
+        """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights.
+
+        Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the light that comes.
+        """
         sines = sines.to(self.device, torch.float64)
         weights = self._disc.weights(slice(0, self.plan.rows)) * self._values["radius"] ** 2
         rho_squared = self._x[None, :] ** 2 + self._y[:, None] ** 2
@@ -291,7 +294,7 @@ class RoundPass:
         inside = weights != 0
         field = self._pupil(sines, slice(0, self.plan.rows), False)
         field = torch.where(inside, field / torch.where(inside, known, torch.ones_like(known)).to(self.dtype), 0)
-        return field, self._x, self._y, weights
+        return field * torch.sqrt(cosines(sines))[:, None, None].to(self._real), self._x, self._y, weights
 
     def _field(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         twist = foreshortens(self, sines)
@@ -306,6 +309,8 @@ class RoundPass:
             part = self._path.gather(self._pupil(sines, rows, twist), rows, sines if twist else None, centres)
             gathered = part if gathered is None else gathered + part
         assert gathered is not None
+        # The tilted lens takes in cosθ of what falls on it, and what it sends spreads over a foreshortened picture.
+        gathered = gathered * cosines(sines)[:, None, None].to(self._real)
         return self._path.to_image(gathered, centres)
 
     def _check_graph(self, batch: int) -> None:
@@ -322,16 +327,17 @@ class RoundPass:
     def _pupil(self, sines: torch.Tensor, rows: slice, twist: bool) -> torch.Tensor:
         """Rows of the field that leaves the lens, with weights and constants: [B, rows, columns]."""
         total: torch.Tensor | None = None
+        slopes = tangents(sines)
         for one in self._surfaces:
             of_orders: torch.Tensor | None = None
             for order in one.orders:
                 tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
-                seen = sines + tau / 2
+                seen = slopes + tau / 2
                 value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
-                amplitude = order.at(one.z * sines)
+                amplitude = order.at(one.z * slopes)
                 if self._interferes:
-                    # The mirror's own phase k z s², and the order's: k z (s + τ/2)² - k z τ²/4.
-                    phase = self._k * one.z * ((sines**2).sum(-1) + (sines * tau).sum(-1)) + one.phase
+                    # The mirror's own phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
+                    phase = self._k * one.z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
                     value = value * (phasor(phase) * amplitude).to(self.dtype)[:, None, None]
                 elif isinstance(amplitude, torch.Tensor):
                     value = value * amplitude.to(self.dtype)[:, None, None]
@@ -347,7 +353,7 @@ class RoundPass:
         return total
 
     def _looked_up(self, one: _Prepared, seen: torch.Tensor, rows: slice) -> torch.Tensor:
-        """F(|x - 2z s|) at the pupil's samples, [B, rows, columns]."""
+        """F(|x - 2z t|) at the pupil's samples, [B, rows, columns], for the tangents seen [B, 2]."""
         offset = 2 * one.z * seen
         across = ((self._x[None, :] - offset[:, 0:1]) / one.table.step) ** 2
         down = ((self._y[None, rows] - offset[:, 1:2]) / one.table.step) ** 2

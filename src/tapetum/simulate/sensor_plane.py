@@ -69,9 +69,9 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     wavelength
         In metres.
     widest
-        Largest direction sine wanted. The rays of orders within (r_out + r)/z + 2 sinθ find the aperture again, r_out
-        being the returning light's radius at the lens; orders beyond it still diffract into it, a few 1e-3 of the peak
-        where many overlap. Take a third more, or twice the first term.
+        Largest direction wanted, as a slope. The rays of orders within (r_out + r)/z + 2 tanθ find the aperture again,
+        r_out being the returning light's radius at the lens; orders beyond it still diffract into it, a few 1e-3 of the
+        peak where many overlap. Take a third more, or twice the first term.
 
     Returns
     -------
