@@ -41,7 +41,7 @@ def test_the_last_fifth_of_every_video_tests(film, tmp_path: Path):
     two = [film("a.rec"), film("b.rec", frames=10, seed=1)]
     dataset = open_dataset(build_dataset(two, tmp_path / "set.zarr", side=16))
     assert dataset["split"].values.tolist() == [0] * 16 + [1] * 4 + [0] * 8 + [1] * 2
-    assert dataset["split"].attrs["flag_meanings"] == "train test"
+    assert dataset["split"].attrs["flag_meanings"] == "train test embargo"
     assert dataset.tp.train["frame_index"].values.tolist() == [*range(16), *range(8)]
     assert dataset.tp.test["recording"].values.tolist() == [0] * 4 + [1] * 2
     assert [r["name"] for r in dataset.tp.recordings] == ["a.rec", "b.rec"]

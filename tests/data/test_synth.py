@@ -13,6 +13,7 @@ from synth_plans import digest, little_plan, little_scene
 
 from tapetum.data import build_dataset, content_hash, open_dataset
 from tapetum.data.build import Rules
+from tapetum.data.dataset import EMBARGO, TEST, TRAIN
 from tapetum.data.synth import Plan, focusing_plan, synthesise
 from tapetum.data.synth.plan import PIECE
 from tapetum.data.synth.work import make_part, shot_of
@@ -77,7 +78,11 @@ def test_the_last_fifth_of_every_video_tests(whole: Path):
         own = dataset.isel(frame=np.flatnonzero(dataset["recording"].values == number))
         index = own["frame_index"].values
         assert (np.diff(index) > 0).all()
-        np.testing.assert_array_equal(own["split"].values, (index >= 0.8 * one["frames"]).astype(int))
+        split = own["split"].values
+        np.testing.assert_array_equal(split == TRAIN, index < 0.8 * one["frames"])
+        # Labels reach over five target frames or so.
+        assert 1 <= (split == EMBARGO).sum() == one["embargo"] <= 7
+        assert index[split == EMBARGO].max() < index[split == TEST].min()
 
 
 def test_parts_give_what_the_whole_recording_gives(whole: Path, tmp_path: Path):

@@ -175,7 +175,8 @@ def test_labels_follow_the_laser(tmp_path: Path) -> None:
     assert seen == ["finding the laser 47"]
     labels = recording.labels()
     assert labels is not None
-    assert labels.column_names == ["frame", "gaze_x", "gaze_y", "spot_x", "spot_y", "how", "quality"]
+    names = ["frame", "gaze_x", "gaze_y", "spot_x", "spot_y", "how", "quality", "reach_back", "reach_ahead"]
+    assert labels.column_names == names
     assert labels["frame"].to_pylist() == list(range(45)) and set(labels["how"].to_pylist()) == {"laser-spot"}
     spot = np.array([labels["spot_x"].to_numpy(), labels["spot_y"].to_numpy()]).T
     truth = path_of(np.arange(45) / 15)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -37,11 +37,20 @@ def build(
     test_fraction: Annotated[
         float, typer.Option(metavar="SHARE", help="Of every video, at its end, that tests.", min=0, max=1)
     ] = 0.2,
+    embargo: Annotated[
+        float,
+        typer.Option(
+            metavar="S",
+            help="Least seconds between training and test frames, for labels smoothed further than the recording says.",
+            min=0,
+        ),
+    ] = 0.0,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dataset of this name.")] = False,
 ) -> None:
     """Cut a centred square out of every labelled frame; the end of every video tests.
 
-    Recordings that have no labels yet get them first, from the laser in the target's video.
+    Recordings that have no labels yet get them first, from the laser in the target's video. Frames whose labels share a
+    measurement with a training frame's do not test: they lie in an embargo between the two parts.
     """
     check_replaceable(out, overwrite, "zarr.json", "tapetum-dataset")
     from tapetum.data import build_dataset, open_dataset
@@ -51,7 +60,8 @@ def build(
         recording = open_recording(path)
         if recording.labels() is None and {"probe", "target"} <= set(recording.streams):
             label_recording(recording, bar)
-    build_dataset(recordings, out, side=side, test_fraction=test_fraction, progress=bar, overwrite=overwrite)
+    how: dict[str, Any] = {"side": side, "test_fraction": test_fraction, "embargo": embargo}
+    build_dataset(recordings, out, **how, progress=bar, overwrite=overwrite)
     dataset = open_dataset(out)
     typer.echo(f"{out}: {dataset.tp.train.sizes['frame']} to train on, {dataset.tp.test.sizes['frame']} to test")
 

@@ -48,6 +48,8 @@ def _plain(value: Any) -> Any:
 def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[Leak]) -> Iterator[str]:
     """Yield what a person reads."""
     split = f"{quality.train} to train on, {quality.test} to test"
+    if quality.embargo:
+        split += f", {quality.embargo} between them to neither"
     yield f"{path}: {quality.frames} crops of {quality.side} px: {split}"
     for name, label in quality.labels.items():
         if name == "device" and quality.classes:

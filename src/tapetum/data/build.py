@@ -20,6 +20,7 @@ from tapetum.data.content import DIGEST, hash_of, image_digests
 from tapetum.data.crop import CENTRING, SIGMA, crop, find_centre, find_peak
 from tapetum.data.dataset import (
     DEVICE,
+    EMBARGO,
     FORMAT,
     QUANTITIES,
     TEST,
@@ -29,9 +30,11 @@ from tapetum.data.dataset import (
     class_variable,
     split_variable,
 )
+from tapetum.data.embargo import embargoed
 from tapetum.errors import InputError
 from tapetum.files import atomic_folder
 from tapetum.progress import Progress, quiet
+from tapetum.record.clocks import join
 from tapetum.record.recording import Recording, open_recording
 
 __all__ = ["CHUNK", "build_dataset"]
@@ -49,7 +52,8 @@ class Labels:
     """The labels of one recording by probe frame."""
 
     names: tuple[str, ...]
-    by_frame: dict[int, tuple[NDArray[np.float32], float]]  # values in the order of names, quality
+    # Values in the order of names, quality, and how far the label reaches back and ahead of the frame, in seconds.
+    by_frame: dict[int, tuple[NDArray[np.float32], float, NDArray[np.float64]]]
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,7 @@ class Rules:
     min_snr: float = 6.0
     sigma: float = SIGMA
     centring: str = CENTRING
+    embargo: float = 0.0
 
 
 @dataclass
@@ -163,8 +168,23 @@ def labels_of(recording: Recording, classes: list[str]) -> Labels:
         quality = table.column("quality").to_numpy(zero_copy_only=False).astype(np.float64)
     # A null is a NaN here: no label.
     good = np.isfinite(values).all(axis=1) & np.isfinite(quality)
-    rows = zip(frames[good], values[good], quality[good], strict=True)
-    return Labels(names, {int(f): (v, float(q)) for f, v, q in rows})
+    rows = zip(frames[good], values[good], quality[good], _reach(recording, table)[good], strict=True)
+    return Labels(names, {int(f): (v, float(q), r) for f, v, q, r in rows})
+
+
+def _reach(recording: Recording, table: pa.Table) -> NDArray[np.float64]:
+    """How far each label reaches back and ahead of its frame, [N, 2] in seconds; 0 where nothing says so."""
+    frames = table.column("frame").to_numpy()
+    reach = np.zeros((len(frames), 2))
+    if {"reach_back", "reach_ahead"} <= set(table.column_names):
+        ends = (table.column(name).to_numpy(zero_copy_only=False) for name in ("reach_back", "reach_ahead"))
+        reach = np.stack(list(ends), axis=1).astype(np.float64)
+    elif "how" in table.column_names and "target" in recording.streams:
+        # Labels older than these columns: the same join says it again.
+        spots = np.array([how == "laser-spot" for how in table.column("how").to_pylist()], bool)
+        inside = spots & (frames < len(joined := join(recording)))
+        reach[inside] = joined.reach()[frames[inside]]
+    return np.nan_to_num(reach)
 
 
 def _checked(recordings: Sequence[str | os.PathLike[str]], rules: Rules) -> list[Recording]:
@@ -201,6 +221,7 @@ def build_dataset(
     min_quality: float = 0.5,
     min_snr: float = 6.0,
     sigma: float = SIGMA,
+    embargo: float = 0.0,
     progress: Progress = quiet,
     overwrite: bool = False,
 ) -> Path:
@@ -208,7 +229,9 @@ def build_dataset(
 
     Every probe frame with a good label and a visible RR gives one crop, centred by our reading of the paper: on the
     brightest point of the smoothed frame, or of what has fine structure where a lit room is brighter (`find_centre`).
-    The first part of every video trains and the last part tests (paper, section 5), by place in the video.
+    The first part of every video trains and the last part tests (paper, section 5), by place in the video. Between them
+    lies an embargo: the first frames of the last part whose labels share a measurement with a training frame's
+    (`tapetum.data.embargo`) belong to neither.
 
     Parameters
     ----------
@@ -226,6 +249,8 @@ def build_dataset(
         Frames whose brightest point stands less than this over the noise of the smoothed frame are left out.
     sigma
         Standard deviation in pixels of the smoothing that finds the centre.
+    embargo
+        Least seconds between training and test frames, for labels that were smoothed further than the recording says.
     progress
         Shown over the frames of each recording.
     overwrite
@@ -243,7 +268,7 @@ def build_dataset(
         When no recording is given, one has no labels, depths or labelled quantities differ, or nothing (or
         nothing for one of the two parts) is left. Nothing is written then.
     """
-    rules = Rules(side, test_fraction, min_quality, min_snr, sigma)
+    rules = Rules(side, test_fraction, min_quality, min_snr, sigma, embargo=embargo)
     opened = _checked(recordings, rules)
     classes = _classes(opened)
     labels = [labels_of(recording, classes) for recording in opened]
@@ -287,6 +312,7 @@ def finish(
         When nothing, or nothing for one of the two parts, was kept.
     """
     images.flush()
+    _set_embargo(kept, told)
     _check_parts(kept, told, rules.test_fraction)
     variables = _write_columns(group, kept, names, classes)
     digests = np.concatenate(images.digests)
@@ -332,7 +358,8 @@ def add_frames(
         if label is None:
             left_out["no label"] += 1
             continue
-        values, quality = label
+        values, quality, reach = label
+        back, ahead = np.maximum(reach, rules.embargo / 2)
         if quality < rules.min_quality:
             left_out["poor label"] += 1
             continue
@@ -354,6 +381,8 @@ def add_frames(
             time=frame.time,
             frame_index=frame.index,
             split=TRAIN if frame.index < first_test else TEST,
+            label_back=float(back),
+            label_ahead=float(ahead),
         )
         used += 1
     return {
@@ -365,6 +394,20 @@ def add_frames(
     }
 
 
+def _set_embargo(kept: Kept, told: list[dict[str, Any]]) -> None:
+    """Take out of the test part what shares measurements with the training part, and count it."""
+    if not kept.columns:
+        return
+    time, back, ahead, recording = (
+        np.asarray(kept.columns[n]) for n in ("time", "label_back", "label_ahead", "recording")
+    )
+    split = np.asarray(kept.columns["split"], np.int8)
+    split = embargoed(split, recording, np.stack([time - back, time + ahead], axis=1))
+    kept.columns["split"] = split.tolist()
+    for number, line in enumerate(told):
+        line["embargo"] = int(np.count_nonzero((recording == number) & (split == EMBARGO)))
+
+
 def _check_parts(kept: Kept, told: list[dict[str, Any]], test_fraction: float) -> None:
     split = kept.columns.get("split", [])
     why = "; ".join(
@@ -373,9 +416,11 @@ def _check_parts(kept: Kept, told: list[dict[str, Any]], test_fraction: float) -
     if not split:
         remedy = "check the labels and that the probe sees the target, or lower min_snr and min_quality"
         raise InputError(f"no frame has both a good label and a visible RR ({why})", where="recordings", remedy=remedy)
-    if 0 < test_fraction < 1 and len(set(split)) < 2:
+    if 0 < test_fraction < 1 and not {TRAIN, TEST} <= set(split):
         part = "test" if TEST not in split else "train"
         remedy = "record longer, or set test_fraction to 0 or 1"
+        if EMBARGO in split:
+            why += f"; {split.count(EMBARGO)} share measurements of their labels with training frames"
         raise InputError(f"no frame is left to {part} with ({why})", where="recordings", remedy=remedy)
 
 
@@ -387,6 +432,8 @@ _COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
     "recording": (np.int32, {"long_name": "number in the attribute recordings"}),
     "time": (np.float64, {"units": "s", "long_name": "time since the first frame of the recording"}),
     "frame_index": (np.int64, {"long_name": "number of the frame in the probe's video"}),
+    "label_back": (np.float32, {"units": "s", "long_name": "how far the label reaches back of the frame"}),
+    "label_ahead": (np.float32, {"units": "s", "long_name": "how far the label reaches ahead of the frame"}),
 }
 _TRUE: dict[str, tuple[type, dict[str, str]]] = {
     name: (np.float32, {"units": QUANTITIES["gaze_x"], "long_name": "where it really looked, which no label tells"})

@@ -22,6 +22,7 @@ from tapetum.progress import Progress, quiet
 
 __all__ = [
     "DEVICE",
+    "EMBARGO",
     "FORMAT",
     "QUANTITIES",
     "TEST",
@@ -37,7 +38,7 @@ __all__ = [
 ]
 
 FORMAT, VERSION = "tapetum-dataset", 1
-TRAIN, TEST = 0, 1
+TRAIN, TEST, EMBARGO = 0, 1, 2
 
 QUANTITIES = {
     "gaze_x": "fraction of the field of view",
@@ -131,8 +132,9 @@ def _read(array: xr.DataArray, dataset: xr.Dataset) -> NDArray[Any]:
 
 
 def split_variable(split: NDArray[np.int8]) -> xr.Variable:
-    """Return the split as CF flags: 0 train, 1 test."""
-    return xr.Variable(("frame",), split, {"flag_values": [TRAIN, TEST], "flag_meanings": "train test"})
+    """Return the split as CF flags: 0 train, 1 test, 2 embargo (neither)."""
+    flags = {"flag_values": [TRAIN, TEST, EMBARGO], "flag_meanings": "train test embargo"}
+    return xr.Variable(("frame",), split, flags)
 
 
 def class_variable(names: Sequence[str], classes: Sequence[str] | None = None) -> xr.Variable:
@@ -181,7 +183,7 @@ def dataset_from_arrays(
     full_scale
         Largest count of the camera; 255 for uint8 where left out.
     split
-        [N], 0 train or 1 test; all train where left out.
+        [N], 0 train, 1 test or 2 neither; all train where left out.
     recording
         [N], number of the video each image comes from; all 0 where left out.
 
@@ -219,8 +221,14 @@ def dataset_from_arrays(
     zeros = np.zeros(len(array))
     parts = np.asarray(zeros if split is None else split).astype(np.int8)
     videos = np.asarray(zeros if recording is None else recording).astype(np.int32)
-    if parts.shape != (len(array),) or videos.shape != (len(array),) or not np.isin(parts, (TRAIN, TEST)).all():
-        raise InputError(f"expected {len(array)} values, split of 0 (train) or 1 (test)", where="split, recording")
+    if (
+        parts.shape != (len(array),)
+        or videos.shape != (len(array),)
+        or not np.isin(parts, (TRAIN, TEST, EMBARGO)).all()
+    ):
+        raise InputError(
+            f"expected {len(array)} values, split of 0 (train), 1 (test) or 2 (neither)", where="split, recording"
+        )
     return xr.Dataset(
         {
             "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
@@ -249,7 +257,8 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     -------
     xarray.Dataset
         ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels
-        of the frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``split``; see
+        of the frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``label_back``,
+        ``label_ahead`` (s, how far the label reaches from the frame), ``split``; see
         `DatasetAccessor`. Synthesised sets have ``true_gaze_x`` and ``true_gaze_y`` besides.
 
     Raises
@@ -354,7 +363,7 @@ class DatasetAccessor:
 
     @property
     def test(self) -> xr.Dataset:
-        """The frames that models are judged by: by default the last 20 % of every video."""
+        """The frames that models are judged by: by default the last 20 % of every video, less an embargo."""
         return self._part(TEST)
 
     @property

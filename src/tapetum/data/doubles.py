@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tapetum.data.dataset import TEST, TRAIN
 from tapetum.progress import Progress
 
 __all__ = ["CELLS", "NEAR_BITS", "Doubles", "digest", "exact_pairs", "fingerprint", "near_pairs", "summed_up"]
@@ -79,5 +80,5 @@ def near_pairs(prints: NDArray[np.bool_], wanted: NDArray[np.bool_], progress: P
 
 def summed_up(pairs: list[tuple[int, int]], split: NDArray[np.integer]) -> Doubles:
     """Count pairs, and those that stand on both sides of the split."""
-    across = sum(int(split[a] != split[b]) for a, b in pairs)
+    across = sum({int(split[a]), int(split[b])} == {TRAIN, TEST} for a, b in pairs)
     return Doubles(len(pairs), across, tuple(pairs[:_PAIRS_KEPT]))

@@ -9,6 +9,7 @@ source                   what it is, and what a find means
 =======================  =======================================================================================
 position                 where the crop stood in the probe's frame: the target moved as it turned
 time                     time since the recording's first frame: a trend, a motion that repeats
+label smoothing          test labels that share a measurement with a training frame's: `tapetum.data.embargo`
 neighbours in time       the nearest train frame of the same recording: the parts are too close to each other
 store order              number in the store: frames sorted by their label
 neighbours in store      the nearest train frame in the store: sorted, then split at random
@@ -58,6 +59,7 @@ from numpy.typing import NDArray
 from tapetum.data.chance import deals_possible, dealt_blocks, dealt_recordings, shifted, shifts_possible
 from tapetum.data.corners import FALL_OFFS, Corners, read_corners
 from tapetum.data.dataset import TEST, TRAIN
+from tapetum.data.embargo import meeting, reach_of
 from tapetum.data.trivial import linear, nearest, smooth
 from tapetum.progress import Progress, quiet
 
@@ -194,6 +196,8 @@ def _tried(
         why = f"{len(learnt)} frames to learn from and {len(judged)} to judge by are too few"
         yield _untested("anything", label, "split", why)
         return
+    if not label.steady:
+        yield _smoothing(dataset, label, recording, split)
     few = np.intersect1d(learnt, corners.frames), np.intersect1d(judged, corners.frames)
     if label.steady:
         chance = dealt_blocks(recording, split, ROUNDS, rng)
@@ -229,6 +233,17 @@ def _tried(
         quality = np.asarray(dataset["quality"].values, dtype=np.float64)
         yield _verdict("label quality", label, [_scored(label, quality[:, None], inside, smooth)])
     yield from _from_picture(dataset, label, corners, inside, "split")
+
+
+def _smoothing(dataset: xr.Dataset, label: _Label, recording: NDArray[np.integer], split: NDArray[Any]) -> Leak:
+    """Count the test frames whose label shares a measurement with a training frame's: none may."""
+    span = reach_of(dataset)
+    if span is None:
+        why = "the dataset does not say how far its labels reach: build it again"
+        return _untested("label smoothing", label, "split", why)
+    test = split == TEST
+    share = float(meeting(span, recording, test, split == TRAIN)[test].mean())
+    return Leak("label smoothing", label.name, share, 0.0, 0.0, "found" if share else "none")
 
 
 def _other_half(label: _Label, recording: NDArray[np.integer]) -> NDArray[np.int64] | None:

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from tapetum.data.crop import SIGMA, find_peak
-from tapetum.data.dataset import TEST, TRAIN, image_batches
+from tapetum.data.dataset import EMBARGO, TEST, TRAIN, image_batches
 from tapetum.data.doubles import CELLS, Doubles, digest, exact_pairs, fingerprint, near_pairs, summed_up
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
@@ -80,8 +80,8 @@ class DatasetQuality:
 
     Parameters
     ----------
-    frames, train, test
-        Counts.
+    frames, train, test, embargo
+        Counts; embargo: those that neither train nor test.
     side, full_scale
         Pixels along an edge, and the camera's largest count.
     per_recording
@@ -114,6 +114,7 @@ class DatasetQuality:
     frames: int
     train: int
     test: int
+    embargo: int
     side: int
     full_scale: float
     per_recording: tuple[tuple[int, int], ...]
@@ -200,6 +201,7 @@ def inspect_dataset(
         frames=frames,
         train=int(np.count_nonzero(split == TRAIN)),
         test=int(np.count_nonzero(split == TEST)),
+        embargo=int(np.count_nonzero(split == EMBARGO)),
         side=dataset.tp.side,
         full_scale=top,
         per_recording=tuple(_parts(split[recording == number]) for number in numbers),

@@ -13,6 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from tapetum.data.dataset import DEVICE, TRAIN, image_batches
+from tapetum.data.embargo import meeting, reach_of
 from tapetum.errors import InputError
 from tapetum.models.features import as_images
 from tapetum.models.prediction import Prediction
@@ -140,6 +141,7 @@ class TrainingPart:
             "frames": len(self.targets),
             "fitted": len(self.fit),
             "calibrated_on": kept,
+            "embargo": len(self.targets) - len(self.fit) - kept,
             "intervals": "from the last part of every recording's training frames, kept out of the fit"
             if kept
             else "none: every training frame is fitted, as in the paper",
@@ -150,7 +152,8 @@ class TrainingPart:
 def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fraction: float) -> TrainingPart:
     """Take the training frames of a dataset; set the last share of each recording's aside to calibrate with.
 
-    Frames marked for testing are never used, even when the whole dataset is given.
+    Frames before those whose labels share a measurement with theirs (`tapetum.data.embargo`) are neither fitted nor
+    calibrated with. Frames marked for testing are never used, even when the whole dataset is given.
 
     Raises
     ------
@@ -184,7 +187,9 @@ def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fract
     for number in np.unique(recording):
         places = np.flatnonzero(recording == number)
         aside[places[len(places) - round(calibration_fraction * len(places)) :]] = True
-    fit = np.flatnonzero(~aside)
+    span = reach_of(train)
+    shared = meeting(span, recording, ~aside, aside) if span is not None else np.zeros_like(aside)
+    fit = np.flatnonzero(~aside & ~shared)
     if len(fit) < 2:
         raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
     return TrainingPart(train, targets, device, classes, fit, np.flatnonzero(aside), train.tp.full_scale, train.tp.hash)

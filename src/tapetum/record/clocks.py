@@ -69,11 +69,10 @@ class Joined:
         # A neighbour of weight 0 does not count: its NaN must not spread.
         out[there] = np.where(wide > 0, (1 - wide) * given[before] + wide * given[after], given[before])
 
-        inside = (weight > 0) & (before > 0) & (after < len(given) - 1)
+        inside = self._curved(before, after, weight)
         four = np.stack([before - 1, before, after, after + 1])[:, inside]
         times, place = self.times[four], weight[inside]
-        gap = np.diff(times, axis=0)
-        moment = times[1] + place * gap[1]
+        moment = times[1] + place * (times[2] - times[1])
         shares = np.ones_like(times)
         for k in range(4):
             for other in range(4):
@@ -81,8 +80,30 @@ class Joined:
                     shares[k] *= (moment - times[other]) / (times[k] - times[other])
         curve = (shares.reshape(4, -1, *[1] * (given.ndim - 1)) * given[four]).sum(axis=0)
         known = np.isfinite(curve).all(axis=tuple(range(1, curve.ndim)))
-        whole = known & (gap[[0, 2]] <= 2 * gap[1]).all(axis=0)
-        out[np.flatnonzero(there)[inside][whole]] = curve[whole]
+        out[np.flatnonzero(there)[inside][known]] = curve[known]
+        return out
+
+    def _curved(self, before: np.ndarray, after: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Whether the two frames beyond the neighbours count too, [n] bool."""
+        inside = (weight > 0) & (before > 0) & (after < len(self.times) - 1)
+        four = np.stack([before - 1, before, after, after + 1])[:, inside]
+        gap = np.diff(self.times[four], axis=0)
+        inside[inside] = (gap[[0, 2]] <= 2 * gap[1]).all(axis=0)
+        return inside
+
+    def reach(self) -> np.ndarray:
+        """How far `interpolate` reaches back and ahead of each frame, [N, 2] in seconds; NaN without neighbours.
+
+        To the farthest frame of the other stream that has a say, and half a frame interval more for its exposure.
+        """
+        out = np.full((len(self), 2), np.nan)
+        there = self.found
+        before, after, weight = self.before[there], self.after[there], self.weight[there]
+        curved = self._curved(before, after, weight)
+        moment = self.times[before] + weight * (self.times[after] - self.times[before])
+        first, last = before - curved, np.where(weight > 0, after, before) + curved
+        half = np.median(np.diff(self.times)) / 2 if len(self.times) > 1 else 0.0
+        out[there] = np.stack([moment - self.times[first], self.times[last] - moment], axis=1) + half
         return out
 
 

@@ -194,8 +194,9 @@ def label_recording(
     The field of view is the whole target picture: gaze_x = (x - (W - 1) / 2) / W, and so for y with H.
     Between target frames the spot's place is interpolated by `Joined.interpolate`. `labels.parquet` gets a row for
     every probe frame: `frame`, `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how`
-    ("laser-spot") and `quality` (the lesser of both target frames'); gaze and spot are null where there is no
-    good spot or no target frame near.
+    ("laser-spot"), `quality` (the lesser of both target frames'), and `reach_back` and `reach_ahead`, how far from the
+    frame the target frames lie that the label rests on (seconds); gaze and spot are null where there is no good spot or
+    no target frame near.
 
     Parameters
     ----------
@@ -239,6 +240,8 @@ def label_recording(
     both[there] = np.where(sides, np.minimum(first, second), first)
     labelled = np.isfinite(gaze[:, 0])
 
+    reach = joined.reach()
+
     def column(values: np.ndarray) -> pa.Array:
         return pa.array(values, pa.float64(), mask=~labelled)
 
@@ -252,6 +255,8 @@ def label_recording(
                 "spot_y": column(spot[:, 1]),
                 "how": pa.array(["laser-spot"] * len(joined), pa.string()),
                 "quality": pa.array(both, pa.float64()),
+                "reach_back": column(reach[:, 0]),
+                "reach_ahead": column(reach[:, 1]),
             }
         )
     )

@@ -119,6 +119,9 @@ class ImportMapping:
         Largest count of the camera (1 for real numbers from 0 to 1); known for 8 bit pictures and image files.
     test_fraction
         Share of every video, at its end, that tests.
+    embargo
+        Seconds between training and test pictures of one video: as far as the labels of neighbours were smoothed
+        together. Labels of pairs of videos bring their own.
     missing
         What to do with a label that is not a number: `refuse` the import, or `drop` the picture.
     """
@@ -131,6 +134,7 @@ class ImportMapping:
     pad: bool = False
     full_scale: Annotated[int, Field(gt=0)] | None = None
     test_fraction: Share = 0.2
+    embargo: Annotated[float, Field(ge=0), BeforeValidator(lambda value: to_si(value, "s"))] = 0.0
     missing: Literal["refuse", "drop"] = "refuse"
 
     @model_validator(mode="after")

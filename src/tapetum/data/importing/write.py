@@ -191,6 +191,8 @@ def _keep(
             time=float(part.time[n]),
             frame_index=int(part.place[n]),
             split=int(part.split[n]),
+            label_back=rules.embargo / 2,
+            label_ahead=rules.embargo / 2,
         )
         line["used"] += 1
     return told
@@ -202,8 +204,8 @@ def _rules(parts: list[_Part], mapping: ImportMapping) -> Rules:
         split = np.concatenate([part.split for part in parts])
         share = float(np.mean(split == TEST))
     if mapping.centred:
-        return Rules(mapping.side, share, min_quality=0.0, min_snr=0.0, centring="as imported")
-    return Rules(mapping.side, share, min_quality=0.0)
+        return Rules(mapping.side, share, 0.0, 0.0, centring="as imported", embargo=mapping.embargo)
+    return Rules(mapping.side, share, 0.0, embargo=mapping.embargo)
 
 
 def write_stacks(
