@@ -10,7 +10,7 @@ import pytest
 
 from tapetum.cli import paper
 from tapetum.report.figures._style import new_figure
-from tapetum.report.paper import FIGURES, SIZES
+from tapetum.report.paper import FIGURES, GROUPS, SIZES
 from tapetum.report.paper import write as writing
 
 
@@ -30,7 +30,7 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_it_offers_what_there_is() -> None:
-    assert paper.FIGURES == FIGURES and paper.SIZES == SIZES
+    assert paper.FIGURES == FIGURES and paper.SIZES == SIZES and tuple(GROUPS) == paper.GROUPS
 
 
 def test_one_figure(run, tmp_path: Path, quick) -> None:
@@ -40,20 +40,52 @@ def test_one_figure(run, tmp_path: Path, quick) -> None:
     assert "fig5.png" in ran.out and "fig5: 3 in" in ran.err
 
 
-@pytest.mark.parametrize(("given", "size"), [([], "paper"), (["--size", "small"], "small")])
+@pytest.mark.parametrize(
+    ("given", "size"), [([], "laptop"), (["--size", "small"], "small"), (["--size", "paper"], "paper")]
+)
 def test_the_size_asked_for(run, tmp_path: Path, quick, given: list[str], size: str) -> None:
     told = json.loads(run("paper", "fig8", "-o", tmp_path, "--json", *given).out)
     assert [one["size"] for one in told["figures"]] == [size]
 
 
-@pytest.mark.parametrize("which", [[], ["all"]])
-def test_all_figures_as_json(run, tmp_path: Path, quick, which: list[str]) -> None:
+@pytest.mark.parametrize(
+    ("which", "names"),
+    [
+        ([], FIGURES[:11]),
+        (["printed"], FIGURES[:11]),
+        (["learned"], ("fig9", "fig10", "fig11", "fig12", "table1", "table2")),
+        (["beyond"], ("ablations", "fresh", "unseen", "fit")),
+        (["all"], FIGURES),
+    ],
+)
+def test_several_figures_as_json(run, tmp_path: Path, quick, which: list[str], names: tuple[str, ...]) -> None:
     ran = run("paper", *which, "-o", tmp_path, "--json")
     assert ran.code == 0
     told = json.loads(ran.out)
-    assert told["out"] == str(tmp_path) and [one["name"] for one in told["figures"]] == list(FIGURES)
+    assert told["out"] == str(tmp_path) and [one["name"] for one in told["figures"]] == list(names)
     for one in told["figures"]:
         assert one["measured"] == 3 and all(Path(file).stat().st_size for file in one["files"])
+
+
+def test_small_is_said_to_be_a_smoke_test(run, tmp_path: Path, quick) -> None:
+    assert "smoke test" in run("paper", "--help").out
+    small, laptop = (run("paper", "fig9", "-o", tmp_path, "--size", size) for size in ("small", "laptop"))
+    assert small.err.count("shows that every step runs, and nothing about the method") == 2
+    assert "smoke test" not in laptop.err + laptop.out
+
+
+@pytest.mark.parametrize("given", [[], ["--workers", "3"]])
+def test_all_cores_film_unless_told_otherwise(run, tmp_path: Path, monkeypatch, given: list[str]) -> None:
+    seen: list[int | None] = []
+
+    def made(work: Any) -> Any:
+        seen.append(work.workers)
+        return new_figure(1, 1), "# fig9\n", {}
+
+    monkeypatch.setitem(writing._MAKERS, "fig9", made)
+    monkeypatch.setattr("os.sched_getaffinity", lambda _: {0, 1, 4, 5, 6}, raising=False)
+    assert run("paper", "fig9", "-o", tmp_path, *given).code == 0
+    assert seen == [3 if given else 5]
 
 
 @pytest.mark.parametrize(
@@ -63,7 +95,7 @@ def test_all_figures_as_json(run, tmp_path: Path, quick, which: list[str]) -> No
             ["fig3", "-o", "out"],
             "use one of fig4, fig5, fig6, fig7, fig8, fig9, fig10, fig11, fig12, table1, table2, ablations",
         ),
-        (["fig7", "-o", "out", "--size", "large"], "use one of small, paper"),
+        (["fig7", "-o", "out", "--size", "large"], "use one of laptop, small, paper"),
         (["fig4"], "Missing option"),
         (["fig4", "-o", "f"], "f:"),
     ],

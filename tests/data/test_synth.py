@@ -206,7 +206,12 @@ def test_bad_arguments_are_told(whole: Path, tmp_path: Path):
     plan = little_plan(videos=1)
     with pytest.raises(InputError, match="exists already"):
         synthesise(plan, whole)
-    for how, word in (({"workers": 0}, "workers"), ({"workers": 1, "cluster": "tcp://127.0.0.1:1"}, "two ways")):
+    for how, word in (
+        ({"workers": 0}, "workers"),
+        ({"processes": 0}, "processes"),
+        ({"workers": 1, "cluster": "tcp://127.0.0.1:1"}, "two ways"),
+        ({"workers": 1, "processes": 2}, "workers, processes: are two ways"),
+    ):
         with pytest.raises(InputError, match=word):
             synthesise(plan, tmp_path / "set.zarr", **how)
     assert list(tmp_path.iterdir()) == []

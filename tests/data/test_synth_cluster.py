@@ -12,7 +12,10 @@ import pytest
 from synth_plans import digest, little_plan
 
 from tapetum.data.synth import synthesise
-from tapetum.errors import InputError, MissingExtraError
+from tapetum.data.synth.plan import Part
+from tapetum.data.synth.processes import parts_by_processes
+from tapetum.data.synth.store import Staging
+from tapetum.errors import InputError, MissingExtraError, TapetumError
 
 SEED = 4
 
@@ -85,3 +88,51 @@ def test_without_the_extra_its_name_is_told(tmp_path: Path, monkeypatch: pytest.
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(MissingExtraError, match=r"tapetum\[cluster\]"):
         synthesise(little_plan(1), tmp_path / "set.zarr", workers=1)
+
+
+def test_processes_without_dask_one_killed_half_way_give_the_same_bytes(
+    alone: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    killed: list[psutil.Process] = []
+    environment = dict(os.environ)
+
+    def kill(items, what, *, total=None):
+        for number, item in enumerate(items):
+            yield item
+            if number == 0 and not killed:
+                two = workers()
+                assert len(two) == 2
+                killed.append(two[0])
+                two[0].send_signal(signal.SIGKILL)
+
+    out = synthesise(little_plan(2, seed=SEED), tmp_path / "set.zarr", processes=2, progress=kill)
+    assert digest(out) == alone
+    assert len(killed) == 1 and not killed[0].is_running()
+    assert [path.name for path in tmp_path.iterdir()] == ["set.zarr"]
+    assert dict(os.environ) == environment
+    assert workers() == []
+
+
+def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path):
+    def kill(items, what, *, total=None):
+        for item in items:
+            yield item
+            for process in workers():
+                process.send_signal(signal.SIGKILL)
+
+    with pytest.raises(TapetumError, match="all of the 2 processes that film ended"):
+        synthesise(little_plan(2, seed=SEED), tmp_path / "set.zarr", processes=2, progress=kill)
+    assert workers() == [] and len(list((tmp_path / "set.zarr.part" / "done").iterdir())) >= 1
+    out = synthesise(little_plan(2, seed=SEED), tmp_path / "set.zarr", processes=1)
+    assert digest(out) == alone
+
+
+def test_a_process_that_fails_says_why(tmp_path: Path):
+    plan = little_plan(2, seed=SEED)
+    staging = Staging.begin(tmp_path / "set.zarr", plan)
+    missing = Part(99, 0, 10**6, 10**6 + 1)
+    (staging.path / "crops" / "image" / "zarr.json").write_text("{")
+    with pytest.raises(TapetumError, match="a process that films failed: "):
+        list(parts_by_processes(plan, staging, [plan.parts[0], missing], 2))
+    assert workers() == []

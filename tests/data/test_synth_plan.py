@@ -11,7 +11,7 @@ from synth_plans import little_scene
 from tapetum.bench import Scene, load_scene, scene_dict, scene_names, with_values
 from tapetum.bench.phone import phone_names
 from tapetum.bench.scene import PhoneTarget
-from tapetum.data.synth import KINDS, Plan, focusing_plan, make_plan, phones_plan, rotation_plan
+from tapetum.data.synth import KINDS, SIZES, Plan, focusing_plan, make_plan, phones_plan, rotation_plan
 from tapetum.data.synth.plan import PIECE
 from tapetum.errors import InputError
 
@@ -100,6 +100,19 @@ def test_the_digest_is_of_all_that_decides():
     ]
     assert len({plan.digest for plan in plans}) == len(plans)
     assert rotation_plan(little_scene(), "small", 0).digest == plans[0].digest
+
+
+@pytest.mark.parametrize(("kind", "videos", "parts"), [("rotation", 7, 3), ("focusing", 18, 2), ("phones", 11, 3)])
+def test_every_size_has_the_same_videos_only_longer(kind: str, videos: int, parts: int):
+    small, laptop, paper = (plan_of(kind, size, 1) for size in SIZES)
+    assert len(small.videos) == len(laptop.videos) == len(paper.videos) == videos
+    for one, two, three in zip(small.videos, laptop.videos, paper.videos, strict=True):
+        assert one.session.seconds < two.session.seconds < three.session.seconds
+        assert dataclasses.replace(one, session=three.session) == dataclasses.replace(two, session=three.session)
+        # The same motion, seen for longer.
+        assert one.session.seed == two.session.seed == three.session.seed
+    assert len(laptop.parts) == videos * parts and small.rules == laptop.rules == paper.rules
+    assert len({plan.digest for plan in (small, laptop, paper)}) == 3
 
 
 def test_unknown_names_are_told():

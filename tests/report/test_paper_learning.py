@@ -11,6 +11,7 @@ import pytest
 import torch
 import xarray as xr
 import zarr
+from matplotlib.image import imread as read_png
 
 from tapetum.bench import load_scene
 from tapetum.data import dataset_from_arrays
@@ -20,14 +21,17 @@ from tapetum.errors import InputError
 from tapetum.models import Prediction, ResNet18, ZernikeRidge
 from tapetum.record import FixedPattern
 from tapetum.report.bounds import FocusBounds, GazeInformation
-from tapetum.report.paper import LEARNED, RECIPES, Workshop, beyond, learning, reproduce
+from tapetum.report.figures._style import new_figure
+from tapetum.report.paper import LEARNED, RECIPES, SIZES, Workshop, beyond, learning, reproduce
 from tapetum.report.paper import workshop as shop
+from tapetum.report.paper import write as writing
 from tapetum.report.paper.beyond import ablations, fresh, unseen, untrained
 from tapetum.report.paper.learning import fig10, fig12, table1, table2
 from tapetum.report.paper.recordings import fresh_plan, varied_plan
 from tapetum.report.paper.workshop import SET_SEED
 
 SIDE = 40
+OWN_RECIPES = dict(RECIPES)
 DISTANCES, LENGTHS = (3.0, 5.5), (0.05, 0.085, 0.135)
 PHONES = ("phone-01", "phone-03", "phone-05")
 
@@ -345,5 +349,36 @@ def test_every_page_is_written(work, fitted, tmp_path: Path):
         kinds = [file.suffix for file in one.files]
         assert kinds == ([".png", ".md", ".json"] if one.name in pictures else [".md", ".json"])
         page = (tmp_path / f"{one.name}.md").read_text()
+        assert "**Size `small`** is a smoke test" in page.split("\n\n")[1] and one.numbers["size"] == "small"
         assert "The paper" in page and "imulation" in page and "nan" not in page.split()
-        json.loads((tmp_path / f"{one.name}.json").read_text())
+        assert json.loads((tmp_path / f"{one.name}.json").read_text())["size"] == "small"
+
+
+@pytest.mark.parametrize("size", SIZES)
+def test_a_page_and_a_picture_say_what_a_smoke_test_is(size: str, tmp_path: Path, monkeypatch):
+    def made(work):
+        return new_figure(3, 2), "# Fig. 9: the gaze\n\nText.\n", {"mae": 0.2}
+
+    monkeypatch.setitem(writing._MAKERS, "fig9", made)
+    (one,) = reproduce(["fig9"], tmp_path, size=size, work=Workshop(tmp_path / "work", size))
+    heading, note, text = (tmp_path / "fig9.md").read_text().split("\n\n")
+    assert heading == "# Fig. 9: the gaze" and text == "Text.\n" and note.startswith(f"**Size `{size}`**")
+    assert ("nothing about the method" in note) == (size == "small")
+    assert one.numbers == {"size": size, "mae": 0.2}
+    reddish = read_png(tmp_path / "fig9.png")[..., :3]
+    assert ((reddish[..., 0] > reddish[..., 1] + 0.2).mean() > 0.005) == (size == "small")
+
+
+@pytest.mark.parametrize("name", list(OWN_RECIPES))
+def test_every_model_can_be_made_at_every_size(name: str):
+    small, laptop, paper = (OWN_RECIPES[name].make(size) for size in ("small", "laptop", "paper"))
+    assert small.target == laptop.target == paper.target
+    if isinstance(small, ResNet18) and isinstance(laptop, ResNet18) and isinstance(paper, ResNet18):
+        assert small.settings.epochs < laptop.settings.epochs <= paper.settings.epochs
+        assert small.crop == laptop.crop == paper.crop and laptop.size <= paper.size
+
+
+@pytest.mark.parametrize("make", [fresh_plan, varied_plan])
+def test_recordings_beside_the_sets_are_longer_the_larger_the_size(make):
+    seconds = [sum(video.session.seconds for video in make(size).videos) for size in ("small", "laptop", "paper")]
+    assert seconds == sorted(seconds) and len(set(seconds)) == 3

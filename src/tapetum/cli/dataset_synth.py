@@ -12,12 +12,13 @@ from tapetum.errors import one_of
 from tapetum.progress import bar
 
 _INTERRUPTED = 130
+_SIZES = "paper; laptop: 12 to 25 s of every video; small: 2 to 4 s, a smoke test with too few frames to learn from."
 
 
 def synth(
     kind: Annotated[str, typer.Argument(metavar="KIND", help="rotation, focusing or phones.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
-    size: Annotated[str, typer.Option(metavar="SIZE", help="paper, or small: seconds of every video.")] = "small",
+    size: Annotated[str, typer.Option(metavar="SIZE", help=_SIZES)] = "small",
     seed: Annotated[int, typer.Option(metavar="N", help="Of everything random.", min=0)] = 0,
     workers: Annotated[
         int | None, typer.Option(metavar="N", help="Processes on this machine (extra: cluster).", min=1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -14,25 +15,30 @@ from tapetum.progress import bar
 # Known without torch, for the help: a test holds them to those of the report.
 FIGURES = ("fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "fig10", "fig11", "fig12", "table1", "table2")
 FIGURES += ("ablations", "fresh", "unseen", "fit")
-SIZES = ("small", "paper")
+GROUPS = ("printed", "learned", "beyond", "all")
+SIZES = ("laptop", "small", "paper")
 
 
 def paper(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the figures.")],
     figure: Annotated[
-        str, typer.Argument(metavar="[FIGURE]", help=f"One of {', '.join(FIGURES)}, or all of them.")
-    ] = "all",
+        str, typer.Argument(metavar="[FIGURE]", help=f"One of {', '.join((*FIGURES, *GROUPS))}; see above.")
+    ] = "printed",
     size: Annotated[
         str,
         typer.Option(
-            metavar="SIZE", help="paper, or small: fewer images in fig7 and fig8, small sets behind the rest."
+            metavar="SIZE",
+            help="laptop; paper: sets as long as the paper's; small: a smoke test, whose networks learn nothing.",
         ),
-    ] = "paper",
+    ] = "laptop",
     work: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where sets and models are kept; OUT/work where left out.")
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Processes that film the sets (extra cluster).", min=1)
+        int | None,
+        typer.Option(
+            metavar="N", help="Processes that film the sets; as many as there are cores where left out.", min=1
+        ),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done, and the numbers, as JSON.")] = False,
 ) -> None:
@@ -43,21 +49,37 @@ def paper(
 
     fig9 to fig12, table1 and table2 (section 5), and beyond the paper ablations, fresh (recordings at other distances),
     unseen (phones it never saw) and fit (by simulation, without training): the three sets are filmed and the models
-    trained, hours at paper size on two cores. What is whole is kept in the folder of --work and not made again; after
-    an interruption the same command goes on.
+    trained. What is whole is kept in the folder of --work and not made again; after an interruption the same command
+    goes on.
+
+    printed: all of the paper's own, fig4 to table2. learned: those of section 5. beyond: what the paper lacks.
+
+    --size laptop makes those of section 5 within 45 minutes on two cores; paper takes hours there; small takes minutes
+    and is a smoke test: it shows that every step runs, and nothing about the method.
 
     Each becomes NAME.png (not the tables), NAME.md and NAME.json; files of these names are replaced.
+
+    Example: tapetum paper learned -o figures
     """
-    one_of(figure, (*FIGURES, "all"), "FIGURE")
+    one_of(figure, (*FIGURES, *GROUPS), "FIGURE")
     one_of(size, SIZES, "--size")
     # Torch and Matplotlib take seconds to import.
-    from tapetum.report.paper import Workshop, reproduce
+    from tapetum.report.paper import SMOKE_TEST, Workshop, is_smoke_test, reproduce
 
-    shop = Workshop(out / "work" if work is None else work, size, workers, progress=bar)
-    made = reproduce(FIGURES if figure == "all" else (figure,), out, size=size, work=shop, progress=bar)
+    if is_smoke_test(size):
+        typer.echo(f"--size {size} is {SMOKE_TEST}", err=True)
+    shop = Workshop(out / "work" if work is None else work, size, workers or _cores(), progress=bar)
+    made = reproduce((figure,), out, size=size, work=shop, progress=bar)
     if as_json:
         figures = [{"name": one.name, "files": [str(file) for file in one.files], **one.numbers} for one in made]
         typer.echo(json.dumps({"out": str(out), "figures": figures}, allow_nan=False))
     else:
         for one in made:
             typer.echo(f"{one.name}: " + ", ".join(str(file) for file in one.files))
+    if is_smoke_test(size):
+        typer.echo(f"made at size {size}, {SMOKE_TEST}; the default size, laptop, trains networks that learn", err=True)
+
+
+def _cores() -> int:
+    """Cores that this process may use, as far as the system says."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

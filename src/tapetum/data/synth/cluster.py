@@ -16,7 +16,7 @@ from typing import Any
 from tapetum.data.build import Rules
 from tapetum.data.synth.plan import Part, Plan, Video
 from tapetum.data.synth.store import Staging
-from tapetum.data.synth.work import make_part
+from tapetum.data.synth.work import MALLOC, make_part
 from tapetum.errors import InputError, TapetumError, need
 
 __all__ = ["joined", "parts_done"]
@@ -25,13 +25,6 @@ _EXTRA = "cluster"
 _WAIT = 30.0
 # Workers come and go where machines are lent: a part is given up only when this many died under it.
 _DEATHS = 10
-# What `tapetum` itself does by mallopt (see tapetum.cli.memory), in place of Dask's contrary, which costs a part half
-# its time; a worker's tasks run in a thread, and only the first arena keeps big blocks.
-_MALLOC = {
-    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
-    "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1),
-    "MALLOC_ARENA_MAX": "1",
-}
 
 
 def parts_done(
@@ -109,7 +102,7 @@ def joined(distributed: Any, workers: int | None, address: str | None) -> Iterat
         with client:
             yield client
         return
-    environment = {**dask.config.get("distributed.nanny.pre-spawn-environ", {}), **_MALLOC}
+    environment = {**dask.config.get("distributed.nanny.pre-spawn-environ", {}), **MALLOC}
     settings = {
         "distributed.scheduler.allowed-failures": _DEATHS,
         "distributed.nanny.pre-spawn-environ": environment,

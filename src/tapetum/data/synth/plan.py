@@ -23,7 +23,7 @@ __all__ = ["KINDS", "PIECE", "SIZES", "Part", "Plan", "Video", "focusing_plan", 
 __all__ += ["rotation_plan"]
 
 KINDS = ("rotation", "focusing", "phones")
-SIZES = ("small", "paper")
+SIZES = ("small", "laptop", "paper")
 RATE = 15.0
 
 PIECE = 2 * CHUNK
@@ -40,11 +40,12 @@ FIELDS = {
 }
 """The field of a scene behind each label that stays the same throughout a video."""
 
-# The paper's, and of the same structure what two cores make in less than a minute.
+# Of every video. The paper's, and of the same structure what two cores make in minutes: enough to learn from, and
+# enough to see that every step runs.
 _SECONDS = {
-    "rotation": {"paper": 100.0, "small": 4.0},
-    "focusing": {"paper": 60.0, "small": 2.0},
-    "phones": {"paper": 100.0, "small": 3.0},
+    "rotation": {"paper": 100.0, "laptop": 25.0, "small": 4.0},
+    "focusing": {"paper": 60.0, "laptop": 12.0, "small": 2.0},
+    "phones": {"paper": 100.0, "laptop": 20.0, "small": 3.0},
 }
 
 # How far the gaze goes, in fractions of the field. Most of the paper's gazes of phones lie in the centre half, where
@@ -174,7 +175,8 @@ def make_plan(kind: str, size: str = "small", seed: int = 0) -> Plan:
     kind
         `rotation`, `focusing` or `phones`.
     size
-        `paper`, or `small`: the same videos, each of a few seconds.
+        `paper`; `laptop`: the same videos, each 12 to 25 seconds long; `small`: of 2 to 4 seconds each, too few
+        frames to learn from.
     seed
         Of everything random.
 

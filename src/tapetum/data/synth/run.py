@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from tapetum.data.synth.plan import Part, Plan
+from tapetum.data.synth.processes import parts_by_processes
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import make_part
 from tapetum.errors import InputError
@@ -19,6 +20,7 @@ def synthesise(
     out: str | Path,
     *,
     workers: int | None = None,
+    processes: int | None = None,
     cluster: str | None = None,
     progress: Progress = quiet,
     overwrite: bool = False,
@@ -36,6 +38,8 @@ def synthesise(
         The store to write, by convention NAME.zarr.
     workers
         Processes to start on this machine, by Dask; None for none but this one.
+    processes
+        Processes to start on this machine, without Dask; 1 or None for none but this one.
     cluster
         Address of a Dask scheduler whose workers see the same folder as this machine.
     progress
@@ -55,17 +59,22 @@ def synthesise(
         no frame could be kept.
     """
     out = Path(out)
-    if workers is not None and cluster is not None:
-        raise InputError("are two ways to say who works", where="workers, cluster", remedy="give one of them")
-    if workers is not None and workers < 1:
-        raise InputError(f"must be positive, is {workers}", where="workers", remedy="give a number of processes")
+    ways = {"workers": workers, "processes": processes, "cluster": cluster}
+    asked = [name for name, value in ways.items() if value is not None]
+    if len(asked) > 1:
+        raise InputError("are two ways to say who works", where=", ".join(asked), remedy="give one of them")
+    for name, count in (("workers", workers), ("processes", processes)):
+        if count is not None and count < 1:
+            raise InputError(f"must be positive, is {count}", where=name, remedy="give a number of processes")
     if out.exists() and not overwrite:
         raise InputError("exists already", where=out, remedy="choose another name or remove it first")
     staging = Staging.begin(out, plan)
     done = staging.done()
     missing = [part for part in plan.parts if part.number not in done]
     if missing:
-        if workers is None and cluster is None:
+        if processes is not None and processes > 1:
+            results = parts_by_processes(plan, staging, missing, processes)
+        elif workers is None and cluster is None:
             results = _alone(plan, staging, missing)
         else:
             from tapetum.data.synth.cluster import parts_done

@@ -22,7 +22,16 @@ from tapetum.data.synth.plan import Part, Video
 from tapetum.errors import InputError
 from tapetum.record import Session, label_recording
 
-__all__ = ["Made", "make_part", "one_thread", "shot_of"]
+__all__ = ["MALLOC", "Made", "make_part", "one_thread", "shot_of"]
+
+MALLOC = {
+    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
+    "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1),
+    "MALLOC_ARENA_MAX": "1",
+}
+"""Environment of processes that make parts. What `tapetum` itself does by mallopt (see tapetum.cli.memory); Dask sets
+the contrary, which costs a part half its time. A worker's tasks run in a thread, and only the first arena keeps big
+blocks."""
 
 
 @dataclass

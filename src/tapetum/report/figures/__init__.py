@@ -1,6 +1,6 @@
 """The paper's figures and those that keep them honest: arrays in, a Matplotlib Figure out."""
 
-from tapetum.report.figures._style import figure_png, save_figure
+from tapetum.report.figures._style import figure_png, save_figure, stamp
 from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance
 from tapetum.report.figures.gaze import (
     fig_gaze_over_time,
@@ -27,4 +27,5 @@ __all__ = [
     "fig_tracks",
     "figure_png",
     "save_figure",
+    "stamp",
 ]

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import io
 import os
+import textwrap
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -22,7 +23,7 @@ from numpy.typing import ArrayLike, NDArray
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 
-__all__ = ["figure_png", "save_figure"]
+__all__ = ["figure_png", "save_figure", "stamp"]
 
 INK = "#1b1f24"
 QUIET = "#6b7280"
@@ -134,6 +135,12 @@ def colour(index: int) -> str:
 def marker(index: int) -> str:
     """Return the marker of the model number `index`: never colour alone."""
     return MARKERS[index % len(MARKERS)]
+
+
+def stamp(figure: Figure, text: str) -> None:
+    """Write a warning across a figure, large enough that a copy of it cannot pass for a result."""
+    lines = "\n".join(textwrap.wrap(text, 34))
+    figure.text(0.5, 0.5, lines, fontsize=20, color="#b00020", alpha=0.45, rotation=20, ha="center", va="center")
 
 
 def figure_png(figure: Figure, dpi: int = 160) -> bytes:

@@ -1,6 +1,8 @@
 """The paper's Figs. 4 to 12 and its tables made anew: simulate, learn, measure, draw, and say what differs."""
 
+from tapetum.report.paper.sizes import SIZES, SMOKE_TEST, is_smoke_test
 from tapetum.report.paper.workshop import RECIPES, Recipe, Workshop
-from tapetum.report.paper.write import FIGURES, LEARNED, SIZES, Reproduction, reproduce
+from tapetum.report.paper.write import FIGURES, GROUPS, LEARNED, Reproduction, reproduce
 
-__all__ = ["FIGURES", "LEARNED", "RECIPES", "SIZES", "Recipe", "Reproduction", "Workshop", "reproduce"]
+__all__ = ["FIGURES", "GROUPS", "LEARNED", "RECIPES", "SIZES", "SMOKE_TEST", "Recipe", "Reproduction", "Workshop"]
+__all__ += ["is_smoke_test", "reproduce"]

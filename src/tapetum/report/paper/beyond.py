@@ -26,7 +26,7 @@ __all__ = ["Ablation", "Fitted", "Fresh", "Untrained", "ablations", "fresh", "un
 
 VARIED_MODEL = "rotation-resnet18-varied"
 # Frames of the test part that are fitted by simulation, seconds each.
-_FITTED = {"paper": 60, "small": 6}
+_FITTED = {"paper": 60, "laptop": 20, "small": 6}
 
 Array = NDArray[np.float64]
 

@@ -22,8 +22,9 @@ from tapetum.simulate.phone import open_camera
 __all__ = ["DISTANCES", "FOCAL_LENGTHS", "GAZES", "SIDE", "Fig7", "Sample", "sample", "simulate_fig7"]
 
 # The target turns upwards: the probe sinks in its picture. In fractions of the field.
-GAZES = {"paper": (0.0, 0.08, 0.16, 0.24, 0.32, 0.40, 0.46), "small": (0.0, 0.16, 0.32, 0.46)}
-DISTANCES = {"paper": (3.0, 3.5, 4.0, 4.5, 5.0, 5.5), "small": (3.0, 4.0, 5.5)}
+_FEW_GAZES, _FEW_DISTANCES = (0.0, 0.16, 0.32, 0.46), (3.0, 4.0, 5.5)
+GAZES = {"paper": (0.0, 0.08, 0.16, 0.24, 0.32, 0.40, 0.46), "laptop": _FEW_GAZES, "small": _FEW_GAZES}
+DISTANCES = {"paper": (3.0, 3.5, 4.0, 4.5, 5.0, 5.5), "laptop": _FEW_DISTANCES, "small": _FEW_DISTANCES}
 FOCAL_LENGTHS = (0.135, 0.085, 0.050)
 # Object distance of the row of focal lengths, and the gaze of both rows.
 AT, GAZE = 5.5, 0.03
@@ -92,7 +93,7 @@ def simulate_fig7(*, size: str = "paper", seed: int = 1, progress: Progress = qu
     Parameters
     ----------
     size
-        `paper`, or `small` for fewer.
+        `paper`, or `laptop` or `small` for fewer.
     seed
         Of the noise.
     progress

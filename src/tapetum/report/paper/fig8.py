@@ -26,7 +26,8 @@ GAZE = (0.03, 0.02)
 # Lenses are prepared for gazes up to here, as for a video: fits over next to no tilt do not hold a pupil's edge.
 _UP_TO = (0.1, 0.05)
 # Those whose filters let most of the light through: of the others' sensors nothing is left at 785 nm.
-SHUT = {"paper": ("phone-02", "phone-05", "phone-07", "phone-11"), "small": ("phone-02", "phone-11")}
+_FEW = ("phone-02", "phone-11")
+SHUT = {"paper": ("phone-02", "phone-05", "phone-07", "phone-11"), "laptop": _FEW, "small": _FEW}
 _SHARE = 0.5
 
 Array = NDArray[np.float64]
@@ -61,7 +62,7 @@ def simulate_fig8(
     Parameters
     ----------
     size
-        `paper`, or `small` for fewer with the app shut.
+        `paper`, or `laptop` or `small` for fewer with the app shut.
     names
         Of phones in the catalogue; all of them when left out.
     seed

@@ -18,10 +18,10 @@ DISTANCES = (3.0, 4.0, 5.5, 7.0, 8.0)
 
 # Of the fresh recordings and, seven each, of the varied ones: neither the set's own nor each other's.
 _FRESH_SEED, _VARIED_SEEDS = 2, range(3, 7)
-_FRESH_SECONDS = {"paper": 20.0, "small": 2.0}
+_FRESH_SECONDS = {"paper": 20.0, "laptop": 8.0, "small": 2.0}
 _FRESH_BACKGROUND, _FRESH_ROOM = 80.0, 30.0
-# Together as long as the Rotation set.
-_VARIED_SECONDS = {"paper": 25.0, "small": 1.0}
+# Together about as long as the Rotation set.
+_VARIED_SECONDS = {"paper": 25.0, "laptop": 8.0, "small": 1.0}
 # Electrons of the even background and of the room at 5.5 m: evenly drawn logarithms.
 _VARIED_BACKGROUND, _VARIED_ROOM = (20.0, 160.0), (3.0, 60.0)
 

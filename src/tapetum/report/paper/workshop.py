@@ -21,6 +21,7 @@ from tapetum.models.training import remove_checkpoint
 from tapetum.progress import Progress, quiet
 from tapetum.report.evaluation import Outcome, gather
 from tapetum.report.paper.recordings import fresh_plan, varied_plan
+from tapetum.report.paper.sizes import DEFAULT
 
 __all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop", "plan_of"]
 
@@ -55,23 +56,36 @@ class Recipe:
     without: tuple[str, ...] = ()
 
 
-def _epochs(size: str, paper: int) -> int:
-    return paper if size == "paper" else min(paper, 4)
+# Epochs and edges of the network's pictures, chosen on frames kept aside of the training parts.
+_EPOCHS = {
+    "gaze": {"paper": 60, "laptop": 30, "small": 4},
+    "varied": {"paper": 40, "laptop": 30, "small": 4},
+    "focus": {"paper": 20, "laptop": 12, "small": 4},
+    "phone": {"paper": 48, "laptop": 20, "small": 4},
+    "device": {"paper": 24, "laptop": 12, "small": 4},
+}
+_EDGE = {
+    "gaze": {"paper": 72, "laptop": 48, "small": 72},
+    "varied": {"paper": 80, "laptop": 64, "small": 80},
+    "focus": {"paper": 80, "laptop": 64, "small": 80},
+    "phone": {"paper": 200, "laptop": 100, "small": 100},
+}
 
 
-def _gaze(size: str, /, **changed: Any) -> ResNet18:
-    # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one.
-    return ResNet18("gaze", **{"crop": 144, "size": 72, "epochs": _epochs(size, 60), "gain": 0.3} | changed)
+def _gaze(size: str, /, kind: str = "gaze", **changed: Any) -> ResNet18:
+    # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one, or three.
+    settings = {"crop": 144, "size": _EDGE[kind][size], "epochs": _EPOCHS[kind][size], "gain": 0.3}
+    return ResNet18("gaze", **settings | changed)
 
 
 def _focus(size: str) -> ResNet18:
     # The RR fills the crop at 135 mm and 3 m.
-    return ResNet18("focus", crop=400, size=80, epochs=_epochs(size, 20))
+    return ResNet18("focus", crop=400, size=_EDGE["focus"][size], epochs=_EPOCHS["focus"][size])
 
 
-def _phone(size: str, target: str = "phone", epochs: int = 48) -> ResNet18:
+def _phone(size: str, target: str = "phone") -> ResNet18:
     # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide, and its fine structure tells the phone.
-    return ResNet18(target, crop=400, size=200 if size == "paper" else 100, epochs=_epochs(size, epochs))
+    return ResNet18(target, crop=400, size=_EDGE["phone"][size], epochs=_EPOCHS[target][size])
 
 
 def _paper_ridge(target: str) -> ZernikeRidge:
@@ -100,14 +114,14 @@ RECIPES: dict[str, Recipe] = {
             "rotation-resnet18-varied",
             "varied",
             "ResNet-18, varied recordings",
-            lambda size: _gaze(size, crop=200, size=80, epochs=_epochs(size, 40)),
+            lambda size: _gaze(size, "varied", crop=200),
         ),
         Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
         Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus")),
         Recipe("focusing-resnet18", "focusing", RESNET, _focus),
         Recipe("phones-resnet18", "phones", RESNET, _phone),
         Recipe(
-            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device", 24), UNSEEN
+            "phones-resnet18-unseen", "phones", "ResNet-18, devices held out", lambda s: _phone(s, "device"), UNSEEN
         ),
     )
 }
@@ -122,9 +136,9 @@ class Workshop:
     folder
         Keeps sets and models; what is whole there is not made again, what was interrupted is taken up.
     size
-        Of the sets: `small` or `paper`.
+        Of the sets and networks: `laptop`, `paper`, or `small`, a smoke test.
     workers
-        Processes that film; None for this one.
+        Processes that film; None for this one alone.
     sets
         Datasets to use in place of synthesised ones, by the name of the set.
     progress, on_epoch
@@ -132,7 +146,7 @@ class Workshop:
     """
 
     folder: Path
-    size: str = "paper"
+    size: str = DEFAULT
     workers: int | None = None
     sets: Mapping[str, xr.Dataset] = field(default_factory=dict)
     progress: Progress = quiet
@@ -150,7 +164,7 @@ class Workshop:
         if not path.exists() and plain.exists() and _planned(plain) == plan.digest:
             return open_dataset(plain)
         if not path.exists():
-            synthesise(plan, path, workers=self.workers, progress=self.progress)
+            synthesise(plan, path, processes=self.workers, progress=self.progress)
         dataset = open_dataset(path)
         if _planned(path) != plan.digest:
             remedy = "remove it, or give another folder"

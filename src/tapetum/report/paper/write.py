@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from tapetum.errors import InputError, one_of
 from tapetum.files import atomic_file, told_when_full
 from tapetum.progress import Progress, quiet
-from tapetum.report.figures import save_figure
+from tapetum.report.figures import save_figure, stamp
 from tapetum.report.figures.paper import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
 from tapetum.report.paper.beyond import ablations, fresh, unseen, untrained
 from tapetum.report.paper.beyond_text import text_ablations, text_fit, text_fresh, text_unseen
@@ -31,12 +31,11 @@ from tapetum.report.paper.learning_text import (
     text_table1,
     text_table2,
 )
+from tapetum.report.paper.sizes import DEFAULT, SIZES, SMOKE_TEST, is_smoke_test, with_note
 from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
 from tapetum.report.paper.workshop import Workshop
 
-__all__ = ["FIGURES", "LEARNED", "SIZES", "Reproduction", "reproduce"]
-
-SIZES = ("small", "paper")
+__all__ = ["BEYOND", "FIGURES", "GROUPS", "LEARNED", "PRINTED", "Reproduction", "reproduce"]
 
 
 @dataclass(frozen=True)
@@ -144,15 +143,26 @@ _MAKERS: dict[str, Callable[[Workshop], Made]] = {
     "fit": _fit,
 }
 FIGURES: tuple[str, ...] = tuple(_MAKERS)
+BEYOND = FIGURES[FIGURES.index("ablations") :]
+"""What the paper does not have."""
+PRINTED = FIGURES[: FIGURES.index("ablations")]
+"""The paper's own figures and tables."""
 LEARNED = FIGURES[FIGURES.index("fig9") :]
 """Those for which sets are filmed and models trained."""
+GROUPS: dict[str, tuple[str, ...]] = {
+    "printed": PRINTED,
+    "learned": tuple(name for name in PRINTED if name in LEARNED),
+    "beyond": BEYOND,
+    "all": FIGURES,
+}
+"""Names for several figures and tables at once."""
 
 
 def reproduce(
     figures: Sequence[str],
     out: Path,
     *,
-    size: str = "paper",
+    size: str = DEFAULT,
     work: Workshop | None = None,
     progress: Progress = quiet,
 ) -> list[Reproduction]:
@@ -161,12 +171,12 @@ def reproduce(
     Parameters
     ----------
     figures
-        Of `FIGURES`; each is made once.
+        Of `FIGURES` and `GROUPS`; each is made once.
     out
         The folder; it is made where it is not there. Files of these names in it are replaced, others stay.
     size
-        `paper`, or `small`: fewer images in the figures of samples, 7 and 8, and small sets behind 9 to 12 and the
-        tables.
+        `laptop`, `paper`, or `small`, a smoke test: fewer images in the figures of samples, 7 and 8, and shorter
+        videos behind 9 to 12 and the tables. Pages, pictures and numbers of what is learned name it.
     work
         Where sets and models are kept; the folder `work` in `out` where left out.
     progress
@@ -177,7 +187,8 @@ def reproduce(
     InputError
         For an unknown figure or size or none, and for a folder that is a file or cannot be written.
     """
-    wanted = list(dict.fromkeys(one_of(name, FIGURES, "figure") for name in figures))
+    named = [GROUPS.get(name) or (one_of(name, (*FIGURES, *GROUPS), "figure"),) for name in figures]
+    wanted = list(dict.fromkeys(name for group in named for name in group))
     one_of(size, SIZES, "size")
     if not wanted:
         raise InputError("none is asked for", where="figure", remedy=f"choose of {', '.join(FIGURES)}")
@@ -192,6 +203,10 @@ def reproduce(
         if name in LEARNED:
             work.folder.mkdir(parents=True, exist_ok=True)
         figure, text, numbers = _MAKERS[name](work)
+        if name in LEARNED:
+            text, numbers = with_note(text, work.size), {"size": work.size, **numbers}
+            if figure is not None and is_smoke_test(work.size):
+                stamp(figure, SMOKE_TEST)
         picture, page, table = (out / f"{name}.{kind}" for kind in ("png", "md", "json"))
         if figure is not None:
             save_figure(figure, picture, dpi=130)
