@@ -69,6 +69,7 @@ def test_a_folder_is_replaced_only_by_a_whole_one(tmp_path: Path, kind: str) -> 
 
 
 def test_the_old_folder_comes_back_when_the_last_rename_fails(tmp_path: Path, monkeypatch) -> None:
+    monkeypatch.setattr("tapetum.files.exchange", lambda one, other: False)
     out = tmp_path / "set"
     out.mkdir()
     (out / "old").write_text("old")

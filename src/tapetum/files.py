@@ -5,15 +5,17 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import itertools
 import os
 import shutil
-import tempfile
+import stat
 from collections.abc import Iterator
 from pathlib import Path
 
+from tapetum.durable import clean_leftovers, exchange, part_name, sole_writer, sync, sync_tree
 from tapetum.errors import InputError
 
-__all__ = ["atomic_file", "atomic_folder", "sha256_file", "told_when_full"]
+__all__ = ["atomic_file", "atomic_folder", "free_name", "replace_folder", "sha256_file", "told_when_full"]
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -92,25 +94,26 @@ def _remove_empty(folders: list[Path]) -> None:
 
 @contextlib.contextmanager
 def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; on success it takes the name `path`, on failure it is removed."""
+    """Yield a temporary path beside `path`; on success it takes the name `path`, on failure it is removed.
+
+    The new file is on the disk before it takes the name, and the name before this returns: after a loss of power there
+    is the old file or the new one, whole.
+    """
     target = Path(path)
     with told_when_full(target):
         made = _make_parents(target)
+        clean_leftovers(target)
+        # The suffix stays last, so that writers which go by it still recognise the format.
+        part = part_name(target, end=f".part{target.suffix}")
         try:
-            # The suffix stays last, so that writers which go by it still recognise the format.
-            kind = f".part{target.suffix}"
-            handle, name = tempfile.mkstemp(prefix=f".{target.stem}-", suffix=kind, dir=target.parent)
-        except BaseException:
-            _remove_empty(made)
-            raise
-        os.close(handle)
-        part = Path(name)
-        try:
+            with part.open("xb") as empty:
+                mode = stat.S_IMODE(os.fstat(empty.fileno()).st_mode)
             yield part
-            umask = os.umask(0)
-            os.umask(umask)
-            part.chmod(0o666 & ~umask)
+            # Some writers keep a file to its owner.
+            part.chmod(mode)
+            sync(part)
             part.replace(target)
+            _sync_above(target, made)
         except BaseException:
             part.unlink(missing_ok=True)
             _remove_empty(made)
@@ -121,40 +124,72 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 def atomic_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> Iterator[Path]:
     """Yield a temporary folder beside `path`; on success it takes the name `path`, on failure it is removed.
 
+    All of it is on the disk before it takes the name. A folder that it replaces stands until then.
+
     Raises
     ------
     InputError
-        When `path` exists and `overwrite` is false.
+        When `path` exists and `overwrite` is false, or another command is writing it.
     """
     target = Path(path)
     with told_when_full(target):
-        if target.exists() and not overwrite:
-            raise InputError("exists already", where=target, remedy="choose another name or remove it first")
         made = _make_parents(target)
         try:
-            part = Path(tempfile.mkdtemp(prefix=f".{target.name}-", suffix=".part", dir=target.parent))
+            with sole_writer(target):
+                clean_leftovers(target)
+                if target.exists() and not overwrite:
+                    raise InputError("exists already", where=target, remedy="choose another name or remove it first")
+                part = part_name(target, end=".part")
+                try:
+                    part.mkdir()
+                    yield part
+                    replace_folder(part, target)
+                except BaseException:
+                    shutil.rmtree(part, ignore_errors=True)
+                    raise
+                _sync_above(target, made)
         except BaseException:
             _remove_empty(made)
             raise
-        old = None
+
+
+def replace_folder(new: Path, target: Path) -> None:
+    """Let a folder take the name of another, or a free one beside it, once all of it is on the disk.
+
+    Where the system can exchange two names there is a whole folder at `target` at every moment; elsewhere the old one
+    is set aside for a moment, from where `clean_leftovers` puts it back after a kill.
+    """
+    sync_tree(new)
+    if not target.exists() and not target.is_symlink():
+        new.rename(target)
+        sync(target.parent)
+        return
+    if exchange(new, target):
+        old = new
+    else:
+        old = part_name(target, end=".old")
+        target.rename(old)
         try:
-            yield part
-            umask = os.umask(0)
-            os.umask(umask)
-            part.chmod(0o777 & ~umask)
-            if target.exists():
-                # Two renames: the old one stays whole until the new one stands in its place.
-                old = target.with_name(f".{target.name}-{os.getpid()}.old")
-                target.rename(old)
-            part.rename(target)
+            new.rename(target)
         except BaseException:
-            if old is not None and old.exists():
-                old.rename(target)
-            shutil.rmtree(part, ignore_errors=True)
-            _remove_empty(made)
+            old.rename(target)
             raise
-        if old is not None:
-            shutil.rmtree(old) if old.is_dir() else old.unlink()
+    sync(target.parent)
+    shutil.rmtree(old) if old.is_dir() and not old.is_symlink() else old.unlink()
+
+
+def free_name(path: Path, word: str) -> Path:
+    """Return a name beside `path` that nothing has: `NAME.word.SUFFIX`, `NAME.word-2.SUFFIX` and so on."""
+    numbers = itertools.chain([""], (f"-{n}" for n in itertools.count(2)))
+    names = (path.with_name(f"{path.stem}.{word}{number}{path.suffix}") for number in numbers)
+    return next(name for name in names if not name.exists() and not name.is_symlink())
+
+
+def _sync_above(target: Path, made: list[Path]) -> None:
+    """Flush the names of a file and of the folders that were made for it."""
+    sync(target.absolute().parent)
+    for folder in made:
+        sync(folder.parent)
 
 
 def sha256_file(path: str | os.PathLike[str]) -> str:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
+import threading
 import time
 from pathlib import Path
 
@@ -303,6 +305,81 @@ def test_overwriting_only_recordings_and_only_when_asked(tmp_path: Path) -> None
     with pytest.raises(InputError, match=r"recording\.json"):
         writer(precious, overwrite=True)
     assert (precious / "chapter.tex").exists()
+
+
+@pytest.mark.parametrize("frames", [0, 2])
+def test_a_recording_stands_until_the_one_that_replaces_it_is_whole(tmp_path: Path, frames: int) -> None:
+    path = tmp_path / "a.rec"
+    with writer(path) as recorder:
+        fill(recorder, 3)
+    old = open_recording(path).uuid
+    with pytest.raises(KeyboardInterrupt) as raised, writer(path, overwrite=True) as recorder:
+        fill(recorder, frames)
+        assert open_recording(path).uuid == old
+        raise KeyboardInterrupt
+    assert open_recording(path).uuid == old and check(open_recording(path), "probe") == 3
+    left = tmp_path / "a.unfinished.rec"
+    assert left.exists() == bool(frames)
+    if frames:
+        new = open_recording(left)
+        assert not new.finished and check(new, "probe") == frames
+        assert raised.value.__notes__ == [
+            f"2 probe frames and 2 target frames are kept in {left}, marked as unfinished"
+        ]
+    # What was left is not in the way of the next one, and that takes the old one's place at once.
+    with writer(path, overwrite=True) as recorder:
+        fill(recorder, 4)
+    assert check(open_recording(path), "probe") == 4 and open_recording(path).finished
+    assert left.exists() == bool(frames) and len(list(tmp_path.iterdir())) == 1 + bool(frames)
+
+
+def test_a_second_command_does_not_write_into_a_recording(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    def second() -> None:
+        with pytest.raises(InputError) as raised:
+            writer(tmp_path / "a.rec", overwrite=True)
+        told.append(str(raised.value))
+
+    with writer(tmp_path / "a.rec") as recorder:
+        fill(recorder, 2)
+        thread = threading.Thread(target=second)
+        thread.start()
+        thread.join()
+        assert "is being written by process" in told[0]
+    assert check(open_recording(tmp_path / "a.rec"), "probe") == 2
+
+
+def test_what_is_called_finished_is_on_the_disk(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    if not Path("/proc/self/fd").exists():
+        pytest.skip("asks Linux which file was flushed")
+    calls: list[str] = []
+    flush, replace, unlink = os.fsync, os.replace, Path.unlink
+
+    def fsync(handle: int) -> None:
+        calls.append("flush " + re.sub(r"^\.(.*?)-.*", r"\1", Path(f"/proc/self/fd/{handle}").readlink().name))
+        flush(handle)
+
+    def replaced(one, other, **more):
+        finished = '"finished": true' in Path(one).read_text("utf-8", "ignore")
+        calls.append(f"name {Path(other).name}{' finished' * finished}")
+        return replace(one, other, **more)
+
+    def unlinked(self: Path, **more) -> None:
+        calls.append(f"remove {self.name}")
+        unlink(self, **more)
+
+    with writer(tmp_path / "a.rec") as recorder:
+        fill(recorder, 2)
+        monkeypatch.setattr(os, "fsync", fsync)
+        monkeypatch.setattr(os, "replace", replaced)
+        monkeypatch.setattr(Path, "unlink", unlinked)
+    done = calls.index("name recording.json finished")
+    for before in ("flush probe.mkv", "flush target.mkv", "flush frames.parquet", "flush recording.json"):
+        assert before in calls[:done], calls
+    assert calls.index("flush frames.parquet") < calls.index("name frames.parquet") < done
+    # The names are flushed too before the journal, the other list of the frames, goes.
+    assert calls.index("remove frames.journal") > done + calls[done:].index("flush a.rec")
 
 
 @pytest.mark.parametrize(

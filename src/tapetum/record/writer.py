@@ -19,8 +19,9 @@ from typing import Any, Self
 import av
 import numpy as np
 
+from tapetum.durable import clean_leftovers, sole_writer, sync
 from tapetum.errors import InputError
-from tapetum.files import told_when_full
+from tapetum.files import free_name, replace_folder, told_when_full
 from tapetum.record.layout import (
     FORMAT,
     FRAMES,
@@ -60,7 +61,10 @@ class RecordingWriter:
 
     Each frame goes to its video and its clocks to the journal at once, so that a killed program loses at most
     the newest frame of every stream. Leaving the block by an exception keeps what was written, marked as
-    unfinished; if that was nothing at all, the folder goes.
+    unfinished; if that was nothing at all, the folder goes. Once it is closed all of it is on the disk.
+
+    A recording that is replaced stands until the new one is whole: that one grows as `NAME.unfinished.rec` beside it,
+    and stays there if it ends unfinished.
 
     Parameters
     ----------
@@ -77,12 +81,18 @@ class RecordingWriter:
     start_utc_ns
         UTC of the recording's start, nanoseconds since 1970.
     overwrite
-        Whether a recording that stands at `path` may be removed first. Anything else never is.
+        Whether a recording that stands at `path` may be replaced once this one is whole. Anything else never is.
 
     Raises
     ------
     InputError
-        When something stands at `path`, the arguments cannot be written, or there is no room on the disk.
+        When something stands at `path`, another command is recording to it, the arguments cannot be written, or there
+        is no room on the disk.
+
+    Attributes
+    ----------
+    place
+        The folder that the frames go to.
     """
 
     def __init__(
@@ -139,37 +149,43 @@ class RecordingWriter:
         self.meta.update(extra or {})
         self._closed = False
         self._last: dict[str, int] = {}
-        self._make_room(overwrite)
         self._videos: dict[str, VideoWriter] = {}
+        self._lock = contextlib.ExitStack()
+        self.place, self._made = self._free_place(overwrite), False
         try:
             with told_when_full(self.path):
-                self.path.mkdir(parents=True)
+                self.path.absolute().parent.mkdir(parents=True, exist_ok=True)
+                self._lock.enter_context(sole_writer(self.path))
+                clean_leftovers(self.path)
+                # Asked again: only now does nobody else write here.
+                self.place = self._free_place(overwrite)
+                self.place.mkdir()
+                self._made = True
                 # Unbuffered: each line is the operating system's as soon as it is written.
-                self._journal = (self.path / JOURNAL).open("wb", buffering=0)
+                self._journal = (self.place / JOURNAL).open("wb", buffering=0)
             self._write_meta()
             for name, info in self.streams.items():
                 size, rate_ = (info.height, info.width), float(info.rate or rate)
-                video = VideoWriter(self.path / f"{name}.mkv", size, rate_, info.dtype, info.full_scale)
+                video = VideoWriter(self.place / f"{name}.mkv", size, rate_, info.dtype, info.full_scale)
                 self._videos[name] = video
         except BaseException:
             self._abandon()
             raise
 
-    def _make_room(self, overwrite: bool) -> None:
-        """Remove an older recording at the path where that is allowed."""
+    def _free_place(self, overwrite: bool) -> Path:
+        """Return where to write: the path itself, or a free name beside a recording that is to be replaced."""
         if not self.path.exists() and not self.path.is_symlink():
-            return
+            return self.path
         if not overwrite:
             raise InputError("exists already", where=self.path, remedy="choose another name or remove it first")
-        # Only what shows that it is a recording may be removed.
+        # Only what shows that it is a recording may be replaced.
         read_meta(self.path)
-        with told_when_full(self.path):
-            shutil.rmtree(self.path)
+        return free_name(self.path, "unfinished")
 
     def _write_meta(self) -> None:
         """Write recording.json as things stand."""
         try:
-            write_json(self.path / META, self.meta)
+            write_json(self.place / META, self.meta)
         except (TypeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
@@ -235,19 +251,26 @@ class RecordingWriter:
         if self._closed:
             return
         self._closed = True
-        for video in self._videos.values():
-            video.close()
-        self._journal.close()
-        write_table(self.path / FRAMES, read_journal(self.path / JOURNAL))
-        for name, count in self.counts.items():
-            self.meta["streams"][name]["frames"] = count
-        self.meta["finished"] = True
-        self._write_meta()
-        # Last, so that at every moment there is a whole list of the frames.
-        (self.path / JOURNAL).unlink()
+        with self._lock, told_when_full(self.path):
+            for name, video in self._videos.items():
+                video.close()
+                # "finished" is a promise: nothing that it is about may still be on its way to the disk.
+                sync(self.place / f"{name}.mkv")
+            self._journal.close()
+            write_table(self.place / FRAMES, read_journal(self.place / JOURNAL))
+            for name, count in self.counts.items():
+                self.meta["streams"][name]["frames"] = count
+            self.meta["finished"] = True
+            self._write_meta()
+            # Last, so that at every moment there is a whole list of the frames.
+            (self.place / JOURNAL).unlink()
+            if self.place != self.path:
+                replace_folder(self.place, self.path)
+                self.place = self.path
+            sync(self.path.absolute().parent)
 
-    def _abandon(self) -> None:
-        """Close what is open without a word; remove the folder if it holds no frame."""
+    def _abandon(self) -> str:
+        """Close what is open without a word; remove the folder if it holds no frame. Return what is kept."""
         self._closed = True
         for video in self._videos.values():
             with contextlib.suppress(OSError, InputError):
@@ -256,8 +279,11 @@ class RecordingWriter:
         if journal is not None:
             with contextlib.suppress(OSError):
                 journal.close()
-        if not any(self.counts.values()):
-            shutil.rmtree(self.path, ignore_errors=True)
+        kept = [f"{count} {name} frames" for name, count in self.counts.items() if count]
+        if self._made and not kept:
+            shutil.rmtree(self.place, ignore_errors=True)
+        self._lock.close()
+        return f"{' and '.join(kept)} are kept in {self.place}, marked as unfinished" if kept else ""
 
     def __enter__(self) -> Self:
         return self
@@ -267,5 +293,7 @@ class RecordingWriter:
     ) -> None:
         if error is None:
             self.close()
-        else:
-            self._abandon()
+            return
+        kept = self._abandon()
+        if kept:
+            error.add_note(kept)
