@@ -158,3 +158,20 @@ def test_an_interrupted_build_leaves_nothing(film, tmp_path: Path):
     with pytest.raises(KeyboardInterrupt):
         build_dataset([recording], tmp_path / "set.zarr", side=8, progress=stop)
     assert [p.name for p in tmp_path.iterdir()] == ["a.rec"]
+
+
+def test_a_simulated_recording_is_known_as_one(tmp_path: Path, film):
+    from synth_plans import little_scene, shortened
+
+    from tapetum.record import Session, label_recording, open_recording
+    from tapetum.record import film as film_scene
+    from tapetum.report.evaluation.outcome import _covariates, _simulated
+
+    recording = film_scene(little_scene(), tmp_path / "sim.rec", shortened(Session(seed=4), 2.0))
+    label_recording(recording)
+    for path, simulated in ((recording.path, True), (film("real.rec"), None)):
+        dataset = open_dataset(build_dataset([path], path.with_suffix(".zarr"), side=40))
+        assert _simulated(dataset, dataset.tp.recordings) is simulated
+    one = open_dataset(recording.path.with_suffix(".zarr"))
+    assert one.tp.recordings[0]["hardware"]["bench"] == open_recording(recording.path).meta["hardware"]["bench"]
+    assert set(_covariates(one, one.tp.recordings, one["recording"].values)) == {"distance", "exposure"}

@@ -399,3 +399,36 @@ def test_samples_run_from_the_highest_gaze_to_the_lowest() -> None:
 def test_none_of_these_is_no_class() -> None:
     found = score_classes(device_outcome(count=200))
     assert found is not None and NONE_OF_THESE not in found.names
+
+
+def test_a_model_worse_than_the_mean_is_called_that() -> None:
+    rng = np.random.default_rng(0)
+    gaze = rng.uniform(-0.5, 0.5, (600, 2))
+    truth = {"gaze_x": gaze[:, 0], "gaze_y": gaze[:, 1]}
+    # x is told well, y is off by more than the field; the intervals fit x alone.
+    value = gaze + rng.normal(0, 1, gaze.shape) * np.array([0.02, 0.6])
+    told = score(outcome_of(truth, value, 0.02 * norm.ppf(0.95)))
+    x, y = told["targets"]["gaze_x"], told["targets"]["gaze_y"]
+    assert (x["verdict"], y["verdict"]) == ("better than the training mean", "worse than the training mean")
+    assert (x["intervals"], y["intervals"]) == ("as wide as they should be", "too narrow")
+    lines = describe(told).splitlines()
+    assert "worse than the training mean" in lines[2] and "too narrow" in lines[2] and "worse" not in lines[1]
+    assert lines[-1] == "gaze_y: no better than a guess that looks at no image; do not use such estimates"
+    apart = np.hypot(*(value - gaze).T)
+    assert f"gaze, distance: mean {apart.mean():.4f}, RMS {np.sqrt((apart**2).mean()):.4f}" in lines[3]
+    assert told["gaze"]["radial"] == pytest.approx(apart.mean())
+    said = opening(told, "M")
+    assert "worse than the training mean" in said and "hold too few true values" in said
+    # Better by the mean error, worse by its square: a few wild estimates.
+    wild = gaze + 0.02 * rng.normal(size=gaze.shape)
+    wild[:12] += 5
+    assert score(outcome_of(truth, wild, 1.0))["targets"]["gaze_x"]["verdict"] == "worse than the training mean"
+    hardly = score(outcome_of(truth, 0.05 * gaze, 1.0))["targets"]["gaze_x"]
+    assert hardly["verdict"] == "hardly better than the training mean"
+
+
+def test_the_map_says_where_the_error_is_largest() -> None:
+    from tapetum.report.evaluation.pictures import pictures
+
+    caption = next(one.caption for one in pictures(focus_outcome(), "M") if one.name == "error-map")
+    assert "told worst at focal length 50 mm, object distance 5 m: 0.5 m" in caption and "hardly" not in caption

@@ -391,7 +391,14 @@ def add_frames(
         "frames": total,
         "used": used,
         "left_out": left_out,
+        **_origin(recording.meta),
     }
+
+
+def _origin(meta: dict[str, Any]) -> dict[str, Any]:
+    """What recording.json says of where the frames come from: cameras or the virtual bench, and its scene."""
+    told = {name: meta[name] for name in ("hardware", "seed") if name in meta}
+    return told | ({"parameters": {"scene": meta["scene"]}} if "scene" in meta else {})
 
 
 def _set_embargo(kept: Kept, told: list[dict[str, Any]]) -> None:

@@ -116,7 +116,7 @@ def sign(content: DemoReport, scores: DemoScores) -> Html | None:
                 figures.fig_sign_rates(one.rates),
                 alt=f"Share of frames whose sign was told right. {said}.",
                 caption="What the models here make of it: both learned with the second beam and were then shown frames "
-                "without it. They lean on it; an ideal observer would need only the first RR. "
+                "without it. "
                 f"Measured over frames with |gaze| > {scores.baseline.sign_threshold:g} of the field. "
                 "Bars: 95 % Wilson intervals that take frames "
                 "for independent; neighbours in a video are not, so they are too short.",
@@ -171,8 +171,8 @@ def limits(content: DemoReport) -> Html:
     ]
     if content.sign is not None:
         fixed.append(
-            "The sign of the gaze rests on defocus and on the probe's second beam: a compact lens in focus, seen "
-            "without that beam, would hide it."
+            "What shows the sign of the gaze here, defocus and the probe's second beam, another camera or probe may "
+            "not have."
         )
     return html.bullets([*fixed, *content.limits])
 
@@ -182,7 +182,11 @@ def paper(scores: DemoScores) -> Html:
     first_name, first = scores.models[0]
     edge = first.thirds[2].mae
     rows = [
-        ["Gaze of phones, ResNet-18", "MAE 0.095 of the field (§5.1.2)", "phones are not simulated yet"],
+        [
+            "Gaze of phones, ResNet-18",
+            "MAE 0.095 of the field (§5.1.2)",
+            "not part of the demo: `tapetum paper table2`",
+        ],
         [
             "Near the edge of the field",
             "error of both models close to half the field, “equivalent to random guessing” (§5.1.1)",

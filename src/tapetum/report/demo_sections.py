@@ -11,11 +11,10 @@ from tapetum.report.figures._style import runs
 from tapetum.report.html import Html
 from tapetum.report.metrics import GazeScores, coverage, predict_mean
 from tapetum.report.rings import error_by_distance
+from tapetum.report.verdicts import MEAN
 
 if TYPE_CHECKING:
     from tapetum.report.demo_report import DemoReport, DemoScores
-
-MEAN = "the training mean"
 
 
 def share(value: float | None, digits: int = 0) -> str:

@@ -10,6 +10,7 @@ from tapetum.models import Predictor
 from tapetum.progress import Progress, quiet
 from tapetum.report.evaluation.outcome import gather_parts
 from tapetum.report.evaluation.scores import score
+from tapetum.report.verdicts import NOT_TO_USE, warnings
 
 __all__ = ["describe", "evaluate_model"]
 
@@ -34,15 +35,23 @@ def evaluate_model(
 
 def describe(scores: dict[str, Any]) -> str:
     """The numbers of `evaluate_model` in one line a label."""
-    lines = [f"{scores['frames']} test frames"]
+    lines = [f"{scores['frames']} test frames" + (", simulated" if scores["simulation"] else "")]
     for name, one in scores["targets"].items():
         beside = ""
         if one["baseline_mae"] is not None:
             beside = f" (predicting the mean: {one['baseline_mae']:.4f}, {one['baseline_rmse']:.4f})"
         held = "no intervals: nothing was set aside for them"
         if one["interval"] is not None:
-            held = f"90 % intervals hold {one['coverage']:.0%}"
-        lines.append(f"{name}: MAE {one['mae']:.4f}, RMSE {one['rmse']:.4f}{beside}; {held}")
+            held = f"90 % intervals hold {one['coverage']:.0%}: {one['intervals']}"
+        said = "" if one["verdict"] is None else f": {one['verdict']}"
+        lines.append(f"{name}: MAE {one['mae']:.4f}, RMSE {one['rmse']:.4f}{beside}{said}; {held}")
+    if "gaze" in scores:
+        gaze, guess = scores["gaze"], scores.get("baseline_gaze")
+        beside = "" if guess is None else f" (predicting the mean: {guess['radial']:.4f}, {guess['radial_rms']:.4f})"
+        lines.append(f"gaze, distance: mean {gaze['radial']:.4f}, RMS {gaze['radial_rms']:.4f}{beside}")
+    poor = [name for name, one in scores["targets"].items() if warnings(one["verdict"])]
+    if poor:
+        lines.append(f"{', '.join(poor)}: no better than a guess that looks at no image; {NOT_TO_USE}")
     classes = scores.get("classes")
     if classes is not None:
         guess = classes["baseline_top_1"]

@@ -59,7 +59,7 @@ class Outcome:
     true_gaze
         [N, 2] where the target really looked, which a label misses by its own error; None where nobody knows.
     simulated
-        Whether the virtual bench filmed it, as far as the dataset says.
+        True where the virtual bench filmed it; None where the dataset does not say.
     """
 
     dataset: str
@@ -74,7 +74,7 @@ class Outcome:
     commonest: str | None = None
     covariates: Mapping[str, Array] = field(default_factory=dict)
     true_gaze: Array | None = None
-    simulated: bool = False
+    simulated: bool | None = None
 
     def __post_init__(self) -> None:
         count = len(self.prediction)
@@ -263,10 +263,10 @@ def _told(entry: Mapping[str, Any], name: str, path: tuple[str, ...]) -> float |
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else None
 
 
-def _simulated(dataset: xr.Dataset, entries: list[dict[str, Any]]) -> bool:
+def _simulated(dataset: xr.Dataset, entries: list[dict[str, Any]]) -> bool | None:
     if "synth" in dataset.attrs:
         return True
     # Only the bench knows the scene it filmed; recordings of it name it among their hardware.
     words = " ".join(str(entry.get(key, "")) for entry in entries for key in ("hardware", "bench", "source"))
     known = any(isinstance(entry.get("parameters"), Mapping) and "scene" in entry["parameters"] for entry in entries)
-    return known or "virtual" in words or "simulated" in words
+    return known or "virtual" in words or "simulated" in words or None

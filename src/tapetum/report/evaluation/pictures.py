@@ -11,16 +11,16 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapetum.report.evaluation.binned import binned_errors
 from tapetum.report.evaluation.outcome import COVARIATES, Outcome
-from tapetum.report.evaluation.scores import by_device, by_recording, by_snr, error_map, group, score_classes
+from tapetum.report.evaluation.scores import ErrorMap, by_device, by_recording, by_snr, error_map, group, score_classes
 from tapetum.report.figures.classes import fig_confusion, fig_reliability
 from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance, look
 from tapetum.report.figures.learning import fig_by_image, fig_path
 from tapetum.report.figures.maps import fig_error_map
 from tapetum.report.rings import error_by_distance
+from tapetum.report.verdicts import MEAN
 
 __all__ = ["MEAN", "Picture", "pictures"]
 
-MEAN = "the training mean"
 FOCUS = ("object_distance", "focal_length")
 # A label that changes in more steps than this is no axis of a map or a staircase.
 _STEPS = 12
@@ -177,9 +177,15 @@ def _map(outcome: Outcome, name: str) -> Picture:
         fig_error_map({name: maps}),
         "Mean absolute error of object distance and of focal length for each pair of true values.",
         "As the paper's Fig. 12: mean absolute error of object distance (above) and focal length (below) for each true "
-        "object distance and focal length. A lens of short focal length has a large depth of field: there the light "
-        "hardly tells how far away it is focused.",
+        f"object distance and focal length. {_largest(maps['object_distance'])}",
     )
+
+
+def _largest(found: ErrorMap) -> str:
+    """Say where the object distance is told worst."""
+    row, column = np.unravel_index(int(np.nanargmax(found.mae)), found.mae.shape)
+    at = f"focal length {1e3 * found.y[row]:.0f} mm, object distance {found.x[column]:g} m"
+    return f"The object distance is told worst at {at}: {found.mae[row, column]:.3g} m."
 
 
 def _classes(outcome: Outcome, name: str) -> Iterator[Picture]:

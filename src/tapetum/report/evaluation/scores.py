@@ -21,6 +21,7 @@ from tapetum.report.evaluation.classes import (
 )
 from tapetum.report.evaluation.outcome import Outcome
 from tapetum.report.metrics import coverage, mae, rmse, score_gaze
+from tapetum.report.verdicts import against_mean, intervals
 
 __all__ = [
     "ClassScores",
@@ -49,6 +50,8 @@ class Group:
         Frames.
     mae, rmse, coverage
         One for each quantity, in the outcome's order; coverage is the share of truths inside the intervals.
+    radial, radial_rms
+        Mean and root mean square of the gaze's distance from the truth; None where the gaze is not predicted.
     """
 
     name: str
@@ -56,11 +59,14 @@ class Group:
     mae: tuple[float, ...]
     rmse: tuple[float, ...]
     coverage: tuple[float, ...]
+    radial: float | None = None
+    radial_rms: float | None = None
 
     def to_dict(self, names: Sequence[str]) -> dict[str, Any]:
         """Return plain numbers, by quantity."""
         parts = {key: dict(zip(names, getattr(self, key), strict=True)) for key in ("mae", "rmse", "coverage")}
-        return {"name": self.name, "frames": self.count, **parts}
+        gaze = {} if self.radial is None else {"radial": self.radial, "radial_rms": self.radial_rms}
+        return {"name": self.name, "frames": self.count, **parts, **gaze}
 
 
 def group(outcome: Outcome, name: str, frames: NDArray[np.bool_]) -> Group:
@@ -69,7 +75,11 @@ def group(outcome: Outcome, name: str, frames: NDArray[np.bool_]) -> Group:
     held = coverage(truth, said.lower[frames], said.upper[frames])
     errors = mae(truth, said.value[frames]), rmse(truth, said.value[frames])
     told = [tuple(float(value) for value in column) for column in (*errors, held)]
-    return Group(name, int(frames.sum()), told[0], told[1], told[2])
+    if not outcome.has_gaze:
+        return Group(name, int(frames.sum()), told[0], told[1], told[2])
+    apart = np.hypot(*np.subtract(*(side[frames] for side in outcome.pair())).T)
+    radial = float(apart.mean()), float(np.sqrt(np.square(apart).mean()))
+    return Group(name, int(frames.sum()), told[0], told[1], told[2], *radial)
 
 
 def by_recording(outcome: Outcome) -> list[Group]:
@@ -249,9 +259,11 @@ def score(outcome: Outcome) -> dict[str, Any]:
     Returns
     -------
     dict
-        `frames`; `simulation`; `targets`, by label: `mae`, `rmse`, `baseline_mae`, `baseline_rmse` (None where nothing
-        trains), `coverage`, the share of truths inside the model's 90 % intervals, and `interval`, their median
-        half-width (None where infinite), all in the label's own unit; `gaze` (see `GazeScores`) and `baseline_gaze`
+        `frames`; `simulation` (True, or None where nobody says); `targets`, by label: `mae`, `rmse`, `baseline_mae`,
+        `baseline_rmse` (None where nothing trains), `verdict` (`tapetum.report.verdicts.against_mean`), `coverage`, the
+        share of truths inside the model's 90 % intervals, `interval`, their median half-width (None where infinite),
+        all in the label's own unit, and `intervals`, a verdict on them; `gaze` with errors by axis and radial (see
+        `GazeScores`) and `baseline_gaze`
         where both coordinates are predicted; `classes` where devices are (see `ClassScores`); `recordings`, `snr` and
         `devices`: the same by part.
 
@@ -280,9 +292,9 @@ def score(outcome: Outcome) -> dict[str, Any]:
     return told
 
 
-def _targets(outcome: Outcome) -> dict[str, dict[str, float | None]]:
+def _targets(outcome: Outcome) -> dict[str, dict[str, Any]]:
     said, base = outcome.prediction, outcome.baseline
-    found: dict[str, dict[str, float | None]] = {}
+    found: dict[str, dict[str, Any]] = {}
     for k, name in enumerate(outcome.quantities):
         truth = outcome.truth[name]
         half = float(np.median((said.upper[:, k] - said.lower[:, k]) / 2))
@@ -294,4 +306,7 @@ def _targets(outcome: Outcome) -> dict[str, dict[str, float | None]]:
             "coverage": float(coverage(truth, said.lower[:, k], said.upper[:, k])),
             "interval": half if np.isfinite(half) else None,
         }
+        one = found[name]
+        one["verdict"] = against_mean(one["mae"], one["baseline_mae"], one["rmse"], one["baseline_rmse"])
+        one["intervals"] = None if one["interval"] is None else intervals(one["coverage"])
     return found

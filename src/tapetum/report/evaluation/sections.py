@@ -9,15 +9,12 @@ import numpy as np
 from tapetum.models.prediction import NONE_OF_THESE
 from tapetum.report import html
 from tapetum.report.evaluation.outcome import Outcome
-from tapetum.report.evaluation.pictures import MEAN
 from tapetum.report.evaluation.scores import Group, by_device, by_recording, by_snr, score_classes
 from tapetum.report.figures.errors import look
 from tapetum.report.html import Html
+from tapetum.report.verdicts import MEAN, NARROW, warnings
 
 __all__ = ["devices", "everything", "opening", "parts", "reading"]
-
-# So many times less error than a guess that looks at no image is the least worth speaking of.
-_WORTH = 1.1
 
 
 def _number(quantity: str, value: float | None) -> str:
@@ -73,13 +70,16 @@ def _verdict(scores: dict[str, Any], name: str) -> list[Html]:
         for quantity, one in scores["targets"].items()
         if one["baseline_mae"] is not None
     }
-    worse = [_plain(quantity) for quantity, ratio in ratios.items() if ratio < _WORTH]
-    better = [f"{_plain(quantity)} {ratio:.1f} times" for quantity, ratio in ratios.items() if ratio >= _WORTH]
+    verdicts = {quantity: scores["targets"][quantity]["verdict"] for quantity in ratios}
+    better = [f"{_plain(q)} {ratio:.1f} times" for q, ratio in ratios.items() if not warnings(verdicts[q])]
     if better:
         said.append(html.paragraph(f"{name} errs less than predicting {MEAN}: {', '.join(better)}."))
-    if worse:
-        what = f"Not or hardly better than predicting {MEAN}: {', '.join(worse)}. Do not use such estimates."
-        said.append(html.note(what))
+    poor = [f"{_plain(q)} is {verdict}" for q, verdict in verdicts.items() if warnings(verdict)]
+    if poor:
+        said.append(html.note(f"{'; '.join(poor)}. Do not use such estimates."))
+    off = [f"{_plain(q)}: {one['intervals']}" for q, one in scores["targets"].items() if one["intervals"] == NARROW]
+    if off:
+        said.append(html.note(f"The 90 % intervals hold too few true values ({'; '.join(off)})."))
     return said
 
 
@@ -121,7 +121,7 @@ def _gaze(scores: dict[str, Any], name: str) -> Html:
         [
             who,
             f"{one['mae_overall']:.3f} / {one['rmse_overall']:.3f}",
-            f"{one['radial_rms']:.3f}",
+            f"{one['radial']:.3f} / {one['radial_rms']:.3f}",
             *("–" if t["mae"] is None else f"{t['mae']:.3f} / {t['rmse']:.3f}" for t in one["thirds"]),
             *(_percent(part, 0) for part in one["sign_right"]),
         ]
@@ -129,13 +129,13 @@ def _gaze(scores: dict[str, Any], name: str) -> Html:
     ]
     counts = ", ".join(str(t["count"]) for t in thirds)
     return html.table(
-        ["gaze", "both axes", "radius", *names, "sign x", "sign y"],
+        ["gaze", "both axes", "distance", *names, "sign x", "sign y"],
         rows,
         numeric=range(1, 8),
         caption="MAE / RMSE in fractions of the field of view (its width for x, its height for y): over both axes, and "
-        f"in thirds of the field by the true distance from its centre ({counts} frames). Radius: root mean square of "
-        "the distance between estimate and truth. Sign: share of frames on the right side of the centre, among those "
-        f"farther than {scores['gaze']['sign_threshold']:g} from it.",
+        f"in thirds of the field by the true distance from its centre ({counts} frames). Distance: mean and root "
+        "mean square of how far the estimate lies from the truth. Sign: share of frames on the right side of the "
+        f"centre, among those farther than {scores['gaze']['sign_threshold']:g} from it.",
     )
 
 

@@ -1,0 +1,50 @@
+"""What numbers say in words: computed in one place, so that no page praises what its own table does not."""
+
+from __future__ import annotations
+
+from tapetum.models.prediction import COVERAGE
+
+__all__ = ["MEAN", "NARROW", "NOT_TO_USE", "against_mean", "intervals", "warnings"]
+
+MEAN = "the training mean"
+NOT_TO_USE, NARROW = "do not use such estimates", "too narrow"
+
+# Errors smaller by less than this factor are not worth speaking of.
+_WORTH = 1.1
+# Shares of intervals nearer to what is wanted than this are called right: frames of a video err alike, and the share of
+# one video scatters by some hundredths.
+_NEAR = 0.05
+
+
+def against_mean(
+    mae: float, guess_mae: float | None, rmse: float | None = None, guess_rmse: float | None = None
+) -> str | None:
+    """Say how errors compare with those of predicting the training part's mean; None where there is none.
+
+    Parameters
+    ----------
+    mae, guess_mae
+        Mean absolute error of the model and of the guess, in one unit.
+    rmse, guess_rmse
+        Root mean square errors, where they count too: worse by one of the two is worse.
+    """
+    if guess_mae is None:
+        return None
+    ratios = [guess_mae / max(mae, 1e-300)]
+    if rmse is not None and guess_rmse is not None:
+        ratios.append(guess_rmse / max(rmse, 1e-300))
+    least = min(ratios)
+    words = "worse than" if least < 1 else "hardly better than" if least < _WORTH else "better than"
+    return f"{words} {MEAN}"
+
+
+def intervals(held: float, wanted: float = COVERAGE) -> str:
+    """Say whether intervals hold as many true values as they are meant to."""
+    if held < wanted - _NEAR:
+        return NARROW
+    return "wider than they need be" if held > wanted + _NEAR else "as wide as they should be"
+
+
+def warnings(verdict: str | None) -> str:
+    """Return what to do about a verdict of `against_mean`; empty where all is well."""
+    return "" if verdict is None or verdict.startswith("better") else NOT_TO_USE
