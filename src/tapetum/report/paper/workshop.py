@@ -58,8 +58,8 @@ class Recipe:
 
 # Epochs and edges of the network's pictures, chosen on frames kept aside of the training parts.
 _EPOCHS = {
-    "gaze": {"paper": 60, "laptop": 30, "small": 4},
-    "varied": {"paper": 40, "laptop": 30, "small": 4},
+    "gaze": {"paper": 60, "laptop": 20, "small": 4},
+    "varied": {"paper": 40, "laptop": 20, "small": 4},
     "focus": {"paper": 20, "laptop": 12, "small": 4},
     "phone": {"paper": 48, "laptop": 20, "small": 4},
     "device": {"paper": 24, "laptop": 12, "small": 4},
@@ -68,7 +68,7 @@ _EDGE = {
     "gaze": {"paper": 72, "laptop": 48, "small": 72},
     "varied": {"paper": 80, "laptop": 64, "small": 80},
     "focus": {"paper": 80, "laptop": 64, "small": 80},
-    "phone": {"paper": 200, "laptop": 100, "small": 100},
+    "phone": {"paper": 200, "laptop": 80, "small": 100},
 }
 
 
