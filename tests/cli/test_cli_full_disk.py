@@ -10,6 +10,7 @@ from pathlib import Path
 import pytest
 
 from tapetum.record.recording import open_recording
+from tapetum.track.tables import detections_schema, read_table, track_schema
 
 resource = pytest.importorskip("resource", reason="the system has no limits to set")
 
@@ -111,13 +112,22 @@ def test_train_resnet(run, chain, small: Small) -> None:
         assert not [path for path in folder.rglob("*") if path.is_file()]
 
 
+def rows_of(path: Path) -> int:
+    schema = detections_schema() if path.name.startswith("d.") else track_schema()
+    return read_table(path, schema).num_rows
+
+
 @pytest.mark.parametrize("kind", ["parquet", "csv", "jsonl"])
 def test_track(run, chain, small: Small, kind: str) -> None:
     # One block: the smallest file system that there is.
     with small(4096 if kind == "parquet" else 2048) as folder:
         ran = run("track", chain.recording, "-o", folder / f"x.{kind}", "--detections", folder / f"d.{kind}")
-        assert f".{kind}" in complaint(ran) and ran.out == ""
-        assert not list(folder.iterdir())
+        line = complaint(ran)
+        assert f".{kind}" in line and ran.out == ""
+        # What found room is a table that can be read: whole, or called unfinished, and the line says where.
+        for path in folder.iterdir():
+            assert path.name == f"x.{kind}" or (".unfinished." in path.name and str(path) in line)
+            assert rows_of(path) >= 20
 
 
 def test_a_file_that_stood_there_stays(run, small: Small) -> None:

@@ -149,14 +149,15 @@ def test_frames_without_a_spot_give_an_empty_table(tmp_path):
         assert len(retrack(kept)) == 0
 
 
-def test_nothing_is_left_of_a_run_that_failed(frames, tmp_path):
+def test_the_rows_of_a_run_that_failed_are_kept(frames, tmp_path):
     def breaking():
         yield from frames[:3]
         raise InputError("the video ends", where="probe.mkv")
 
     with pytest.raises(InputError, match=r"probe\.mkv"):
         track_to_file(breaking(), tmp_path / "tracks.parquet", detections=tmp_path / "kept.csv")
-    assert list(tmp_path.iterdir()) == []
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["kept.unfinished.csv", "tracks.unfinished.parquet"]
+    assert set(read_tracks(tmp_path / "tracks.unfinished.parquet")["frame"].to_pylist()) == {0, 1, 2}
 
 
 def test_bad_input_is_told_before_anything_is_done(frames, tmp_path):

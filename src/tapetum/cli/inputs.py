@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tapetum.errors import InputError
+from tapetum.errors import InputError, StoppedError
 
 if TYPE_CHECKING:
     from tapetum.models import Predictor
 
-__all__ = ["check_replaceable", "find_model"]
+__all__ = ["check_replaceable", "find_model", "says_what_is_kept"]
 
 
 def check_replaceable(out: Path, overwrite: bool, marker: str, kind: str) -> None:
@@ -43,6 +45,30 @@ def check_replaceable(out: Path, overwrite: bool, marker: str, kind: str) -> Non
     if not known:
         what = f"is no {kind} that may be replaced"
         raise InputError(what, where=out, remedy="choose another name or remove it yourself")
+
+
+@contextlib.contextmanager
+def says_what_is_kept(how: str = "") -> Iterator[None]:
+    """Put what work that ended early has kept, the notes on its error, into the one line that a person sees.
+
+    Parameters
+    ----------
+    how
+        How to go on, for what Ctrl-C ended.
+    """
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        notes = getattr(error, "__notes__", [])
+        if not notes:
+            raise
+        raise StoppedError("; ".join([*notes, *([how] if how else [])])) from error
+    except InputError as error:
+        notes = getattr(error, "__notes__", [])
+        if not notes:
+            raise
+        remedy = "; ".join([*([error.remedy] if error.remedy else []), *notes])
+        raise InputError(error.what, where=error.where, remedy=remedy) from error
 
 
 def find_model(name: str) -> Predictor:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import json
-import tempfile
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tapetum.cli.inputs import find_model
+from tapetum.cli.inputs import find_model, says_what_is_kept
 from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
 
@@ -18,7 +17,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 # Which `--detections` writes, and a source may therefore be.
-TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl")
+TABLE_SUFFIXES = (".parquet", ".csv", ".jsonl", ".arrow")
 WAYS = ("live", "whole")
 
 
@@ -66,13 +65,14 @@ def track(
         return
     if smooth is not None and not models:
         raise InputError("without a model there is nothing to smooth", where="--smooth", remedy="give --model")
+    from tapetum.files import free_name
     from tapetum.track import track_to_file
     from tapetum.track.tables import checked_suffix
 
     checked_suffix(out)
-    with tempfile.TemporaryDirectory() as spare:
-        # What is smoothed takes its name only when it is.
-        raw = out if smooth is None else Path(spare) / "raw.parquet"
+    # What is smoothed takes its name only when it is; until then, and if it cannot be, the tracks are kept beside.
+    raw = out if smooth is None else free_name(out, "unsmoothed")
+    with says_what_is_kept():
         summary = track_to_file(
             source,
             raw,
@@ -82,8 +82,13 @@ def track(
             stream=stream,
             progress=bar,
         )
-        if smooth is not None:
+    if smooth is not None:
+        try:
             _write_smooth(raw, out, smooth, systematic)
+        except InputError as error:
+            remedy = "; ".join(filter(None, (error.remedy, f"the tracks as they are stand in {raw}")))
+            raise InputError(error.what, where=error.where, remedy=remedy) from error
+        raw.unlink()
     if as_json:
         typer.echo(json.dumps({**asdict(summary), "out": str(out)}))
         return

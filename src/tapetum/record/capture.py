@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import os
 import queue
-import signal
 import threading
 import time
 from collections.abc import Iterator, Mapping
@@ -13,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tapetum.errors import InputError
+from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
 from tapetum.record.live_sources import Shot, Source
 from tapetum.record.writer import RecordingWriter
@@ -81,26 +81,6 @@ class _Reader:
         return False
 
 
-@contextlib.contextmanager
-def _interruptible(stop: threading.Event) -> Iterator[None]:
-    """Let Ctrl-C end the recording between two frames; a second one interrupts as usual."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.getsignal(signal.SIGINT)
-
-    def asked(number: int, frame: object) -> None:
-        del number, frame
-        stop.set()
-        signal.signal(signal.SIGINT, before)
-
-    signal.signal(signal.SIGINT, asked)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-
-
 def capture(
     sources: Mapping[str, Source],
     out: str | os.PathLike[str],
@@ -151,7 +131,7 @@ def capture(
             start_utc_ns=utc,
             overwrite=overwrite,
         ) as writer:
-            with _interruptible(stop):
+            with interruptible(stop):
                 for reader in readers.values():
                     reader.start(monotonic, utc)
                 for name, shot in progress(_arriving(readers, stop), "recording"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 
 from tapetum.data.crop import crop
 from tapetum.errors import InputError
+from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
 from tapetum.record.frames import open_frames
 from tapetum.record.source import Frame
@@ -213,11 +215,23 @@ def _track(
 
     # Without models there is nothing to wait for.
     size = batch if estimators else 1
-    for frame in frames:
-        waiting.append((frame, detect(frame.image, **{"full_scale": frame.full_scale, **options})))
-        if len(waiting) >= size:
-            yield from finished()
+    try:
+        for frame in frames:
+            waiting.append((frame, detect(frame.image, **{"full_scale": frame.full_scale, **options})))
+            if len(waiting) >= size:
+                yield from finished()
+    except (Exception, KeyboardInterrupt):
+        # What was found before the frame that failed comes first.
+        yield from finished()
+        raise
     yield from finished()
+
+
+def _until(stop: threading.Event, frames: Iterable[Frame]) -> Iterator[Frame]:
+    for frame in frames:
+        if stop.is_set():
+            return
+        yield frame
 
 
 def track_to_file(
@@ -240,7 +254,8 @@ def track_to_file(
     source, model, tracker, detect_options, stream, side, batch, progress
         As for `track`.
     out
-        The table of tracks: .parquet, .csv or .jsonl. A file of this name is replaced once all went well.
+        The table of tracks: .parquet, .csv or .jsonl. A file of this name is replaced once all went well. After Ctrl-C
+        or a frame that cannot be read the rows so far stay beside it, as `NAME.unfinished` with the same suffix.
     detections
         Where to keep what was detected, ghosts marked and included, with the models' estimates: `retrack`
         makes tracks of it without the video. A frame in which nothing was found has one row without a spot.
@@ -252,7 +267,9 @@ def track_to_file(
     Raises
     ------
     InputError
-        As `track`; also when a file cannot be written. Nothing is left half-written.
+        As `track`; also when a file cannot be written. Notes on it say what is kept.
+    KeyboardInterrupt
+        After Ctrl-C, once the frame under way is done; with the same notes.
     """
     checked_suffix(out)
     estimators = _loaded(model)
@@ -261,21 +278,22 @@ def track_to_file(
     if detections is not None:
         checked_suffix(detections)
         options["ghosts"] = "mark"
+    stop, (given, count) = threading.Event(), _frames(source, stream)
     tracked = track(
-        source,
+        _until(stop, progress(given, "tracking", total=count)),
         model=estimators,
         tracker=tracker,
         detect_options=options,
         stream=stream,
         side=side,
         batch=batch,
-        progress=progress,
     )
     frames = rows = seen = 0
     numbers: set[int] = set()
     with ExitStack() as stack:
         kept = None if detections is None else stack.enter_context(table_writer(detections, detections_schema(names)))
         table = stack.enter_context(table_writer(out, track_schema(names)))
+        stack.enter_context(interruptible(stop))
         for one in tracked:
             frames += 1
             for row in one.rows:
@@ -285,4 +303,6 @@ def track_to_file(
             if kept is not None:
                 for record in detection_records(one):
                     kept.write(record)
+        if stop.is_set():
+            raise KeyboardInterrupt
     return TrackSummary(frames, len(numbers), rows, seen)

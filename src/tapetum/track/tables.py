@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
+import errno
+import io
+import itertools
 import json
 import math
 import os
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,8 +20,9 @@ import pyarrow as pa
 import pyarrow.csv as pacsv
 import pyarrow.parquet as pq
 
+from tapetum.durable import sync
 from tapetum.errors import InputError
-from tapetum.files import atomic_file, told_when_full
+from tapetum.files import atomic_file, free_name, told_when_full
 from tapetum.track.detections import Detections
 
 __all__ = [
@@ -31,6 +37,7 @@ __all__ = [
 
 SUFFIXES = (".parquet", ".csv", ".jsonl")
 _FLUSH = 2000
+_SECONDS = 1.0
 
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _TRACK = {
@@ -103,72 +110,161 @@ def finite(value: Any) -> Any:
 
 
 class TableWriter:
-    """Writes rows as they come, so that an hour of tracks needs no memory. Made by `table_writer`."""
+    """Writes rows as they come, so that an hour of tracks needs no memory. Made by `table_writer`.
 
-    def __init__(self, part: Path, suffix: str, schema: pa.Schema) -> None:
-        self.schema, self.rows = schema, 0
+    Rows grow in a file of their own, `NAME.unfinished` with the table's suffix (`.arrow` for a table in Parquet, which
+    can only be read when it is whole). Every second they are handed to the system: that much a kill may cost.
+    """
+
+    def __init__(self, target: Path, schema: pa.Schema) -> None:
+        self.schema, self.rows, self._target = schema, 0, target
+        self._suffix = checked_suffix(target)
         self._pending: list[dict[str, Any]] = []
-        self._text = part.open("w", encoding="utf-8") if suffix == ".jsonl" else None
+        self._handed, self._whole, self._since = 0, 0, time.monotonic()
+        growing = target.with_suffix(".arrow") if self._suffix == ".parquet" else target
+        self.place, self._file = _opened(growing)
         self._arrow = None
-        if suffix == ".parquet":
-            self._arrow = pq.ParquetWriter(part, schema)
-        elif suffix == ".csv":
-            self._arrow = pacsv.CSVWriter(part, schema)
+        if self._suffix == ".parquet":
+            self._arrow = pa.ipc.new_stream(self._file, schema)
+        elif self._suffix == ".csv":
+            self._arrow = pacsv.CSVWriter(self._file, schema)
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Add a row; columns that it lacks stay empty."""
         self._pending.append({name: finite(row.get(name)) for name in self.schema.names})
         self.rows += 1
-        if len(self._pending) >= _FLUSH:
+        if len(self._pending) >= _FLUSH or time.monotonic() - self._since > _SECONDS:
             self.flush()
 
     def flush(self) -> None:
         """Hand the rows written so far to the system."""
-        if self._pending and self._text is not None:
-            self._text.writelines(json.dumps(row, allow_nan=False) + "\n" for row in self._pending)
-        elif self._pending and self._arrow is not None:
+        self._since = time.monotonic()
+        if not self._pending:
+            return
+        if self._arrow is None:
+            lines = (json.dumps(row, allow_nan=False) + "\n" for row in self._pending)
+            self._file.write("".join(lines).encode())
+        else:
             self._arrow.write_table(pa.Table.from_pylist(self._pending, schema=self.schema))
+        self._file.flush()
+        self._whole, self._handed = self._file.tell(), self._handed + len(self._pending)
         self._pending.clear()
 
-    def close(self) -> None:
-        """Write what is left and close the file."""
-        try:
+    def finish(self) -> None:
+        """Write what is left; the table, on the disk and whole, takes its name."""
+        self.flush()
+        if self._arrow is not None:
+            self._arrow.close()
+        self._file.close()
+        if self._suffix == ".parquet":
+            _to_parquet(self.place, self._target)
+            self.place.unlink()
+            return
+        sync(self.place)
+        self.place.replace(self._target)
+        sync(self._target.absolute().parent)
+
+    def abandon(self) -> str:
+        """Close the file after work that failed; return what of it is kept, and where."""
+        with contextlib.suppress(OSError, pa.ArrowException):
             self.flush()
-        finally:
-            for stream in (self._text, self._arrow):
-                if stream is not None:
-                    stream.close()
+        with contextlib.suppress(OSError, pa.ArrowException, ValueError):
+            self._file.close()
+        if not self._handed:
+            self.place.unlink(missing_ok=True)
+            return ""
+        with contextlib.suppress(OSError):
+            # A full disk may have taken a part of the last rows.
+            os.truncate(self.place, self._whole)
+        if self._suffix == ".parquet":
+            with contextlib.suppress(OSError, pa.ArrowException, InputError):
+                whole = free_name(self._target, "unfinished")
+                _to_parquet(self.place, whole)
+                self.place.unlink()
+                self.place = whole
+        return f"{self._handed} rows are kept in {self.place}"
+
+
+def _opened(target: Path) -> tuple[Path, Any]:
+    """Open a file `NAME.unfinished.SUFFIX` that was not there before."""
+    while True:
+        place = free_name(target, "unfinished")
+        with contextlib.suppress(FileExistsError):
+            return place, place.open("xb")
+
+
+def _to_parquet(stream: Path, target: Path) -> None:
+    """Write the rows of an Arrow stream as Parquet, some thousands at a time."""
+    with atomic_file(target) as part:
+        batches = _batches(stream)
+        first = next(batches)
+        with pq.ParquetWriter(part, first.schema) as writer:
+            waiting: list[pa.RecordBatch] = []
+            for batch in itertools.chain([first], batches):
+                waiting.append(batch)
+                if sum(one.num_rows for one in waiting) >= _FLUSH:
+                    writer.write_table(pa.Table.from_batches(waiting))
+                    waiting.clear()
+            if waiting:
+                writer.write_table(pa.Table.from_batches(waiting))
+
+
+def _batches(stream: Path) -> Iterator[pa.RecordBatch]:
+    """Yield the batches of an Arrow stream, an empty one first, as far as it is whole."""
+    with stream.open("rb") as file, pa.ipc.open_stream(file) as reader:
+        yield pa.RecordBatch.from_pylist([], schema=reader.schema)
+        while True:
+            try:
+                batch = reader.read_next_batch()
+            except (StopIteration, OSError, pa.ArrowException):
+                return
+            yield batch
 
 
 @contextmanager
 def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[TableWriter]:
     """Open a table for writing; it takes its name only when all went well.
 
+    Where the work fails or is interrupted, its rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note
+    on the error says so (`__notes__`). A file that stood at `path` then still stands.
+
     Raises
     ------
     InputError
         When the suffix is none of .parquet, .csv, .jsonl, or the file cannot be written.
     """
-    suffix = checked_suffix(path)
-    with told_when_full(path), atomic_file(path) as part:
-        writer = TableWriter(part, suffix, schema)
-        try:
+    checked_suffix(path)
+    writer = None
+    try:
+        with told_when_full(path):
+            Path(path).absolute().parent.mkdir(parents=True, exist_ok=True)
+            if Path(path).is_dir():
+                raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+            writer = TableWriter(Path(path), schema)
             yield writer
-        finally:
-            writer.close()
+            writer.finish()
+    except BaseException as error:
+        kept = "" if writer is None else writer.abandon()
+        if kept:
+            error.add_note(kept)
+        raise
 
 
 def _read(path: Path, suffix: str, known: Mapping[str, pa.DataType]) -> pa.Table:
     if suffix == ".parquet":
         return pq.read_table(path)
+    if suffix == ".arrow":
+        return pa.Table.from_batches(list(_batches(path)))
+    # A kill may tear the last line of what was being written.
+    text = path.read_bytes()
+    torn = ".unfinished" in path.name and not text.endswith(b"\n")
+    text = text[: text.rfind(b"\n") + 1] if torn else text
     if suffix == ".csv":
-        with path.open(encoding="utf-8") as stream:
-            header = [name.strip().strip('"') for name in stream.readline().split(",")]
+        header = [name.strip().strip('"') for name in text.split(b"\n", 1)[0].decode().split(",")]
         types = {name: known.get(name, pa.float64()) for name in header}
         options = pacsv.ConvertOptions(column_types=types, strings_can_be_null=True)
-        return pacsv.read_csv(path, convert_options=options)
-    with path.open(encoding="utf-8") as stream:
-        rows = [json.loads(line) for line in stream if line.strip()]
+        return pacsv.read_csv(io.BytesIO(text), convert_options=options)
+    rows = [json.loads(line) for line in text.decode().splitlines() if line.strip()]
     if not all(isinstance(row, dict) for row in rows):
         raise ValueError("a line is no JSON object")
     names = list(rows[0]) if rows else list(known)
@@ -181,7 +277,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     Parameters
     ----------
     path
-        .parquet, .csv or .jsonl.
+        .parquet, .csv or .jsonl; or what a killed run left, `NAME.unfinished.arrow` among them.
     schema
         Columns that must be there. Others are kept, behind them.
 
@@ -191,7 +287,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
         When the file is missing or damaged, or lacks a column.
     """
     place = Path(path)
-    suffix = checked_suffix(place)
+    suffix = ".arrow" if place.suffix == ".arrow" else checked_suffix(place)
     if not place.is_file():
         raise InputError("no such file", where=place, remedy="check the path")
     try:
