@@ -22,7 +22,7 @@ def run(effort: Effort) -> list[Row]:
     images = rng.poisson(20 * rng.random((32, 1, 1)), (32, _CROP, _CROP)).clip(0, 255).astype(np.uint8)
     model = _model()
     fast = FastResNet18(model)
-    apart = float(np.abs(fast.predict(images).value - model.predict(images).value).max())
+    apart = float(np.abs(fast.predict(images, anyway=True).value - model.predict(images, anyway=True).value).max())
     rows: list[Row] = []
     for count in (1, 8, 32):
         few, repeats = images[:count], effort.of(max(1, 16 // count), 1)

@@ -17,6 +17,7 @@ def test_columns_of_a_table_of_tracks():
     assert list(prediction.columns()) == [
         *("gaze_x", "gaze_x_low", "gaze_x_high"),
         *("gaze_y", "gaze_y_low", "gaze_y_high"),
+        *("applies", "reason"),
     ]
     np.testing.assert_array_equal(prediction["gaze_y"], [0.2, 0.4])
     np.testing.assert_array_equal(prediction.columns()["gaze_x_high"], [2.1, 2.3])

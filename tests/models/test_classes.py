@@ -64,7 +64,10 @@ def test_it_tells_devices_and_gaze_together(phones, model):
     assert np.mean([a == b for a, b in zip(named, truth, strict=True)]) > 0.95
     gaze = test["gaze_x"].values
     assert np.abs(found["gaze_x"] - gaze).mean() < 0.7 * np.abs(gaze - gaze.mean()).mean()
-    assert set(found.columns()) == {"gaze_x", "gaze_x_low", "gaze_x_high", "device", "device_probability"}
+    assert set(found.columns()) == {"gaze_x", "gaze_x_low", "gaze_x_high", "device", "device_probability"} | {
+        "applies",
+        "reason",
+    }
 
 
 def test_what_it_never_saw_is_none_of_these(phones, model):

@@ -91,7 +91,7 @@ def test_tables_go_out_and_come_back_and_are_tracked_again(frames, tmp_path, suf
     assert (summary.frames, summary.tracks, summary.rows, summary.seen) == (COUNT, 1, COUNT, COUNT - 2)
     table = read_tracks(out)
     assert table.schema.names[: len(track_schema())] == track_schema().names
-    assert table.column_names[-3:] == ["depth", "depth_low", "depth_high"]
+    assert table.column_names[-5:] == ["depth", "depth_low", "depth_high", "applies", "reason"]
     rows = table.to_pylist()
     assert [row["frame"] for row in rows] == list(range(COUNT))
     assert rows[0]["gaze_x_high"] - rows[0]["gaze_x"] == pytest.approx(0.1)
@@ -111,6 +111,39 @@ def test_tables_go_out_and_come_back_and_are_tracked_again(frames, tmp_path, suf
     assert read_tracks(copy).equals(table)
     if suffix == ".jsonl":
         assert json.loads(out.read_text().splitlines()[0])["track"] == 1
+
+
+def test_a_wall_is_no_retro_reflection_and_hides_none():
+    at = np.arange(600)
+    wall = np.outer((at > 60) & (at < 560), (at > 20) & (at < 400)) * 200
+    image = np.clip(wall + np.random.default_rng(0).normal(8, 1, (600, 600)), 0, 255).astype(np.uint8)
+    image[300:306, 480:486] = 45  # a fifth of the wall: its ghost, were the wall a retro-reflection
+    both = list(track([Frame(0, 0.0, image)], detect_options={"largest": None}))
+    assert [round(x) for x in both[0].detections.x] == [210]
+    alone = list(track([Frame(0, 0.0, image)]))
+    assert alone[0].detections.x == pytest.approx([482.5], abs=1)
+    with pytest.raises(InputError, match="largest: must be positive"):
+        list(track([Frame(0, 0.0, image)], detect_options={"largest": 0}))
+
+
+class Doubtful(Brightness):
+    """A stand-in that applies to no frame."""
+
+    def predict(self, crops, *, full_scale=None, progress=None):
+        found = super().predict(crops, full_scale=full_scale)
+        return found.because(["unlike"] * len(found), described=True).withheld()
+
+
+@pytest.mark.parametrize("suffix", [".parquet", ".csv", ".jsonl"])
+def test_what_a_model_refuses_stands_empty_with_the_reason(frames, tmp_path, suffix):
+    out, kept = tmp_path / f"tracks{suffix}", tmp_path / f"found{suffix}"
+    track_to_file(frames, out, model=[Doubtful(), Namer()], detections=kept, side=120)
+    for table in (read_tracks(out), retrack(kept)):
+        rows = [row for row in table.to_pylist() if row["seen"]]
+        assert {row["gaze_x"] for row in rows} == {None}
+        assert {row["device"] for row in rows} == {"phone-b"}
+        assert {row["applies"] for row in rows} == {False}
+        assert {row["reason"] for row in rows} == {"gaze_x, depth: unlike"}
 
 
 class Namer:

@@ -45,6 +45,12 @@ def track(
     min_snr: Annotated[
         float, typer.Option(metavar="RATIO", help="Least signal-to-noise ratio of a detection.", min=1.0)
     ] = 6.0,
+    largest: Annotated[
+        float,
+        typer.Option(
+            metavar="PX", help="Largest diameter of a retro-reflection: wider spots are walls and lamps.", min=1.0
+        ),
+    ] = 400.0,
     smooth: Annotated[
         str | None,
         typer.Option(metavar="WAY", help="Smooth estimates over time: live (by earlier frames alone) or whole."),
@@ -78,7 +84,7 @@ def track(
             raw,
             model=[find_model(name) for name in models or ()],
             detections=detections,
-            detect_options={"min_snr": min_snr},
+            detect_options={"min_snr": min_snr, "largest": largest},
             stream=stream,
             progress=bar,
         )
@@ -103,7 +109,9 @@ def _write_smooth(tracks: Path | pa.Table, out: Path, way: str, systematic: floa
     from tapetum.track.smooth import smooth_tracks
 
     table = read_tracks(tracks) if isinstance(tracks, Path) else tracks
-    if table.num_rows:
+    said = set(table["applies"].to_pylist() if "applies" in table.column_names else ()) - {None}
+    # Where the models refuse every row there is nothing to smooth.
+    if table.num_rows and said != {False}:
         table = smooth_tracks(table, causal=way == "live", systematic=systematic)
     write_tracks(table, out)
 

@@ -51,7 +51,9 @@ class Predictor(Protocol):
     quantities: tuple[str, ...]
     data_hash_: str | None
 
-    def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction: ...
+    def predict(
+        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+    ) -> Prediction: ...
 
     def parameters(self) -> dict[str, Any]:
         """Return how it was made, fit for JSON."""

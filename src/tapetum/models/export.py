@@ -17,6 +17,7 @@ from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError, need
 from tapetum.files import atomic_file
 from tapetum.models.base import Predictor
+from tapetum.models.domain import ORDER, Domain, groups, projection
 from tapetum.models.inputs import SOFTENING
 from tapetum.models.network import BasicBlock, ResNet18Network
 from tapetum.models.novelty import Novelty
@@ -37,7 +38,8 @@ _PREPARATION = (
     " grey levels as the camera counts them, finite and not negative; full_scale: float32 scalar, the camera's largest"
     " count (255 for 8 bits). Averaging over areas to {size} x {size}, square root, background and scaling are inside."
     " Intervals of 90 %: value - half_width ... value + half_width, from the row of half_width whose SNR (edges between"
-    " the rows: snr_edges) is the crop's. novelty above 1: none of the classes."
+    " the rows: snr_edges) is the crop's. novelty above 1: none of the classes. distance above 1: the crop is unlike"
+    " the training frames, and the answer means nothing."
 )
 
 
@@ -99,7 +101,8 @@ def onnx_bytes(model: Predictor) -> bytes:
     """Return a fitted ResNet-18 as an ONNX model, preparation and scaling included.
 
     Inputs: `counts` [N, crop, crop] and `full_scale` [], float32. Outputs: `value` [N, K] in SI units where there are
-    quantities; `probability` [N, C] and `novelty` [N] where there are classes. Normalisations, standard deviations and
+    quantities; `probability` [N, C] and `novelty` [N] where there are classes; `distance` [N] of
+    `tapetum.models.domain.Domain` where the model has one. Normalisations, standard deviations and
     the temperature are folded into the weights, in float64.
 
     Raises
@@ -122,7 +125,11 @@ def onnx_bytes(model: Predictor) -> bytes:
     card = onnx_card(model)
     graph = _Graph(need("onnx", EXTRA))
     unit = float(state["scaling.unit"][0])
-    outputs = _outputs(graph, model, state, _features(graph, model.network_, unit, _prepared(graph, model)))
+    seen = _prepared(graph, model)
+    outputs = _outputs(graph, model, state, _features(graph, model.network_, unit, seen))
+    if model.domain_ is not None:
+        _distance(graph, model.domain_, seen, model.size, unit)
+        outputs["distance"] = ()
     return graph.finished(outputs, model.crop, card)
 
 
@@ -295,5 +302,23 @@ def _novelty(graph: _Graph, novelty: Novelty, features: str) -> None:
     white = graph.add("white", "MatMul", features, graph.constant("novelty.whitening", novelty.whitening / unit))
     each = graph.add("white_row", "Unsqueeze", white, graph.constant("novelty.row", [1], np.int64))
     apart = graph.add("apart", "Sub", each, graph.constant("novelty.means", novelty.means / unit))
-    far = graph.add("distance", "ReduceL2", apart, graph.constant("novelty.along", [2], np.int64), keepdims=0)
+    far = graph.add("far", "ReduceL2", apart, graph.constant("novelty.along", [2], np.int64), keepdims=0)
     graph.add("novelty", "ReduceMin", far, graph.constant("novelty.nearest", [1], np.int64), keepdims=0)
+
+
+def _distance(graph: _Graph, domain: Domain, seen: str, size: int, unit: float) -> None:
+    """`tapetum.models.domain.Domain` of `picture_features`, [N]."""
+    flat = graph.add("look", "Reshape", seen, graph.constant("look_shape", [0, size * size], np.int64))
+    modes = graph.add("modes", "MatMul", flat, graph.constant("modes.projection", projection(size) / unit))
+    kinds = np.kron(np.eye(2), groups(ORDER))
+    square = graph.add("modes_square", "Mul", modes, modes)
+    sizes = graph.add("magnitudes", "Sqrt", graph.add("sums", "MatMul", square, graph.constant("kinds", kinds)))
+    along = graph.constant("look_along", [1], np.int64)
+    scale = graph.constant("look_scale", 1 / unit)
+    length = graph.add("length", "ReduceL2", flat, along)
+    rms = graph.add("rms", "Mul", length, graph.constant("rms_scale", 1 / (unit * size)))
+    largest = graph.add("largest", "Mul", graph.add("top", "ReduceMax", flat, along), scale)
+    features = graph.add("described", "Concat", sizes, rms, largest, axis=1)
+    apart = graph.add("from_mean", "Sub", features, graph.constant("domain.mean", domain.mean))
+    white = graph.add("from_white", "MatMul", apart, graph.constant("domain.whitening", domain.whitening / domain.unit))
+    graph.add("distance_", "ReduceL2", white, along, outputs=("distance",), keepdims=0)

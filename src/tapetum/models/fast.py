@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError, need
 from tapetum.models.base import Data, batches, frame_count
+from tapetum.models.domain import judged
 from tapetum.models.export import EXTRA, FORMAT, VERSION, onnx_bytes
 from tapetum.models.inputs import central
 from tapetum.models.intervals import Intervals
@@ -93,7 +94,9 @@ class FastResNet18:
         told = {name: self.card[name] for name in ("crop", "size") if name in self.card}
         return {"target": list(self.target_names), **told, "runtime": "ONNX"}
 
-    def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:
+    def predict(
+        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+    ) -> Prediction:
         """Estimate the target for every image.
 
         Parameters
@@ -104,6 +107,8 @@ class FastResNet18:
             Largest count of the camera, for crops that are not uint8.
         progress
             Shown over the batches.
+        anyway
+            Answer also where the model does not apply; the prediction still says so.
 
         Returns
         -------
@@ -116,7 +121,8 @@ class FastResNet18:
         """
         total = -(-frame_count(data) // _BATCH)
         parts = list(self._parts(progress(batches(data, full_scale, _BATCH), "ResNet-18, fast", total=total)))
-        return joined(parts or [self._predicted(self._empty(), np.empty(0))])
+        found = joined(parts or [self._predicted(self._empty(), np.empty(0))])
+        return found if anyway else found.withheld()
 
     def _parts(self, images: Any) -> Iterator[Prediction]:
         for crops, depth in images:
@@ -131,13 +137,13 @@ class FastResNet18:
             yield self._predicted(found, snr)
 
     def _empty(self) -> dict[str, NDArray[np.float64]]:
-        shapes = {"value": (0, len(self.quantities)), "probability": (0, len(self.classes())), "novelty": (0,)}
-        return {name: np.empty(shapes[name]) for name in self._outputs}
+        shapes = {"value": (0, len(self.quantities)), "probability": (0, len(self.classes()))}
+        return {name: np.empty(shapes.get(name, (0,))) for name in self._outputs}
 
     def _predicted(self, found: dict[str, NDArray[np.float64]], snr: NDArray[np.float64]) -> Prediction:
         value = found.get("value", np.empty((len(snr), 0)))
         width = self._intervals.at(snr)
-        return Prediction(
+        raw = Prediction(
             self.quantities,
             value,
             value - width,
@@ -146,6 +152,7 @@ class FastResNet18:
             found.get("probability"),
             found.get("novelty"),
         )
+        return judged(raw, found.get("distance"))
 
 
 def _content(model: str | Path | ResNet18) -> tuple[bytes | str, object]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -39,6 +39,11 @@ class Prediction:
         [N, C], that the image shows each; given that it shows one of them.
     novelty
         [N] how unlike every class the image is. Above 1 it is none of these: `tapetum.models.novelty`.
+    reason
+        [N] why the model does not apply to an image, empty text where it does. Estimates, intervals and probabilities
+        of images with a reason are NaN, unless the model was told to answer anyway.
+    described
+        Whether the model knows how the frames look that it learned from. Otherwise nobody knows whether it applies.
     """
 
     names: tuple[str, ...]
@@ -48,6 +53,8 @@ class Prediction:
     classes: tuple[str, ...] = ()
     probability: NDArray[np.float64] | None = None
     novelty: NDArray[np.float64] | None = None
+    reason: tuple[str, ...] = ()
+    described: bool = False
 
     def __post_init__(self) -> None:
         shape = (len(self.value), len(self.names))
@@ -63,9 +70,15 @@ class Prediction:
             raise InputError(f"must be {shares}, is {self.probability.shape}", where="probability")
         if self.novelty is not None and self.novelty.shape != shape[:1]:
             raise InputError(f"must be {shape[:1]}, is {self.novelty.shape}", where="novelty")
-        told = [self.value, self.probability, self.novelty]
-        if not all(np.isfinite(one).all() for one in told if one is not None) or any(
-            np.isnan(end).any() for end in (self.lower, self.upper)
+        if not self.reason:
+            object.__setattr__(self, "reason", ("",) * len(self.value))
+        if len(self.reason) != len(self.value):
+            raise InputError(f"expected {len(self.value)} reasons, got {len(self.reason)}", where="reason")
+        answered = self.applies
+        numbers = [one[answered] for one in (self.value, self.probability) if one is not None]
+        numbers += [] if self.novelty is None else [self.novelty]
+        if not all(np.isfinite(one).all() for one in numbers) or any(
+            np.isnan(end[answered]).any() for end in (self.lower, self.upper)
         ):
             raise InputError(
                 "a prediction is not finite", where="model", remedy="train it again; its weights are unusable"
@@ -81,6 +94,40 @@ class Prediction:
         return self.value[:, self.names.index(name)]
 
     @property
+    def applies(self) -> NDArray[np.bool_]:
+        """[N] False where the model does not apply, for a `reason`; True elsewhere, also where nobody knows."""
+        return np.array([not one for one in self.reason], dtype=bool)
+
+    def because(self, reason: Sequence[str], *, described: bool) -> Prediction:
+        """Return the same numbers with a reason an image, empty where the model applies."""
+        return replace(self, reason=tuple(reason), described=described)
+
+    def withheld(self) -> Prediction:
+        """Return it with NaN for all numbers of images that have a `reason`.
+
+        Estimates of the gaze that lie past the edge of the field, though their intervals reach into it, become those of
+        the edge.
+        """
+        silent = ~self.applies
+
+        def without(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            found = values.copy()
+            found[silent] = np.nan
+            return found
+
+        value = without(self.value)
+        for k, name in enumerate(self.names):
+            if name in ("gaze_x", "gaze_y"):
+                value[:, k] = np.clip(value[:, k], -0.5, 0.5)
+        return replace(
+            self,
+            value=value,
+            lower=without(self.lower),
+            upper=without(self.upper),
+            probability=None if self.probability is None else without(self.probability),
+        )
+
+    @property
     def device(self) -> list[str]:
         """The likeliest class of each image, or `NONE_OF_THESE`.
 
@@ -90,10 +137,10 @@ class Prediction:
             When the model knows no classes.
         """
         shares = self._shares
-        likeliest = [self.classes[k] for k in shares.argmax(axis=1)]
-        if self.novelty is None:
-            return likeliest
-        return [NONE_OF_THESE if new > 1 else name for name, new in zip(likeliest, self.novelty, strict=True)]
+        strange = np.zeros(len(shares)) if self.novelty is None else self.novelty
+        none = np.isnan(shares).any(axis=1) | (strange > 1)
+        names = [self.classes[k] for k in shares.argmax(axis=1)]
+        return [NONE_OF_THESE if new else name for name, new in zip(names, none, strict=True)]
 
     @property
     def device_probability(self) -> NDArray[np.float64]:
@@ -111,7 +158,8 @@ class Prediction:
     def columns(self) -> dict[str, Any]:
         """Return the columns of a table of tracks, [N] each.
 
-        NAME, NAME_low and NAME_high for each name, then `device` and `device_probability` where there are classes.
+        NAME, NAME_low and NAME_high for each name, then `device` and `device_probability` where there are classes, and
+        `applies` (None where nobody knows) and `reason`.
         """
         table: dict[str, Any] = {}
         for k, name in enumerate(self.names):
@@ -122,7 +170,8 @@ class Prediction:
             }
         if self.classes:
             table |= {"device": self.device, "device_probability": self.device_probability}
-        return table
+        known = [False if why else (True if self.described else None) for why in self.reason]
+        return {**table, "applies": known, "reason": list(self.reason)}
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:
@@ -140,4 +189,6 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
         first.classes,
         None if first.probability is None else column("probability"),
         None if first.novelty is None else column("novelty"),
+        tuple(why for part in parts for why in part.reason),
+        first.described,
     )

@@ -14,6 +14,7 @@ from torch import Tensor, nn
 
 from tapetum.data.dataset import DEVICE
 from tapetum.errors import InputError, one_of
+from tapetum.models.augmentation import augment
 from tapetum.models.base import (
     Data,
     TrainingPart,
@@ -25,6 +26,7 @@ from tapetum.models.base import (
     training_part,
 )
 from tapetum.models.calibration import fit_temperature, probabilities
+from tapetum.models.domain import Domain, fit_domain, judged, picture_features, picture_width
 from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import Intervals, fit_intervals
 from tapetum.models.losses import MixedLoss
@@ -87,6 +89,9 @@ class ResNet18:
         Of the classes' probabilities, set on the frames kept out of the fit: `tapetum.models.calibration`.
     novelty_
         `tapetum.models.novelty.Novelty`, or None without classes.
+    domain_
+        `tapetum.models.domain.Domain`: how the training frames look; None where there were fewer than 40, and in
+        models saved before there was one.
     data_hash_
         Hash of the content of the training frames fitted to, where known.
     training_
@@ -108,6 +113,7 @@ class ResNet18:
     classes_: tuple[str, ...]
     temperature_: float
     novelty_: Novelty | None
+    domain_: Domain | None
     data_hash_: str | None
     training_: dict[str, Any] | None
 
@@ -236,7 +242,15 @@ class ResNet18:
         )
         self.network_, self.data_hash_, self.training_ = network, part.data_hash, part.summary
         self._calibrate(part, images, snr, device)
+        self.domain_ = self._described(images, np.asarray(part.dataset["recording"].values))
         return self
+
+    def _described(self, images: Tensor, recording: NDArray[np.integer]) -> Domain | None:
+        """Describe the training frames, varied as the network saw them while training."""
+        # Not those of the training: what is drawn here must not hang on how long it took.
+        generator = torch.Generator().manual_seed(self.seed)
+        seen = [picture_features(augment(some, self.settings.augmentation, generator)) for some in images.split(_BATCH)]
+        return fit_domain(np.concatenate(seen), recording)
 
     def _calibrate(self, part: TrainingPart, images: Tensor, snr: NDArray[np.float64], device: torch.device) -> None:
         """Set intervals, temperature and what counts as none of the classes, by the frames kept out of the fit."""
@@ -279,7 +293,9 @@ class ResNet18:
         """Return the quantities [N, K] in their units."""
         return found[:, : len(self.quantities)] * self._spread + self._centre
 
-    def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:
+    def predict(
+        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+    ) -> Prediction:
         """Estimate the target for every image.
 
         Parameters
@@ -290,6 +306,8 @@ class ResNet18:
             Largest count of the camera, for crops that are not uint8.
         progress
             Shown over the batches.
+        anyway
+            Answer also where the model does not apply; the prediction still says so.
 
         Returns
         -------
@@ -306,13 +324,16 @@ class ResNet18:
         self.network_.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.network_.eval()
         total, k = -(-frame_count(data) // _BATCH), len(self.quantities)
-        parts = [self._predicted(np.empty((0, k + len(self.classes_))), np.empty((0, FEATURES)), np.empty(0))]
+        nothing = np.empty((0, k + len(self.classes_))), np.empty((0, FEATURES)), np.empty(0)
+        parts = [judged(self._predicted(*nothing), None if self.domain_ is None else np.empty(0))]
         for images, depth in progress(batches(data, full_scale, _BATCH), "ResNet-18", total=total):
             prepared = prepare(images, self.crop, self.size, depth, self.hide, self.background) / self._unit
             features = self._run(self.network_.features, prepared, device)
             snr = crop_snr(images, depth) if self.intervals_.conditional else np.zeros(len(images))
-            parts.append(self._predicted(self._weighed(features), features, snr))
-        return joined(parts)
+            distance = None if self.domain_ is None else self.domain_(picture_features(prepared))
+            parts.append(judged(self._predicted(self._weighed(features), features, snr), distance))
+        found = joined(parts)
+        return found if anyway else found.withheld()
 
     def _weighed(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the last layer's outputs [N, K + C], so that the network runs once for them and for the features."""
@@ -365,7 +386,10 @@ class ResNet18:
             scaling["temperature"] = [self.temperature_]
         for name, values in scaling.items():
             learned[f"scaling.{name}"] = torch.from_numpy(np.array(values, dtype=np.float64))
-        return learned | self.intervals_.state("scaling.") | ({} if self.novelty_ is None else self.novelty_.state())
+        learned |= self.intervals_.state("scaling.")
+        for one in (self.novelty_, self.domain_):
+            learned |= {} if one is None else one.state()
+        return learned
 
     def classes(self) -> tuple[str, ...]:
         """Return the names of the devices learned; empty where that is no target."""
@@ -399,6 +423,7 @@ class ResNet18:
         model.temperature_ = float(scaling["scaling.temperature"][0]) if classes else 1.0
         model.intervals_ = Intervals.from_state(state, k, "scaling.")
         model.novelty_ = Novelty.from_state(state, len(classes), FEATURES) if classes else None
+        model.domain_ = Domain.from_state(state, picture_width())
         return model
 
 

@@ -14,6 +14,7 @@ from sklearn.linear_model import Ridge
 from tapetum.data.dataset import DEVICE
 from tapetum.errors import InputError
 from tapetum.models.base import Data, batches, checked_state, frame_count, target_names, training_part
+from tapetum.models.domain import Domain, fit_domain, judged, magnitudes
 from tapetum.models.features import ORDER, POWERS, SCALES, zernike_features
 from tapetum.models.intervals import Intervals, fit_intervals
 from tapetum.models.prediction import Prediction
@@ -26,6 +27,8 @@ __all__ = ["ZernikeRidge"]
 _BATCH = 64
 _ALPHAS = np.logspace(-6, 6, 25)
 _FOLDS = 5
+# Highest radial order of the modes that describe how the training frames look.
+_LOOK_ORDER = 6
 
 
 class ZernikeRidge:
@@ -57,6 +60,8 @@ class ZernikeRidge:
         The penalty used.
     intervals_
         `tapetum.models.intervals.Intervals`, calibrated on frames that took no part in fitting.
+    domain_
+        `tapetum.models.domain.Domain`: how the training frames look; None where there were fewer than 40.
     data_hash_
         Hash of the content of the training frames fitted to, where known.
     training_
@@ -89,6 +94,7 @@ class ZernikeRidge:
     scale_: NDArray[np.float64]
     intervals_: Intervals
     alpha_: float
+    domain_: Domain | None
     data_hash_: str | None
     training_: dict[str, Any] | None
 
@@ -175,12 +181,15 @@ class ZernikeRidge:
         aside = part.calibrate
         self.intervals_ = fit_intervals(part.targets[aside] - self._linear(features[aside]), snr[aside])
         self.data_hash_, self.training_ = part.data_hash, part.summary
+        self.domain_ = fit_domain(self._look(features), np.asarray(part.dataset["recording"].values))
         return self
 
     def _linear(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         return (features - self.mean_) / self.scale_ @ self.coef_.T + self.intercept_
 
-    def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:
+    def predict(
+        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+    ) -> Prediction:
         """Estimate the target for every image.
 
         Parameters
@@ -191,6 +200,8 @@ class ZernikeRidge:
             Largest count of the camera, for crops that are not uint8.
         progress
             Shown over the batches of features.
+        anyway
+            Answer also where the model does not apply; the prediction still says so.
 
         Returns
         -------
@@ -205,7 +216,22 @@ class ZernikeRidge:
             raise InputError("the model is not fitted", where="ZernikeRidge", remedy="call fit or load_model first")
         features, snr = self._looked_at(data, full_scale, progress)
         value, width = self._linear(features), self.intervals_.at(snr)
-        return Prediction(self.quantities, value, value - width, value + width)
+        distance = None if self.domain_ is None else self.domain_(self._look(features))
+        found = judged(Prediction(self.quantities, value, value - width, value + width), distance)
+        return found if anyway else found.withheld()
+
+    def _look(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How the crops look whatever their direction, of features [N, F]: low-order magnitudes at every scale."""
+        power, modes = min(self.powers), mode_count(self.order)
+        order = min(self.order, _LOOK_ORDER)
+        all_of = features.reshape(len(features), len(self.scales), len(self.powers), modes)
+        low = np.abs(all_of[:, :, self.powers.index(power), : mode_count(order)]) ** (1 / power)
+        found = magnitudes(low.reshape(-1, mode_count(order)), order)
+        return found.reshape(len(features), -1)
+
+    @property
+    def _look_width(self) -> int:
+        return self._look(np.zeros((1, self._width))).shape[1]
 
     def parameters(self) -> dict[str, Any]:
         """Return the arguments of ``__init__``, fit for JSON."""
@@ -225,7 +251,8 @@ class ZernikeRidge:
             raise InputError("the model is not fitted", where="ZernikeRidge", remedy="call fit first")
         names = ("coef", "intercept", "mean", "scale")
         state = {name: torch.from_numpy(np.array(getattr(self, name + "_"), dtype=np.float64)) for name in names}
-        return {**state, "alpha": torch.tensor([self.alpha_], dtype=torch.float64), **self.intervals_.state()}
+        state["alpha"] = torch.tensor([self.alpha_], dtype=torch.float64)
+        return {**state, **self.intervals_.state(), **({} if self.domain_ is None else self.domain_.state())}
 
     def classes(self) -> tuple[str, ...]:
         """Return none: it knows no devices."""
@@ -250,6 +277,7 @@ class ZernikeRidge:
         model.coef_, model.intercept_ = arrays["coef"], arrays["intercept"]
         model.mean_, model.scale_ = arrays["mean"], arrays["scale"]
         model.intervals_, model.alpha_ = Intervals.from_state(state, k), float(arrays["alpha"][0])
+        model.domain_ = Domain.from_state(state, model._look_width)
         return model
 
 

@@ -129,8 +129,8 @@ def run_demo(
     assert isinstance(resnet, ResNet18)
     with watch.step("Reading the held-out gaze"):
         predictions = {
-            "ResNet-18": resnet.predict(dataset.tp.test, progress=progress),
-            "Zernike + ridge": ridge.predict(dataset.tp.test, progress=progress),
+            "ResNet-18": resnet.predict(dataset.tp.test, progress=progress, anyway=True),
+            "Zernike + ridge": ridge.predict(dataset.tp.test, progress=progress, anyway=True),
         }
     with watch.step("Tracking the held-out part from whole frames"):
         tracking = _track(recording, resnet, out / "tracks.parquet", progress)
@@ -218,7 +218,9 @@ def _sign(
     frames = list(probe_frames(ideal, some, np.zeros_like(some), seed))
     crops = crop_batch(np.stack(frames), np.array([find_centre(frame) for frame in frames]), dataset.tp.side)
     for name, model in models.items():
-        rates.append(_rate(name, False, some, model.predict(crops, full_scale=dataset.tp.full_scale).value))
+        rates.append(
+            _rate(name, False, some, model.predict(crops, full_scale=dataset.tp.full_scale, anyway=True).value)
+        )
     beam = scene.illumination.second_beam
     words = f"{beam.ratio:.0%} of the first, {1e3 * np.hypot(*beam.angle):.2g} mrad beside it" if beam else ""
     return SignEvidence(x, y, mapped(scene), mapped(ideal), rates, words)

@@ -49,6 +49,13 @@ def describe(scores: dict[str, Any]) -> str:
         gaze, guess = scores["gaze"], scores.get("baseline_gaze")
         beside = "" if guess is None else f" (predicting the mean: {guess['radial']:.4f}, {guess['radial_rms']:.4f})"
         lines.append(f"gaze, distance: mean {gaze['radial']:.4f}, RMS {gaze['radial_rms']:.4f}{beside}")
+    if scores.get("refused") is None:
+        lines.append("whether the model applies to these frames is not known: train it again to let it learn that")
+    elif scores["refused"]:
+        share = scores["refused"] / scores["frames"]
+        lines.append(
+            f"does not apply to {scores['refused']} of the frames ({share:.0%}), which count above all the same"
+        )
     poor = [name for name, one in scores["targets"].items() if warnings(one["verdict"])]
     if poor:
         lines.append(f"{', '.join(poor)}: no better than a guess that looks at no image; {NOT_TO_USE}")

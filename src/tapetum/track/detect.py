@@ -46,6 +46,7 @@ def detect(
     ghost_ratio: float = 0.25,
     ghost_radius: float | None = None,
     stray: float = 0.03,
+    largest: float | None = None,
 ) -> Detections:
     """Find the retro-reflections in a frame.
 
@@ -78,6 +79,9 @@ def detect(
         Largest distance of a ghost in pixels; 0.35 of the frame's diagonal where not given.
     stray
         Height, as a fraction of the brightest spot's, below which light anywhere is stray. 0: never.
+    largest
+        Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are left out before ghosts
+        are looked for, and outshine nothing. None: no limit.
 
     Returns
     -------
@@ -110,7 +114,10 @@ def detect(
     if full_scale is None:
         full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
     maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30))
-    found = search(maps, array >= full_scale, min_snr, max_count)
+    if largest is not None and not largest > 0:
+        raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
+    limit = math.inf if largest is None else largest
+    found = [one for one in search(maps, array >= full_scale, min_snr, max_count, limit) if one.diameter <= limit]
     if not found:
         return Detections.empty()
 

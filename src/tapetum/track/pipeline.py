@@ -112,12 +112,24 @@ def _estimates(
         for estimator in estimators:
             columns = estimator.predict(crops, full_scale=full_scale).columns()
             for row, (n, k) in enumerate(alike):
-                answers[n][k].update({name: _plain(values[row]) for name, values in columns.items()})
+                said = {name: _plain(values[row]) for name, values in columns.items()}
+                answers[n][k] = _merged(answers[n][k], said, estimator.target_names)
     return answers
 
 
 def _plain(value: Any) -> Any:
-    return value if isinstance(value, str) else float(value)
+    return value if value is None or isinstance(value, (str, bool)) else float(value)
+
+
+def _merged(before: dict[str, Any], said: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
+    """Add what a model says of a spot to what others said: together they apply where each does."""
+    reason = f"{', '.join(names)}: {said['reason']}" if said.get("reason") else ""
+    applies = said.get("applies")
+    if before:
+        reason = "; ".join(one for one in (before["reason"], reason) if one)
+        # False where one does not apply, else None where one does not know.
+        applies = min(before["applies"], applies, key=lambda one: {False: 0, None: 1, True: 2}[one])
+    return {**before, **said, "applies": applies, "reason": reason}
 
 
 def track(
@@ -146,7 +158,7 @@ def track(
     tracker
         How to follow; with its usual options where not given. Its earlier tracks are kept.
     detect_options
-        Options of `detect`, by name.
+        Options of `detect`, by name. `largest` is `side` where not given: wider spots are walls and lamps.
     stream
         Which stream of a recording.
     side
@@ -178,7 +190,8 @@ def track(
     """
     if batch < 1 or side < 1:
         raise InputError(f"batch {batch} and side {side} must be at least 1", where="track")
-    options = _detect_options(detect_options)
+    # What is wider than the crops no model could be shown whole.
+    options = {"largest": float(side), **_detect_options(detect_options)}
     estimators = _loaded(model)
     frames, count = _frames(source, stream)
     follower = Tracker() if tracker is None else tracker
@@ -187,7 +200,7 @@ def track(
 
 def _detect_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
     given = dict(options or {})
-    known = {"min_snr", "max_count", "ghosts", "ghost_ratio", "ghost_radius", "stray", "full_scale"}
+    known = {"min_snr", "largest", "max_count", "ghosts", "ghost_ratio", "ghost_radius", "stray", "full_scale"}
     if unknown := sorted(set(given) - known):
         raise InputError(
             f"unknown option {', '.join(unknown)}",

@@ -36,8 +36,9 @@ class TrackRow:
     seen
         Whether the spot was detected in this frame.
     estimates
-        What the models say: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`. Empty
-        while the track coasts.
+        What the models say: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`; NaN or
+        "none of these" where the model does not apply; `applies` (None where nobody knows) and `reason`. Empty while
+        the track coasts.
     """
 
     frame: int
@@ -165,7 +166,8 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         first = rows[0]
         spots = [row for row in rows if row["x"] is not None]
         found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
-        answers = [{c: _kept(row[c], kind) for c, kind in estimate_columns(names).items()} for row in spots]
+        # Tables of older versions do not say whether the models apply.
+        answers = [{c: _kept(row.get(c), kind) for c, kind in estimate_columns(names).items()} for row in spots]
         new = rows_of(follower, found, answers, first["frame"], first["time"], first["name"] or "")
         records += [row.record() for row in new]
     whole = track_schema(names)

@@ -207,8 +207,10 @@ def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_
     return Spot(x, y, (xx, xy, yy), area, touches, light)
 
 
-def search(maps: Maps, full: NDArray[np.bool_], min_snr: float, max_count: int) -> list[Spot]:
-    """Return the spots, brightest first."""
+def search(
+    maps: Maps, full: NDArray[np.bool_], min_snr: float, max_count: int, largest: float = math.inf
+) -> list[Spot]:
+    """Return the spots, brightest first, but for those wider than `largest` pixels."""
     height, width = maps.excess.shape
     mask = (maps.snr > min_snr).astype(np.uint8)
     # Labelling costs more than all the rest; most of a frame holds nothing to label.
@@ -244,6 +246,12 @@ def search(maps: Maps, full: NDArray[np.bool_], min_snr: float, max_count: int) 
             enqueue(label)
             continue
         spot = _measure(maps, row, column, claimed, min_snr)
+        if spot is not None and spot.diameter > largest:
+            # Nothing of a wall's surroundings belongs to it.
+            left, top, w, h, _ = (int(v) for v in stats[label])
+            mine = labels[top : top + h, left : left + w] == label
+            claimed[top + first_y : top + first_y + h, left + first_x : left + first_x + w][mine] = 1
+            continue
         if spot is not None and 0 <= round(spot.x) < width and 0 <= round(spot.y) < height:
             xx, xy, yy = spot.covariance
             wider = (xx + _FINE**2, xy, yy + _FINE**2)

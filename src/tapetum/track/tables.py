@@ -40,6 +40,7 @@ _FLUSH = 2000
 _SECONDS = 1.0
 
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
+_JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
 _TRACK = {
     "frame": pa.int64(),
     "time": pa.float64(),
@@ -70,12 +71,16 @@ _DETECTION = {
 
 
 def estimate_columns(names: Iterable[str]) -> dict[str, pa.DataType]:
-    """Return the columns of what models estimate: NAME, NAME_low, NAME_high for each quantity, two for the device."""
+    """Return the columns of what models estimate.
+
+    NAME, NAME_low, NAME_high for each quantity, two for the device, and, where there is any, whether the models apply
+    and why not.
+    """
     columns: dict[str, pa.DataType] = {}
     for name in names:
         own = _DEVICE if name == "device" else {name + end: pa.float64() for end in ("", "_low", "_high")}
         columns |= own
-    return columns
+    return {**columns, **_JUDGED} if columns else columns
 
 
 def track_schema(estimates: Sequence[str] = ()) -> pa.Schema:
@@ -291,7 +296,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     if not place.is_file():
         raise InputError("no such file", where=place, remedy="check the path")
     try:
-        table = _read(place, suffix, {**_DEVICE, **{field.name: field.type for field in schema}})
+        table = _read(place, suffix, {**_DEVICE, **_JUDGED, **{field.name: field.type for field in schema}})
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it anew") from error
     missing = [name for name in schema.names if name not in table.column_names]

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tapetum.bench import PrescriptionLens, Scene, scene_dict, scene_from_dict
 from tapetum.errors import InputError
 from tapetum.models.base import Data, frame_count
+from tapetum.models.domain import judged
 from tapetum.models.prediction import Prediction
 from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.images import checked, images_of, looked_at
@@ -39,6 +40,8 @@ _UNLIKELY, _PERIODS_ASKED = 20.0, 9
 _HOPELESS, _FIRST_STEPS = 200.0, 4
 # Misfit above which the search looks farther, where a true scene leaves 1.00 ± 0.05; and starts then, in all.
 _LOST, _FARTHER = 1.3, 4
+# Mean squared residual, in the noise's variance, from which the picture shows something else than the scene.
+_FOREIGN = 2.0
 
 
 class SimulationFit:
@@ -153,7 +156,9 @@ class SimulationFit:
         self.data_hash_ = dataset.tp.train.tp.hash
         return self
 
-    def predict(self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet) -> Prediction:
+    def predict(
+        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+    ) -> Prediction:
         """Estimate the parameters of every image.
 
         Parameters
@@ -164,6 +169,8 @@ class SimulationFit:
             Largest digital number; the probe's own when None.
         progress
             Shown over the images.
+        anyway
+            Answer also where the model does not apply; the prediction still says so.
 
         Returns
         -------
@@ -189,7 +196,16 @@ class SimulationFit:
             np.array([getattr(one, name) for one in results], np.float64).reshape(len(results), len(self.quantities))
             for name in ("values", "lower", "upper")
         )
-        return Prediction(self.quantities, value, lower, upper)
+        reasons = [
+            ""
+            if one.misfit <= _FOREIGN
+            else f"the scene does not explain it: residuals {one.misfit:.3g} times the noise's"
+            for one in results
+        ]
+        found = judged(Prediction(self.quantities, value, lower, upper), None)
+        both = [own or outside for own, outside in zip(reasons, found.reason, strict=True)]
+        found = found.because(both, described=True)
+        return found if anyway else found.withheld()
 
     def fit_image(
         self, image: NDArray[np.generic], *, full_scale: float | None = None, progress: Progress = quiet

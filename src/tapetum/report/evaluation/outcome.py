@@ -191,7 +191,8 @@ def gather_parts(
     known = _devices(train)
     return Outcome(
         dataset=Path(where).name,
-        prediction=model.predict(test, progress=progress),
+        # Scored everywhere, so that a model cannot look better by refusing; refusals are counted beside it.
+        prediction=model.predict(test, progress=progress, anyway=True),
         truth=truth,
         recording=number,
         recordings=_recording_names(entries, number),

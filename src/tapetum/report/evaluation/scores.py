@@ -259,13 +259,14 @@ def score(outcome: Outcome) -> dict[str, Any]:
     Returns
     -------
     dict
-        `frames`; `simulation` (True, or None where nobody says); `targets`, by label: `mae`, `rmse`, `baseline_mae`,
-        `baseline_rmse` (None where nothing trains), `verdict` (`tapetum.report.verdicts.against_mean`), `coverage`, the
-        share of truths inside the model's 90 % intervals, `interval`, their median half-width (None where infinite),
-        all in the label's own unit, and `intervals`, a verdict on them; `gaze` with errors by axis and radial (see
-        `GazeScores`) and `baseline_gaze`
-        where both coordinates are predicted; `classes` where devices are (see `ClassScores`); `recordings`, `snr` and
-        `devices`: the same by part.
+        `frames`; `refused`, those that the model does not apply to and would not answer (None where it cannot know),
+        which all other numbers include; `simulation` (True, or None where nobody says); `targets`, by label: `mae`,
+        `rmse`, `baseline_mae`, `baseline_rmse` (None where nothing trains), `verdict`
+        (`tapetum.report.verdicts.against_mean`), `coverage`, the share of truths inside the model's 90 % intervals,
+        `interval`, their median half-width (None where infinite), all in the label's own unit, and `intervals`, a
+        verdict on them; `gaze` with errors by axis and radial (see `GazeScores`) and `baseline_gaze` where both
+        coordinates are predicted; `classes` where devices are (see `ClassScores`); `recordings`, `snr` and `devices`:
+        the same by part.
 
     Raises
     ------
@@ -274,6 +275,8 @@ def score(outcome: Outcome) -> dict[str, Any]:
     """
     names = outcome.quantities
     told: dict[str, Any] = {"frames": len(outcome), "simulation": outcome.simulated, "targets": _targets(outcome)}
+    refused = int((~outcome.prediction.applies).sum())
+    told["refused"] = refused if refused or outcome.prediction.described else None
     if outcome.has_gaze:
         truth, said = outcome.pair()
         told["gaze"] = score_gaze(truth, said).to_dict()

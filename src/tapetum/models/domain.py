@@ -1,0 +1,225 @@
+"""Where a model applies: how the frames that it learned from look, and how unlike them another frame is."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tapetum.errors import InputError
+from tapetum.models.prediction import Prediction
+from tapetum.optics.zernike import mode_count, noll_to_nm, zernike_basis
+
+__all__ = ["FALSE_REFUSALS", "Domain", "fit_domain", "judged", "magnitudes", "picture_features"]
+
+Array = NDArray[np.float64]
+
+FALSE_REFUSALS = 0.01
+"""Share of frames like the training frames that may be refused: it sets the limit."""
+
+ORDER = 8
+"""Highest radial order of the Zernike modes that describe a picture."""
+
+# Of a feature's variance, added to each direction: without it, directions in which the training frames agree by chance
+# decide.
+_SHRINKAGE = 0.01
+_FOLDS = 5
+# Below so many frames neither a covariance nor its limit means anything.
+_FEWEST = 40
+# How far past the field's edge an estimate may lie whose interval has no end.
+_MARGIN = 0.05
+_HALF_FIELD = 0.5
+
+
+@dataclass(frozen=True)
+class Domain:
+    """Mahalanobis distance of a frame from the frames that a model learned from.
+
+    Parameters
+    ----------
+    mean
+        [F] of their features.
+    whitening
+        [F, F] that makes the features' covariance, with shrinkage, the unit matrix.
+    unit
+        Distance that counts as 1. Of training frames left out of mean and covariance, all but the share
+        `FALSE_REFUSALS` lie below it.
+    """
+
+    mean: Array
+    whitening: Array
+    unit: float
+
+    def __call__(self, features: Array) -> Array:
+        """Return the distances [N] of features [N, F], in `unit`: above 1 the model does not apply."""
+        return np.sqrt((((features - self.mean) @ self.whitening) ** 2).sum(axis=1)) / self.unit
+
+    def state(self) -> dict[str, torch.Tensor]:
+        """Return everything as tensors, float64."""
+        unit = torch.tensor([self.unit], dtype=torch.float64)
+        mean, whitening = torch.from_numpy(self.mean), torch.from_numpy(self.whitening)
+        return {"domain.mean": mean, "domain.whitening": whitening, "domain.unit": unit}
+
+    @classmethod
+    def from_state(cls, state: Mapping[str, torch.Tensor], features: int) -> Domain | None:
+        """Make it of what `state` returned; None for a model that was saved without one.
+
+        Raises
+        ------
+        InputError
+            When a part is missing, of another shape or not a number.
+        """
+        shapes = {"mean": (features,), "whitening": (features, features), "unit": (1,)}
+        if not any(f"domain.{name}" in state for name in shapes):
+            return None
+        found: dict[str, Array] = {}
+        for name, shape in shapes.items():
+            tensor = state.get(f"domain.{name}")
+            if tensor is None or tuple(tensor.shape) != shape or not bool(torch.isfinite(tensor).all()):
+                remedy = "the model's card and its weights do not belong together"
+                raise InputError(f"expected domain.{name} of shape {shape}", where="weights", remedy=remedy)
+            found[name] = tensor.double().numpy()
+        if not found["unit"][0] > 0:
+            raise InputError("domain.unit must be positive", where="weights", remedy="train the model again")
+        return cls(found["mean"], found["whitening"], float(found["unit"][0]))
+
+
+def fit_domain(features: Array, recording: NDArray[np.integer]) -> Domain | None:
+    """Learn how the training frames look.
+
+    Parameters
+    ----------
+    features
+        [N, F] of the training frames.
+    recording
+        [N] number of each frame's recording. Contiguous fifths of every recording are left out in turn: the distances
+        of the frames left out set the limit, because neighbouring frames are nearly equal and frames that the
+        covariance was made of lie too near.
+
+    Returns
+    -------
+    Domain or None
+        None where there are fewer than 40 frames.
+    """
+    if len(features) < _FEWEST:
+        return None
+    fold = np.empty(len(features), dtype=np.int64)
+    for number in np.unique(recording):
+        places = np.flatnonzero(recording == number)
+        fold[places] = np.arange(len(places)) * _FOLDS // len(places)
+    distances = np.empty(len(features))
+    for k in np.unique(fold):
+        rest = features[fold != k]
+        mean, whitening = _moments(rest if len(rest) > 1 else features)
+        distances[fold == k] = Domain(mean, whitening, 1.0)(features[fold == k])
+    mean, whitening = _moments(features)
+    limit = float(np.quantile(distances, 1 - FALSE_REFUSALS, method="higher"))
+    return Domain(mean, whitening, max(limit, np.finfo(float).tiny))
+
+
+def _moments(features: Array) -> tuple[Array, Array]:
+    """Mean [F] and whitening [F, F]."""
+    mean, spread = features.mean(axis=0), features.std(axis=0)
+    # A feature that never changes would count by its rounding.
+    spread = np.maximum(spread, max(1e-4 * float(np.abs(mean).max(initial=0.0)), np.finfo(float).tiny))
+    scaled = (features - mean) / spread
+    values, vectors = np.linalg.eigh(scaled.T @ scaled / len(scaled))
+    return mean, vectors / np.sqrt(np.maximum(values, 0) + _SHRINKAGE) / spread[:, None]
+
+
+def groups(order: int) -> NDArray[np.float64]:
+    """[modes, P]: which modes make up a magnitude, sine and cosine of one (n, |m|) together."""
+    modes = [noll_to_nm(j) for j in range(1, mode_count(order) + 1)]
+    kinds = sorted({(n, abs(m)) for n, m in modes})
+    return np.array([[float((n, abs(m)) == kind) for kind in kinds] for n, m in modes])
+
+
+def magnitudes(coefficients: Array, order: int) -> Array:
+    """Return √(Σ c²) over the sine and cosine of each (n, |m|): [N, modes n ≤ `order`] to [N, P].
+
+    They do not change when the picture turns, and so not with the direction of the gaze.
+    """
+    return np.sqrt(coefficients**2 @ groups(order))
+
+
+@lru_cache(maxsize=4)
+def projection(size: int) -> NDArray[np.float64]:
+    """[size², 2 modes]: least-squares Zernike coefficients, n ≤ 8, of a picture's disc and of that of its middle."""
+    parts = []
+    for side in (size, max(size // 2, 1)):
+        at = (2 * torch.arange(side, dtype=torch.float64) + 1) / side - 1
+        y, x = torch.meshgrid(at, at, indexing="ij")
+        inside = (x * x + y * y <= 1).reshape(-1)
+        basis = zernike_basis(ORDER, x.reshape(-1)[inside], y.reshape(-1)[inside])
+        square = np.zeros((side * side, mode_count(ORDER)))
+        square[inside.numpy()] = torch.linalg.pinv(basis).numpy()
+        edge = (size - side) // 2
+        whole = np.zeros((size, size, mode_count(ORDER)))
+        whole[edge : edge + side, edge : edge + side] = square.reshape(side, side, -1)
+        parts.append(whole.reshape(size * size, -1))
+    return np.concatenate(parts, axis=1)
+
+
+def picture_width() -> int:
+    """Return the number of features of `picture_features`."""
+    return 2 * groups(ORDER).shape[1] + 2
+
+
+def picture_features(images: Tensor) -> Array:
+    """Describe what a network sees, whatever its direction.
+
+    Parameters
+    ----------
+    images
+        [N, 1, size, size], prepared (`tapetum.models.inputs.prepare`).
+
+    Returns
+    -------
+    ndarray
+        [N, 52]: `magnitudes` of the Zernike coefficients n ≤ 8 over the inscribed disc and over that of the
+        middle half, the root mean square, and the largest value.
+    """
+    flat = images.detach().cpu().flatten(1)
+    if not len(flat):
+        return np.empty((0, picture_width()))
+    found = (flat @ torch.from_numpy(projection(images.shape[-1])).float()).double().numpy()
+    half = found.shape[1] // 2
+    parts = [magnitudes(found[:, :half], ORDER), magnitudes(found[:, half:], ORDER)]
+    others = [flat.square().mean(dim=1).sqrt(), flat.amax(dim=1)]
+    return np.concatenate([*parts, *(one.double().numpy()[:, None] for one in others)], axis=1)
+
+
+def judged(prediction: Prediction, distance: Array | None) -> Prediction:
+    """Add to a prediction why it does not count, frame by frame.
+
+    Parameters
+    ----------
+    prediction
+        For N frames.
+    distance
+        [N] of `Domain`; None where the model knows nothing of the frames it learned from.
+
+    Returns
+    -------
+    Prediction
+        With a reason where the frame is unlike the training frames, or where an estimate of the gaze lies outside the
+        field of view by more than its interval reaches.
+    """
+    reasons = [""] * len(prediction)
+    if distance is not None:
+        for n in np.flatnonzero(~(distance <= 1)):
+            reasons[n] = f"unlike the training frames: {distance[n]:.3g} times the limit"
+    for name in ("gaze_x", "gaze_y"):
+        if name not in prediction.names:
+            continue
+        k = prediction.names.index(name)
+        value, width = prediction.value[:, k], prediction.upper[:, k] - prediction.value[:, k]
+        reach = np.where(np.isfinite(width), width, _MARGIN)
+        for n in np.flatnonzero(np.abs(value) - reach > _HALF_FIELD):
+            reasons[n] = reasons[n] or f"{name} {value[n]:.2f} lies outside the field of view"
+    return prediction.because(reasons, described=distance is not None)
