@@ -1,0 +1,117 @@
+"""Points and weights of the judge's sums: products of Gauss-Legendre points, panels, and weights of a disc."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from scipy.special import roots_legendre
+
+Real = npt.NDArray[np.float64]
+Complex = npt.NDArray[np.complex128]
+
+# Chords of a region at a height: (lower ends, upper ends); empty where the upper one is not above the lower one.
+Chords = Callable[[Real], tuple[Real, Real]]
+
+
+def phasor(phase: Real) -> Complex:
+    """exp(i phase)."""
+    # Torch's sine and cosine are vectorised, NumPy's complex exponential is not.
+    turned = torch.from_numpy(np.ascontiguousarray(phase, np.float64))
+    return torch.complex(torch.cos(turned), torch.sin(turned)).numpy()
+
+
+@functools.lru_cache(maxsize=64)
+def legendre(count: int) -> tuple[Real, Real]:
+    """Gauss-Legendre points and weights on [-1, 1]."""
+    nodes, weights = roots_legendre(count)
+    return np.asarray(nodes), np.asarray(weights)
+
+
+def panels(edges: Real, count: int) -> tuple[Real, Real]:
+    """Gauss-Legendre points of so many to each interval between neighbouring edges [..., m], and weights."""
+    nodes, weights = legendre(count)
+    low, high = edges[..., :-1, None], edges[..., 1:, None]
+    half = (high - low) / 2
+    points, shares = (high + low) / 2 + half * nodes, half * weights
+    return points.reshape(*edges.shape[:-1], -1), shares.reshape(*edges.shape[:-1], -1)
+
+
+def round_panels(edges: Real, count: int) -> tuple[Real, Real]:
+    """The same for integrands that end like a circle's chords: x = middle + half sin φ, even in φ."""
+    nodes, weights = legendre(count)
+    low, high = edges[..., :-1, None], edges[..., 1:, None]
+    half, turn = (high - low) / 2, math.pi / 2 * nodes
+    points = (high + low) / 2 + half * np.sin(turn)
+    shares = half * weights * (math.pi / 2 * np.cos(turn))
+    return points.reshape(*edges.shape[:-1], -1), shares.reshape(*edges.shape[:-1], -1)
+
+
+def _polynomials(count: int, x: Real) -> Real:
+    """Legendre polynomials of degrees below count, [count, N]."""
+    found = np.empty((count, len(x)))
+    found[0] = 1.0
+    if count > 1:
+        found[1] = x
+    for m in range(1, count - 1):
+        found[m + 1] = ((2 * m + 1) * x * found[m] - m * found[m - 1]) / (m + 1)
+    return found
+
+
+@functools.lru_cache(maxsize=16)
+def _cardinal(count: int) -> Real:
+    """Coefficients over Legendre polynomials of the functions that are 1 at one point and 0 at the others."""
+    nodes, weights = legendre(count)
+    return _polynomials(count, nodes) * weights * (np.arange(count)[:, None] + 0.5)
+
+
+def cardinals(count: int, x: Real) -> Real:
+    """Those functions at places x in [-1, 1], [N, count]."""
+    return _polynomials(count, x).T @ _cardinal(count)
+
+
+def region_weights(count: int, radius: float, chords: Chords | None = None, fine: int | None = None) -> Real:
+    """Weights [rows y, columns x] of the product of Gauss-Legendre points over [-radius, radius]² for a region in it.
+
+    The sum is exact for what is a polynomial of degrees below count in x and y: each weight is the integral, over the
+    region, of the polynomial that is 1 at its point and 0 at all others. The disc of the radius when no chords are
+    given.
+    """
+    fine = 2 * count + 40 if fine is None else fine
+    turns, weights = legendre(fine)
+    y = np.sin(math.pi / 2 * turns)
+    shares = weights * math.pi / 2 * np.cos(math.pi / 2 * turns)
+    if chords is None:
+        high = np.sqrt(np.maximum(1 - y**2, 0.0))
+        low = -high
+    else:
+        low, high = (one / radius for one in chords(y * radius))
+        high = np.maximum(low, high)
+    # ∫ P_m = (P_(m+1) - P_(m-1))/(2m + 1).
+    ends = []
+    for end in (high, low):
+        p = _polynomials(count + 1, np.clip(end, -1.0, 1.0))
+        whole = np.empty((count, fine))
+        whole[0] = end
+        m = np.arange(1, count)[:, None]
+        whole[1:] = (p[2 : count + 1] - p[0 : count - 1]) / (2 * m + 1)
+        ends.append(whole)
+    across = (ends[0] - ends[1]).T @ _cardinal(count)
+    return radius**2 * (cardinals(count, y) * shares[:, None]).T @ across
+
+
+def interpolation(low: float, high: float, count: int, at: Real) -> tuple[Real, list[Real]]:
+    """Chebyshev points between two ends, and what each adds to a value at places [...] when interpolated from them."""
+    own = math.pi * (np.arange(count) + 0.5) / count
+    middle, half = (high + low) / 2, max((high - low) / 2, 1e-300)
+    turn = np.arccos(np.clip((at - middle) / half, -1.0, 1.0))
+    shares = [np.ones(at.shape) / count for _ in range(count)]
+    for m in range(1, count):
+        wave = np.cos(m * turn) * (2 / count)
+        for number in range(count):
+            shares[number] += math.cos(m * own[number]) * wave
+    return middle + half * np.cos(own), shares
