@@ -122,7 +122,7 @@ def test_a_phone_of_ones_own(tmp_path: Path) -> None:
         ),
         (
             lambda c: c["cameras"][0]["sensor"]["layers"][0].update(depth="3 mm"),
-            r"cameras\.0: a layer 0\.003 m before the sensor lies in the lens",
+            r"cameras\.0: sensor\.layers\.0: a layer 0\.003 m before the sensor lies in the lens",
         ),
         (
             lambda c: c["dots"].update(pulse="20 ms"),

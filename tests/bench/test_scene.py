@@ -236,6 +236,11 @@ def test_a_lens_and_a_phone_are_changed_by_name() -> None:
         ("phones", ["target.name=phone-12"], "target: phone-12: no such phone; did you mean phone-1"),
         ("phones", ["target.camera=back"], "target: phone-01 has no camera 'back'; use main"),
         ("phones", ["target.lens.name=phone-f"], "target.lens: unknown key; it belongs to another kind; give the"),
+        (
+            "rotation",
+            ["target.lens={kind: prescription, name: phone-a}", "layers=[{depth: 0.3 mm}, {depth: 1.2 mm}]"],
+            "target: sensor.layers.1: a layer 0.0012 m before the sensor lies in the lens, which ends 0.00",
+        ),
         ("focusing", ["target.lens.focal_length=200 mm"], "focal_length 200 mm is beyond this zoom; give one of 18."),
         ("rotation", ["target.lens.f_number=0.9"], "f_number 0.9 is wider than cmount-12mm-f1.4 opens; give 1.4"),
     ],

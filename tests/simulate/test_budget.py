@@ -12,7 +12,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tapetum.bench import Illumination, Layer, PixelArray, Scene, TargetSensor, load_scene, with_values
+from tapetum.bench import Illumination, Layer, Microlens, PixelArray, Scene, TargetSensor, load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.simulate import retroreflect
@@ -368,10 +368,36 @@ def test_what_a_layer_lets_pass() -> None:
         (PixelArray(fill=0.5, surround=1.0), 1.0),
         (PixelArray(fill=0.5, surround=1.0, phase=math.pi), 0.0),
         (PixelArray(fill=1.0, bayer=(1.0, 0.25, 0.25, 0.0)), 0.25),
+        # The colours dim what lies between the photosites too: `surround` is over a photosite's reflectance.
+        (PixelArray(fill=0.5, surround=0.25, bayer=(1.0, 0.25, 0.25, 0.0)), 0.25 * 0.75**2),
+        (PixelArray(fill=0.4, surround=0.49, phase=math.pi, bayer=(0.36, 0.36, 0.36, 0.36)), 0.36 * 0.02**2),
+        (PixelArray(fill=0.5, shape="round", surround=0.36, phase=math.pi / 2), 0.25 + 0.3**2),
     ],
 )
 def test_order_0_of_a_pixel_array(array: PixelArray | None, share: float) -> None:
-    assert specular_reflectance(TargetSensor(reflectance=0.2, array=array)) == pytest.approx(0.2 * share, abs=1e-12)
+    found = specular_reflectance(TargetSensor(reflectance=0.2, array=array), 640e-9)
+    assert found == pytest.approx(0.2 * share, abs=1e-12)
+
+
+@pytest.mark.parametrize("shift", [0.0, 1e-3])
+@pytest.mark.parametrize(("fill", "surround", "phase"), [(1.0, 0.0, 0.0), (0.5, 0.5, 0.0), (0.3, 0.8, 2.1)])
+@pytest.mark.parametrize("bayer", [None, (0.1, 0.2, 0.2, 0.1), (1.0, 0.5, 0.4, 0.0)])
+def test_the_mirrors_direction_holds_what_a_sampled_plane_has_on_average(
+    bayer: tuple[float, float, float, float] | None, fill: float, surround: float, phase: float, shift: float
+) -> None:
+    """Order 0 is the mean of the amplitude over a period: over a plane of points, with microlenses too."""
+    array = PixelArray(fill=fill, surround=surround, phase=phase, bayer=bayer)
+    pitch, focal, rim, n = 2.2e-6, 4e-6, 0.9 * 1.1e-6, 1000
+    line = ((torch.arange(n, dtype=torch.float64) + 0.5) / n - 0.5) * pitch
+    x, y = torch.meshgrid(line, line, indexing="xy")
+    site = (x.abs().clamp_min(y.abs()) < pitch * math.sqrt(fill) / 2).double()
+    cell = site + (1 - site) * math.sqrt(surround) * complex(math.cos(phase), math.sin(phase))
+    bent = torch.exp(-1j * 2 * math.pi / 640e-9 / focal * torch.clamp(x**2 + y**2, max=rim**2))
+    colours = 1.0 if bayer is None else sum(math.sqrt(one) for one in bayer) / 4
+    for microlens, plane in ((None, cell), (Microlens(focal, 0.9, shift), cell * bent)):
+        sensor = TargetSensor(reflectance=0.5, pixels=(649, 487), pitch=pitch, array=array, microlens=microlens)
+        want = 0.5 * abs(complex(plane.mean()) * colours) ** 2
+        assert specular_reflectance(sensor, 640e-9) == pytest.approx(want, rel=0.01, abs=2e-5)
 
 
 def test_lines_of_other_wavelengths() -> None:

@@ -9,11 +9,12 @@ import pytest
 import torch
 from traced_cases import WAVELENGTH, Case, traced
 
-from tapetum.bench import load_scene, with_values
+from tapetum.bench import PrescriptionLens, load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.simulate.field_map import field_map
 from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
-from tapetum.simulate.traced_bundle import trace_bundle
+from tapetum.simulate.information import true_values
+from tapetum.simulate.traced_bundle import spot_middles, trace_bundle
 
 SECTION = "Traced lenses"
 LENSES = ["phone-d", "compact-6mm-f1.9", "phone-b"]
@@ -48,6 +49,47 @@ def test_beyond_the_field_it_refuses() -> None:
     with pytest.raises(InputError, match="outside the field of the lens") as refused:
         mapped.sine(torch.tensor([3e-3], dtype=torch.float64))
     assert "\n" not in str(refused.value)
+
+
+FAST = [("la1509", None), ("photo-50mm-f1.8", None), ("zoom-18-140mm", 0.135)]
+SLOW = [
+    ("cmount-12mm-f1.4", None), ("compact-6mm-f1.9", None), ("phone-a", None), ("phone-b", None), ("phone-c", None),
+    ("phone-d", None), ("phone-e", None), ("phone-f", None), ("zoom-18-140mm", 0.02), ("zoom-5-15mm", 0.006),
+    ("zoom-5-15mm", 0.014),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("name", "focal_length"), [*FAST, *(pytest.param(*one, marks=pytest.mark.slow) for one in SLOW)]
+)
+def test_it_rises_and_follows_the_rays_to_its_edge_for_every_lens(name: str, focal_length: float | None) -> None:
+    """Between the traced tilts too, on a sensor larger than any lens covers."""
+    lens = PrescriptionLens(name) if focal_length is None else PrescriptionLens(name, focal_length=focal_length)
+    mapped = field_map(lens, WAVELENGTH, 5.0, 10 * lens.focal_length)
+    sines = torch.linspace(0, mapped.nodes.steepest, 16, dtype=torch.float64)
+    heights = mapped.image(sines)
+    assert bool((heights.diff() > 0).all())
+    rays = spot_middles(lens.focused(WAVELENGTH, 5.0), sines, count=21)
+    assert float((heights - rays).abs().max()) < 3e-3 * float(heights[-1])
+
+
+@pytest.mark.parametrize(
+    ("name", "focal_length", "degrees"), [("zoom-18-140mm", 0.135, 5.0), ("compact-6mm-f1.9", None, 50.0)]
+)
+def test_a_tilt_beyond_the_field_has_no_gaze(name: str, focal_length: float | None, degrees: float) -> None:
+    lens = {"kind": "prescription", "name": name} | ({} if focal_length is None else {"focal_length": focal_length})
+    scene = with_values(load_scene("thin-lens"), {"target.lens": lens})
+    for sign in (1, -1):
+        sines = torch.tensor([[0.0, 1e-3], [0.0, sign * math.sin(math.radians(degrees))]], dtype=torch.float64)
+        with pytest.raises(
+            InputError, match=rf"rotation: {degrees:g} deg lies outside the field .* ends at"
+        ) as refused:
+            gaze_of(scene, sines)
+        assert "\n" not in str(refused.value)
+    # What is said of a scene that is turned so far says the same.
+    if focal_length is not None:
+        with pytest.raises(InputError, match="5 deg lies outside the field"):
+            true_values(with_values(scene, {"target.rotation": [0.0, 5.0]}), ("gaze_x",))
 
 
 def test_gradients_of_the_inverse() -> None:

@@ -16,7 +16,7 @@ import yaml
 from pydantic import TypeAdapter, ValidationError
 
 from tapetum.bench.faults import first_fault
-from tapetum.bench.plain_yaml import UniqueKeys, field_paths
+from tapetum.bench.plain_yaml import field_paths, parse
 from tapetum.bench.scene import SCHEMA, Scene
 from tapetum.errors import InputError
 
@@ -70,10 +70,7 @@ def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> S
             text = path.read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:
             raise InputError(f"cannot be read as text ({error})", where=name, remedy="give a YAML file") from error
-    try:
-        content = yaml.load(text, UniqueKeys)
-    except yaml.YAMLError as error:
-        raise InputError(f"is no YAML ({error})", where=name, remedy="mend the line it names") from error
+    content = parse(text, name)
     if not isinstance(content, dict):
         raise InputError("holds no mapping", where=name, remedy=f"begin it with 'schema: {SCHEMA}'")
     if content.get("schema") != SCHEMA:
@@ -212,11 +209,9 @@ def _parsed(changes: Iterable[str]) -> dict[str, Any]:
         key, sign, text = change.partition("=")
         if not sign or not key:
             raise InputError(f"{change!r} is no change", where="--set", remedy="write KEY=VALUE")
-        try:
-            values[key.strip()] = yaml.load(text, UniqueKeys)
-        except yaml.YAMLError as error:
-            remedy = "write it as in a scene file: 5, '75 mm', [1, 2]"
-            raise InputError(f"{text!r} is no value", where=f"--set {key}", remedy=remedy) from error
+        short = text if len(text) < 80 else f"{text[:77]}..."
+        remedy = "write it as in a scene file: 5, '75 mm', [1, 2]"
+        values[key.strip()] = parse(text, f"--set {key}", what=f"{short!r} is no value", remedy=remedy)
     return values
 
 

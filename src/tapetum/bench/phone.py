@@ -15,7 +15,7 @@ from pydantic.dataclasses import dataclass
 
 from tapetum.bench.faults import first_fault
 from tapetum.bench.plain_yaml import field_paths, read_mapping
-from tapetum.bench.prescription import PrescriptionLens
+from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, Length, Power, Time
 from tapetum.bench.sensors import TargetSensor
 from tapetum.bench.strict import STRICT
@@ -55,16 +55,7 @@ class CameraUnit:
 
     @model_validator(mode="after")
     def _fits_together(self) -> CameraUnit:
-        focused = self.lens.focused(self.lens.design_wavelength, math.inf)
-        # Behind the last surface that bends light there is room for plates.
-        bends = (focused.lens.curvature != 0) | (focused.lens.asphere != 0).any(-1)
-        room = focused.image - float(focused.lens.z[bends].max())
-        for layer in self.sensor.layers:
-            if layer.depth >= room:
-                what = (
-                    f"a layer {layer.depth:g} m before the sensor lies in the lens, which ends {room:.3g} m before it"
-                )
-                raise ValueError(f"{what}; move it nearer")
+        check_layers(self.lens, self.sensor.layers, math.inf)
         return self
 
 

@@ -11,10 +11,13 @@ import yaml
 
 from tapetum.errors import InputError
 
-__all__ = ["UniqueKeys", "field_paths", "read_mapping"]
+__all__ = ["field_paths", "parse", "read_mapping"]
+
+# Values of a file when its aliases are written out, levels of nesting, and digits of a number: far more than any needs.
+_MOST_VALUES, _DEEPEST, _MOST_DIGITS = 200_000, 40, 400
 
 
-class UniqueKeys(yaml.SafeLoader):
+class _UniqueKeys(yaml.SafeLoader):
     """YAML that refuses a key given twice: the first one would be lost without a word."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
@@ -26,6 +29,74 @@ class UniqueKeys(yaml.SafeLoader):
                 seen.add(key.value)
         return super().construct_mapping(node, deep)
 
+    def construct_scalar(self, node: yaml.ScalarNode) -> str:
+        # A number of ten thousand digits takes long to read, and cannot be written into an error's line.
+        if node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float") and len(node.value) > _MOST_DIGITS:
+            what = f"a number of {len(node.value)} characters"
+            raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark)
+        return super().construct_scalar(node)
+
+
+def parse(text: str, where: str, *, what: str | None = None, remedy: str = "mend the line it names") -> Any:
+    """The plain values that a YAML text holds; whatever the text is, it gives them or one error.
+
+    Parameters
+    ----------
+    text
+        Of a file or an option.
+    where, what, remedy
+        Of the error; without `what` it says what the parser met.
+
+    Raises
+    ------
+    InputError
+        For text that is no YAML, has a key twice, or would fill the memory: nested without end, or aliases of aliases.
+    """
+    loader = None
+    try:
+        loader = _UniqueKeys(text)
+        node = loader.get_single_node()
+        if node is None:
+            return None
+        if _written_out(node) > _MOST_VALUES:
+            raise yaml.YAMLError(f"more than {_MOST_VALUES} values with its aliases written out")
+        return loader.construct_document(node)
+    except RecursionError:
+        raise InputError(what or "is no YAML (nested too deeply)", where=where, remedy=remedy) from None
+    # The parser passes on what its own conversions raise: of dates, of numbers, of tags with an unfit value.
+    except (yaml.YAMLError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as error:
+        met = f"is no YAML ({str(error) or type(error).__name__})"
+        raise InputError(what or met, where=where, remedy=remedy) from error
+    finally:
+        if loader is not None:
+            loader.dispose()
+
+
+def _written_out(node: yaml.Node) -> int:
+    """How many values a document has when each alias is replaced by what it stands for."""
+    sizes: dict[int, int] = {}
+    within: set[int] = set()
+
+    def size(one: yaml.Node) -> int:
+        if id(one) in sizes:
+            return sizes[id(one)]
+        if id(one) in within:
+            raise yaml.MarkedYAMLError(problem="an alias inside of what it stands for", problem_mark=one.start_mark)
+        if len(within) > _DEEPEST:
+            problem = f"more than {_DEEPEST} levels of nesting"
+            raise yaml.MarkedYAMLError(problem=problem, problem_mark=one.start_mark)
+        within.add(id(one))
+        children: list[yaml.Node] = []
+        if isinstance(one, yaml.MappingNode):
+            children = [child for pair in one.value for child in pair]
+        elif isinstance(one, yaml.SequenceNode):
+            children = list(one.value)
+        sizes[id(one)] = 1 + sum(size(child) for child in children)
+        within.remove(id(one))
+        return sizes[id(one)]
+
+    return size(node)
+
 
 def read_mapping(text: str, schema: str, where: str) -> dict[str, Any]:
     """The mapping that a YAML text of a given schema holds, without its `schema`.
@@ -35,10 +106,7 @@ def read_mapping(text: str, schema: str, where: str) -> dict[str, Any]:
     InputError
         For text that is no YAML, no mapping, or of another schema.
     """
-    try:
-        content = yaml.load(text, UniqueKeys)
-    except (yaml.YAMLError, RecursionError) as error:
-        raise InputError(f"is no YAML ({error})", where=where, remedy="mend the line it names") from error
+    content = parse(text, where)
     if not isinstance(content, dict) or content.get("schema") != schema:
         found = f"has schema {content.get('schema')!r}" if isinstance(content, dict) else "holds no mapping"
         raise InputError(found, where=where, remedy=f"begin it with 'schema: {schema}'")

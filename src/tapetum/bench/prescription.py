@@ -14,7 +14,7 @@ from tapetum.bench.lens_data import LensState, Prescription, Surface, build_lens
 from tapetum.bench.lens_file import lens_names, load_lens
 from tapetum.bench.quantity import Length
 from tapetum.bench.strict import STRICT, Positive
-from tapetum.bench.surfaces import Spectrum
+from tapetum.bench.surfaces import Layer, Spectrum
 from tapetum.bench.zoom import focal_range, surfaces_at
 from tapetum.errors import InputError
 
@@ -114,6 +114,28 @@ class PrescriptionLens:
             For a distance that it cannot focus on, and a wavelength at which a glass has no index.
         """
         return _focused(self, load_lens(self.name), float(wavelength), float(object_distance))
+
+
+def check_layers(lens: PrescriptionLens, layers: tuple[Layer, ...], object_distance: float) -> None:
+    """Refuse layers that would lie inside of a lens focused at a distance (metres): they need room before the sensor.
+
+    Raises
+    ------
+    ValueError
+        Naming the layer.
+    """
+    if not layers:
+        return
+    focused = lens.focused(lens.design_wavelength, object_distance)
+    # Behind the last surface that bends light there is room for plates.
+    bends = (focused.lens.curvature != 0) | (focused.lens.asphere != 0).any(-1)
+    room = focused.image - float(focused.lens.z[bends].max())
+    for number, layer in enumerate(layers):
+        if layer.depth >= room:
+            raise ValueError(
+                f"sensor.layers.{number}: a layer {layer.depth:g} m before the sensor lies in the lens, "
+                f"which ends {room:.3g} m before it; move it nearer"
+            )
 
 
 # The prescription stands beside the lens in what follows: a file may change under its name.

@@ -10,7 +10,7 @@ from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.phone import CameraUnit, Phone, load_phone
-from tapetum.bench.prescription import PrescriptionLens
+from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, FocusDistance, Length, Power, Vergence
 from tapetum.bench.sensors import ProbeSensor, TargetSensor
 from tapetum.bench.strict import STRICT, Positive
@@ -199,6 +199,9 @@ class Target:
             model = "the paraxial model" if self.lens.kind == "thin" else "what any lens sees here"
             most = math.degrees(steepest)
             raise ValueError(f"rotation of {math.degrees(angle):.4g} deg is outside {model}; stay below {most:.0f} deg")
+        if isinstance(self.lens, PrescriptionLens):
+            check_layers(self.lens, self.sensor.layers, self.object_distance)
+            return self
         for layer in self.sensor.layers:
             if layer.depth / layer.index >= 0.9 * self.lens.focal_length:
                 raise ValueError(f"a layer {layer.depth:g} m before the sensor lies in the lens; move it nearer")

@@ -244,7 +244,7 @@ def link_budget(scene: Scene, wavelength: float | None = None) -> LinkBudget:
 
     before = [layer_transmittance(layer, wavelength) ** 2 for layer in target.sensor.layers]
     depths = [layer.depth for layer in target.sensor.layers]
-    reflections = [reflection("sensor", 0.0, specular_reflectance(target.sensor), math.prod(before))]
+    reflections = [reflection("sensor", 0.0, specular_reflectance(target.sensor, wavelength), math.prod(before))]
     for i, layer in enumerate(target.sensor.layers):
         above = math.prod(t for t, depth in zip(before, depths, strict=True) if depth > layer.depth)
         share = at_wavelength(layer.reflectance, wavelength)
@@ -330,10 +330,8 @@ def _notes(scene: Scene, lit: float, wavelength: float, radius: float) -> tuple[
         notes.append(f"one wavelength of {1 + len(light.lines)} is counted")
     if sensor.mask is not None:
         notes.append("the sensor's mask is not counted: a mirror stands in for it")
-    if sensor.microlens is not None:
-        notes.append("the microlenses are not counted")
-    if sensor.array is not None:
-        notes.append("the higher orders of the pixel array are not counted")
+    if sensor.array is not None or sensor.microlens is not None:
+        notes.append("the higher orders of the sensor's array and microlenses are not counted")
     if sensor.diffuse is not None or any(layer.diffuse is not None for layer in sensor.layers):
         notes.append("the diffuse return is not counted")
     if glinting(scene, wavelength):

@@ -23,6 +23,12 @@ _NEWTON = 6
 _BISECTIONS = 12
 # Sine of the steepest tilt that is looked at.
 _STEEPEST = 0.95
+# How far the fit may be off its rays, over the height at the field's edge; else the field is taken to end earlier, and
+# this much. A lens far beyond its field has rays that cross, and no place that the light of a tilt lands at.
+_TRUE, _SHORTER = 1e-3, 0.9
+# Last coefficients of the fit, whose sum is what the next ones would add; places where its slope is looked at.
+_TAIL, _LOOKED_AT = 3, 200
+_EDGE = 1 + 1e-9
 
 
 @dataclass(frozen=True)
@@ -41,7 +47,25 @@ class FieldMap:
     height: torch.Tensor
 
     def image(self, size: torch.Tensor) -> torch.Tensor:
-        """Height in metres for sines of the tilt [...]."""
+        """Height in metres for sines of the tilt [...]; differentiable.
+
+        Raises
+        ------
+        InputError
+            Beyond the field that was traced: polynomials say nothing there.
+        """
+        most = float(size.detach().max())
+        if not most <= self.nodes.steepest * _EDGE:
+            asked, edge = (math.degrees(math.asin(min(one, 1.0))) for one in (most, self.nodes.steepest))
+            raise InputError(
+                f"{asked:.3g} deg lies outside the field of the target's lens and sensor, "
+                f"which ends at {edge:.3g} deg: there is no gaze",
+                where="rotation",
+                remedy=f"stay within {edge:.3g} degrees, or use a larger sensor if the lens covers more",
+            )
+        return self._height(size)
+
+    def _height(self, size: torch.Tensor) -> torch.Tensor:
         return (self.nodes.terms(size) * self.height.to(size.device)).sum(-1)
 
     def sine(self, height: torch.Tensor) -> torch.Tensor:
@@ -53,7 +77,7 @@ class FieldMap:
             Beyond the field.
         """
         steepest = torch.tensor(self.nodes.steepest, dtype=torch.float64)
-        most = float(self.image(steepest))
+        most = float(self._height(steepest))
         if float(height.detach().max()) > most * (1 + 1e-6):
             asked = float(height.detach().max())
             raise InputError(
@@ -64,13 +88,21 @@ class FieldMap:
         with torch.no_grad():
             found = height.detach() / most * steepest
             for _ in range(_NEWTON):
-                found = (found - (self.image(found) - height.detach()) / self._slope(found)).clamp(0, float(steepest))
+                found = (found - (self._height(found) - height.detach()) / self._slope(found)).clamp(0, float(steepest))
         # One more step, with gradients.
-        return found - (self.image(found) - height) / self._slope(found)
+        return found - (self._height(found) - height) / self._slope(found)
+
+    @property
+    def holds(self) -> bool:
+        """Whether each place stands for one tilt, and the fit has converged to the rays."""
+        tail = float(self.height[-_TAIL:].abs().sum())
+        sizes = torch.linspace(0, self.nodes.steepest, _LOOKED_AT, dtype=torch.float64)
+        heights = self._height(sizes)
+        return bool((heights.diff() > 0).all()) and tail < _TRUE * float(heights[-1])
 
     def _slope(self, size: torch.Tensor) -> torch.Tensor:
         step = 1e-6 * self.nodes.steepest
-        return (self.image(size + step) - self.image(size - step)).detach() / (2 * step)
+        return (self._height(size + step) - self._height(size - step)).detach() / (2 * step)
 
 
 @functools.lru_cache(maxsize=64)
@@ -103,5 +135,9 @@ def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float,
             else:
                 high = middle
         high = low if math.isnan(height(high)) else high
-    nodes = TiltNodes.up_to(high)
-    return FieldMap(nodes, nodes.coefficients(spot_middles(focused, nodes.sines, count=_COUNT)))
+    while True:
+        nodes = TiltNodes.up_to(high)
+        found = FieldMap(nodes, nodes.coefficients(spot_middles(focused, nodes.sines, count=_COUNT)))
+        if found.holds:
+            return found
+        high *= _SHORTER

@@ -23,7 +23,13 @@ def largest_sine(sines: torch.Tensor) -> float:
 
 
 def gaze_of(scene: Scene, sines: torch.Tensor) -> torch.Tensor:
-    """Gaze, in fractions of the field, for tilts given as sines: both [..., 2]."""
+    """Gaze, in fractions of the field, for tilts given as sines: both [..., 2].
+
+    Raises
+    ------
+    InputError
+        For a tilt beyond the field that a traced lens and its sensor cover.
+    """
     size = torch.sqrt((sines**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
     traced = _traced(scene)
     if traced is not None:

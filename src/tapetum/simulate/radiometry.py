@@ -15,6 +15,7 @@ from scipy.special import j0, j1
 from tapetum.bench import Layer, ProbeSensor, Scene, TargetSensor, at_wavelength
 from tapetum.errors import InputError
 from tapetum.optics.grid import lens_numbers
+from tapetum.simulate.sensor_plane import orders_of
 
 __all__ = [
     "beam_radius",
@@ -162,18 +163,15 @@ def line_of(scene: Scene, wavelength: float | None = None) -> tuple[float, float
     raise InputError(what, where="wavelength", remedy=f"choose one of {names} nm")
 
 
-def specular_reflectance(sensor: TargetSensor) -> float:
-    """Power reflectance of a target's sensor in the mirror's direction; of a pixel array that of the order 0.
+def specular_reflectance(sensor: TargetSensor, wavelength: float) -> float:
+    """Power reflectance of a target's sensor in the mirror's direction: of its order 0, on the axis.
 
-    The order 0 of a grating is the mean of its amplitude. A mask and microlenses are not looked at.
+    A mask is not looked at.
     """
-    array = sensor.array
-    if array is None:
+    if sensor.mask is not None:
         return sensor.reflectance
-    site = sum(math.sqrt(colour) for colour in array.bayer) / 4 if array.bayer is not None else 1.0
-    rest = (1 - array.fill) * math.sqrt(array.surround)
-    real = array.fill * site + rest * math.cos(array.phase)
-    return sensor.reflectance * (real**2 + (rest * math.sin(array.phase)) ** 2)
+    orders = orders_of(sensor, wavelength, 0.0)
+    return abs(complex(orders[0].at(torch.zeros(1, 2, dtype=torch.float64)))) ** 2 if orders else 0.0
 
 
 def layer_transmittance(layer: Layer, wavelength: float) -> float:
