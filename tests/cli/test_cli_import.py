@@ -112,7 +112,7 @@ def test_pixels_need_a_size_that_nobody_can_guess(run, tmp_path: Path):
     np.savez(tmp_path / "a.npz", images=pictures(), x=640 * (GAZE[:, 0] + 0.5), y=480 * (GAZE[:, 1] + 0.5))
     ran = run("dataset", "import", tmp_path, "-o", tmp_path / "set.zarr", "--yes")
     assert ran.code == 2
-    assert "size of the target's frame for gaze_x of a.npz" in ran.complaint
+    assert "the size of the target's frame is not known for gaze_x of a.npz" in ran.complaint
     text = ran.out.replace("size: null", "size: 640", 1).replace("size: null", "size: 480", 1)
     (tmp_path / "map.yaml").write_text(text)
     ran = run("dataset", "import", tmp_path, "-o", tmp_path / "set.zarr", "--mapping", tmp_path / "map.yaml")

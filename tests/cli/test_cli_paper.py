@@ -56,6 +56,8 @@ def test_the_size_asked_for(run, tmp_path: Path, quick, given: list[str], size: 
         (["learned"], ("fig9", "fig10", "fig11", "fig12", "table1", "table2")),
         (["beyond"], ("ablations", "fresh", "unseen", "fit")),
         (["all"], FIGURES),
+        (["fig9", "fig10"], ("fig9", "fig10")),
+        (["fig5", "beyond", "fig5"], ("fig5", "ablations", "fresh", "unseen", "fit")),
     ],
 )
 def test_several_figures_as_json(run, tmp_path: Path, quick, which: list[str], names: tuple[str, ...]) -> None:

@@ -84,3 +84,41 @@ def test_ctrl_c_before_the_first_epoch_promises_nothing(run, chain, tmp_path: Pa
     monkeypatch.setattr("tapetum.models.training._Training._steps", interrupted)
     ran = run("train", chain.dataset, "-o", tmp_path / "m", "--model", "resnet18", *TINY)
     assert ran.code == 130 and "--resume" not in ran.err and not list(tmp_path.iterdir())
+
+
+def small_set(tmp_path: Path, side: int) -> Path:
+    """Write pictures of an importable kind, of this side, and import them."""
+    rng = np.random.default_rng(0)
+    np.save(tmp_path / "images.npy", rng.integers(0, 255, (30, side, side), dtype=np.uint8))
+    np.save(tmp_path / "gaze_x.npy", rng.uniform(-0.5, 0.5, 30))
+    text = f"""
+schema: tapetum/import/1
+side: {side}
+centred: true
+stacks:
+  - images: {{file: images.npy}}
+    labels:
+      gaze_x: {{file: gaze_x.npy}}
+"""
+    (tmp_path / "map.yaml").write_text(text)
+    return tmp_path / "small.zarr"
+
+
+def test_crops_smaller_than_the_papers_are_trained_on_and_it_is_said(run, tmp_path: Path) -> None:
+    data = small_set(tmp_path, 200)
+    assert run("dataset", "import", tmp_path, "-o", data, "--mapping", tmp_path / "map.yaml").code == 0
+    ran = run("train", data, "-o", tmp_path / "ridge", "--target", "gaze_x")
+    assert ran.code == 0 and "200 pixels: scales 50, 100, 150, 200 in place of the paper's" in ran.out
+    assert load_model(tmp_path / "ridge").parameters()["scales"] == [50, 100, 150, 200]
+    ran = run("train", data, "-o", tmp_path / "chosen", "--target", "gaze_x", "--scales", "60,200")
+    assert ran.code == 0 and "in place of" not in ran.out
+    assert load_model(tmp_path / "chosen").parameters()["scales"] == [60, 200]
+    network = ("--model", "resnet18", "--size", 32, "--epochs", 1, "--device", "cpu")
+    ran = run("train", data, "-o", tmp_path / "net", "--target", "gaze_x", *network)
+    assert ran.code == 0 and "looks at 200, reduced to 32, in place of 288" in ran.out
+    assert load_model(tmp_path / "net").parameters()["crop"] == 200
+    for wrong in ("0", "a,b", "100,", "-5"):
+        ran = run("train", data, "-o", tmp_path / "no", "--target", "gaze_x", "--scales", wrong)
+        assert ran.code == 2 and "--scales: must be sides in pixels" in ran.complaint
+    ran = run("train", data, "-o", tmp_path / "no", "--scales", "60", *network)
+    assert ran.code == 2 and "--scales: has no meaning for resnet18" in ran.complaint

@@ -56,6 +56,25 @@ def test_probe_and_target_videos_are_paired_and_named_apart(tmp_path: Path):
     assert "# guess: Rotation/video_1/probe.mkv: both videos begin at the same moment" in proposal.text
 
 
+def test_what_a_proposal_leaves_out_is_said(tmp_path: Path):
+    for name in ("day1/probe", "day1/target", "day2/probe", "extra"):
+        video(tmp_path / f"{name}.mkv")
+    np.save(tmp_path / "notes.npy", np.zeros(7))
+    proposal = propose(look_into([tmp_path]))
+    assert [pair.probe for pair in proposal.mapping("here").videos] == ["day1/probe.mkv"]
+    assert "# left out: day2/probe.mkv: no target video of the same name" in proposal.text
+    assert "# left out: extra.mkv: not in a pair" in proposal.text
+    assert "# left out: notes.npy" in proposal.text and "day1/target.mkv:" not in proposal.text
+
+
+def test_an_array_that_means_nothing_is_said_to_be_left_out(tmp_path: Path):
+    np.save(tmp_path / "images.npy", np.zeros((9, 16, 16), np.uint8))
+    np.save(tmp_path / "gaze.npy", np.zeros((9, 2)))
+    np.save(tmp_path / "weather.npy", np.zeros(5))
+    told = propose(look_into([tmp_path])).text
+    assert "# left out: weather.npy" in told and "# left out: gaze.npy" not in told
+
+
 def test_arrays_find_the_labels_of_their_own_name(tmp_path: Path):
     for n in (1, 2):
         np.save(tmp_path / f"v{n}_images.npy", np.zeros((9, 16, 16), np.uint8))

@@ -76,7 +76,7 @@ def _proposed(sources: list[Path], out: Path, yes: bool) -> ImportMapping | None
                 part.write_text(proposal.text, encoding="utf-8")
             typer.echo(f"nothing imported; correct {kept} and pass it with --mapping")
         return None
-    what = f"the proposal lacks the {proposal.gaps[0]}" if proposal.gaps else "nothing is imported without a yes"
+    what = f"the proposal is incomplete: {proposal.gaps[0]}" if proposal.gaps else "nothing is imported without a yes"
     remedy = "save what was printed as map.yaml, correct it and pass --mapping map.yaml"
     raise InputError(what, where=found.root, remedy=remedy if proposal.gaps else f"pass --yes, or {remedy}")
 

@@ -21,9 +21,12 @@ SIZES = ("laptop", "small", "paper")
 
 def paper(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the figures.")],
-    figure: Annotated[
-        str, typer.Argument(metavar="[FIGURE]", help=f"One of {', '.join((*FIGURES, *GROUPS))}; see above.")
-    ] = "printed",
+    figures: Annotated[
+        list[str] | None,
+        typer.Argument(
+            metavar="[FIGURE]...", help=f"Of {', '.join((*FIGURES, *GROUPS))}; see above. By default printed."
+        ),
+    ] = None,
     size: Annotated[
         str,
         typer.Option(
@@ -61,7 +64,9 @@ def paper(
 
     Example: tapetum paper learned -o figures
     """
-    one_of(figure, (*FIGURES, *GROUPS), "FIGURE")
+    wanted = figures or ["printed"]
+    for figure in wanted:
+        one_of(figure, (*FIGURES, *GROUPS), "FIGURE")
     one_of(size, SIZES, "--size")
     # Torch and Matplotlib take seconds to import.
     from tapetum.report.paper import SMOKE_TEST, Workshop, is_smoke_test, reproduce
@@ -69,10 +74,10 @@ def paper(
     if is_smoke_test(size):
         typer.echo(f"--size {size} is {SMOKE_TEST}", err=True)
     shop = Workshop(out / "work" if work is None else work, size, workers or _cores(), progress=bar)
-    made = reproduce((figure,), out, size=size, work=shop, progress=bar)
+    made = reproduce(wanted, out, size=size, work=shop, progress=bar)
     if as_json:
-        figures = [{"name": one.name, "files": [str(file) for file in one.files], **one.numbers} for one in made]
-        typer.echo(json.dumps({"out": str(out), "figures": figures}, allow_nan=False))
+        done = [{"name": one.name, "files": [str(file) for file in one.files], **one.numbers} for one in made]
+        typer.echo(json.dumps({"out": str(out), "figures": done}, allow_nan=False))
     else:
         for one in made:
             typer.echo(f"{one.name}: " + ", ".join(str(file) for file in one.files))

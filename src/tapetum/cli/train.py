@@ -32,6 +32,13 @@ def train(
         bool,
         typer.Option("--tuned", help="zernike, not the paper's: standardised, its penalty chosen by cross-validation."),
     ] = False,
+    scales: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PX,PX,…",
+            help="zernike: sides of what it looks at. The paper's 100,200,300,400 where they fit.",
+        ),
+    ] = None,
     intervals: Annotated[
         bool | None,
         typer.Option(
@@ -90,7 +97,8 @@ def train(
         "processes": _count(processes),
     }
     options = {name: value for name, value in given.items() if value is not None}
-    foreign = [*options, *(["resume"] if resume else [])] if model == "zernike" else ["tuned"] if tuned else []
+    zernike_only = [name for name, value in (("tuned", tuned), ("scales", scales)) if value]
+    foreign = [*options, *(["resume"] if resume else [])] if model == "zernike" else zernike_only
     if foreign:
         raise InputError(f"has no meaning for {model}", where=f"--{foreign[0]}", remedy="leave it out")
     check_replaceable(out, overwrite, "model.json", "tapetum-model")
@@ -106,9 +114,10 @@ def train(
     fitted: ZernikeRidge | ResNet18
     if model == "zernike":
         chosen: dict[str, Any] = {"alpha": "cv", "standardise": True} if tuned else {}
+        chosen["scales"] = _fitting_scales(data.tp.side) if scales is None else _numbers(scales)
         fitted = ZernikeRidge(target, **chosen, **aside).fit(data.tp.train, progress=bar)
     else:
-        network = ResNet18(target, **options, **aside)
+        network = ResNet18(target, **_fitting_look(options, data.tp.side), **aside)
         done: list[EpochReport] = []
 
         def told(report: EpochReport) -> None:
@@ -149,6 +158,42 @@ def _kept(checkpoint: Path, done: list[EpochReport]) -> str:
     how = "go on with the same command and --resume"
     epochs = f"{done[-1].epoch} of {done[-1].epochs} epochs are" if done else "the last whole epoch is"
     return f"{epochs} kept in {checkpoint}; {how}"
+
+
+def _fitting_scales(side: int) -> tuple[int, ...]:
+    """The paper's scales, or where the crops are smaller as many in the same proportions."""
+    from tapetum.models.features import SCALES
+
+    if side >= max(SCALES):
+        return SCALES
+    fitting = tuple(max(1, side * one // max(SCALES)) for one in SCALES)
+    typer.echo(f"the crops have {side} pixels: scales {_listed(fitting)} in place of the paper's {_listed(SCALES)}")
+    return fitting
+
+
+def _fitting_look(options: dict[str, Any], side: int) -> dict[str, Any]:
+    """The options of the network; where it is not said how much it looks at, no more than there is."""
+    from tapetum.models import ResNet18
+
+    usual = ResNet18()
+    if "crop" in options or side >= usual.crop:
+        return options
+    size = options.get("size", min(usual.size, side))
+    typer.echo(
+        f"the crops have {side} pixels: the network looks at {side}, reduced to {size}, in place of {usual.crop}"
+    )
+    return {**options, "crop": side, "size": size}
+
+
+def _numbers(listed: str) -> tuple[int, ...]:
+    parts = [one.strip() for one in listed.split(",")]
+    if not all(one.isascii() and one.isdigit() and int(one) > 0 for one in parts):
+        raise InputError(f"must be sides in pixels, is {listed!r}", where="--scales", remedy="give 100,200 for example")
+    return tuple(int(one) for one in parts)
+
+
+def _listed(numbers: tuple[int, ...]) -> str:
+    return ", ".join(map(str, numbers))
 
 
 def _count(processes: str | None) -> int | str | None:

@@ -24,12 +24,15 @@ class Proposal:
     notes
         Guesses, a line each.
     gaps
-        What could not be guessed.
+        What could not be guessed, a sentence each.
+    dropped
+        Files that the mapping leaves out, and why, a line each.
     """
 
     content: dict[str, Any]
     notes: list[str] = field(default_factory=list)
     gaps: list[str] = field(default_factory=list)
+    dropped: list[str] = field(default_factory=list)
 
     @property
     def text(self) -> str:
@@ -37,6 +40,7 @@ class Proposal:
         body = yaml.safe_dump(self.content, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
         told = [f"# guess: {note}" for note in dict.fromkeys(self.notes)]
         told += [f"# missing: {gap}" for gap in dict.fromkeys(self.gaps)]
+        told += [f"# left out: {line}" for line in dict.fromkeys(self.dropped)]
         return "\n".join([*told, body])
 
     def mapping(self, where: str) -> ImportMapping:

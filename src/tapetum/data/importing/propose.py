@@ -86,7 +86,7 @@ def _labels(
         if name.startswith("gaze"):
             more, note = gaze_unit(column, reader, count)
             if "size" in more:
-                out.gaps.append(f"size of the target's frame for {name} of {image}")
+                out.gaps.append(f"the size of the target's frame is not known for {name} of {image}")
             column |= more
             out.notes.append(f"{name} of {image}: {note}")
         elif name != "device":
@@ -198,6 +198,13 @@ def propose(found: Inventory) -> Proposal:
                 what = "both videos begin at the same moment; if the laser blinked a code, write 'align: blink'"
                 out.notes.append(f"{probe.path}: {what}")
         out.content |= {"side": min(_SIDE, *(min(p.width, p.height) for p, _ in pairs)), "videos": rows}
+        used = {row[key]["file"] for row in rows for key in ("probe_times", "target_times") if key in row}
+        for video in videos:
+            part = next((word for word in ("probe", "target") if word in video.path.casefold()), None)
+            lacks = f"no {'target' if part == 'probe' else 'probe'} video of the same name" if part else "not in a pair"
+            out.dropped.append(f"{video.path}: {lacks}")
+        others = [one.path for one in (*found.arrays, *found.tables, *found.folders) if one.path not in used]
+        out.dropped += [f"{path}: pairs of videos are labelled by the laser in the target's video" for path in others]
         return out
     sources = _sources(found)
     counts = {source.count for source in sources}
@@ -205,6 +212,8 @@ def propose(found: Inventory) -> Proposal:
     for array in found.arrays:
         axes = _image_axes(array, counts)
         if axes is None:
+            if not any(source.column["file"] == array.path for source in sources):
+                out.dropped.append(f"{array.path} ({array.info.text}): by shape and name neither pictures nor labels")
             continue
         images: dict[str, Any] = {"file": array.path, "axes": " ".join(axes)}
         if array.info.name:
