@@ -141,3 +141,33 @@ def test_the_papers_ridge_fits_every_training_frame(run, chain, tmp_path: Path) 
     assert card["parameters"]["calibration_fraction"] == 0.1
     assert card["training"]["fitted"] + card["training"]["calibrated_on"] <= 16 > card["training"]["fitted"]
     assert "zernike fits all training frames" in " ".join(run("train", "--help").out.split())
+
+
+def test_ctrl_c_while_filming_says_what_is_kept(run, tmp_path: Path, monkeypatch) -> None:
+    from tapetum.record.writer import RecordingWriter
+
+    write = RecordingWriter.write
+
+    def until(self: RecordingWriter, *arguments, **more) -> None:
+        if sum(self.counts.values()) == 12:
+            raise KeyboardInterrupt
+        write(self, *arguments, **more)
+
+    monkeypatch.setattr(RecordingWriter, "write", until)
+    out = tmp_path / "a.rec"
+    ran = run("record", "hand-held", "-o", out, "--seconds", 2, *LITTLE)
+    assert ran.code == 130
+    told = " ".join(ran.err.split())
+    assert "probe frames and" in told and f"are kept in {out}, marked as unfinished" in told
+    assert not open_recording(out).finished and len(open_recording(out).frames("probe")) > 3
+
+
+def test_ctrl_c_while_labelling_says_what_is_kept(run, tmp_path: Path, monkeypatch) -> None:
+    def interrupted(*_) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("tapetum.record.label_recording", interrupted)
+    out = tmp_path / "a.rec"
+    ran = run("record", "hand-held", "-o", out, "--seconds", 0.4, *LITTLE)
+    assert ran.code == 130 and f"the recording is kept in {out}, without labels" in " ".join(ran.err.split())
+    assert open_recording(out).finished

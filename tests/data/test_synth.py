@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import os
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,13 +14,17 @@ import torch
 from synth_plans import digest, little_plan, little_scene
 
 from tapetum.data import build_dataset, content_hash, open_dataset
-from tapetum.data.build import Rules
+from tapetum.data.build import CHUNK, Rules
 from tapetum.data.dataset import EMBARGO, TEST, TRAIN
 from tapetum.data.synth import Plan, focusing_plan, synthesise
+from tapetum.data.synth import work as working
 from tapetum.data.synth.plan import PIECE
-from tapetum.data.synth.work import make_part, shot_of
+from tapetum.data.synth.store import Staging
+from tapetum.data.synth.work import Made, make_part, shot_of
+from tapetum.durable import sole_writer
 from tapetum.errors import InputError
 from tapetum.record import film, label_recording
+from tapetum.record.spot import NoLaserError
 
 
 class Stop:
@@ -223,3 +229,72 @@ def test_the_plan_in_the_part_folder_says_all(tmp_path: Path):
         synthesise(plan, tmp_path / "set.zarr", progress=Stop(0))
     told = json.loads((tmp_path / "set.zarr.part" / "plan.json").read_text(encoding="utf-8"))
     assert told["digest"] == plan.digest and told["videos"][0]["session"]["seed"] == plan.videos[0].session.seed
+
+
+def numbered(value: int, count: int = CHUNK + 4) -> Made:
+    crops = [np.full((40, 40), value + n, np.uint8) for n in range(count)]
+    return Made(crops, {"gaze_x": [0.0] * count}, {"used": count, "frames": 60, "left_out": {}}, None)
+
+
+def test_a_lost_chunk_is_told_and_not_black(tmp_path: Path) -> None:
+    plan = little_plan(1, 4.0)
+    staging, part = Staging.begin(tmp_path / "s.zarr", plan), plan.parts[0]
+    staging.keep(part, numbered(7))
+    assert [int(crop[0, 0]) for crop in staging.read(part).crops] == list(range(7, 11 + CHUNK))
+    chunks = sorted(path for path in (tmp_path / "s.zarr.part" / "crops" / "image" / "c").rglob("*") if path.is_file())
+    whole = chunks[0].read_bytes()
+    chunks[0].unlink()
+    with pytest.raises(InputError, match=f"{CHUNK} of its {CHUNK + 4} crops are lost or damaged; remove this file"):
+        staging.read(part)
+    chunks[0].write_bytes(whole)
+    assert len(staging.read(part).crops) == CHUNK + 4
+
+
+def test_a_part_is_on_the_disk_before_it_counts_as_done(tmp_path: Path, monkeypatch) -> None:
+    if not Path("/proc/self/fd").exists():
+        pytest.skip("asks Linux which file was flushed")
+    plan = little_plan(1, 4.0)
+    staging, part = Staging.begin(tmp_path / "s.zarr", plan), plan.parts[0]
+    flushed: list[tuple[str, bool]] = []
+    flush = os.fsync
+
+    def fsync(handle: int) -> None:
+        flushed.append((str(Path(f"/proc/self/fd/{handle}").readlink()), staging.has(part)))
+        flush(handle)
+
+    monkeypatch.setattr(os, "fsync", fsync)
+    staging.keep(part, numbered(7))
+    chunks = [path for path in (tmp_path / "s.zarr.part" / "crops" / "image" / "c").rglob("*") if path.is_file()]
+    assert len(chunks) == 2 and {(str(path), False) for path in chunks} <= set(flushed)
+
+
+def test_only_a_missing_laser_means_no_label(monkeypatch) -> None:
+    plan = little_plan(1, 2.0)
+    asked = (plan.videos[0], plan.parts[0], plan.rules, plan.classes)
+
+    def fails(error: InputError):
+        def label(clip) -> None:
+            raise error
+
+        return label
+
+    monkeypatch.setattr(working, "label_recording", fails(NoLaserError("no laser spot found")))
+    assert make_part(*asked).told["used"] == 0
+    monkeypatch.setattr(working, "label_recording", fails(InputError("UTC of stream target does not rise")))
+    with pytest.raises(InputError, match="does not rise"):
+        make_part(*asked)
+
+
+def test_of_two_commands_that_make_one_set_one_is_refused(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    def second() -> None:
+        with pytest.raises(InputError) as raised:
+            synthesise(little_plan(), tmp_path / "s.zarr")
+        told.append(str(raised.value))
+
+    with sole_writer(tmp_path / "s.zarr"):
+        thread = threading.Thread(target=second)
+        thread.start()
+        thread.join()
+    assert "is being written by process" in told[0] and not list(tmp_path.iterdir())

@@ -88,3 +88,13 @@ def test_labels_that_teach_nothing_are_told(small):
     still = dataset_from_arrays(np.zeros((30, 8, 8), np.uint8), {"focal_length": np.full(30, 0.05)})
     with pytest.raises(InputError, match="focal_length never changes in the one recording"):
         training_part(still, ("focal_length",), 0.1)
+
+
+def test_many_short_recordings_set_their_share_aside(small):
+    """Four frames each: a tenth of one is none, of fifty together it is twenty."""
+    short = small.assign(recording=("frame", np.arange(260) // 4))
+    part = training_part(short, ("gaze_x",), 0.1)
+    assert len(part.calibrate) == 20
+    # Always the last ones of a recording.
+    numbers = np.asarray(part.dataset["recording"].values)
+    assert all(numbers[k] != numbers[k + 1] for k in part.calibrate if k + 1 < len(numbers))

@@ -8,8 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tapetum.bench import load_scene
 from tapetum.errors import InputError
-from tapetum.models import ResNet18, ZernikeRidge, load_model, model_card, pretrained, save_model
+from tapetum.models import ResNet18, SimulationFit, ZernikeRidge, load_model, model_card, pretrained, save_model
 from tapetum.models import store as store_module
 from tapetum.models.store import CARD, WEIGHTS
 
@@ -137,3 +138,19 @@ def test_a_bundled_model_is_loaded_by_name(ridge, small, tmp_path: Path, monkeyp
     np.testing.assert_array_equal(pretrained("mine").predict(small).value, ridge.predict(small).value)
     with pytest.raises(InputError, match="bundled: mine"):
         pretrained("yours")
+
+
+def test_what_cannot_be_loaded_again_is_not_saved(tmp_path: Path):
+    fit = SimulationFit(load_scene("thin-lens"))
+    with pytest.raises(InputError, match="learns nothing that a folder could keep"):
+        save_model(fit, tmp_path / "m")
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("kind", [[], {}, None, 3])
+def test_a_kind_that_is_no_name_is_one_line(ridge, tmp_path: Path, kind):
+    path = save_model(ridge, tmp_path / "m")
+    card = json.loads((path / "model.json").read_text())
+    (path / "model.json").write_text(json.dumps(card | {"kind": kind}))
+    with pytest.raises(InputError, match="unknown kind"):
+        load_model(path)

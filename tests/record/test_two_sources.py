@@ -18,6 +18,7 @@ from tapetum.cli.app import main
 from tapetum.errors import InputError
 from tapetum.record import open_recording
 from tapetum.record.capture import WAITING, capture
+from tapetum.record.images import hushed
 from tapetum.record.layout import StreamInfo
 from tapetum.record.live_sources import Shot, open_source
 from tapetum.record.video import VideoWriter, read_video
@@ -161,6 +162,130 @@ def test_a_damaged_image_ends_its_stream_only(tmp_path: Path):
     assert "3.png: the image is truncated" in str(told["target"].fault)
 
 
+@pytest.mark.parametrize("kind", ["video", "recording"])
+def test_a_video_that_was_cut_gives_all_that_can_be_read(tmp_path: Path, kind: str, capsys: pytest.CaptureFixture[str]):
+    probe, target = video(tmp_path / "p.mkv", [n / 15 for n in range(40)]), tmp_path / "t.rec"
+    if kind == "video":
+        cut = target = video(tmp_path / "t.mkv", [n / 15 for n in range(40)])
+    else:
+        with RecordingWriter(target, streams={"target": StreamInfo(*SIZE)}, start_utc_ns=0) as writer:
+            for n in range(40):
+                writer.write("target", picture(n), monotonic_ns=n * 10**7 + 1, utc_ns=n * 10**7)
+        cut = target / "target.mkv"
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size * 3 // 4])
+    readable = sum(1 for _ in read_video(cut, tolerant=True))
+    assert 20 < readable < 40
+    out = tmp_path / "a.rec"
+    assert main(["record", str(probe), "--target", str(target), "--no-labels", "-o", str(out)]) == 0
+    recording = open_recording(out)
+    assert recording.finished
+    assert (len(recording.frames("probe")), len(recording.frames("target"))) == (40, readable)
+    for frame in recording.source("target"):
+        np.testing.assert_array_equal(frame.image, picture(frame.index))
+    assert f"target ended early: {cut}: the video is truncated" in capsys.readouterr().err
+
+
+class Made:
+    """A source of pictures of any size, and of no camera's habits."""
+
+    live, hardware = True, {}
+
+    def __init__(self, name: str, sizes: list[tuple[int, int]]) -> None:
+        self.name, self.sizes, self.info = name, sizes, StreamInfo(*sizes[0])
+
+    def shots(self, start_monotonic_ns: int, start_utc_ns: int) -> Iterator[Shot]:
+        for n, size in enumerate(self.sizes):
+            time.sleep(0.002)
+            yield Shot(np.zeros(size, np.uint8), start_monotonic_ns + n, start_utc_ns + n)
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_camera_that_changes_its_size_ends_its_own_stream(tmp_path: Path):
+    sources = {"probe": Made("good", [SIZE] * 60), "target": Made("bad", [SIZE] * 5 + [(16, 16)] * 15)}
+    told = capture(sources, tmp_path / "a.rec")
+    assert (told["probe"].frames, told["target"].frames) == (60, 5)
+    assert told["probe"].fault is None
+    assert "bad: gives frames of [16, 16] uint8 now, its first was [32, 40] uint8" in str(told["target"].fault)
+    recording = open_recording(tmp_path / "a.rec")
+    assert recording.finished and len(recording.frames("probe")) == 60
+
+
+def test_no_camera_is_closed_while_it_is_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("tapetum.record.capture.PATIENCE", 0.05)
+    during: list[bool] = []
+    back = threading.Event()
+
+    class Slow(Made):
+        reading = False
+
+        def shots(self, start_monotonic_ns: int, start_utc_ns: int) -> Iterator[Shot]:
+            yield Shot(np.zeros(SIZE, np.uint8), start_monotonic_ns, start_utc_ns)
+            self.reading = True
+            back.wait(5)
+            self.reading = False
+
+        def close(self) -> None:
+            during.append(self.reading)
+
+    def full(*_: Any, **__: Any) -> None:
+        raise InputError("no room left on the disk")
+
+    monkeypatch.setattr(RecordingWriter, "write", full)
+    slow = Slow("slow", [SIZE])
+    with pytest.raises(InputError, match="no room"):
+        capture({"probe": slow}, tmp_path / "a.rec")
+    assert during == []
+    back.set()
+    end = time.monotonic() + 5
+    while not during and time.monotonic() < end:
+        time.sleep(0.01)
+    assert during == [False]
+
+
+def test_frames_that_waited_in_the_driver_are_not_called_new(
+    webcams: type[Webcam], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+):
+    """Four pictures of before the recording stand in the driver's buffer; they come at once."""
+    wait = webcams.grab
+
+    def grab(self: Webcam) -> bool:
+        if self.count < 4:
+            self.count += 1
+            return True
+        return wait(self)
+
+    monkeypatch.setattr(webcams, "grab", grab)
+    capture({"probe": open_source("camera:0", "probe")}, tmp_path / "a.rec", seconds=0.3)
+    first = next(iter(open_recording(tmp_path / "a.rec").source("probe"))).image
+    assert not any(np.array_equal(first, picture(n)) for n in range(5))
+
+
+def test_threads_that_silence_opencv_leave_it_as_it_was():
+    before = cv2.utils.logging.getLogLevel()
+
+    def silence() -> None:
+        for _ in range(300):
+            with hushed():
+                assert cv2.utils.logging.getLogLevel() == cv2.utils.logging.LOG_LEVEL_SILENT
+                time.sleep(0)
+
+    threads = [threading.Thread(target=silence) for _ in range(3)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert cv2.utils.logging.getLogLevel() == before
+    # The one that enters first leaves first.
+    one, other = hushed(), hushed()
+    one.__enter__(), other.__enter__()
+    one.__exit__(None, None, None)
+    assert cv2.utils.logging.getLogLevel() == cv2.utils.logging.LOG_LEVEL_SILENT
+    other.__exit__(None, None, None)
+    assert cv2.utils.logging.getLogLevel() == before
+
+
 def test_images_of_two_sizes_are_told(tmp_path: Path):
     for n in range(3):
         cv2.imwrite(str(tmp_path / f"{n}.png"), picture(n)[: 32 - n])
@@ -233,7 +358,7 @@ def test_ctrl_c_ends_a_recording_whole(webcams: type[Webcam], tmp_path: Path, ca
         (("camera:x", "--target", "p.mkv"), "camera:x: names no camera; write camera:0"),
         (("p.mkv", "--seed", "3"), "--seed: belongs to scenes of the virtual bench; p.mkv is a real source"),
         (("p.mkv", "--set", "distance=3"), "--set: belongs to scenes"),
-        (("p.mkv", "--target", "cut.mkv"), "cut.mkv: the video is truncated"),
+        (("p.mkv", "--target", "cut.mkv"), "cut.mkv: is not a video that can be read"),
         (("p.mkv", "--target", "words.txt"), "words.txt: is not a video that can be read"),
     ],
 )
@@ -248,7 +373,7 @@ def test_misuse_is_one_line_and_nothing_is_left(
     monkeypatch.chdir(tmp_path)
     webcams.last[2] = 0
     whole = video(Path("p.mkv"), [n / 15 for n in range(9)]).read_bytes()
-    Path("cut.mkv").write_bytes(whole[: len(whole) // 2])
+    Path("cut.mkv").write_bytes(whole[:300])
     Path("words.txt").write_text("nothing to see")
     assert main(["record", *arguments, "-o", "a.rec"]) == 2
     (line,) = capsys.readouterr().err.splitlines()

@@ -27,6 +27,7 @@ from tapetum.report import (
     save_figure,
 )
 from tapetum.report.figures._style import runs
+from tapetum.report.figures.classes import fig_confusion
 from tapetum.report.figures.retro import stretched
 
 Gaze = tuple[np.ndarray, np.ndarray]
@@ -190,3 +191,9 @@ def test_saving(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot draw"):
         save_figure(figure, tmp_path / "a.doc")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a.png", "a.svg"]
+
+
+def test_a_dollar_in_a_device_s_name_is_a_dollar(tmp_path: Path):
+    figure = fig_confusion(np.eye(2, dtype=int), ["cam$1", "pro $ 2 $"])
+    save_figure(figure, tmp_path / "a.png")
+    assert [text.get_text() for text in figure.axes[0].get_xticklabels()] == [r"cam\$1", r"pro \$ 2 \$"]

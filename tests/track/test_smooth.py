@@ -267,3 +267,22 @@ def test_numbers_out_of_range_are_told():
         calibrate(Motion(1.0, 1.0), [(series, truth)])
     with pytest.raises(InputError, match="truth of shape"):
         calibrate(Motion(1.0, 1.0), [(series, truth[:3])])
+
+
+def test_series_are_found_by_one_sort_however_many_tracks_there_are(monkeypatch) -> None:
+    rng = np.random.default_rng(2)
+    numbers = rng.permutation(np.repeat(np.arange(300), 4))
+    value = rng.normal(size=len(numbers))
+    table = pa.table(
+        {"time": np.arange(len(numbers)) / 30.0, "track": numbers, "g": value, "g_low": value - 1, "g_high": value + 1}
+    )
+    looked: list[int] = []
+    find = np.flatnonzero
+    monkeypatch.setattr(np, "flatnonzero", lambda rows: looked.append(np.size(rows)) or find(rows))
+    runs = series_of(table, "g")
+    # Nothing is searched through again for every track.
+    assert sum(looked) <= 2 * len(numbers)
+    monkeypatch.undo()
+    for number in (0, 7, 299):
+        np.testing.assert_array_equal(runs[number].value, value[numbers == number])
+    assert series_of(table.slice(0, 0), "g") == {}

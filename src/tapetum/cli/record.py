@@ -10,13 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tapetum.bench import load_scene, scene_names
-from tapetum.cli.inputs import check_replaceable
+from tapetum.cli.inputs import check_replaceable, says_what_is_kept
 from tapetum.errors import InputError
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
     from tapetum.bench import Scene
-    from tapetum.record import Session
+    from tapetum.record import Recording, Session
 
 _SCENE_MARK = "tapetum/scene/"
 
@@ -166,14 +166,27 @@ def _film(
             raise
         remedy = f"{error.remedy}; or the probe's camera:0, video file or folder of images"
         raise InputError("no such scene, file or folder", where=source, remedy=remedy) from error
-    from tapetum.record import film, label_recording
+    from tapetum.record import film
 
     session = bench.session(scene, seconds, rate)
-    recording = film(scene, out, session, progress=bar, overwrite=overwrite)
+    with says_what_is_kept("film it again for a whole one"):
+        recording = film(scene, out, session, progress=bar, overwrite=overwrite)
     typer.echo(f"{out}: {seconds:g} s, {len(recording.frames('probe'))} probe frames, seed {session.seed}")
     if not no_labels:
+        _label(recording)
+
+
+def _label(recording: Recording) -> None:
+    """Label a recording that is whole already."""
+    from tapetum.record import label_recording
+
+    try:
         summary = label_recording(recording, bar)
-        typer.echo(f"labelled {summary.labelled} of {summary.n} frames")
+    except (InputError, KeyboardInterrupt) as error:
+        error.add_note(f"the recording is kept in {recording.path}, without labels")
+        with says_what_is_kept("label it by tapetum.record.label_recording"):
+            raise
+    typer.echo(f"labelled {summary.labelled} of {summary.n} frames")
 
 
 def _same(probe: str, target: str) -> bool:
@@ -195,7 +208,7 @@ def _capture(
     if target is not None and _same(probe, target):
         raise InputError("is both probe and target", where=probe, remedy="give two sources")
     check_replaceable(out, overwrite, "recording.json", "tapetum-recording")
-    from tapetum.record import label_recording, open_recording
+    from tapetum.record import open_recording
     from tapetum.record.capture import capture
     from tapetum.record.live_sources import open_source
 
@@ -208,7 +221,8 @@ def _capture(
             raise
     if seconds is None and any(source.live for source in sources.values()):
         typer.echo("recording until Ctrl-C", err=True)
-    told = capture(sources, out, seconds=seconds, progress=bar, overwrite=overwrite)
+    with says_what_is_kept():
+        told = capture(sources, out, seconds=seconds, progress=bar, overwrite=overwrite)
     counts = ", ".join(f"{one.frames} {name} frames ({one.lost} lost)" for name, one in told.items())
     typer.echo(f"{out}: {counts}")
     for name, one in told.items():
@@ -219,5 +233,4 @@ def _capture(
     if target is None:
         typer.echo("no target was recorded: no labels")
         return
-    summary = label_recording(open_recording(out), bar)
-    typer.echo(f"labelled {summary.labelled} of {summary.n} frames")
+    _label(open_recording(out))

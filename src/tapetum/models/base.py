@@ -185,10 +185,14 @@ def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fract
         if np.ptp(targets[:, k]) == 0:
             what = f"{name} never changes in {_of(videos)}: nothing to learn"
             raise InputError(what, where="dataset", remedy="add recordings with other values of it")
-    aside = np.zeros(len(recording), dtype=bool)
+    aside, owed = np.zeros(len(recording), dtype=bool), 0.0
     for number in np.unique(recording):
         places = np.flatnonzero(recording == number)
-        aside[places[len(places) - round(calibration_fraction * len(places)) :]] = True
+        # What one recording is too short to give counts for the next: many short ones give their share, too.
+        owed += calibration_fraction * len(places)
+        count = min(max(round(owed), 0), len(places))
+        aside[places[len(places) - count :]] = True
+        owed -= count
     span = reach_of(train)
     shared = meeting(span, recording, ~aside, aside) if span is not None else np.zeros_like(aside)
     fit = np.flatnonzero(~aside & ~shared)

@@ -65,7 +65,8 @@ class ResNet18:
         See `tapetum.models.training.Augmentation`.
     seed
         Of the initial weights, the order of the images and the augmentation. Equal seeds give equal weights
-        on one machine with one number of threads.
+        on the CPU of one machine with one number of threads and processes. On a GPU they do not to the last bit: its
+        libraries choose their algorithms by speed and add in no fixed order.
     calibration_fraction
         Share of the training frames, the last ones of each recording, that is kept out of the fit: it shows
         the error after each epoch and sets the intervals. The weights kept are the last epoch's; with `patience`

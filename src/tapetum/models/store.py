@@ -105,6 +105,9 @@ def save_model(
     InputError
         When the model is not fitted, the card's figures are not JSON, or the folder exists.
     """
+    if model.kind not in KINDS:
+        what = f"a model of kind {model.kind!r} learns nothing that a folder could keep"
+        raise InputError(what, where=path, remedy="make it again from its parameters")
     state = {name: tensor.detach().cpu().contiguous() for name, tensor in model.state().items()}
     if half:
         state = {name: _halved(tensor, name) for name, tensor in state.items()}
@@ -188,7 +191,7 @@ def model_card(path: str | Path) -> dict[str, Any]:
     if not isinstance(version, int) or version > VERSION:
         what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
         raise InputError(what, where=folder / CARD, remedy="update Tapetum")
-    if card.get("kind") not in KINDS:
+    if not isinstance(card.get("kind"), str) or card["kind"] not in KINDS:
         what = f"holds a model of unknown kind {card.get('kind')!r}"
         raise InputError(what, where=folder / CARD, remedy=f"this Tapetum knows {', '.join(KINDS)}")
     if not isinstance(card.get("parameters"), dict) or not isinstance(card.get("weights"), dict):

@@ -43,6 +43,7 @@ class _Reader:
         self.missed = 0  # frames that found no room since the last that did
         self.lost = 0
         self.done = threading.Event()
+        self.ended = threading.Event()  # by what it gave, while the others go on
         self.thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self, monotonic_ns: int, utc_ns: int) -> None:
@@ -53,21 +54,32 @@ class _Reader:
         try:
             for shot in self.source.shots(*self.begin):
                 late = self.seconds is not None and shot.monotonic_ns - self.begin[0] >= self.seconds * 1e9
-                if self.stop.is_set() or late or not self._offer(shot):
+                if self._over() or late or not self._offer(shot):
                     break
         except InputError as error:
-            if not self.stop.is_set():
+            if not self._over():
                 self.fault = error
         except Exception as error:
             # A driver may fail in any way; what was recorded until then must be kept.
             self.fault = InputError(f"cannot be read any more ({error})", where=self.source.name)
         finally:
             self.done.set()
+            # Here and nowhere else: no other thread may close a camera while this one reads it.
+            with contextlib.suppress(Exception):
+                self.source.close()
+
+    def _over(self) -> bool:
+        return self.stop.is_set() or self.ended.is_set()
+
+    def end(self, fault: InputError) -> None:
+        """End this stream alone, for what it gave."""
+        self.fault = self.fault or fault
+        self.ended.set()
 
     def _offer(self, shot: Shot) -> bool:
         """Queue a frame; a live one is lost where there is no room. Return False when it is time to stop."""
         shot = replace(shot, dropped_before=shot.dropped_before + self.missed)
-        while not self.stop.is_set():
+        while not self._over():
             try:
                 self.waiting.put(shot, timeout=0 if self.source.live else 0.1)
             except queue.Full:
@@ -135,6 +147,9 @@ def capture(
                 for reader in readers.values():
                     reader.start(monotonic, utc)
                 for name, shot in progress(_arriving(readers, stop), "recording"):
+                    if (fault := _unfit(sources[name], shot)) is not None:
+                        readers[name].end(fault)
+                        continue
                     writer.write(
                         name,
                         shot.image,
@@ -149,8 +164,11 @@ def capture(
     finally:
         stop.set()
         for reader in readers.values():
-            reader.thread.join(PATIENCE) if reader.thread.ident else None
-            reader.source.close()
+            if reader.thread.ident:
+                # A camera whose last read never comes back stays open: its thread alone may close it.
+                reader.thread.join(PATIENCE)
+            else:
+                reader.source.close()
     return {name: Captured(counts[name], one.lost + one.missed, one.fault) for name, one in readers.items()}
 
 
@@ -162,9 +180,20 @@ def _arriving(readers: Mapping[str, _Reader], stop: threading.Event) -> Iterator
         came = False
         for name, reader in readers.items():
             with contextlib.suppress(queue.Empty):
-                yield name, reader.waiting.get_nowait()
+                shot = reader.waiting.get_nowait()
                 came = True
+                if not reader.ended.is_set():
+                    yield name, shot
         if not came:
             if ended or (stop.is_set() and all(reader.waiting.empty() for reader in readers.values())):
                 return
             time.sleep(IDLE)
+
+
+def _unfit(source: Source, shot: Shot) -> InputError | None:
+    """Say why a frame does not belong to its source's stream; None where it does."""
+    info = source.info
+    if shot.image.shape == (info.height, info.width) and shot.image.dtype == info.dtype:
+        return None
+    given, wanted = f"{list(shot.image.shape)} {shot.image.dtype}", f"{[info.height, info.width]} {info.dtype}"
+    return InputError(f"gives frames of {given} now, its first was {wanted}", where=source.name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
 from tapetum.record.recording import is_recording, open_recording
@@ -12,7 +13,9 @@ from tapetum.record.video import VideoSource
 __all__ = ["Frame", "FrameSource", "open_frames"]
 
 
-def open_frames(source: str | os.PathLike[str], stream: str = "probe", *, rate: float = 15.0) -> FrameSource:
+def open_frames(
+    source: str | os.PathLike[str], stream: str = "probe", *, rate: float = 15.0, late: bool = False
+) -> FrameSource:
     """Open frames.
 
     Parameters
@@ -24,6 +27,8 @@ def open_frames(source: str | os.PathLike[str], stream: str = "probe", *, rate: 
         Which stream of a recording; nothing else has several.
     rate
         Frames per second to count images by, which have no clock.
+    late
+        Whether a video that was cut short gives its readable frames before it raises.
 
     Returns
     -------
@@ -38,7 +43,8 @@ def open_frames(source: str | os.PathLike[str], stream: str = "probe", *, rate: 
     """
     place = existing(source)
     if is_recording(place):
-        return open_recording(place).source(stream)
+        found = open_recording(place).source(stream)
+        return replace(found, late=late)
     if place.is_dir() or place.suffix.lower() in IMAGE_SUFFIXES:
         return ImageSource.from_path(place, rate)
-    return VideoSource.from_path(place)
+    return VideoSource.from_path(place, late=late)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import re
+import threading
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,9 @@ IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".pgm", ".pnm", ".ppm", ".bmp", ".jpg
 TIFF_SUFFIXES = (".tif", ".tiff")
 DAMAGED = "copy or export it again"
 
+_hushing = threading.Lock()
+_hush = {"depth": 0, "level": 0}
+
 
 def natural_key(name: str) -> list[tuple[int, str]]:
     """Return a sort key under which `frame10` follows `frame9`."""
@@ -29,13 +33,22 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 
 @contextlib.contextmanager
 def hushed() -> Iterator[None]:
-    """Keep OpenCV from writing about broken files to standard error: the InputError says it."""
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    """Keep OpenCV from writing about broken files to standard error: the InputError says it.
+
+    The level is the whole program's: the first thread to enter silences it, the last one to leave sets it back.
+    """
+    with _hushing:
+        if not _hush["depth"]:
+            _hush["level"] = cv2.utils.logging.getLogLevel()
+            cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+        _hush["depth"] += 1
     try:
         yield
     finally:
-        cv2.utils.logging.setLogLevel(level)
+        with _hushing:
+            _hush["depth"] -= 1
+            if not _hush["depth"]:
+                cv2.utils.logging.setLogLevel(_hush["level"])
 
 
 def cut_short(data: bytes) -> bool:

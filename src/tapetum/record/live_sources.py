@@ -20,6 +20,8 @@ from tapetum.record.source import Frame
 __all__ = ["Camera", "Replay", "Shot", "Source", "is_camera", "open_source"]
 
 PREFIX = "camera:"
+STALE = 16  # frames that a driver may hold, at the most
+AT_ONCE = 0.002  # s; a frame that comes sooner was there already
 
 # What OpenCV may know of a camera; 0 and -1 stand for what it does not.
 TOLD = {
@@ -140,7 +142,8 @@ class Camera:
 
     def shots(self, start_monotonic_ns: int, start_utc_ns: int) -> Iterator[Shot]:
         """Yield frames until the camera gives no more; its clock is this machine's."""
-        while self._capture.grab():
+        grabbed = self._first_new()
+        while grabbed:
             monotonic = time.monotonic_ns()
             # UTC counts from the start by the clock that is never set: both streams share one time.
             utc = start_utc_ns + monotonic - start_monotonic_ns
@@ -148,15 +151,28 @@ class Camera:
             if not there:
                 break
             yield Shot(to_grey(image), monotonic, utc)
+            grabbed = self._capture.grab()
         raise InputError("gives no more pictures", where=self.name, remedy="is it still plugged in?")
 
+    def _first_new(self) -> bool:
+        """Grab the first frame that must be waited for: what comes at once stood in the driver since it was opened."""
+        for _ in range(STALE):
+            asked = time.monotonic()
+            if not self._capture.grab():
+                return False
+            if time.monotonic() - asked > AT_ONCE:
+                break
+        return True
+
     def close(self) -> None:
-        """Give the camera back."""
+        """Give the camera back. Not while `shots` runs: drivers crash when a camera goes in the middle of a read."""
         self._capture.release()
 
 
 class Replay:
     """A video file, a folder of images or a stream of a recording, at its own times from the recording's start on.
+
+    A file that was cut gives the frames that can be read before it says so.
 
     Parameters
     ----------
@@ -172,12 +188,13 @@ class Replay:
 
     def __init__(self, source: str, stream: str, rate: float | None = None) -> None:
         self.name = source
-        self._frames = open_frames(source, stream, rate=rate or 15.0)
-        frames = iter(self._frames)
-        first = next(frames, None)
+        frames = open_frames(source, stream, rate=rate or 15.0, late=True)
+        self._frames = frames
+        there = iter(frames)
+        first = next(there, None)
         if first is None:
             raise InputError("holds no frame", where=source, remedy="give another file")
-        frames.close()  # type: ignore[attr-defined]
+        there.close()  # type: ignore[attr-defined]
         height, width = first.image.shape
         scale = int(first.full_scale or 0)
         told = getattr(self._frames, "rate", None)

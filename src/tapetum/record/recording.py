@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -182,6 +182,8 @@ class RecordingSource:
         Seconds of every frame from the first one, [N] float64.
     finished
         Whether the recording was closed: then a video with fewer frames than it says is an error.
+    late
+        Whether the readable frames come before that error.
     """
 
     video: Path
@@ -189,6 +191,7 @@ class RecordingSource:
     full_scale: int
     times: np.ndarray
     finished: bool
+    late: bool = field(default=False, kw_only=True)
 
     @property
     def name(self) -> str:
@@ -207,7 +210,7 @@ class RecordingSource:
         if not self.count:
             return
         number = 0
-        for image, _, _ in decoded(self.video, tolerant=not self.finished):
+        for image, _, _ in decoded(self.video, tolerant=not self.finished, late=self.late):
             if number == self.count:
                 return
             yield Frame(number, float(self.times[number]), image, f"{self.stream}[{number}]", self.full_scale)

@@ -13,13 +13,17 @@ from tapetum.record.blobs import Candidates, find_candidates
 from tapetum.record.clocks import join
 from tapetum.record.recording import Recording
 
-__all__ = ["LabelSummary", "Spot", "find_spot", "label_recording"]
+__all__ = ["LabelSummary", "NoLaserError", "Spot", "find_spot", "label_recording"]
 
 GOOD = 0.5  # quality from which a spot is taken for the laser
 NEIGHBOURS = 4  # frames before and after that a spot must agree with
 BRIDGE = 3  # frames at most to the good spots on both sides that vouch for a doubtful one
 VOUCHED = 4.0  # what their word adds to its log-odds
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
+
+
+class NoLaserError(InputError):
+    """Hardly a frame of the target shows a laser."""
 
 
 @dataclass(frozen=True)
@@ -212,8 +216,9 @@ def label_recording(
     Raises
     ------
     InputError
-        When a stream is missing or damaged, the clocks do not overlap, or hardly a target frame shows a
-        laser.
+        When a stream is missing or damaged, or the clocks do not overlap.
+    NoLaserError
+        When hardly a target frame shows a laser.
     """
     joined = join(recording, probe, target, offset=offset)
     source = recording.source(target)
@@ -224,7 +229,7 @@ def label_recording(
     place, quality = follow(source.times, found)
     good = quality >= GOOD
     if good.sum() < max(1, FEW * len(good)):
-        raise InputError(
+        raise NoLaserError(
             f"no laser spot found (in {good.sum()} of {len(good)} frames)",
             where=recording.video(target),
             remedy="aim the laser at the target's lens, or expose the target so that the spot stands out",

@@ -268,10 +268,13 @@ def to_array(frame: Any) -> tuple[np.ndarray, int]:
     return frame.to_ndarray(format=wanted), NATIVE_GREY[wanted]
 
 
-def decoded(file: Path, *, tolerant: bool) -> Iterator[tuple[np.ndarray, int, float | None]]:
-    """Yield image, full scale and seconds (None where the file has no stamp), checking for an early end."""
+def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple[np.ndarray, int, float | None]]:
+    """Yield image, full scale and seconds (None where the file has no stamp), checking for an early end.
+
+    What is told of an early end comes before the first frame where the file shows it, `late` only after the last.
+    """
     missing = matroska_missing(file)
-    if missing and not tolerant:
+    if missing and not tolerant and not late:
         # Known before the first frame: nobody should wait an hour to be told.
         raise truncated(file, count_frames(file))
     number = packets = 0
@@ -298,7 +301,7 @@ def decoded(file: Path, *, tolerant: bool) -> Iterator[tuple[np.ndarray, int, fl
             if not tolerant:
                 raise truncated(file, number) from error
             return
-        if not tolerant and (number == 0 or packets < stream.frames):
+        if not tolerant and (missing or number == 0 or packets < stream.frames):
             raise truncated(file, number)
 
 
@@ -357,15 +360,18 @@ class VideoSource:
         Number of frames where the file states it, else None.
     rate
         Frames per second for a file without stamps.
+    late
+        Whether all readable frames come before the error about a file that was cut.
     """
 
     path: Path
     full_scale: int
     count: int | None
     rate: float
+    late: bool = False
 
     @classmethod
-    def from_path(cls, path: str | os.PathLike[str]) -> VideoSource:
+    def from_path(cls, path: str | os.PathLike[str], *, late: bool = False) -> VideoSource:
         """Open a video file far enough to know that it can be read.
 
         Raises
@@ -374,7 +380,7 @@ class VideoSource:
             When it is no video, holds no frame that can be decoded, or is seen to be truncated.
         """
         file = existing(path)
-        first = decoded(file, tolerant=False)
+        first = decoded(file, tolerant=False, late=late)
         try:
             # An empty or wholly damaged video raises here.
             _, full_scale, _ = next(first)
@@ -383,7 +389,7 @@ class VideoSource:
         container, stream = open_container(file)
         with container:
             rate = float(stream.average_rate or 0) or 15.0
-            return cls(file, full_scale, stream.frames or None, rate)
+            return cls(file, full_scale, stream.frames or None, rate, late)
 
     @property
     def name(self) -> str:
@@ -397,7 +403,7 @@ class VideoSource:
 
     def __iter__(self) -> Iterator[Frame]:
         start: float | None = None
-        for index, (image, full_scale, stamp) in enumerate(decoded(self.path, tolerant=False)):
+        for index, (image, full_scale, stamp) in enumerate(decoded(self.path, tolerant=False, late=self.late)):
             stamp = index / self.rate if stamp is None else stamp
             start = stamp if start is None else start
             yield Frame(index, stamp - start, image, f"{self.path.stem}[{index}]", full_scale)

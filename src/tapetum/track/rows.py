@@ -18,6 +18,8 @@ from tapetum.track.tracker import Tracker
 
 __all__ = ["TrackRow", "TrackedFrame", "retrack"]
 
+_BATCH = 2000
+
 
 @dataclass(frozen=True)
 class TrackRow:
@@ -160,8 +162,11 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
     names += ["device"] if {"device", "device_probability"} <= set(extra) else []
     follower = Tracker() if tracker is None else tracker
     follower.reset()
+    whole = track_schema(names)
+    kept: list[pa.RecordBatch] = []
     records: list[dict[str, Any]] = []
-    for _, group in groupby(table.to_pylist(), key=lambda row: row["frame"]):
+    # Rows as Python objects take a hundred times what they take in a table: only some thousands at a time.
+    for _, group in groupby(_rows(table), key=lambda row: row["frame"]):
         rows = list(group)
         first = rows[0]
         spots = [row for row in rows if row["x"] is not None]
@@ -170,9 +175,20 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         answers = [{c: _kept(row.get(c), kind) for c, kind in estimate_columns(names).items()} for row in spots]
         new = rows_of(follower, found, answers, first["frame"], first["time"], first["name"] or "")
         records += [row.record() for row in new]
-    whole = track_schema(names)
-    clean = [{c: finite(row.get(c)) for c in whole.names} for row in records]
-    return pa.Table.from_pylist(clean, schema=whole)
+        if len(records) >= _BATCH:
+            kept.append(_batch(records, whole))
+            records.clear()
+    return pa.Table.from_batches([*kept, _batch(records, whole)], schema=whole)
+
+
+def _rows(table: pa.Table) -> Iterator[dict[str, Any]]:
+    for batch in table.to_batches(max_chunksize=_BATCH):
+        yield from batch.to_pylist()
+
+
+def _batch(records: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
+    clean = [{c: finite(row.get(c)) for c in schema.names} for row in records]
+    return pa.RecordBatch.from_pylist(clean, schema=schema)
 
 
 def _kept(value: Any, kind: pa.DataType) -> Any:

@@ -9,6 +9,7 @@ from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.processes import parts_by_processes
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import make_part
+from tapetum.durable import sole_writer
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 
@@ -55,8 +56,8 @@ def synthesise(
     Raises
     ------
     InputError
-        When something stands at `out`, another set was begun there, the cluster cannot do it, the disk is full, or
-        no frame could be kept.
+        When something stands at `out`, another command is making it, another set was begun there, the cluster cannot do
+        it, the disk is full, or no frame could be kept.
     """
     out = Path(out)
     ways = {"workers": workers, "processes": processes, "cluster": cluster}
@@ -68,6 +69,21 @@ def synthesise(
             raise InputError(f"must be positive, is {count}", where=name, remedy="give a number of processes")
     if out.exists() and not overwrite:
         raise InputError("exists already", where=out, remedy="choose another name or remove it first")
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with sole_writer(out):
+        _make(plan, out, workers, processes, cluster, progress, overwrite)
+    return out
+
+
+def _make(
+    plan: Plan,
+    out: Path,
+    workers: int | None,
+    processes: int | None,
+    cluster: str | None,
+    progress: Progress,
+    overwrite: bool,
+) -> None:
     staging = Staging.begin(out, plan)
     done = staging.done()
     missing = [part for part in plan.parts if part.number not in done]
@@ -85,7 +101,6 @@ def synthesise(
             pass
     staging.put_together(plan, out, progress=progress, overwrite=overwrite)
     staging.remove()
-    return out
 
 
 def _alone(plan: Plan, staging: Staging, parts: Sequence[Part]) -> Iterator[Part]:

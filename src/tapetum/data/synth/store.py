@@ -12,9 +12,11 @@ import numpy as np
 import zarr
 
 from tapetum.data.build import CHUNK, Images, Kept, finish, make_array
+from tapetum.data.content import image_digests
 from tapetum.data.dataset import DEVICE, QUANTITIES
 from tapetum.data.synth.plan import PIECE, Part, Plan
 from tapetum.data.synth.work import Made
+from tapetum.durable import sync
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder, told_when_full
 from tapetum.progress import Progress, quiet
@@ -86,8 +88,11 @@ class Staging:
                 block = np.concatenate([np.stack(made.crops), room])
                 start = part.number * PIECE
                 self._images("r+")[start : start + len(block)] = block
+                for number in range(start // CHUNK, (start + len(block)) // CHUNK):
+                    sync(self.path / _CROPS / "image" / "c" / str(number) / "0" / "0")
             with atomic_file(self._file(part)) as file:
-                rest = {"columns": made.columns, "told": made.told, "parameters": made.parameters}
+                digests = [digest.tobytes().hex() for digest in image_digests(made.crops)]
+                rest = {"columns": made.columns, "told": made.told, "parameters": made.parameters, "digests": digests}
                 file.write_text(json.dumps(rest), encoding="utf-8")
 
     def read(self, part: Part) -> Made:
@@ -106,6 +111,12 @@ class Staging:
         except (ValueError, KeyError, TypeError, OSError, RuntimeError) as error:
             remedy = "remove this file and run the same command again"
             raise InputError(f"damaged ({error})", where=file, remedy=remedy) from error
+        # Zarr reads a chunk that is not there as black crops, without a word.
+        found = [digest.tobytes().hex() for digest in image_digests(made.crops)]
+        if made.digests is not None and found != made.digests:
+            lost = sum(one != other for one, other in zip(found, made.digests, strict=False))
+            remedy = "remove this file and run the same command again: it makes the part anew"
+            raise InputError(f"{lost} of its {count} crops are lost or damaged", where=file, remedy=remedy)
         return made
 
     def remove(self) -> None:

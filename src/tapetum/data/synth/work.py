@@ -19,8 +19,8 @@ from tapetum.data.build import Kept, Rules, add_frames, labels_of
 from tapetum.data.dataset import TRUE_GAZE
 from tapetum.data.synth.clip import Clip, Filmed
 from tapetum.data.synth.plan import Part, Video
-from tapetum.errors import InputError
 from tapetum.record import Session, label_recording
+from tapetum.record.spot import NoLaserError
 
 __all__ = ["MALLOC", "Made", "make_part", "one_thread", "shot_of"]
 
@@ -48,12 +48,15 @@ class Made:
         Frames used and left out, by reason, and the frames of the whole video.
     parameters
         All that was drawn for the video, with its first part only.
+    digests
+        Of the crops, in hexadecimal, once they are kept: what is read back is checked by them.
     """
 
     crops: list[NDArray[np.generic]] = field(default_factory=list)
     columns: dict[str, list[float]] = field(default_factory=dict)
     told: dict[str, Any] = field(default_factory=dict)
     parameters: dict[str, Any] | None = None
+    digests: list[str] | None = None
 
     def add(self, image: NDArray[np.generic], /) -> None:
         """Keep a crop."""
@@ -131,12 +134,11 @@ def make_part(
 
 def _labelled(clip: Clip) -> bool:
     """Label a clip; False where the laser is nowhere to be seen, or the clip is empty."""
-    first, last = clip.ranges["probe"]
-    if first == last:
+    if any(first == last for first, last in clip.ranges.values()):
         return False
     try:
         label_recording(clip)
-    except InputError:
+    except NoLaserError:
         # A whole recording without the laser is a fault; a few seconds without it are not.
         return False
     return True

@@ -61,8 +61,10 @@ def fig_confusion(counts: ArrayLike, names: Sequence[str]) -> Figure:
         where = (column + 0.5, row + 0.5)
         ax.text(*where, f"{table[row, column]}", ha="center", va="center", fontsize=NOTE - 0.5, color=tint)
     dress(ax, grid=None)
-    ax.set_xticks(np.arange(size) + 0.5, names, rotation=45, ha="right", rotation_mode="anchor")
-    ax.set_yticks(np.arange(size) + 0.5, [f"{name}  ({n})" for name, n in zip(names, total[:, 0], strict=True)])
+    # A name is a name: dollars in it are no formula.
+    shown = [name.replace("$", r"\$") for name in names]
+    ax.set_xticks(np.arange(size) + 0.5, shown, rotation=45, ha="right", rotation_mode="anchor")
+    ax.set_yticks(np.arange(size) + 0.5, [f"{name}  ({n})" for name, n in zip(shown, total[:, 0], strict=True)])
     ax.tick_params(length=0)
     ax.set_ylim(size, 0)
     ax.set_xlabel("told", fontsize=LABEL, color=INK)
