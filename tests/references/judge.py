@@ -58,7 +58,7 @@ def judge(scene: Scene, pixels: Real, finite: bool, effort: Effort | None = None
                 (plane.path, _field(scene, beam, plane, probe, pixels - place, effort))
                 for plane in planes_of(scene, wavelength)
             ]
-            total += strength * power * share * _summed(fields, _coherence(scene))
+            total += strength * power * share * _summed(scene, fields)
     return total
 
 
@@ -79,15 +79,22 @@ def _field(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixels: Real, e
     return amplitudes(ThinLens(focal, lens.aperture_radius), beam, plane, probe, pixels, effort)
 
 
-def _summed(fields: list[tuple[float, Complex]], coherence: float) -> Real:
-    """Irradiance of planes that interfere where their paths, there and back, differ by less than a length."""
+def _summed(scene: Scene, fields: list[tuple[float, Complex]]) -> Real:
+    """Irradiance of planes, each pair of which interferes as far as its difference of paths, there and back, lets it."""
     total = np.zeros(len(fields[0][1])) if fields else np.zeros(0)
     for one, (path, field) in enumerate(fields):
         total += np.abs(field) ** 2
         for other_path, other in fields[:one]:
-            if 2 * abs(path - other_path) < coherence:
-                total += 2 * (field * other.conj()).real
+            total += _degree(scene, abs(path - other_path)) * 2 * (field * other.conj()).real
     return total
+
+
+def _degree(scene: Scene, path: float) -> float:
+    """Degree of coherence; what a bandwidth takes away shows in the sum over its wavelengths, until it has faded."""
+    light = scene.illumination
+    if light.bandwidth > 0 and path > 1.61 * light.wavelength**2 / light.bandwidth:
+        return 0.0
+    return 1.0 if light.coherence_length is None else max(0.0, 1 - path / light.coherence_length)
 
 
 def planes_of(scene: Scene, wavelength: float) -> list[Plane]:
@@ -172,13 +179,6 @@ def _curvature(scene: Scene) -> float:
     if light.vergence is not None:
         return light.vergence
     return 0.0 if light.mode == "collimated" else 1 / scene.distance
-
-
-def _coherence(scene: Scene) -> float:
-    light = scene.illumination
-    if light.coherence_length is not None:
-        return light.coherence_length
-    return math.inf if light.bandwidth == 0 else light.wavelength**2 / light.bandwidth
 
 
 def _lines(scene: Scene) -> list[tuple[float, float]]:

@@ -91,7 +91,8 @@ class Illumination:
     bandwidth
         Full width at half maximum of each line, in metres: 0 for a laser, some 20 nm for an LED.
     coherence_length
-        Path over which two reflections still interfere, in metres. Left out, it follows from the bandwidth, λ²/Δλ.
+        Difference of paths from which two reflections no longer interfere, in metres; their degree of coherence falls
+        to it in proportion. Left out, the bandwidth alone decides.
     source_size
         Full angle of the source as the target sees it, in radians: 0 for a laser, an even disc for an LED.
     vergence

@@ -34,7 +34,15 @@ from tapetum.simulate.radiometry import (
     irradiance_at_target,
     return_radius_by_rays,
 )
-from tapetum.simulate.reflections import Scatterer, glinting, mirrors, reaching_sensor, scatterers, specular_groups
+from tapetum.simulate.reflections import (
+    Scatterer,
+    glinting,
+    longest_path,
+    mirrors,
+    reaching_sensor,
+    scatterers,
+    specular_groups,
+)
 from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.traced_lens import TracedLens
@@ -134,7 +142,8 @@ class Camera:
     def _lines(self) -> list[_Line]:
         light, first = self.scene.illumination, self.geometry
         rings = first.exit_angle / (light.wavelength / (2 * first.radius)) + _RINGS_SHOWN
-        return [self._line(length, watts, self._steepest) for length, watts in wavelengths(light, rings)]
+        path = longest_path(self.scene)
+        return [self._line(length, watts, self._steepest) for length, watts in wavelengths(light, rings, path)]
 
     @cached_property
     def plan(self) -> RoundPlan | SamplingPlan | TracedPlan:

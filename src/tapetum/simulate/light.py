@@ -7,15 +7,17 @@ import math
 from tapetum.bench import Illumination
 from tapetum.errors import InputError
 
-__all__ = ["coherence_length", "directions", "wavelengths"]
+__all__ = ["degree_of_coherence", "directions", "reach_of_interference", "wavelengths"]
 
 # Full width at half maximum of a Gaussian, in standard deviations.
 _FWHM = 2 * math.sqrt(2 * math.log(2))
 _REACH = 2.5
+# Paths over λ²/Δλ at which a Gaussian line's degree of coherence, exp(-(π x)²/(4 ln 2)), is 1e-4.
+_FADED = 1.61
 _MOST_WAVELENGTHS, _MOST_DIRECTIONS = 65, 4096
 
 
-def wavelengths(light: Illumination, detail: float = 10.0) -> list[tuple[float, float]]:
+def wavelengths(light: Illumination, detail: float = 10.0, path: float = 0.0) -> list[tuple[float, float]]:
     """Wavelengths in metres that stand for the source's spectrum, each with its power in watts.
 
     Parameters
@@ -25,10 +27,14 @@ def wavelengths(light: Illumination, detail: float = 10.0) -> list[tuple[float, 
     detail
         Rings of the RR: the pattern grows with the wavelength, so the outermost ring decides how finely a line is
         divided.
+    path
+        The largest difference of paths between planes that are summed as fields at each wavelength, in metres.
 
     Notes
     -----
-    The samples lie at equal distances, a quarter of the outermost ring or less, out to 2.5 standard deviations.
+    The samples lie at equal distances, a quarter of the outermost ring or less, out to 2.5 standard deviations. What
+    equally spaced samples make of interference repeats itself with the path: the first repetition lies so far that it
+    has faded at `path`.
     """
     lines = [(light.wavelength, light.power), *((line.wavelength, line.power) for line in light.lines)]
     if light.bandwidth == 0:
@@ -37,18 +43,31 @@ def wavelengths(light: Illumination, detail: float = 10.0) -> list[tuple[float, 
     found: list[tuple[float, float]] = []
     for middle, power in lines:
         span = 2 * _REACH * sigma
-        count = min(max(5, 2 * math.ceil(2 * detail * span / middle) + 1), _MOST_WAVELENGTHS)
+        repeats = (path + _FADED * middle**2 / light.bandwidth) / middle**2 if path else 0.0
+        half = max(2, math.ceil(2 * detail * span / middle), math.ceil(repeats * span / 2))
+        count = min(2 * half + 1, _MOST_WAVELENGTHS)
         steps = [(i / (count - 1) - 0.5) * span for i in range(count)]
         weights = [math.exp(-((step / sigma) ** 2) / 2) for step in steps]
         found += [(middle + s, power * w / math.fsum(weights)) for s, w in zip(steps, weights, strict=True)]
     return found
 
 
-def coherence_length(light: Illumination) -> float:
-    """Path difference up to which two reflections are summed as fields, in metres: λ²/Δλ, or what the scene says."""
-    if light.coherence_length is not None:
-        return light.coherence_length
-    return math.inf if light.bandwidth == 0 else light.wavelength**2 / light.bandwidth
+def reach_of_interference(light: Illumination) -> float:
+    """Difference of paths, in metres, beyond which two reflections add as irradiance; infinite for a laser line.
+
+    It is the `coherence_length`; and 1.61 λ²/Δλ of a line with a bandwidth, where its degree of coherence is 1e-4.
+    """
+    given = math.inf if light.coherence_length is None else light.coherence_length
+    return given if light.bandwidth == 0 else min(given, _FADED * light.wavelength**2 / light.bandwidth)
+
+
+def degree_of_coherence(light: Illumination, path: float) -> float:
+    """|γ| of light of one wavelength after a difference of paths in metres: 1 - path/L for a `coherence_length` L.
+
+    That is a line of the shape sinc², 0.89 λ²/L wide at half its height. Without a coherence length it is 1: what a
+    bandwidth takes away shows in the sum over `wavelengths`.
+    """
+    return 1.0 if light.coherence_length is None else max(0.0, 1 - abs(path) / light.coherence_length)
 
 
 def directions(light: Illumination, airy_angle: float) -> list[tuple[float, float, float]]:

@@ -5,15 +5,30 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+import numpy as np
+import numpy.typing as npt
 import torch
 
 from tapetum.bench import Diffuse, PrescriptionLens, Scene, at_wavelength
-from tapetum.simulate.light import coherence_length
+from tapetum.simulate.light import degree_of_coherence, reach_of_interference
 from tapetum.simulate.radiometry import layer_transmittance
 from tapetum.simulate.round_pass import Order, Surface
 from tapetum.simulate.sensor_plane import orders_of
 
-__all__ = ["Scatterer", "glinting", "mirrors", "only_sensor", "reaching_sensor", "scatterers", "specular_groups"]
+__all__ = [
+    "Scatterer",
+    "glinting",
+    "longest_path",
+    "mirrors",
+    "only_sensor",
+    "reaching_sensor",
+    "scatterers",
+    "specular_groups",
+]
+
+
+# Share of a plane's power that is not followed.
+_DARK = 1e-6
 
 
 @dataclass(frozen=True)
@@ -42,7 +57,7 @@ class _Plane:
 def specular_groups(
     scene: Scene, wavelength: float, image_distance: torch.Tensor, widest: float
 ) -> list[tuple[Surface, ...]]:
-    """Reflecting planes in groups that interfere within, and not between.
+    """Sets of reflecting planes: within a set fields add, between sets irradiances.
 
     Parameters
     ----------
@@ -57,32 +72,67 @@ def specular_groups(
 
     Notes
     -----
-    A plane at the depth t, index n, is reached as if it lay t/n before the sensor, by a path shorter by 2nt. Planes
-    whose paths differ by less than the laser's coherence length belong to one group.
+    A plane at the depth t, index n, is reached as if it lay t/n before the sensor, by a path shorter by 2nt. Partially
+    coherent light gives I = Σ_ij γ_ij U_i U_j* with the degree of coherence γ_ij of the two paths. γ = L Lᵀ (Cholesky)
+    turns that into Σ_k |Σ_i L_ik U_i|²: a set for each column k, its planes weighed by L_ik. A plane may stand in
+    several sets. In fully coherent light there is one; planes that do not interfere with any other have their own.
     """
     planes = sorted(_planes(scene, wavelength, image_distance, widest), key=lambda plane: plane.nearer)
     planes = [plane for plane in planes if plane.orders]
-    reach, k = coherence_length(scene.illumination), 2 * math.pi / wavelength
-    groups: list[list[_Plane]] = []
-    for plane in planes:
-        if groups and 2 * (plane.nearer - groups[-1][-1].nearer) < reach:
-            groups[-1].append(plane)
-        else:
-            groups.append([plane])
+    k = 2 * math.pi / wavelength
     return [
         tuple(
             Surface(
                 plane.image_distance,
-                tuple(order.scaled(math.sqrt(plane.transmittance)) for order in plane.orders),
+                tuple(order.scaled(share * math.sqrt(plane.transmittance)) for order in plane.orders),
                 -2 * k * plane.nearer,
                 plane.depth,
                 plane.index,
                 plane.tilt,
             )
-            for plane in group
+            for plane, share in zip(chain, column, strict=True)
+            if share != 0
         )
-        for group in groups
+        for chain in _chains(planes, reach_of_interference(scene.illumination))
+        for column in _coherent_sets(chain, scene)
     ]
+
+
+def longest_path(scene: Scene) -> float:
+    """The largest difference of paths between planes that are summed as fields, in metres."""
+    depths = sorted(layer.index * layer.depth for layer in scene.target.sensor.layers)
+    places = [_Plane(torch.zeros(()), nearer, 1.0, (), None) for nearer in (0.0, *depths)]
+    chains = _chains(places, reach_of_interference(scene.illumination))
+    return max(2 * (chain[-1].nearer - chain[0].nearer) for chain in chains)
+
+
+def _chains(planes: list[_Plane], reach: float) -> list[list[_Plane]]:
+    """Planes, by their paths, in chains whose neighbours are nearer to each other than the reach of interference.
+
+    The ends of a chain may be farther apart: their degree of coherence, or the sum over the line's wavelengths, says
+    that they do not interfere.
+    """
+    chains: list[list[_Plane]] = []
+    for plane in planes:
+        if chains and 2 * (plane.nearer - chains[-1][-1].nearer) < reach:
+            chains[-1].append(plane)
+        else:
+            chains.append([plane])
+    return chains
+
+
+def _coherent_sets(chain: list[_Plane], scene: Scene) -> list[list[float]]:
+    """Columns of the Cholesky factor of the planes' mutual coherence; what carries less than 1e-6 is left out."""
+    paths = [2 * plane.nearer for plane in chain]
+    gamma = [[degree_of_coherence(scene.illumination, one - other) for other in paths] for one in paths]
+    rest: npt.NDArray[np.float64] = np.array(gamma)
+    columns: list[list[float]] = []
+    for k in range(len(paths)):
+        if rest[k, k] > _DARK:
+            column = rest[:, k] / math.sqrt(rest[k, k])
+            rest = rest - np.outer(column, column)
+            columns.append([float(share) if abs(share) > _DARK else 0.0 for share in column])
+    return columns
 
 
 def scatterers(scene: Scene, wavelength: float, image_distance: float) -> list[Scatterer]:
