@@ -80,7 +80,7 @@ def _field(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixels: Real, e
 
 
 def _summed(scene: Scene, fields: list[tuple[float, Complex]]) -> Real:
-    """Irradiance of planes, each pair of which interferes as far as its difference of paths, there and back, lets it."""
+    """Irradiance of planes, each pair of which interferes as far as its paths, there and back, let it."""
     total = np.zeros(len(fields[0][1])) if fields else np.zeros(0)
     for one, (path, field) in enumerate(fields):
         total += np.abs(field) ** 2
