@@ -43,7 +43,7 @@ FIELDS = {
 # Of every video. The paper's, and of the same structure what two cores make in minutes: enough to learn from, and
 # enough to see that every step runs.
 _SECONDS = {
-    "rotation": {"paper": 100.0, "laptop": 20.0, "small": 4.0},
+    "rotation": {"paper": 100.0, "laptop": 30.0, "small": 4.0},
     "focusing": {"paper": 60.0, "laptop": 10.0, "small": 2.0},
     "phones": {"paper": 100.0, "laptop": 16.0, "small": 3.0},
 }
@@ -175,7 +175,7 @@ def make_plan(kind: str, size: str = "small", seed: int = 0) -> Plan:
     kind
         `rotation`, `focusing` or `phones`.
     size
-        `paper`; `laptop`: the same videos, each 10 to 20 seconds long; `small`: of 2 to 4 seconds each, too few
+        `paper`; `laptop`: the same videos, each 10 to 30 seconds long; `small`: of 2 to 4 seconds each, too few
         frames to learn from.
     seed
         Of everything random.

@@ -56,36 +56,43 @@ class Recipe:
     without: tuple[str, ...] = ()
 
 
-# Epochs and edges of the network's pictures, chosen on frames kept aside of the training parts.
-_EPOCHS = {
-    "gaze": {"paper": 60, "laptop": 20, "small": 4},
-    "varied": {"paper": 40, "laptop": 20, "small": 4},
-    "focus": {"paper": 20, "laptop": 12, "small": 4},
-    "phone": {"paper": 48, "laptop": 20, "small": 4},
-    "device": {"paper": 24, "laptop": 12, "small": 4},
-}
-_EDGE = {
-    "gaze": {"paper": 72, "laptop": 48, "small": 72},
-    "varied": {"paper": 80, "laptop": 64, "small": 80},
-    "focus": {"paper": 80, "laptop": 64, "small": 80},
-    "phone": {"paper": 200, "laptop": 80, "small": 100},
-}
+@dataclass(frozen=True)
+class Effort:
+    """How long a network is trained, on how fine pictures: their edge in pixels, epochs, and images a step."""
+
+    edge: int
+    epochs: int
+    batch: int = 32
 
 
-def _gaze(size: str, /, kind: str = "gaze", **changed: Any) -> ResNet18:
+# Chosen by the error on frames kept aside of the training parts. Small batches make more steps of few frames.
+EFFORTS: dict[str, dict[str, Effort]] = {
+    "gaze": {"paper": Effort(72, 60), "laptop": Effort(48, 25), "small": Effort(72, 4)},
+    "varied": {"paper": Effort(80, 40), "laptop": Effort(64, 20), "small": Effort(80, 4)},
+    "focus": {"paper": Effort(80, 20), "laptop": Effort(64, 12, 16), "small": Effort(80, 4)},
+    "phone": {"paper": Effort(200, 48), "laptop": Effort(80, 20, 16), "small": Effort(100, 4)},
+    "device": {"paper": Effort(200, 24), "laptop": Effort(80, 10, 16), "small": Effort(100, 4)},
+}
+"""Of the networks, by what they tell and by size."""
+
+
+def _network(target: str, crop: int, effort: Effort, **settings: Any) -> ResNet18:
+    return ResNet18(target, crop=crop, size=effort.edge, epochs=effort.epochs, batch=effort.batch, **settings)
+
+
+def _gaze(size: str, /, kind: str = "gaze", crop: int = 144, hide: int = 0) -> ResNet18:
     # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one, or three.
-    settings = {"crop": 144, "size": _EDGE[kind][size], "epochs": _EPOCHS[kind][size], "gain": 0.3}
-    return ResNet18("gaze", **settings | changed)
+    return _network("gaze", crop, EFFORTS[kind][size], gain=0.3, hide=hide)
 
 
 def _focus(size: str) -> ResNet18:
     # The RR fills the crop at 135 mm and 3 m.
-    return ResNet18("focus", crop=400, size=_EDGE["focus"][size], epochs=_EPOCHS["focus"][size])
+    return _network("focus", 400, EFFORTS["focus"][size])
 
 
 def _phone(size: str, target: str = "phone") -> ResNet18:
     # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide, and its fine structure tells the phone.
-    return ResNet18(target, crop=400, size=_EDGE["phone"][size], epochs=_EPOCHS[target][size])
+    return _network(target, 400, EFFORTS[target][size])
 
 
 def _paper_ridge(target: str) -> ZernikeRidge:
@@ -114,7 +121,7 @@ RECIPES: dict[str, Recipe] = {
             "rotation-resnet18-varied",
             "varied",
             "ResNet-18, varied recordings",
-            lambda size: _gaze(size, "varied", crop=200),
+            lambda size: _gaze(size, "varied", 200),
         ),
         Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
         Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus")),
