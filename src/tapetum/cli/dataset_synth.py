@@ -12,7 +12,7 @@ from tapetum.errors import one_of
 from tapetum.progress import bar
 
 _INTERRUPTED = 130
-_SIZES = "paper; laptop: 10 to 30 s of every video; small: 2 to 4 s, a smoke test with too few frames to learn from."
+_SIZES = "paper; laptop: 8 to 30 s of every video; small: 2 to 4 s, a smoke test with too few frames to learn from."
 
 
 def synth(

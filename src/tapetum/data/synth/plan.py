@@ -44,7 +44,7 @@ FIELDS = {
 # enough to see that every step runs.
 _SECONDS = {
     "rotation": {"paper": 100.0, "laptop": 30.0, "small": 4.0},
-    "focusing": {"paper": 60.0, "laptop": 10.0, "small": 2.0},
+    "focusing": {"paper": 60.0, "laptop": 8.0, "small": 2.0},
     "phones": {"paper": 100.0, "laptop": 16.0, "small": 3.0},
 }
 
@@ -175,7 +175,7 @@ def make_plan(kind: str, size: str = "small", seed: int = 0) -> Plan:
     kind
         `rotation`, `focusing` or `phones`.
     size
-        `paper`; `laptop`: the same videos, each 10 to 30 seconds long; `small`: of 2 to 4 seconds each, too few
+        `paper`; `laptop`: the same videos, each 8 to 30 seconds long; `small`: of 2 to 4 seconds each, too few
         frames to learn from.
     seed
         Of everything random.

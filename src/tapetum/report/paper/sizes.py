@@ -12,7 +12,7 @@ SMOKE_TEST = "a smoke test: it shows that every step runs, and nothing about the
 _NOTES = {
     "small": f"""**Size `small`** is {SMOKE_TEST}. Networks were trained for four epochs on a few hundred frames and
 have learned next to nothing. `tapetum paper -o DIR` makes the size `laptop`, whose networks have.""",
-    "laptop": """**Size `laptop`**: the videos of the paper's sets, each 10 to 30 seconds long, and networks for smaller
+    "laptop": """**Size `laptop`**: the videos of the paper's sets, each 8 to 30 seconds long, and networks for smaller
 pictures and fewer epochs than at size `paper`.""",
     "paper": "**Size `paper`**: as many and as long videos as the paper's.",
 }

@@ -69,7 +69,7 @@ class Effort:
 EFFORTS: dict[str, dict[str, Effort]] = {
     "gaze": {"paper": Effort(72, 60), "laptop": Effort(48, 25), "small": Effort(72, 4)},
     "varied": {"paper": Effort(80, 40), "laptop": Effort(64, 20), "small": Effort(80, 4)},
-    "focus": {"paper": Effort(80, 20), "laptop": Effort(64, 12, 16), "small": Effort(80, 4)},
+    "focus": {"paper": Effort(80, 20), "laptop": Effort(64, 10, 16), "small": Effort(80, 4)},
     "phone": {"paper": Effort(200, 48), "laptop": Effort(80, 20, 16), "small": Effort(100, 4)},
     "device": {"paper": Effort(200, 24), "laptop": Effort(80, 10, 16), "small": Effort(100, 4)},
 }
