@@ -54,7 +54,7 @@ def test_the_size_asked_for(run, tmp_path: Path, quick, given: list[str], size: 
         ([], FIGURES[:11]),
         (["printed"], FIGURES[:11]),
         (["learned"], ("fig9", "fig10", "fig11", "fig12", "table1", "table2")),
-        (["beyond"], ("ablations", "fresh", "unseen", "fit")),
+        (["beyond"], ("ablations", "development", "unseen", "fit")),
         (["all"], FIGURES),
         (["fig9", "fig10"], ("fig9", "fig10")),
         (["fig5", "beyond", "fig5"], ("fig5", "ablations", "fresh", "unseen", "fit")),

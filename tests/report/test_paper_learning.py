@@ -25,9 +25,10 @@ from tapetum.report.figures._style import new_figure
 from tapetum.report.paper import LEARNED, RECIPES, SIZES, Workshop, beyond, learning, reproduce
 from tapetum.report.paper import workshop as shop
 from tapetum.report.paper import write as writing
-from tapetum.report.paper.beyond import ablations, fresh, unseen, untrained
+from tapetum.report.paper.beyond import ablations, development, unseen, untrained
 from tapetum.report.paper.learning import fig10, fig12, table1, table2
-from tapetum.report.paper.recordings import fresh_plan, varied_plan
+from tapetum.report.paper.recordings import development_plan, varied_plan
+from tapetum.report.paper.templating import render
 from tapetum.report.paper.workshop import SET_SEED
 
 SIDE = 40
@@ -78,9 +79,9 @@ def sets() -> dict[str, xr.Dataset]:
     # Farther away the spot grows: a model of one distance errs there.
     far = np.where(recording < 3, 5.5, 8.0)
     again = blob(np.where(far > 6, 4.5, 3.0), gaze, 9)
-    made["fresh"] = dataset_from_arrays(again, axes, split=np.ones(count, int), recording=recording)
+    made["development"] = dataset_from_arrays(again, axes, split=np.ones(count, int), recording=recording)
     made["varied"] = dataset_from_arrays(again, axes, split=split, recording=recording)
-    return made | {name: made[name].assign(distance=("frame", far)) for name in ("fresh", "varied")}
+    return made | {name: made[name].assign(distance=("frame", far)) for name in ("development", "varied")}
 
 
 @pytest.fixture(scope="module")
@@ -191,7 +192,8 @@ def test_what_is_kept_from_a_model_is_scored_as_unknown(work, sets):
 def test_table_1_has_every_task_and_no_invented_cell(work, sets):
     rows, classes = table1(work)
     tasks = [(row.task, row.model) for row in rows]
-    assert len(tasks) == len(set(tasks)) == 14
+    # x, y and distance of three models and of the phones, two quantities of the focus of three models.
+    assert len(tasks) == len(set(tasks)) == 18
     outcome = work.outcome("focusing-zernike")
     row = next(one for one in rows if one.task == "focal length" and one.model == "Zernike + ridge")
     error = outcome.prediction["focal_length"] - sets["focusing"].tp.test["focal_length"].values.astype(float)
@@ -248,8 +250,8 @@ def test_ablations_leave_out_what_they_say(work):
     assert {"ResNet-18", "ResNet-18 without its brightest spot"} < set(rows)
 
 
-def test_fresh_recordings_are_told_by_distance(work):
-    rows = fresh(work)
+def test_development_recordings_are_told_by_distance(work):
+    rows = development(work)
     found = next(one for one in rows if one.model == "Zernike + ridge, tuned")
     assert found.distance == (5.5, 8.0)
     assert found.mae[1] > found.mae[0]
@@ -261,8 +263,8 @@ def test_fresh_recordings_are_told_by_distance(work):
     assert varied.own == pytest.approx(np.abs(said - truth).mean())
 
 
-def test_fresh_recordings_differ_in_all_but_the_camera():
-    plan, own = fresh_plan("small"), make_plan("rotation", "small", SET_SEED)
+def test_development_recordings_differ_in_all_but_the_camera():
+    plan, own = development_plan("small"), make_plan("rotation", "small", SET_SEED)
     assert {video.session.seed for video in plan.videos}.isdisjoint(video.session.seed for video in own.videos)
     assert [video.scene.distance for video in plan.videos] == [3.0, 4.0, 5.5, 7.0, 8.0]
     for video in plan.videos:
@@ -272,8 +274,8 @@ def test_fresh_recordings_differ_in_all_but_the_camera():
     assert plan.rules.test_fraction == 1
 
 
-def test_varied_recordings_cover_the_distances_and_are_no_fresh_ones():
-    plan, again, own = varied_plan("paper"), fresh_plan("paper"), make_plan("rotation", "paper", SET_SEED)
+def test_varied_recordings_cover_the_distances_and_are_no_development_ones():
+    plan, again, own = varied_plan("paper"), development_plan("paper"), make_plan("rotation", "paper", SET_SEED)
     far = [video.scene.distance for video in plan.videos]
     assert min(far) == 3 and max(far) == 8 and len(set(far)) == len(far) == 28
     assert sum(video.frames for video in plan.videos) == sum(video.frames for video in own.videos)
@@ -344,7 +346,7 @@ def test_frames_made_for_the_fit_are_the_scenes_own_with_its_noise():
 def test_every_page_is_written(work, fitted, tmp_path: Path):
     made = reproduce(LEARNED, tmp_path, size="small", work=work)
     pictures = ["fig9", "fig10", "fig11", "fig12"]
-    assert [one.name for one in made] == [*pictures, "table1", "table2", "ablations", "fresh", "unseen", "fit"]
+    assert [one.name for one in made] == [*pictures, "table1", "table2", "ablations", "development", "unseen", "fit"]
     for one in made:
         kinds = [file.suffix for file in one.files]
         assert kinds == ([".png", ".md", ".json"] if one.name in pictures else [".md", ".json"])
@@ -378,7 +380,34 @@ def test_every_model_can_be_made_at_every_size(name: str):
         assert small.crop == laptop.crop == paper.crop and laptop.size <= paper.size
 
 
-@pytest.mark.parametrize("make", [fresh_plan, varied_plan])
+@pytest.mark.parametrize("make", [development_plan, varied_plan])
 def test_recordings_beside_the_sets_are_longer_the_larger_the_size(make):
     seconds = [sum(video.session.seconds for video in make(size).videos) for size in ("small", "laptop", "paper")]
     assert seconds == sorted(seconds) and len(set(seconds)) == 3
+
+
+def test_a_page_says_where_a_network_is_no_better_than_the_mean():
+    """At the size `small` a network was once no better than the mean, and its page did not say so."""
+
+    def numbers(scale: float) -> dict[str, object]:
+        guess = {"mae": [0.26, 0.21], "rmse": [0.29, 0.25], "radial": 0.37, "radial_rms": 0.38}
+        own = {
+            key: [scale * one for one in value] if isinstance(value, list) else scale * value
+            for key, value in guess.items()
+        }
+        return {"frames": 40, **own, "guess": guess, "worst": 0.7}
+
+    for scale, words in ((1.02, "worse than"), (0.95, "hardly better than"), (0.1, "better than")):
+        assert f"**{words} the training mean**" in " ".join(render("fig9", numbers(scale)).split())
+    row = {"task": "rotation, x", "unit": "field", "frames": 40, "coverage": None, "printed": None}
+    row |= {"guess_mae": 0.26, "guess_rmse": 0.29}
+    classes = {"top_1": 0.9, "frames": 10, "per_class": [1, 2], "baseline_top_1": 0.5}
+    classes |= {"expected_calibration_error": 0.01, "told_none_of_these": 0.0}
+    rows = [{**row, "model": "good", "mae": 0.01, "rmse": 0.02}, {**row, "model": "bad", "mae": 0.25, "rmse": 0.4}]
+    page = " ".join(render("table1", {"rows": rows, "classes": classes}).split())
+    assert "**No better than a guess that looks at no image**: rotation, x (bad)." in page
+    assert "| worse than the training mean |" in page and "| better than the training mean |" in page
+    older = {"version": "0.1.0", "date": "2026-01-01", "commit": "abc", "command": "tapetum paper fig9", "note": "old"}
+    assert "**Measured** with Tapetum 0.1.0 (2026-01-01, commit abc)" in render(
+        "fig9", {**numbers(1.0), "measured": older}
+    )

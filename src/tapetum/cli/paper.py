@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import os
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tapetum.errors import one_of
+from tapetum.cli.inputs import find_model
+from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
+
+if TYPE_CHECKING:
+    from tapetum.report.paper import Workshop
 
 # Known without torch, for the help: a test holds them to those of the report.
 FIGURES = ("fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "fig10", "fig11", "fig12", "table1", "table2")
-FIGURES += ("ablations", "fresh", "unseen", "fit")
+FIGURES += ("ablations", "development", "unseen", "fit")
+SEALED = "sealed"
 GROUPS = ("printed", "learned", "beyond", "all")
 SIZES = ("laptop", "small", "paper")
 
@@ -24,7 +29,8 @@ def paper(
     figures: Annotated[
         list[str] | None,
         typer.Argument(
-            metavar="[FIGURE]...", help=f"Of {', '.join((*FIGURES, *GROUPS))}; see above. By default printed."
+            metavar="[FIGURE]...",
+            help=f"Of {', '.join((*FIGURES, *GROUPS))}, or {SEALED}; see above. By default printed.",
         ),
     ] = None,
     size: Annotated[
@@ -43,6 +49,10 @@ def paper(
             metavar="N", help="Processes that film the sets; as many as there are cores where left out.", min=1
         ),
     ] = None,
+    model: Annotated[
+        list[str] | None,
+        typer.Option(metavar="MODEL", help="sealed: a model of the gaze to score; may be given several times."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print what was done, and the numbers, as JSON.")] = False,
 ) -> None:
     """Simulate the paper's figures and tables, measure, and say beside them what it reports and what differs.
@@ -50,23 +60,31 @@ def paper(
     fig4: a thin lens, turned and refocused (section 4.1). fig5: head-on from 0.5 to 5 m (section 4.2). fig6: a mirror
     and cardboard (section 4.3). fig7 and fig8: samples of the three sets (sections 4.4 and 4.5), minutes each.
 
-    fig9 to fig12, table1 and table2 (section 5), and beyond the paper ablations, fresh (recordings at other distances),
-    unseen (phones it never saw) and fit (by simulation, without training): the three sets are filmed and the models
-    trained. What is whole is kept in the folder of --work and not made again; after an interruption the same command
-    goes on.
+    fig9 to fig12, table1 and table2 (section 5), and beyond the paper ablations, development (recordings at other
+    distances, which were looked at while the method was made), unseen (phones it never saw) and fit (by simulation,
+    without training): the three sets are filmed and the models trained. What is whole is kept in the folder of --work
+    and not made again; after an interruption the same command goes on.
 
     printed: all of the paper's own, fig4 to table2. learned: those of section 5. beyond: what the paper lacks.
 
     --size laptop makes those of section 5 within 45 minutes on two cores; paper takes hours there; small takes minutes
     and is a smoke test: it shows that every step runs, and nothing about the method.
 
-    Each becomes NAME.png (not the tables), NAME.md and NAME.json; files of these names are replaced.
+    sealed: films recordings that nobody looks at, scores the Rotation set's models on them, or those of --model,
+    deletes them, and adds the numbers to sealed.jsonl and sealed.md. Nothing may be chosen by them.
+
+    Each other becomes NAME.png (not the tables), NAME.md and NAME.json; files of these names are replaced.
 
     Example: tapetum paper learned -o figures
     """
-    wanted = figures or ["printed"]
+    # What it was called until now; understood for one release.
+    wanted = ["development" if figure == "fresh" else figure for figure in figures or ["printed"]]
     for figure in wanted:
-        one_of(figure, (*FIGURES, *GROUPS), "FIGURE")
+        one_of(figure, (*FIGURES, *GROUPS, SEALED), "FIGURE")
+    if SEALED in wanted and wanted != [SEALED]:
+        raise InputError("is a command of its own", where=SEALED, remedy="name nothing beside it")
+    if model and wanted != [SEALED]:
+        raise InputError("has a meaning for sealed alone", where="--model", remedy="leave it out")
     one_of(size, SIZES, "--size")
     # Torch and Matplotlib take seconds to import.
     from tapetum.report.paper import SMOKE_TEST, Workshop, is_smoke_test, reproduce
@@ -74,6 +92,9 @@ def paper(
     if is_smoke_test(size):
         typer.echo(f"--size {size} is {SMOKE_TEST}", err=True)
     shop = Workshop(out / "work" if work is None else work, size, workers or _cores(), progress=bar)
+    if wanted == [SEALED]:
+        _sealed(out, shop, model or [], as_json)
+        return
     made = reproduce(wanted, out, size=size, work=shop, progress=bar)
     if as_json:
         done = [{"name": one.name, "files": [str(file) for file in one.files], **one.numbers} for one in made]
@@ -83,6 +104,20 @@ def paper(
             typer.echo(f"{one.name}: " + ", ".join(str(file) for file in one.files))
     if is_smoke_test(size):
         typer.echo(f"made at size {size}, {SMOKE_TEST}; the default size, laptop, trains networks that learn", err=True)
+
+
+def _sealed(out: Path, work: Workshop, models: list[str], as_json: bool) -> None:
+    from tapetum.report.paper.sealed import run_sealed
+
+    given = {name: find_model(name) for name in models} or None
+    rows = run_sealed(out, work, given)
+    if as_json:
+        typer.echo(json.dumps({"out": str(out), "sealed": rows}, allow_nan=False))
+        return
+    for row in rows:
+        errors = f"MAE {row['mae'][0]:.4f}, {row['mae'][1]:.4f}, distance {row['radial']:.4f}"
+        typer.echo(f"{row['model']}: {errors}: {row['verdict'] or 'no mean to compare with'}")
+    typer.echo(f"sealed: {out / 'sealed.md'}, {out / 'sealed.jsonl'}")
 
 
 def _cores() -> int:

@@ -112,8 +112,8 @@ class TrainingPart:
     ----------
     dataset
         The training frames alone.
-    targets
-        [N, K] labels that are numbers.
+    quantities, targets
+        Names and values [N, K] of the labels that are numbers.
     device
         [N] number of each frame's device in `classes`; None where that is no target.
     classes
@@ -127,6 +127,7 @@ class TrainingPart:
     """
 
     dataset: xr.Dataset
+    quantities: tuple[str, ...]
     targets: NDArray[np.float64]
     device: NDArray[np.int64] | None
     classes: tuple[str, ...]
@@ -148,6 +149,8 @@ class TrainingPart:
             if kept
             else "none: every training frame is fitted, as in the paper",
             "centring": self.dataset.attrs.get("centring"),
+            # What a guess that looks at no image would say.
+            "mean": dict(zip(self.quantities, self.targets.mean(axis=0).tolist(), strict=True)),
         }
 
 
@@ -198,7 +201,9 @@ def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fract
     fit = np.flatnonzero(~aside & ~shared)
     if len(fit) < 2:
         raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
-    return TrainingPart(train, targets, device, classes, fit, np.flatnonzero(aside), train.tp.full_scale, train.tp.hash)
+    return TrainingPart(
+        train, quantities, targets, device, classes, fit, np.flatnonzero(aside), train.tp.full_scale, train.tp.hash
+    )
 
 
 def _of(videos: int) -> str:

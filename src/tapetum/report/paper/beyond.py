@@ -1,4 +1,4 @@
-"""What the paper's section 5 lacks: ablations, fresh recordings, phones never seen, and a fit without training."""
+"""What the paper's section 5 lacks: ablations, development recordings, phones never seen, a fit without training."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tapetum.report.paper.workshop import RECIPES, Workshop, plan_of
 from tapetum.simulate.exposure import digitise
 from tapetum.simulate.radiometry import dark_electrons
 
-__all__ = ["Ablation", "Fitted", "Fresh", "Untrained", "ablations", "fresh", "unseen", "untrained"]
+__all__ = ["Ablation", "Development", "Fitted", "Untrained", "ablations", "development", "unseen", "untrained"]
 
 VARIED_MODEL = "rotation-resnet18-varied"
 # Frames of the test part that are fitted by simulation, seconds each.
@@ -83,8 +83,8 @@ def _ablation(name: str, features: int | None, truth: Array, said: Array) -> Abl
 
 
 @dataclass(frozen=True)
-class Fresh:
-    """Errors on fresh recordings beside those on the last fifth of each of the recordings trained on.
+class Development:
+    """Errors on development recordings beside those on the last fifth of each of the recordings trained on.
 
     Parameters
     ----------
@@ -93,42 +93,47 @@ class Fresh:
     own
         MAE over both axes on the set's own test part, fractions of the field.
     distance
-        Of each fresh recording, in metres.
+        Of each development recording, in metres.
     mae
         On each.
+    guess
+        MAE of predicting the mean of the labels trained on, over all development recordings.
     coverage
-        Share of the truths of all fresh recordings in the 90 % intervals; None where the model has none.
+        Share of the truths of all development recordings in the 90 % intervals; None where the model has none.
     """
 
     model: str
     own: float
     distance: tuple[float, ...]
     mae: tuple[float, ...]
+    guess: float | None
     coverage: float | None
 
     @property
     def ratio(self) -> float:
-        """MAE on all fresh recordings, each counted alike, over that on the set's own test part."""
+        """MAE on all development recordings, each counted alike, over that on the set's own test part."""
         return float(np.mean(self.mae)) / self.own
 
 
-def fresh(work: Workshop) -> list[Fresh]:
-    """Let the Rotation set's models, and one that learned from varied recordings, predict fresh ones."""
-    found = work.dataset("fresh")
-    rows: list[Fresh] = []
+def development(work: Workshop) -> list[Development]:
+    """Let the Rotation set's models, and one that learned from varied recordings, predict the development ones."""
+    found = work.dataset("development")
+    rows: list[Development] = []
     for name in (*ROTATION_MODELS, VARIED_MODEL):
         own, train = work.outcome(name), work.dataset(RECIPES[name].set).tp.train
         outcome = gather_parts(work.model(name), found, train, progress=work.progress)
         truth, said = outcome.pair()
         error = np.abs(said - truth).mean(axis=1)
         distance = outcome.covariates["distance"]
+        guess = None if outcome.baseline is None else np.abs(outcome.baseline - outcome.targets).mean(axis=1)
         held = (outcome.targets >= outcome.prediction.lower) & (outcome.targets <= outcome.prediction.upper)
         rows.append(
-            Fresh(
+            Development(
                 RECIPES[name].title,
                 _mae(own),
                 tuple(float(d) for d in np.unique(distance)),
                 tuple(float(error[distance == d].mean()) for d in np.unique(distance)),
+                None if guess is None else float(np.mean([guess[distance == d].mean() for d in np.unique(distance)])),
                 float(held.mean()) if np.isfinite(outcome.prediction.lower).all() else None,
             )
         )

@@ -29,6 +29,7 @@ from tapetum.report.figures.learning import fig_by_image, fig_path
 from tapetum.report.figures.maps import fig_error_map
 from tapetum.report.paper.workshop import RECIPES, SET_SEED, Workshop
 from tapetum.report.rings import ErrorByDistance, error_by_distance
+from tapetum.report.verdicts import MEAN
 
 __all__ = ["FOCUS_MODELS", "ROTATION_MODELS", "Fig10", "Fig12", "Row", "fig9", "fig10", "fig11", "fig12"]
 __all__ += ["table1", "table2"]
@@ -37,7 +38,9 @@ ROTATION_MODELS = ("rotation-resnet18", "rotation-zernike", "rotation-zernike-tu
 FOCUS_MODELS = ("focusing-resnet18", "focusing-zernike", "focusing-zernike-tuned")
 PHONES_MODEL = "phones-resnet18"
 
-GUESS = "the training mean"
+GUESS = MEAN
+RADIAL = "radial"
+"""The distance between the gaze estimated and the true one, in place of a quantity."""
 # Rings of the field; the corner lies at 0.707.
 _RINGS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.71])
 # Where the bound is computed, and no farther: nothing returns from the corners.
@@ -64,7 +67,7 @@ class Row:
         Scored.
     mae, rmse
         Measured here.
-    guess_mae
+    guess_mae, guess_rmse
         Of predicting the training part's mean.
     coverage
         Share of truths in the 90 % intervals; None where the model has none.
@@ -78,18 +81,25 @@ class Row:
     frames: int
     mae: float
     rmse: float
-    guess_mae: float
+    guess_mae: float | None
+    guess_rmse: float | None
     coverage: float | None
     printed: str | None = None
 
 
 def _rows(outcome: Outcome, model: str, tasks: Sequence[tuple[str, str, str, str | None]]) -> list[Row]:
-    targets = score(outcome)["targets"]
+    told, count = score(outcome), len(outcome)
     rows: list[Row] = []
     for task, quantity, unit, printed in tasks:
-        one = targets[quantity]
+        if quantity == RADIAL:
+            gaze, guess = told["gaze"], told.get("baseline_gaze", {})
+            errors = gaze["radial"], gaze["radial_rms"], guess.get("radial"), guess.get("radial_rms")
+            rows.append(Row(task, model, unit, count, *errors, None, printed))
+            continue
+        one = told["targets"][quantity]
         held = one["coverage"] if one["interval"] is not None else None
-        rows.append(Row(task, model, unit, len(outcome), one["mae"], one["rmse"], one["baseline_mae"], held, printed))
+        errors = one["mae"], one["rmse"], one["baseline_mae"], one["baseline_rmse"]
+        rows.append(Row(task, model, unit, count, *errors, held, printed))
     return rows
 
 
@@ -98,6 +108,7 @@ def table1(work: Workshop) -> tuple[list[Row], dict[str, Any]]:
     rows: list[Row] = []
     field = "fraction of the field"
     gaze = [("rotation, x", "gaze_x", field, None), ("rotation, y", "gaze_y", field, None)]
+    gaze.append(("rotation, distance", RADIAL, field, None))
     focus = [("object distance", "object_distance", "m", None), ("focal length", "focal_length", "m", None)]
     for name in ROTATION_MODELS:
         rows += _rows(work.outcome(name), RECIPES[name].title, gaze)
@@ -106,6 +117,7 @@ def table1(work: Workshop) -> tuple[list[Row], dict[str, Any]]:
     phones = work.outcome(PHONES_MODEL)
     printed = "MAE 0.095, the axes not told apart"
     tasks = [("phones, x", "gaze_x", field, printed), ("phones, y", "gaze_y", field, printed)]
+    tasks.append(("phones, distance", RADIAL, field, None))
     rows += _rows(phones, RECIPES[PHONES_MODEL].title, tasks)
     return rows, score(phones)["classes"]
 
@@ -132,7 +144,9 @@ def fig9(work: Workshop) -> tuple[Figure, dict[str, Any]]:
         name="ResNet-18",
     )
     error = np.hypot(*(said - truth).T)
-    return figure, {"frames": len(outcome), **score(outcome)["gaze"], "worst": float(error.max())}
+    told = score(outcome)
+    numbers = {**told["gaze"], "guess": told.get("baseline_gaze"), "worst": float(error.max())}
+    return figure, {"frames": len(outcome), **numbers}
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Recordings of the Rotation set's camera that the paper has not: fresh ones, and ones as varied as those."""
+"""Recordings of the Rotation set's camera that the paper has not: to develop by, and to learn from as varied ones."""
 
 from __future__ import annotations
 
@@ -11,43 +11,45 @@ from tapetum.data.synth import Plan, make_plan, rotation_plan
 from tapetum.data.synth.plan import Video
 from tapetum.record.stray import DimRoom, FixedPattern
 
-__all__ = ["DISTANCES", "fresh_plan", "varied_plan"]
+__all__ = ["DISTANCES", "before_room", "development_plan", "varied_plan"]
 
 DISTANCES = (3.0, 4.0, 5.5, 7.0, 8.0)
-"""Of the fresh recordings, in metres; the Rotation set was filmed at 5.5."""
+"""Of the development recordings, in metres; the Rotation set was filmed at 5.5."""
 
-# Of the fresh recordings and, seven each, of the varied ones: neither the set's own nor each other's.
-_FRESH_SEED, _VARIED_SEEDS = 2, range(3, 7)
-_FRESH_SECONDS = {"paper": 20.0, "laptop": 8.0, "small": 2.0}
-_FRESH_BACKGROUND, _FRESH_ROOM = 80.0, 30.0
+# Of the development recordings and, seven each, of the varied ones: neither the set's own nor each other's.
+_DEVELOPMENT_SEED, _VARIED_SEEDS = 2, range(3, 7)
+_DEVELOPMENT_SECONDS = {"paper": 20.0, "laptop": 8.0, "small": 2.0}
+_DEVELOPMENT_BACKGROUND, _DEVELOPMENT_ROOM = 80.0, 30.0
 # Together about as long as the Rotation set.
 _VARIED_SECONDS = {"paper": 25.0, "laptop": 8.0, "small": 1.0}
 # Electrons of the even background and of the room at 5.5 m: evenly drawn logarithms.
 _VARIED_BACKGROUND, _VARIED_ROOM = (20.0, 160.0), (3.0, 60.0)
 
 
-def fresh_plan(size: str) -> Plan:
-    """Return the plan of fresh recordings: other seeds, distances and background than the Rotation set's."""
+def development_plan(size: str) -> Plan:
+    """Return the plan of development recordings: other seeds, distances and background than the Rotation set's.
+
+    They were looked at while the method was made: what is measured on them is no test of it."""
     scene = load_scene("rotation")
     videos = [
-        _before_room(
-            rotation_plan(scene, size, _FRESH_SEED).videos[number],
-            f"fresh-{distance:g}m",
+        before_room(
+            rotation_plan(scene, size, _DEVELOPMENT_SEED).videos[number],
+            f"development-{distance:g}m",
             distance,
-            _FRESH_SECONDS[size],
-            background=_FRESH_BACKGROUND,
-            room=_FRESH_ROOM,
+            _DEVELOPMENT_SECONDS[size],
+            background=_DEVELOPMENT_BACKGROUND,
+            room=_DEVELOPMENT_ROOM,
         )
         for number, distance in enumerate(DISTANCES)
     ]
-    plan = make_plan("rotation", size, _FRESH_SEED)
+    plan = make_plan("rotation", size, _DEVELOPMENT_SEED)
     return replace(plan, videos=tuple(videos), rules=replace(plan.rules, test_fraction=1.0))
 
 
 def varied_plan(size: str) -> Plan:
     """Return the plan of recordings to learn from, each at another distance and before another room.
 
-    Together they are as long as the Rotation set's. Distances go in even steps over those of the fresh recordings.
+    Together they are as long as the Rotation set's. Distances go evenly over those of the development recordings.
     """
     scene = load_scene("rotation")
     base = [video for seed in _VARIED_SEEDS for video in rotation_plan(scene, size, seed).videos]
@@ -56,11 +58,11 @@ def varied_plan(size: str) -> Plan:
         rng = np.random.default_rng([_VARIED_SEEDS[0], number])
         background, room = (float(np.exp(rng.uniform(*np.log(ends)))) for ends in (_VARIED_BACKGROUND, _VARIED_ROOM))
         name, seconds = f"varied-{distance:.2f}m", _VARIED_SECONDS[size]
-        videos.append(_before_room(base[number], name, float(distance), seconds, background=background, room=room))
+        videos.append(before_room(base[number], name, float(distance), seconds, background=background, room=room))
     return replace(make_plan("rotation", size, _VARIED_SEEDS[0]), videos=tuple(videos))
 
 
-def _before_room(video: Video, name: str, distance: float, seconds: float, *, background: float, room: float) -> Video:
+def before_room(video: Video, name: str, distance: float, seconds: float, *, background: float, room: float) -> Video:
     """The video filmed from elsewhere, before a dimly lit room.
 
     The exposure is set as anyone would, so that the picture is as bright as before: it goes with the square of the

@@ -20,7 +20,7 @@ from tapetum.models.base import json_safe
 from tapetum.models.training import remove_checkpoint
 from tapetum.progress import Progress, quiet
 from tapetum.report.evaluation import Outcome, gather
-from tapetum.report.paper.recordings import fresh_plan, varied_plan
+from tapetum.report.paper.recordings import development_plan, varied_plan
 from tapetum.report.paper.sizes import DEFAULT
 
 __all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop", "plan_of"]
@@ -226,7 +226,7 @@ class Workshop:
 
 def plan_of(name: str, size: str) -> Plan:
     """Return the plan of one of the paper's sets, or of the recordings beside them."""
-    beside = {"fresh": fresh_plan, "varied": varied_plan}
+    beside = {"development": development_plan, "varied": varied_plan}
     return beside[name](size) if name in beside else make_plan(name, size, SET_SEED)
 
 

@@ -15,23 +15,15 @@ from tapetum.files import atomic_file, told_when_full
 from tapetum.progress import Progress, quiet
 from tapetum.report.figures import save_figure, stamp
 from tapetum.report.figures.paper import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
-from tapetum.report.paper.beyond import ablations, fresh, unseen, untrained
-from tapetum.report.paper.beyond_text import text_ablations, text_fit, text_fresh, text_unseen
+from tapetum.report.paper.beyond import ablations, development, unseen, untrained
 from tapetum.report.paper.fig4 import DISTANCES, FOCAL_LENGTHS, ROTATIONS, simulate_fig4
 from tapetum.report.paper.fig5 import simulate_fig5
 from tapetum.report.paper.fig6 import simulate_fig6
 from tapetum.report.paper.fig7 import simulate_fig7
 from tapetum.report.paper.fig8 import simulate_fig8
 from tapetum.report.paper.learning import fig9, fig10, fig11, fig12, table1, table2
-from tapetum.report.paper.learning_text import (
-    text_fig9,
-    text_fig10,
-    text_fig11,
-    text_fig12,
-    text_table1,
-    text_table2,
-)
 from tapetum.report.paper.sizes import DEFAULT, SIZES, SMOKE_TEST, is_smoke_test, with_note
+from tapetum.report.paper.templating import render
 from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
 from tapetum.report.paper.workshop import Workshop
 
@@ -47,7 +39,8 @@ class Reproduction:
     numbers: dict[str, Any]
 
 
-Made = tuple[Figure | None, str, dict[str, Any]]
+# The page's text is None where a template makes it of the numbers.
+Made = tuple[Figure | None, str | None, dict[str, Any]]
 
 
 def _fig4(work: Workshop) -> Made:
@@ -77,52 +70,47 @@ def _fig8(work: Workshop) -> Made:
 
 def _fig9(work: Workshop) -> Made:
     figure, numbers = fig9(work)
-    return figure, text_fig9(numbers), numbers
+    return figure, None, numbers
 
 
 def _fig10(work: Workshop) -> Made:
     figure, found = fig10(work)
-    return figure, text_fig10(found), found.numbers()
+    return figure, None, found.numbers()
 
 
 def _fig11(work: Workshop) -> Made:
     figure, numbers = fig11(work)
-    return figure, text_fig11(numbers), numbers
+    return figure, None, {"models": numbers}
 
 
 def _fig12(work: Workshop) -> Made:
     figure, found = fig12(work)
-    return figure, text_fig12(found), found.numbers()
+    return figure, None, found.numbers()
 
 
 def _table1(work: Workshop) -> Made:
     rows, classes = table1(work)
-    return None, text_table1(rows, classes), {"rows": [asdict(row) for row in rows], "classes": classes}
+    return None, None, {"rows": [asdict(row) for row in rows], "classes": classes}
 
 
 def _table2(work: Workshop) -> Made:
-    groups = table2(work)
-    return None, text_table2(groups), {"phones": [asdict(one) for one in groups]}
+    return None, None, {"phones": [asdict(one) for one in table2(work)]}
 
 
 def _ablations(work: Workshop) -> Made:
-    rows = ablations(work)
-    return None, text_ablations(rows), {"rows": [asdict(row) for row in rows]}
+    return None, None, {"rows": [asdict(row) for row in ablations(work)]}
 
 
-def _fresh(work: Workshop) -> Made:
-    rows = fresh(work)
-    return None, text_fresh(rows), {"rows": [{**asdict(row), "ratio": row.ratio} for row in rows]}
+def _development(work: Workshop) -> Made:
+    return None, None, {"rows": [{**asdict(row), "ratio": row.ratio} for row in development(work)]}
 
 
 def _unseen(work: Workshop) -> Made:
-    scores = unseen(work)
-    return None, text_unseen(scores), scores.to_dict()
+    return None, None, unseen(work).to_dict()
 
 
 def _fit(work: Workshop) -> Made:
-    found = untrained(work)
-    return None, text_fit(found), asdict(found)
+    return None, None, asdict(untrained(work))
 
 
 _MAKERS: dict[str, Callable[[Workshop], Made]] = {
@@ -138,7 +126,7 @@ _MAKERS: dict[str, Callable[[Workshop], Made]] = {
     "table1": _table1,
     "table2": _table2,
     "ablations": _ablations,
-    "fresh": _fresh,
+    "development": _development,
     "unseen": _unseen,
     "fit": _fit,
 }
@@ -203,8 +191,12 @@ def reproduce(
         if name in LEARNED:
             work.folder.mkdir(parents=True, exist_ok=True)
         figure, text, numbers = _MAKERS[name](work)
+        if text is None:
+            # As the file will hold them: the page says what a reader of the numbers finds.
+            numbers = json.loads(json.dumps({"size": work.size, **numbers}, allow_nan=False))
+            text = render(name, numbers)
         if name in LEARNED:
-            text, numbers = with_note(text, work.size), {"size": work.size, **numbers}
+            text = with_note(text, work.size)
             if figure is not None and is_smoke_test(work.size):
                 stamp(figure, SMOKE_TEST)
         picture, page, table = (out / f"{name}.{kind}" for kind in ("png", "md", "json"))

@@ -1,0 +1,118 @@
+"""The sealed test: drawn from a salt, filmed, scored and deleted; only numbers stay."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapetum.bench import load_scene, with_values
+from tapetum.cli.app import main
+from tapetum.data import open_dataset
+from tapetum.data.build import Rules
+from tapetum.data.synth import Plan, make_plan, synthesise
+from tapetum.errors import InputError
+from tapetum.models import ZernikeRidge, load_model, save_model
+from tapetum.report.paper import Workshop, sealed
+from tapetum.report.paper.recordings import development_plan, varied_plan
+from tapetum.report.paper.sealed import read_results, run_sealed, score_sealed, sealed_plan
+
+SALT = "a test's own salt"
+
+
+def tiny_plan() -> Plan:
+    """Two recordings of a second by a little thin-lens camera, from another salt than the real ones."""
+    values = {
+        "probe.sensor.pixels": [96, 80],
+        "probe.sensor.pitch": "4.4 um",
+        "target.sensor.pixels": [162, 122],
+        "target.sensor.pitch": "35.2 um",
+    }
+    plan = sealed_plan("small", SALT, with_values(load_scene("hand-held"), values))
+    # A hand so quiet that the little frame holds what it shows, before a wall that is no brighter than the set's.
+    short = [
+        replace(one, session=replace(one.session, seconds=2.0, stray=(), motion=replace(one.session.motion, sway=3e-3)))
+        for one in plan.videos
+    ]
+    return replace(plan, videos=tuple(short), rules=Rules(side=40, test_fraction=1.0))
+
+
+@pytest.fixture(scope="module")
+def ridge(tmp_path_factory: pytest.TempPathFactory) -> ZernikeRidge:
+    """A ridge that learned from one recording of that camera."""
+    folder = tmp_path_factory.mktemp("train")
+    plan = tiny_plan()
+    own = replace(plan, seed=7, videos=plan.videos[:1], rules=Rules(side=40, test_fraction=0.0))
+    dataset = open_dataset(synthesise(own, folder / "set.zarr"))
+    return ZernikeRidge("gaze", scales=(40,), order=4, calibration_fraction=0.1).fit(dataset)
+
+
+def test_recordings_are_drawn_from_the_salt_within_what_makers_allow() -> None:
+    plan, again, other = (sealed_plan("paper", salt) for salt in (SALT, SALT, "another"))
+    assert plan.digest == again.digest != other.digest and len(plan.videos) == 12
+    scenes = [video.scene for video in plan.videos]
+    tilt = np.degrees([np.hypot(*one.target.sensor.tilt) for one in scenes])
+    decentre = np.array([np.hypot(*one.target.sensor.decentre) for one in scenes])
+    assert tilt.max() <= 0.63 and np.ptp(tilt) > 0.2
+    assert decentre.max() <= 0.25e-3 and np.ptp(decentre) > 0.05e-3
+    far = np.array([one.distance for one in scenes])
+    assert 3 <= far.min() < far.max() <= 8 and len(set(far)) == 12
+    assert len({one.target.object_distance for one in scenes}) == 12
+    assert len({one.illumination.second_beam.ratio for one in scenes}) == 12
+    assert all(1.45 <= one.target.lens.f_number <= 1.67 for one in scenes)
+    seeds = {video.session.seed for video in plan.videos}
+    known = [make_plan("rotation", "paper", 1), development_plan("paper"), varied_plan("paper")]
+    assert len(seeds) == 12 and seeds.isdisjoint(video.session.seed for one in known for video in one.videos)
+    # The salt of the real ones stands in no test.
+    assert not any(sealed.SALT in file.read_text() for file in Path(__file__).parents[1].rglob("*.py"))
+
+
+def test_only_numbers_stay(ridge: ZernikeRidge, tmp_path: Path) -> None:
+    plan = tiny_plan()
+    rows = score_sealed({"ridge": ridge}, tmp_path, size="small", plan=plan)
+    assert list(tmp_path.iterdir()) == []
+    dataset = open_dataset(synthesise(plan, tmp_path / "again.zarr"))
+    truth, said = dataset.tp.values(("gaze_x", "gaze_y")), ridge.predict(dataset).value
+    row = rows[0]
+    assert row["frames"] == len(truth) and row["mae"] == pytest.approx(np.abs(said - truth).mean(axis=0))
+    assert row["radial"] == pytest.approx(np.hypot(*(said - truth).T).mean())
+    # The guess is the mean of what the model learned from.
+    mean = [ridge.training_["mean"][name] for name in ("gaze_x", "gaze_y")]  # type: ignore[index]
+    assert row["guess"]["mae"] == pytest.approx(np.abs(np.array(mean) - truth).mean(axis=0))
+    worse = row["radial"] > row["guess"]["radial"] or row["radial_rms"] > row["guess"]["radial_rms"]
+    assert row["verdict"].startswith("worse") == worse
+    assert row["recording_mae"]["least"] <= row["recording_mae"]["median"] <= row["recording_mae"]["most"]
+    json.dumps(rows, allow_nan=False)
+
+
+def test_results_are_added_never_replaced(
+    ridge: ZernikeRidge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sealed, "sealed_plan", lambda *_: tiny_plan())
+    out, kept = tmp_path / "out", save_model(ridge, tmp_path / "ridge")
+    run_sealed(out, Workshop(tmp_path / "work", "small"), {"first": ridge})
+    assert main(["paper", "sealed", "-o", str(out), "--model", str(kept), "--size", "small", "--workers", "1"]) == 0
+    rows = read_results(out)
+    assert [row["model"] for row in rows] == ["first", str(kept)]
+    assert rows[0]["mae"] == pytest.approx(rows[1]["mae"]) and rows[0]["date"] <= rows[1]["date"]
+    page = (out / "sealed.md").read_text()
+    assert page.count("| first |") == 1 and f"| {kept} |" in page and rows[0]["verdict"] in page
+    assert {path.name for path in out.iterdir()} <= {"sealed.jsonl", "sealed.md", "work"}
+    assert not list(out.glob("work/*"))
+    capsys.readouterr()
+    assert main(["paper", "fig4", "-o", str(out), "--model", str(kept)]) == 2
+    assert "sealed alone" in capsys.readouterr().err
+    (out / "sealed.jsonl").open("a").write('{"half')
+    with pytest.raises(InputError, match="damaged"):
+        read_results(out)
+
+
+def test_a_model_of_something_else_is_refused(tmp_path: Path, ridge: ZernikeRidge) -> None:
+    other = load_model(save_model(ridge, tmp_path / "m"))
+    other.quantities = ("focal_length",)
+    with pytest.raises(InputError, match="does not tell the gaze"):
+        score_sealed({"m": other}, tmp_path / "w", plan=tiny_plan())
+    assert not (tmp_path / "w").exists()
