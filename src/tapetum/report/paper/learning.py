@@ -116,8 +116,11 @@ def table1(work: Workshop) -> tuple[list[Row], dict[str, Any]]:
         rows += _rows(work.outcome(name), RECIPES[name].title, focus)
     phones = work.outcome(PHONES_MODEL)
     printed = "MAE 0.095, the axes not told apart"
-    tasks = [("phones, x", "gaze_x", field, printed), ("phones, y", "gaze_y", field, printed)]
-    tasks.append(("phones, distance", RADIAL, field, None))
+    tasks: list[tuple[str, str, str, str | None]] = [
+        ("phones, x", "gaze_x", field, printed),
+        ("phones, y", "gaze_y", field, printed),
+        ("phones, distance", RADIAL, field, None),
+    ]
     rows += _rows(phones, RECIPES[PHONES_MODEL].title, tasks)
     return rows, score(phones)["classes"]
 
