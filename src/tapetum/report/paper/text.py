@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -51,6 +54,18 @@ def text_fig4(found: Fig4) -> str:
     stretch = ", ".join(f"{row['width_x_mm'] / row['width_y_mm']:.2f}" for row in turned)
     focused = ", ".join(f"{x_d:g}" for x_d in DISTANCES)
     side = found.images.shape[-1]
+    shrinks = all(
+        found.row(f / 1e3, a, t)["diameter_mm"] > found.row(f / 1e3, b, t)["diameter_mm"]
+        for f in focal
+        for t in ROTATIONS
+        for a, b in pairwise(DISTANCES)
+    )
+    sized = "becomes smaller" if shrinks else "does not always become smaller"
+    rounds = [row["width_x_mm"] / row["width_y_mm"] for row in found.rows if not row["rotation_deg"]]
+    pairs = [(row["ring_centres_apart_mm"], row["ring_centres_expected_mm"]) for row in found.rows]
+    ratios = [apart / expected for apart, expected in pairs if apart is not None and expected]
+    parted = (min(ratios), max(ratios)) if ratios else (float("nan"), float("nan"))
+    mirrored = [row["mirror_up_down"] for row in found.rows if row["rotation_deg"]]
     least, most = (edge(row["return_radius_at_probe_mm"] for row in found.rows) for edge in (min, max))
     return filled(f"""# Fig. 4: a thin lens, turned and refocused
 
@@ -75,15 +90,13 @@ tanθ · 2/(x_d + f), the returning pupil's displacement times the returning wav
 column's highest maximum within 1.5 λ f_p/2r (32 µm) of that place. *Up/down*: light that the image and its mirrored
 self across the horizontal line do not share; a picture and something wholly apart from it would give 100.
 
-- The RR becomes smaller as x_d grows, at every focal length and rotation.
-- At 0° it lies in the middle and is round. A disc out of focus with rings in it: for none of these x_d is the
-  target in focus for parallel light, and an Airy disc would need x_d far beyond 5 m at this aperture.
-- Two ring systems part along the direction of rotation (up and down), in proportion to it. Across the horizontal
-  line, which is perpendicular to that direction, they are alike but not the same: see *up/down*. Left and right are
-  the same to {left_right:.0e} of the light.
-- At 1° the bright part is longer across the direction of rotation than along it: for f = {1e3 * first:g} mm by
-  {stretch} (widths with 80 % of the light, x_d = {focused} m), as the overlap of two displaced discs is. The paper
-  has its ellipse "in the direction of rotation"; if that is the axis turned about, both agree.
+- **Size**: the RR {sized} as x_d grows (all focal lengths and rotations).
+- **At 0°** its width over its height lies between {min(rounds):.2f} and {max(rounds):.2f}.
+- **Two ring systems** part along the direction of rotation (up and down): where both are found, their distance is
+  {parted[0]:.2f} to {parted[1]:.2f} times what rays expect. Across the horizontal line {100 * min(mirrored):.0f} to
+  {100 * max(mirrored):.0f} % of the light is not shared; left and right are the same to {left_right:.0e} of it.
+- **At 1°** the bright part is {stretch} times as wide across the direction of rotation as along it (widths with 80 % of
+  the light, f = {1e3 * first:g} mm, x_d = {focused} m). The paper has its ellipse "in the direction of rotation".
 
 **What differs**: the real lens has aberrations, and its target is a real sensor with pixels; neither is in this
 thin lens with a mirror. Nothing here was compared with the paper's images themselves, only with what it says of
@@ -124,6 +137,11 @@ def text_fig5(found: Fig5) -> str:
     times = [_fold(one.diameter) for one in found.strips]
     beyond = [_fold(one.diameter[from_middle]) for one in found.strips]
     disc = 1e3 * LENS["aperture_radius"] * 0.2 / first
+    square = all(abs(one.without_floor.exponent + 2) < 0.01 for one in found.strips)
+    faster = [one.name for one in found.strips if one.measured.exponent < one.without_floor.exponent]
+    followed = "follows" if square else "does not follow"
+    everywhere = "in every row" if len(faster) == len(found.strips) else f"in {len(faster)} rows"
+    order = sorted(found.strips, key=lambda one: one.without_floor.exponent - one.measured.exponent)
     return filled(f"""# Fig. 5: head-on, from {first:g} to {last:g} m
 
 ![Frames, summed signal and size of a head-on retro-reflection over the distance](fig5.png)
@@ -140,17 +158,16 @@ is a straight line through {points} points in logarithms; ± is its standard err
 
 {table_of(names, rows)}
 
-- **Intensity**: the light that comes back follows 1/d², as the beam's area says: see *all light*. What is *above a
-  fixed floor* falls faster, for the outer rings of a dim RR drop below it; that error is systematic, and the ± does
-  not hold it. It is largest where the peak itself falls as 1/d² (flat wave), and smallest where the RR shrinks
-  while it dims.
-- **Shape**: it is constant for a flat wave, which is what the paper's simulation sends (its equation 1). A beam
-  that diverges from the probe is a spherical wave of radius d. A target focused on the probe (x_d = d, as in the
-  paper's Rotation videos) returns it converging on the probe, and a probe focused at infinity sees a disc of radius
-  r f_p/d, here {disc:.2f} mm at {first:g} m. A target left focused at 5 m returns parallel light at 2.5 m, and so
-  its smallest RR. So a thin lens lit this way does not quite keep its RR: over all distances its diameter changes
-  {times[0]:.1f}-fold (focused on the probe) and {times[1]:.1f}-fold (left at 5 m), from {middle:g} m on
-  {beyond[0]:.1f}-fold and {beyond[1]:.1f}-fold.
+- **Intensity**: the light that comes back {followed} 1/d², as the
+  beam's area says (exponents of *all light* within 0.01 of −2). What is *above a fixed floor* falls faster
+  {everywhere}: the outer rings of a dim RR drop below it, an error that the ± does not hold. It is largest for
+  *{order[-1].name}* and least for *{order[0].name}*.
+- **Shape**: over all distances the diameter changes {times[0]:.1f}-fold (focused on the probe), {times[1]:.1f}-fold
+  (left at 5 m) and {times[2]:.2f}-fold (flat wave, which is what the paper's simulation sends, its equation 1); from
+  {middle:g} m on {beyond[0]:.1f}-, {beyond[1]:.1f}- and {beyond[2]:.2f}-fold. A beam that diverges from the probe is a
+  spherical wave of radius d: a target focused on the probe (x_d = d, as in the paper's Rotation videos) returns it
+  converging on the probe, and a probe focused at infinity sees a disc of radius r f_p/d, here {disc:.2f} mm at
+  {first:g} m.
 
 **What differs**: the paper's lens has many elements and aberrations; where these widen its RR, the same wave
 changes it less, which was not simulated; which of its foci was used, and how far behind the probe's exit its beam
@@ -165,8 +182,11 @@ def text_fig6(found: Fig6) -> str:
     flat, bare, glass = found.named("mirror, flat wave"), found.named("white, no spread"), found.surfaces[-1]
     first, last = found.distances[0], found.distances[-1]
     near, far = 1e3 * bare.diameter[0], 1e3 * bare.diameter[-1]
-    changes = [1e3 * float(np.ptp(surface.diameter)) for surface in (mirror, card)]
+    changes = [1e3 * float(np.ptp(surface.diameter)) for surface in (mirror, card, flat)]
     brighter = [float(mirror.peak[i] / bare.peak[i]) for i in (0, -1)]
+    discs, boards = glass.diameter / found.aperture_image, card.diameter / found.aperture_image
+    wide = "as wide" if (np.abs(boards - 1) < 0.02).all() else "not as wide"
+    proof = "no proof that a reflection is diffuse" if (np.abs(discs - boards) < 0.05).all() else "not the filter's"
     laws = [_fitted(surface.size) for surface in (card, glass, mirror, flat)]
     rows = [
         (
@@ -209,20 +229,21 @@ the diameter of the even disc that would hold half of its light in the same circ
 
 Fitted size ∝ dⁿ: cardboard n = {laws[0]}, filter {laws[1]}, mirror {laws[2]}, mirror in a flat wave {laws[3]}.
 
-- **Diffuse**: an image of the probe's aperture, D_p f_p/d wide. The light leaves the target's lens in a cone that
-  overfills the probe by far; that is a condition, which the assumed 0.3 mm meet. A white plane that carries no
+- **Diffuse**: {wide} as an image of the probe's aperture, D_p f_p/d, to 2 %. The light leaves the target's
+  lens in a cone that overfills the probe by far; that is a condition, which the assumed 0.3 mm meet. A white plane
+  that carries no
   light sideways (*white, no spread*) scatters from the spot alone, and its light comes back through the lens as a
   narrow beam, as a mirror's does: it is {near:.2f} to {far:.2f} mm wide from {first:g} to {last:g} m, and does not
   show the aperture.
-- **Specular**: constant in a flat wave. In the diverging one its size changes by {changes[0]:.2f} mm between
-  {first:g} and {last:g} m, for the reason given beside Fig. 5; the cardboard's changes by {changes[1]:.1f} mm.
+- **Specular**: between {first:g} and {last:g} m its size changes by {changes[2]:.3f} mm in a flat wave and by
+  {changes[0]:.2f} mm in the diverging one, for the reason given beside Fig. 5; the cardboard's changes by
+  {changes[1]:.1f} mm.
 - **Brighter**: in the table. The cardboard's brightness goes about as the inverse square of the assumed spread, so
   the ratios are no prediction. Without any spread the mirror's peak is still {brighter[0]:.0f} and
   {brighter[1]:.0f} times as high ({first:g} and {last:g} m).
-- **A filter is no cardboard, but looks like it**: 0.2 mm before the focus a plane of reflectance 0.04 (specular, no
-  scattering at all) returns light as if from a point near the lens. It too overfills the probe and shows its
-  aperture, D_p f_p/d wide. So a size ∝ 1/d alone does not prove that a reflection is diffuse; fine rings inside the
-  disc, and speckle, should tell them apart.
+- **A filter**: 0.2 mm before the focus a plane of reflectance 0.04 (specular, no scattering at all) returns light as if
+  from a point near the lens. Its disc is {min(discs):.2f} to {max(discs):.2f} times D_p f_p/d wide, the cardboard's
+  {min(boards):.2f} to {max(boards):.2f} times: the cardboard's size is {proof}.
 
 **What differs**: the aberrations of the paper's lens, which widen the specular RR, and its unknown focus. The
 diffuse image leaves out coherence across the target's pupil where the probe's aperture clips (2 to 6 % of the peak,
@@ -237,6 +258,9 @@ def text_fig7(found: Fig7) -> str:
     claimed = max(one.row["error"] for _, row in found.rows() for one in row if not one.refused)
     sizes = [one.row["diameter_um"] for one in found.focusing if not one.refused]
     lengths = [one.row["diameter_um"] for one in found.focal_lengths if not one.refused]
+    smaller = "Smaller with every step" if _falls(sizes) else "Not smaller with every step"
+    shrinks = "shrinks" if _falls(lengths) else "does not always shrink"
+    spots = [one.row["spots_above_half"] for one in found.rotation if not one.refused]
     tall = [one.row["width_y_um"] / one.row["width_x_um"] for one in found.rotation if not one.refused]
     tables = "\n\n".join(
         table_of(
@@ -274,16 +298,16 @@ noise, at the exposure of the bundled scenes `rotation` and `focusing`, cut out 
 *80 % in*: circle about the crop's middle with 80 % of the light in the crop. *Spots*: connected parts above half of the
 peak of the light, smoothed by 1.5 pixels. *Stated error*: the planner's, of the peak; up to {100 * claimed:.0f} %.
 
-- **(a)** Rings about a bright middle, as of an Airy disc, where the probe is in the middle; then several spots, a plus,
-  and at last an ellipse along the direction of rotation (up and down): see *spots*. The picture's height over its width
-  goes from {tall[0]:.2f} to {max(tall):.2f}. The paper has its line perpendicular to the rotation; here the long side
-  lies along the way the target turns, perpendicular to the axis that it turns about.
-- **(b)** Smaller as the focus goes from 3 m to the probe: {sizes[0]:.0f} to {sizes[-1]:.0f} µm. It does not become a
-  point: in the diverging light of the probe a target focused on it sends light back to the probe's aperture, and a
-  probe focused at infinity sees a disc. The paper's does come close to one; its lens, its focus and the curvature of
-  its light are not known so well that the cause could be told.
-- **(c)** At x_d = {AT:g} m the RR shrinks with the focal length, {lengths[0]:.0f} to {lengths[-1]:.0f} µm, for the
-  aperture does.
+- **(a)** The picture's height over its width goes from {tall[0]:.2f} in the middle to {tall[-1]:.2f} at the last gaze,
+  at most {max(tall):.2f} (above 1: longer along the way the target turns). The paper has its line perpendicular to
+  the rotation. There are {min(spots)} to
+  {max(spots)} *spots*.
+- **(b)** {smaller} as the focus goes from {found.focusing[0].name} to the probe:
+  {sizes[0]:.0f} to {sizes[-1]:.0f} µm. The paper's comes close to a point. A thin lens focused on the probe would
+  show a disc there: it
+  returns diverging light to the probe's aperture, and the probe is focused at infinity.
+- **(c)** At x_d = {AT:g} m the RR {shrinks} with the focal length: {lengths[0]:.0f} to
+  {lengths[-1]:.0f} µm.
 
 **What differs**: the lenses are other ones; aberrations, filters and sensors are assumed. Nothing was compared with the
 paper's pictures, only with its words.
@@ -308,6 +332,8 @@ def text_fig8(found: Fig8) -> str:
     told = "; ".join(f"{one.name}: {text}" for one in found.opened for text in one.row.get("refused", []))
     left_out = f" Not simulated: {told}." if told else ""
     several = sum(one.row["seen"] > 1 for one in found.opened)
+    burnt = sum(one.row["saturated_pixels"] > 0 for one in found.opened)
+    sizes = [1e-6 * one.row["disc_um"] / found.disc for one in found.opened]
     gaze = ", ".join(f"{part:g}" for part in PHONE_GAZE)
     flashes = [one.row["flash_electrons"] for one in found.opened if "flash_electrons" in one.row]
     least, most = (min(flashes), max(flashes)) if flashes else (0.0, 0.0)
@@ -332,13 +358,12 @@ D_p f_p/d is {1e6 * found.disc:.0f} µm. *Flash*: the most that opening the app 
 row below.
 
 - **Several RRs**: {several} of {len(found.opened)} phones show more than one, at their cameras' places on the back.
-- **Discs** of the size of the probe's aperture: those of the filters, which stand before the focus, with fine rings,
-  for they are mirrors and not rough. Light that a filter scatters makes an even disc of the same size.
-- **The spot that flashes**: at 785 nm the filters of these phones let 0.2 to 3 % through, twice. In the row below what
-  opening the app adds is {least:.0f} to {most:.0f} electrons at its brightest, against peaks of the whole picture in
-  the table. The paper calls its spot dimmer than the filters' RRs.
-- **Saturated**: the phones differ in brightness by more than one exposure holds; long lenses with a filter near the
-  focus are the brightest.
+- **Discs**: {min(sizes):.2f} to {max(sizes):.2f} times the image of the probe's aperture. Filters stand before the
+  focus;
+  they are mirrors here and not rough. Light that a filter scatters makes an even disc of the same size.
+- **The spot that flashes**: in the row below what opening the app adds is {least:.0f} to {most:.0f} electrons at its
+  brightest, against peaks of the whole picture in the table. The paper calls its spot dimmer than the filters' RRs.
+- **Saturated**: {burnt} of {len(found.opened)} phones fill pixels of the probe's sensor at the one exposure of all.
 
 **What differs**: which filters and lenses real phones have is not published; glints of housings and cover glasses, and
 the light of dot projectors, are not in these pictures (the filmed set has the latter).
@@ -358,6 +383,10 @@ def _sampled(one: Sample) -> tuple[str, ...]:
 def _apart(row: dict[str, float | None]) -> str:
     found, expected = row["ring_centres_apart_mm"], row["ring_centres_expected_mm"]
     return f"{'–' if found is None else f'{found:.2f}'} ({expected:.2f})"
+
+
+def _falls(values: Sequence[float]) -> bool:
+    return all(b < a for a, b in pairwise(values))
 
 
 def _fold(values: NDArray[np.float64]) -> float:
