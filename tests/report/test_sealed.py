@@ -47,7 +47,10 @@ def ridge(tmp_path_factory: pytest.TempPathFactory) -> ZernikeRidge:
     plan = tiny_plan()
     own = replace(plan, seed=7, videos=plan.videos[:1], rules=Rules(side=40, test_fraction=0.0))
     dataset = open_dataset(synthesise(own, folder / "set.zarr"))
-    return ZernikeRidge("gaze", scales=(40,), order=4, calibration_fraction=0.1).fit(dataset)
+    # So few frames leave the paper's penalty with weights so large that rounding shows.
+    return ZernikeRidge("gaze", scales=(40,), order=4, alpha=1.0, standardise=True, calibration_fraction=0.1).fit(
+        dataset
+    )
 
 
 def test_recordings_are_drawn_from_the_salt_within_what_makers_allow() -> None:
@@ -75,7 +78,7 @@ def test_only_numbers_stay(ridge: ZernikeRidge, tmp_path: Path) -> None:
     rows = score_sealed({"ridge": ridge}, tmp_path, size="small", plan=plan)
     assert list(tmp_path.iterdir()) == []
     dataset = open_dataset(synthesise(plan, tmp_path / "again.zarr"))
-    truth, said = dataset.tp.values(("gaze_x", "gaze_y")), ridge.predict(dataset).value
+    truth, said = dataset.tp.values(("gaze_x", "gaze_y")), ridge.predict(dataset, anyway=True).value
     row = rows[0]
     assert row["frames"] == len(truth)
     assert row["mae"] == pytest.approx(np.abs(said - truth).mean(axis=0).tolist())

@@ -16,10 +16,10 @@ def table_of(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def filled(page: str) -> str:
-    """Break a page's paragraphs and points at one width; headings, pictures and tables stay as they are."""
+    """Break a page's paragraphs and points at one width; headings, pictures, tables and code stay as they are."""
     done: list[str] = []
-    for block in page.strip().split("\n\n"):
-        if block[0] in "#!|":
+    for block in re.split(r"\n{2,}", page.strip()):
+        if block[0] in "#!|" or block.startswith("    "):
             done.append(block)
             continue
         points = [" ".join(point.split()) for point in re.split(r"\n(?=- )", block)]

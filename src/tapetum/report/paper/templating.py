@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from tapetum.report.paper.page import filled, table_of
 from tapetum.report.verdicts import MEAN, against_mean, intervals
 
-__all__ = ["render"]
+__all__ = ["render", "render_text"]
 
 
 def _number(value: float | None, digits: int = 3) -> str:
@@ -57,3 +57,8 @@ def render(name: str, numbers: Mapping[str, Any]) -> str:
         As the JSON file holds them.
     """
     return filled(_environment().get_template(f"{name}.md").render(numbers=numbers, **numbers))
+
+
+def render_text(template: str, numbers: Mapping[str, Any]) -> str:
+    """Return the page that a template's text makes of some numbers."""
+    return filled(_environment().from_string(template).render(numbers=numbers, **numbers))
