@@ -98,3 +98,23 @@ def test_many_short_recordings_set_their_share_aside(small):
     # Always the last ones of a recording.
     numbers = np.asarray(part.dataset["recording"].values)
     assert all(numbers[k] != numbers[k + 1] for k in part.calibrate if k + 1 < len(numbers))
+
+
+def test_frames_that_choose_do_not_calibrate(small):
+    part = training_part(small, ("gaze_x",), 0.1, select=True)
+    assert part.choose.tolist() == [*range(90, 95), *range(190, 195)]
+    assert part.calibrate.tolist() == [*range(95, 100), *range(195, 200)]
+    assert part.fit.tolist() == [*range(90), *range(100, 190)]
+    network = ResNet18(crop=36, size=24, epochs=2, batch=20, patience=1, device="cpu").fit(small)
+    assert network.training_["calibrated_on"] == 10
+    assert "10 training frames that neither fit nor calibrate" in network.training_["chosen"]["epochs"]
+    # The intervals are those of the ten frames that chose nothing: too few but for the largest error.
+    found = network.predict(small.tp.train.isel(frame=part.calibrate), anyway=True)
+    truth = small.tp.train.isel(frame=part.calibrate).tp.values(("gaze_x", "gaze_y"))
+    np.testing.assert_allclose(network.intervals_.half_width[0], np.abs(found.value - truth).max(axis=0), rtol=1e-5)
+
+
+def test_what_the_data_chose_stands_on_the_card(small):
+    ridge = ZernikeRidge("gaze", scales=(20,), order=2, alpha="cv", standardise=True).fit(small)
+    assert "contiguous fifths of the fitted frames" in ridge.training_["chosen"]["alpha"]
+    assert ZernikeRidge("gaze", scales=(20,), order=2).fit(small).training_["chosen"] == {}

@@ -126,6 +126,9 @@ def known_limits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_model_is_trained_once_and_kept(work, sets, monkeypatch):
     first = work.outcome("rotation-resnet18").prediction.value
+    # How its settings came about stands on the card, for whoever evaluates it later.
+    chosen = work.model("rotation-resnet18").training_["chosen"]
+    assert chosen["settings"] == RECIPES["rotation-resnet18"].reason
     monkeypatch.setattr(ResNet18, "fit", lambda *_, **__: pytest.fail("trained again"))
     again = Workshop(work.folder, "small", sets=sets).outcome("rotation-resnet18").prediction.value
     np.testing.assert_allclose(again, first, atol=1e-6)

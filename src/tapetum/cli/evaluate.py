@@ -66,5 +66,8 @@ def evaluate(
         rrs, rrs_at = samples(outcome, data)
         write_evaluation(out, outcome, subject, rrs=rrs, rrs_at=rrs_at, overwrite=overwrite, progress=bar)
     typer.echo(json.dumps(scores) if as_json else describe(scores))
+    chosen = (getattr(fitted, "training_", None) or {}).get("chosen") or {}
+    for what, why in {} if as_json else chosen.items():
+        typer.echo(f"chosen in training: {what}: {why}")
     if out is not None and not as_json:
         typer.echo(f"wrote {out if numbers_alone else out / 'report.html'}")

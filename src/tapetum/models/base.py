@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -118,8 +118,8 @@ class TrainingPart:
         [N] number of each frame's device in `classes`; None where that is no target.
     classes
         Names of the devices that there are training frames of.
-    fit, calibrate
-        Positions in `dataset`, in order.
+    fit, calibrate, choose
+        Positions in `dataset`, in order; those that choose do nothing else.
     full_scale
         Largest count of the camera.
     data_hash
@@ -135,6 +135,7 @@ class TrainingPart:
     calibrate: NDArray[np.intp]
     full_scale: float
     data_hash: str
+    choose: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
 
     @property
     def summary(self) -> dict[str, Any]:
@@ -144,7 +145,9 @@ class TrainingPart:
             "frames": len(self.targets),
             "fitted": len(self.fit),
             "calibrated_on": kept,
-            "embargo": len(self.targets) - len(self.fit) - kept,
+            "embargo": len(self.targets) - len(self.fit) - kept - len(self.choose),
+            # Whatever the data decided, and by which frames: never those that test.
+            "chosen": {},
             "intervals": "from the last part of every recording's training frames, kept out of the fit"
             if kept
             else "none: every training frame is fitted, as in the paper",
@@ -154,11 +157,15 @@ class TrainingPart:
         }
 
 
-def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fraction: float) -> TrainingPart:
+def training_part(
+    dataset: xr.Dataset, names: tuple[str, ...], calibration_fraction: float, *, select: bool = False
+) -> TrainingPart:
     """Take the training frames of a dataset; set the last share of each recording's aside to calibrate with.
 
     Frames before those whose labels share a measurement with theirs (`tapetum.data.embargo`) are neither fitted nor
-    calibrated with. Frames marked for testing are never used, even when the whole dataset is given.
+    calibrated with. With `select` the first half of those aside chooses (when to stop, say) and the second calibrates:
+    what was chosen by a frame looks too good there. Frames marked for testing are never used, even when the whole
+    dataset is given.
 
     Raises
     ------
@@ -188,21 +195,38 @@ def training_part(dataset: xr.Dataset, names: tuple[str, ...], calibration_fract
         if np.ptp(targets[:, k]) == 0:
             what = f"{name} never changes in {_of(videos)}: nothing to learn"
             raise InputError(what, where="dataset", remedy="add recordings with other values of it")
-    aside, owed = np.zeros(len(recording), dtype=bool), 0.0
+    aside, choosing, owed, half = *(np.zeros(len(recording), dtype=bool) for _ in range(2)), 0.0, 0.0
     for number in np.unique(recording):
         places = np.flatnonzero(recording == number)
         # What one recording is too short to give counts for the next: many short ones give their share, too.
         owed += calibration_fraction * len(places)
         count = min(max(round(owed), 0), len(places))
-        aside[places[len(places) - count :]] = True
         owed -= count
-    span = reach_of(train)
-    shared = meeting(span, recording, ~aside, aside) if span is not None else np.zeros_like(aside)
-    fit = np.flatnonzero(~aside & ~shared)
+        aside[places[len(places) - count :]] = True
+        if select:
+            half += count / 2
+            first = len(places) - count
+            choosing[places[first : first + round(half)]] = True
+            half -= round(half)
+    span, rest = reach_of(train), aside & ~choosing
+    fits = ~aside
+    if span is not None:
+        choosing &= ~meeting(span, recording, choosing, rest)
+        fits &= ~meeting(span, recording, ~aside, aside)
+    fit = np.flatnonzero(fits)
     if len(fit) < 2:
         raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
     return TrainingPart(
-        train, quantities, targets, device, classes, fit, np.flatnonzero(aside), train.tp.full_scale, train.tp.hash
+        train,
+        quantities,
+        targets,
+        device,
+        classes,
+        fit,
+        np.flatnonzero(rest),
+        train.tp.full_scale,
+        train.tp.hash,
+        np.flatnonzero(choosing),
     )
 
 

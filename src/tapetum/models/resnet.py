@@ -35,7 +35,7 @@ from tapetum.models.novelty import Novelty, fit_novelty
 from tapetum.models.prediction import Prediction, joined
 from tapetum.models.processes import training_device
 from tapetum.models.snr import crop_snr
-from tapetum.models.training import Augmentation, EpochReport, TrainingSettings, train
+from tapetum.models.training import Augmentation, EpochReport, TrainingSettings, kept_epoch, train
 from tapetum.progress import Progress, quiet
 
 __all__ = ["ResNet18"]
@@ -70,7 +70,7 @@ class ResNet18:
     calibration_fraction
         Share of the training frames, the last ones of each recording, that is kept out of the fit: it shows
         the error after each epoch and sets the intervals. The weights kept are the last epoch's; with `patience`
-        they are the best on these frames, for which intervals and probabilities then are a little too good.
+        they are the best on the first half of these frames, and the second half alone sets the intervals.
     device
         "auto" (CUDA where there is one), "cpu" or "cuda". Not part of a saved model.
     processes
@@ -202,7 +202,8 @@ class ResNet18:
             raise InputError(
                 "resume needs the folder of a checkpoint", where="checkpoint", remedy="pass checkpoint=FOLDER"
             )
-        part = training_part(dataset, self.target_names, self.calibration_fraction)
+        patience = self.settings.patience
+        part = training_part(dataset, self.target_names, self.calibration_fraction, select=patience is not None)
         images, snr = self._inputs(part.dataset, None, progress)
         self._centre, self._spread = part.targets[part.fit].mean(axis=0), part.targets[part.fit].std(axis=0)
         self._unit = float(images[part.fit].std())
@@ -216,7 +217,8 @@ class ResNet18:
         if part.device is not None:
             columns.append(part.device[:, None].astype(np.float64))
         wanted = torch.from_numpy(np.concatenate(columns, axis=1).astype(np.float32))
-        aside = part.calibrate
+        # Where nothing is chosen by it, the error is shown on the frames that calibrate.
+        aside = part.calibrate if patience is None else part.choose
 
         def validate(trained: nn.Module) -> float:
             found = self._run(trained, images[aside], device)
@@ -242,6 +244,10 @@ class ResNet18:
             on_epoch=on_epoch,
         )
         self.network_, self.data_hash_, self.training_ = network, part.data_hash, part.summary
+        if patience is not None:
+            kept = f"{kept_epoch(self.history_, patience)} of {len(self.history_)}"
+            why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
+            self.training_["chosen"]["epochs"] = f"{kept}: {why}"
         self._calibrate(part, images, snr, device)
         self.domain_ = self._described(images, np.asarray(part.dataset["recording"].values))
         return self

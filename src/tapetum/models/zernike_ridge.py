@@ -181,6 +181,9 @@ class ZernikeRidge:
         aside = part.calibrate
         self.intervals_ = fit_intervals(part.targets[aside] - self._linear(features[aside]), snr[aside])
         self.data_hash_, self.training_ = part.data_hash, part.summary
+        if self.alpha == "cv":
+            why = f"{self.alpha_:.3g}: least squared error over contiguous fifths of the fitted frames, each left out"
+            self.training_["chosen"]["alpha"] = why
         self.domain_ = fit_domain(self._look(features), np.asarray(part.dataset["recording"].values))
         return self
 

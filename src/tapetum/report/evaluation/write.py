@@ -98,6 +98,9 @@ def subject_of(
     if notes:
         words = notes if isinstance(notes, str) else ", ".join(f"{key}: {value}" for key, value in notes.items())
         facts.append(("notes", words))
+    chosen = (told.get("training") or {}).get("chosen") or {}
+    if chosen:
+        facts.append(("chosen", "; ".join(f"{key}: {why}" for key, why in chosen.items())))
     versions = told.get("versions")
     if isinstance(versions, Mapping):
         facts.append(("made with", ", ".join(f"{key} {value}" for key, value in versions.items())))
