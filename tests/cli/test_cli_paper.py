@@ -57,7 +57,7 @@ def test_the_size_asked_for(run, tmp_path: Path, quick, given: list[str], size: 
         (["beyond"], ("ablations", "development", "unseen", "fit")),
         (["all"], FIGURES),
         (["fig9", "fig10"], ("fig9", "fig10")),
-        (["fig5", "beyond", "fig5"], ("fig5", "ablations", "fresh", "unseen", "fit")),
+        (["fig5", "beyond", "fig5"], ("fig5", "ablations", "development", "unseen", "fit")),
     ],
 )
 def test_several_figures_as_json(run, tmp_path: Path, quick, which: list[str], names: tuple[str, ...]) -> None:
