@@ -97,6 +97,8 @@ def test_altered_weights_are_told(saved: Path):
 
 def change(saved: Path, **fields) -> None:
     card = json.loads((saved / CARD).read_text())
+    if isinstance(fields.get("parameters"), dict) and "kind" not in fields:
+        fields["parameters"] = {**card["parameters"], **fields["parameters"]}
     (saved / CARD).write_text(json.dumps({**card, **fields}))
 
 
@@ -104,12 +106,12 @@ def change(saved: Path, **fields) -> None:
     ("fields", "word"),
     [
         ({"format": "pickle"}, "not the card"),
-        ({"version": 2}, "update Tapetum"),
+        ({"version": 3}, "update Tapetum"),
         ({"kind": "oracle"}, "unknown kind"),
-        ({"parameters": None}, "lacks parameters"),
+        ({"parameters": None}, "parameters: must be a valid dictionary"),
         ({"parameters": {"scales": [20, 40], "order": 4}}, "expected coef"),
-        ({"parameters": {"colour": 3}}, "parameters do not fit"),
-        ({"parameters": {"scales": "wide"}}, "parameters do not fit"),
+        ({"parameters": {"colour": 3}}, "parameters.colour: unknown key"),
+        ({"parameters": {"scales": "wide"}}, "scales: must be a valid list, is 'wide'"),
     ],
 )
 def test_an_altered_card_is_told(saved: Path, fields, word: str):

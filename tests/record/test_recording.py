@@ -388,8 +388,8 @@ def test_what_is_called_finished_is_on_the_disk(tmp_path: Path, monkeypatch: pyt
         ({"version": 2}, "is of version 2, this Tapetum reads up to 1; update Tapetum"),
         ({"version": "1"}, "no usable version"),
         ({"format": "tapetum-dataset"}, "is not a tapetum-recording"),
-        ({"streams": {"probe": {"height": 4}}}, "lacks or garbles 'width'"),
-        ({"finished": None}, "lacks or garbles"),
+        ({"streams": {"probe": {"height": 4}}}, "streams.probe.file: is missing"),
+        ({"finished": None}, "finished: must be a valid boolean, is None"),
     ],
 )
 def test_foreign_and_newer_recordings_are_refused(tmp_path: Path, change: dict, message: str) -> None:

@@ -1,6 +1,7 @@
 """What stands on the bench, as frozen dataclasses read from YAML."""
 
 from tapetum.bench.load import (
+    as_scene,
     field_path,
     load_scene,
     scene_dict,
@@ -50,6 +51,7 @@ __all__ = [
     "Target",
     "TargetSensor",
     "ThinLens",
+    "as_scene",
     "at_wavelength",
     "field_path",
     "lens_names",

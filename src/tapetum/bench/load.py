@@ -21,6 +21,7 @@ from tapetum.bench.scene import SCHEMA, Scene
 from tapetum.errors import InputError
 
 __all__ = [
+    "as_scene",
     "field_path",
     "load_scene",
     "scene_dict",
@@ -43,6 +44,17 @@ def scene_names() -> list[str]:
     return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
 
 
+def as_scene(scene: Scene | str | os.PathLike[str]) -> Scene:
+    """Return a scene as it is, or load it by the name of a bundled one or from a YAML file.
+
+    Raises
+    ------
+    InputError
+        As `load_scene`.
+    """
+    return scene if isinstance(scene, Scene) else load_scene(scene)
+
+
 def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> Scene:
     """Load a scene by the name of a bundled one or from a YAML file.
 
@@ -58,7 +70,10 @@ def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> S
     InputError
         Missing or unreadable file, unknown key, wrong unit or value: with the field's path and the remedy.
     """
-    name = os.fspath(source)
+    if not isinstance(source, str | os.PathLike):
+        what = f"must be a name or a path, is {source!r:.60}"
+        raise InputError(what, where="scene", remedy=f"give a YAML file, or one of {', '.join(scene_names())}")
+    name = str(os.fspath(source))
     if name in scene_names():
         text = (resources.files("tapetum.bench") / "scenes" / f"{name}.yaml").read_text(encoding="utf-8")
     else:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import html
 import math
 from dataclasses import replace
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
@@ -13,7 +14,11 @@ from tapetum.bench.phone import CameraUnit, Phone, load_phone
 from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, FocusDistance, Length, Power, Vergence
 from tapetum.bench.sensors import ProbeSensor, TargetSensor
+from tapetum.bench.shown import in_words, sketch
 from tapetum.bench.strict import STRICT, Positive
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = [
     "SCHEMA",
@@ -348,3 +353,17 @@ class Scene:
     illumination: Illumination = Field(default_factory=Illumination)
     sampling: Sampling = Field(default_factory=Sampling)
     schema: Literal["tapetum/scene/1"] = SCHEMA
+
+    def __repr__(self) -> str:
+        return f"<Scene: {in_words(self)}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the scene in a line, and all its values folded up."""
+        from tapetum.bench.load import scene_yaml
+
+        words, values = html.escape(in_words(self)), html.escape(scene_yaml(self))
+        return f"<details><summary>Scene: {words}</summary><pre>{values}</pre></details>"
+
+    def plot(self) -> Figure:
+        """Draw the bench from the side: see `tapetum.bench.shown.sketch`."""
+        return sketch(self)

@@ -33,7 +33,7 @@ def check_drawable(sheet: Path | None) -> None:
 def build(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings, NAME.rec.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
-    side: Annotated[int, typer.Option(metavar="PX", help="Pixels along an edge of a crop.", min=8)] = 400,
+    side: Annotated[int, typer.Option(metavar="PX", help="Pixels along an edge of a crop.", min=8, max=4000)] = 400,
     test_fraction: Annotated[
         float, typer.Option(metavar="SHARE", help="Of every video, at its end, that tests.", min=0, max=1)
     ] = 0.2,

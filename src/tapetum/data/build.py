@@ -40,6 +40,8 @@ from tapetum.record.recording import Recording, open_recording
 __all__ = ["CHUNK", "build_dataset"]
 
 CHUNK = 64
+LARGEST_SIDE = 4000
+"""Largest side of a crop: a chunk of 16 bit crops then fills the 2 GB that its compression can take."""
 """Frames a chunk of the store: 10 MB of 400 x 400 pixels before compression."""
 
 
@@ -194,6 +196,9 @@ def _checked(recordings: Sequence[str | os.PathLike[str]], rules: Rules) -> list
         raise InputError("no recording given", where="recordings", remedy="name at least one NAME.rec folder")
     if rules.side < 1:
         raise InputError(f"must be positive, is {rules.side}", where="side", remedy="give a number of pixels")
+    if rules.side > LARGEST_SIDE:
+        what = f"is larger than the {LARGEST_SIDE} pixels that a chunk of {CHUNK} crops can hold: {rules.side}"
+        raise InputError(what, where="side", remedy="the paper's largest crops have 400")
     if not 0 <= rules.test_fraction <= 1:
         raise InputError(
             f"must lie in 0 ... 1, is {rules.test_fraction}",

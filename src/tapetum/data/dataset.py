@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -19,6 +19,9 @@ from numpy.typing import ArrayLike, NDArray
 from tapetum.data.content import DIGEST, DIGEST_BYTES, hash_of, image_digests
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = [
     "DEVICE",
@@ -281,7 +284,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     try:
         group = zarr.open_group(address, mode="r", zarr_format=3)
         attributes = dict(group.attrs)
-    except (ValueError, OSError, KeyError, TypeError, ImportError, json.JSONDecodeError) as error:
+    except (ValueError, OSError, KeyError, TypeError, ImportError, OverflowError, AttributeError) as error:
         raise InputError(f"is not a readable Zarr v3 store ({error})", where=address, remedy=remedy) from error
     _check_format(attributes, address)
     try:
@@ -307,7 +310,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
                 )
     except InputError:
         raise
-    except (ValueError, OSError, KeyError, TypeError, RuntimeError) as error:
+    except (ValueError, OSError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
         raise InputError(f"damaged: {error}", where=address, remedy=remedy) from error
     dataset.encoding["source"] = address
     # The labels are small, and a damaged one should be told here, not in the middle of training.
@@ -351,6 +354,40 @@ class DatasetAccessor:
 
     def __init__(self, dataset: xr.Dataset) -> None:
         self._dataset = dataset
+
+    def plot(self, count: int = 12) -> Figure:
+        """Draw some crops, evenly spread over the set, with their labels.
+
+        Parameters
+        ----------
+        count
+            How many at the most.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            It belongs to no window: a notebook shows it, `savefig` writes it. `tapetum dataset info --sheet` draws a
+            whole contact sheet.
+        """
+        from matplotlib.figure import Figure
+
+        total = int(self._dataset.sizes["frame"])
+        chosen = np.unique(np.linspace(0, total - 1, max(1, min(count, total))).round().astype(int)) if total else []
+        few = self._dataset.isel(frame=chosen)
+        images = np.concatenate([*image_batches(few), np.empty((0, self.side, self.side))])
+        wide = max(1, min(6, len(images)))
+        tall = max(1, -(-len(images) // wide))
+        figure = Figure(figsize=(1.8 * wide, 2.1 * tall), layout="constrained")
+        for n, image in enumerate(images):
+            axis = figure.add_subplot(tall, wide, n + 1)
+            axis.imshow(np.sqrt(image), cmap="inferno", vmin=0, vmax=self.full_scale**0.5)
+            axis.set_axis_off()
+            told = [self._label(name, few[name].values[n]) for name in self.targets if name in few]
+            axis.set_title(", ".join(told), fontsize=7)
+        return figure
+
+    def _label(self, name: str, value: Any) -> str:
+        return self.classes[int(value)] if name == DEVICE else f"{float(value):.3g}"
 
     def _part(self, flag: int) -> xr.Dataset:
         wanted = np.flatnonzero(np.asarray(self._dataset["split"].values) == flag)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.errors import InputError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 __all__ = ["COVERAGE", "NONE_OF_THESE", "Prediction", "joined"]
 
@@ -20,7 +24,11 @@ NONE_OF_THESE = "none of these"
 """The device of a retro-reflection that is unlike those of every class a model was trained on."""
 
 
-@dataclass(frozen=True)
+# Rows of the table that a notebook shows.
+_SHOWN = 10
+
+
+@dataclass(frozen=True, repr=False)
 class Prediction:
     """Estimates of K quantities, and of one class among C where the model knows classes, for N images.
 
@@ -155,6 +163,51 @@ class Prediction:
             raise InputError("the model knows no devices", where="model", remedy=remedy)
         return self.probability
 
+    def __repr__(self) -> str:
+        what = ", ".join([*self.names, *(["device"] if self.classes else [])])
+        refused = int((~self.applies).sum())
+        known = f"{refused} refused" if self.described or refused else "not known whether the model applies"
+        return f"<Prediction: {what} of {len(self)} images, {known}>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the first images in a table."""
+        columns = self.columns()
+        heads = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
+        rows = [
+            "".join(f"<td>{html.escape(_shown(values[n]))}</td>" for values in columns.values())
+            for n in range(min(len(self), _SHOWN))
+        ]
+        body = "".join(f"<tr><td>{n}</td>{row}</tr>" for n, row in enumerate(rows))
+        words = html.escape(repr(self)[1:-1])
+        return f"<p>{words}</p><table><tr><th></th>{heads}</tr>{body}</table>"
+
+    def plot(self) -> Figure:
+        """Draw each quantity with its interval over the images' numbers, and the probability of the likeliest device.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            It belongs to no window: a notebook shows it, `savefig` writes it. Images that were refused leave gaps.
+        """
+        from matplotlib.figure import Figure
+
+        rows = len(self.names) + bool(self.classes)
+        figure = Figure(figsize=(7, 1.8 * max(1, rows) + 0.4), layout="constrained")
+        number = np.arange(len(self))
+        for k, name in enumerate(self.names):
+            axis = figure.add_subplot(rows, 1, k + 1)
+            low, high = (np.where(np.isfinite(end[:, k]), end[:, k], np.nan) for end in (self.lower, self.upper))
+            axis.fill_between(number, low, high, alpha=0.3, linewidth=0)
+            axis.plot(number, self.value[:, k], ".", markersize=3)
+            axis.set_ylabel(name)
+        if self.classes:
+            axis = figure.add_subplot(rows, 1, rows)
+            axis.plot(number, self.device_probability, ".", markersize=3)
+            axis.set_ylabel("probability of the device")
+        if rows:
+            figure.axes[-1].set_xlabel("image")
+        return figure
+
     def columns(self) -> dict[str, Any]:
         """Return the columns of a table of tracks, [N] each.
 
@@ -172,6 +225,12 @@ class Prediction:
             table |= {"device": self.device, "device_probability": self.device_probability}
         known = [False if why else (True if self.described else None) for why in self.reason]
         return {**table, "applies": known, "reason": list(self.reason)}
+
+
+def _shown(value: Any) -> str:
+    if isinstance(value, float | np.floating):
+        return "–" if np.isnan(value) else f"{value:.4g}"
+    return "" if value is None else str(value)
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:

@@ -13,10 +13,12 @@ import torch
 from safetensors import SafetensorError
 from safetensors.torch import load_file, save_file
 
+from tapetum.checked import read_json
 from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder, sha256_file
 from tapetum.models.base import Estimator, Predictor, json_safe
+from tapetum.models.card import checked_card
 from tapetum.models.resnet import ResNet18
 from tapetum.models.zernike_ridge import ZernikeRidge
 
@@ -34,7 +36,7 @@ __all__ = [
     "write_metrics",
 ]
 
-FORMAT, VERSION = "tapetum-model", 1
+FORMAT, VERSION = "tapetum-model", 2
 CARD, WEIGHTS = "model.json", "weights.safetensors"
 KINDS: dict[str, type[ZernikeRidge] | type[ResNet18]] = {
     ZernikeRidge.kind: ZernikeRidge,
@@ -172,12 +174,12 @@ def model_card(path: str | Path) -> dict[str, Any]:
     if not folder.is_dir():
         raise InputError("there is no such model folder", where=folder, remedy="train one with `tapetum train`")
     try:
-        card = json.loads((folder / CARD).read_text(encoding="utf-8"))
+        card = read_json(folder / CARD)
     except FileNotFoundError as error:
         raise InputError(
             f"the model lacks {CARD}", where=folder, remedy="copy the whole folder or train it again"
         ) from error
-    except (json.JSONDecodeError, UnicodeDecodeError, OSError) as error:
+    except (ValueError, OSError) as error:
         raise InputError(
             f"cannot be read ({error})", where=folder / CARD, remedy="copy it again or train it again"
         ) from error
@@ -188,15 +190,13 @@ def model_card(path: str | Path) -> dict[str, Any]:
             remedy="give a model's folder",
         )
     version = card.get("version")
-    if not isinstance(version, int) or version > VERSION:
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
         what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
         raise InputError(what, where=folder / CARD, remedy="update Tapetum")
     if not isinstance(card.get("kind"), str) or card["kind"] not in KINDS:
         what = f"holds a model of unknown kind {card.get('kind')!r}"
         raise InputError(what, where=folder / CARD, remedy=f"this Tapetum knows {', '.join(KINDS)}")
-    if not isinstance(card.get("parameters"), dict) or not isinstance(card.get("weights"), dict):
-        raise InputError("lacks parameters or weights", where=folder / CARD, remedy="copy it again or train it again")
-    return card
+    return checked_card(card, folder / CARD)
 
 
 def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
@@ -239,6 +239,9 @@ def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
     except (TypeError, ValueError) as error:  # an unknown argument, or one of another type
         remedy = "copy it again or train it again"
         raise InputError(f"parameters do not fit ({error})", where=folder / CARD, remedy=remedy) from error
+    if list(model.target_names) != card["targets"] or set(card["units"]) != set(model.quantities):
+        what = "targets and units are not those of parameters.target"
+        raise InputError(what, where=folder / CARD, remedy="copy it again or train it again")
     known = card.get("training_data")
     model.data_hash_ = known if isinstance(known, str) else None
     model.training_ = card.get("training")

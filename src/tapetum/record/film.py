@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 from pathlib import Path
 
-from tapetum.bench import Scene
+from tapetum.bench import Scene, as_scene
 from tapetum.progress import Progress, quiet
 from tapetum.record.beats import CameraClock
 from tapetum.record.recording import Recording, StreamInfo, open_recording
@@ -18,7 +18,7 @@ __all__ = ["CameraClock", "Placed", "Session", "film", "probe_frames", "without_
 
 
 def film(
-    scene: Scene,
+    scene: Scene | str | os.PathLike[str],
     out: str | os.PathLike[str],
     session: Session | None = None,
     *,
@@ -30,7 +30,7 @@ def film(
     Parameters
     ----------
     scene
-        What stands on the bench; the target's rotation is the hand's.
+        What stands on the bench, or its name or path; the target's rotation is the hand's.
     out
         The recording's folder, by custom `NAME.rec`.
     session
@@ -45,7 +45,7 @@ def film(
     InputError
         For a session without frames, a full disk, an existing recording, or what cannot be simulated.
     """
-    session = session or Session()
+    scene, session = as_scene(scene), session or Session()
     shot = Shot(scene, session)
     # First of all: what cannot be simulated is refused before anything is written.
     truth = shot.truth()

@@ -6,12 +6,14 @@ import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
+from pydantic import Field
 
+from tapetum.checked import Checked, check, read_json
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 
@@ -88,6 +90,39 @@ class StreamInfo:
         return np.dtype(np.uint8 if self.bits <= 8 else np.uint16)
 
 
+# No sensor has more pixels along an edge, and no camera is faster.
+_Pixels = Annotated[int, Field(ge=1, le=2**20)]
+_Rate = Annotated[float, Field(gt=0, le=1e6)]
+_Count = Annotated[int, Field(ge=0, lt=2**63)]
+
+
+class _StreamMeta(Checked):
+    file: str
+    codec: Literal["ffv1"]
+    height: _Pixels
+    width: _Pixels
+    bits: Annotated[int, Field(ge=1, le=16)]
+    full_scale: Annotated[int, Field(ge=1, le=2**16 - 1)]
+    rate: _Rate | None
+    frames: _Count | None = None
+
+
+class _Meta(Checked):
+    """What recording.json must hold; what else it holds (scene, labels' origin, ...) stays as it is."""
+
+    uuid: Annotated[str, Field(min_length=1)]
+    start_utc: str
+    start_utc_ns: Annotated[int, Field(ge=-(2**63), lt=2**63)]
+    rate: _Rate
+    finished: bool
+    hardware: dict[str, Any]
+    streams: Annotated[dict[str, _StreamMeta], Field(min_length=1)]
+    clock: dict[str, Any]
+    software: dict[str, Any]
+    seed: _Count | None = None
+    scene: dict[str, Any] | None = None
+
+
 def is_recording(path: str | os.PathLike[str]) -> bool:
     """Return whether `path` is a folder that is, or by its name claims to be, a recording."""
     place = Path(path)
@@ -147,13 +182,13 @@ def read_meta(place: Path) -> dict[str, Any]:
     if not file.is_file():
         raise InputError(f"holds no {META}", where=place, remedy="give a recording, a folder NAME.rec")
     try:
-        meta = json.loads(file.read_text(encoding="utf-8"))
+        meta = read_json(file)
     except (OSError, ValueError) as error:
         raise InputError("is damaged", where=file, remedy="restore it from a copy") from error
     if not isinstance(meta, dict) or meta.get("format") != FORMAT:
         raise InputError(f"is not a {FORMAT}", where=file, remedy="give a recording made by tapetum record")
     version = meta.get("version")
-    if not isinstance(version, int) or version < 1:
+    if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise InputError(f"has no usable version ({version!r})", where=file, remedy="restore it from a copy")
     if version > VERSION:
         raise InputError(
@@ -161,4 +196,9 @@ def read_meta(place: Path) -> dict[str, Any]:
             where=file,
             remedy="update Tapetum",
         )
+    streams = check(_Meta, meta, file, "restore it from a copy").streams
+    for name, one in streams.items():
+        if one.file != f"{name}.mkv" or one.full_scale >= 2**one.bits:
+            what = f"streams.{name}: file and full_scale must be {name}.mkv and below 2^bits"
+            raise InputError(what, where=file, remedy="restore it from a copy")
     return meta

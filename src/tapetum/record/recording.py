@@ -8,11 +8,12 @@ far as the video goes.
 
 from __future__ import annotations
 
+import html
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -23,7 +24,6 @@ from tapetum.record.layout import (
     FRAMES,
     JOURNAL,
     LABELS,
-    META,
     SCHEMA,
     TRUTH,
     StreamInfo,
@@ -37,10 +37,13 @@ from tapetum.record.source import Frame, existing
 from tapetum.record.video import count_frames, decoded, truncated
 from tapetum.record.writer import RecordingWriter
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 __all__ = ["Recording", "RecordingSource", "RecordingWriter", "StreamInfo", "is_recording", "open_recording"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Recording:
     """A recording on disk, opened for reading (see `open_recording`).
 
@@ -57,6 +60,52 @@ class Recording:
     path: Path
     meta: dict[str, Any]
     streams: dict[str, StreamInfo]
+
+    def __repr__(self) -> str:
+        return f"<Recording {self.name}: {self._words()}>"
+
+    def _words(self) -> str:
+        parts: list[str] = []
+        for name, info in self.streams.items():
+            count = self.meta["streams"][name].get("frames")
+            frames = "" if count is None else f"{count} frames of "
+            parts.append(f"{name} {frames}{info.width} x {info.height}, {info.bits} bit")
+        return "; ".join([*parts, "labelled" if (self.path / LABELS).exists() else "not labelled"])
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows."""
+        name, words, path = (html.escape(str(one)) for one in (self.name, self._words(), self.path))
+        return f"<p><b>{name}</b>: {words}<br><small>{path}</small></p>"
+
+    def plot(self) -> Figure:
+        """Draw the first frame of every stream and, where there are labels, the gaze over the frames.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            It belongs to no window: a notebook shows it, `savefig` writes it.
+        """
+        from matplotlib.figure import Figure
+
+        labels = self.labels()
+        known = [] if labels is None else [one for one in ("gaze_x", "gaze_y") if one in labels.column_names]
+        figure = Figure(figsize=(8, 5 if known else 3), layout="constrained")
+        rows, columns = 2 if known else 1, len(self.streams)
+        for n, name in enumerate(self.streams):
+            axis = figure.add_subplot(rows, columns, n + 1)
+            frame = next(iter(self.source(name)), None)
+            if frame is not None:
+                axis.imshow(frame.image, cmap="gray")
+            axis.set_title(name)
+            axis.set_axis_off()
+        if labels is not None and known:
+            axis = figure.add_subplot(rows, 1, rows)
+            for name in known:
+                axis.plot(labels["frame"].to_numpy(), labels[name].to_numpy(), ".", markersize=2, label=name)
+            axis.set_xlabel("probe frame")
+            axis.set_ylabel("gaze, fraction of the field")
+            axis.legend()
+        return figure
 
     @property
     def name(self) -> str:
@@ -233,12 +282,10 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
         When it is missing, not a recording, damaged, or of a newer version than this Tapetum reads.
     """
     place = existing(path)
-    meta, file = read_meta(place), place / META
-    try:
-        names = ("height", "width", "bits", "full_scale", "rate")
-        streams = {name: StreamInfo(**{key: value[key] for key in names}) for name, value in meta["streams"].items()}
-        if not isinstance(meta["uuid"], str) or not isinstance(meta["finished"], bool):
-            raise TypeError("uuid or finished")
-    except (KeyError, TypeError, AttributeError) as error:
-        raise InputError(f"lacks or garbles {error}", where=file, remedy="restore it from a copy") from error
+    meta = read_meta(place)
+    names = ("height", "width", "bits", "full_scale", "rate")
+    streams = {
+        name: StreamInfo(**{**{key: value[key] for key in names}, "rate": value["rate"] or meta["rate"]})
+        for name, value in meta["streams"].items()
+    }
     return Recording(place, meta, streams)

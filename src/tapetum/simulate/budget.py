@@ -7,10 +7,11 @@ probe's aperture takes in. An estimate before any simulation: no image is comput
 from __future__ import annotations
 
 import math
+import os
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, at_wavelength
+from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, as_scene, at_wavelength
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import lens_numbers
 from tapetum.optics.sampling import DoublePassGeometry, disc_overlap
@@ -184,7 +185,7 @@ class LinkBudget:
         return [f"{name:<18}{text}" for name, text in rows]
 
 
-def link_budget(scene: Scene, wavelength: float | None = None) -> LinkBudget:
+def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None = None) -> LinkBudget:
     """Follow the light of one wavelength through a scene, at the scene's rotation.
 
     Parameters
@@ -209,6 +210,7 @@ def link_budget(scene: Scene, wavelength: float | None = None) -> LinkBudget:
     A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field the gaze is
     in; the notes say so.
     """
+    scene = as_scene(scene)
     notes: list[str] = []
     if isinstance(scene.target, PhoneTarget):
         phone = scene.target

@@ -485,7 +485,16 @@ def scene_geometry(
 def pick_device(device: torch.device | str) -> torch.device:
     """The device named, or for "auto" a GPU where there is one."""
     if str(device) != "auto":
-        return torch.device(device)
+        remedy = 'use "auto", "cpu" or "cuda"'
+        try:
+            found = torch.device(device)
+        except RuntimeError as error:
+            raise InputError(f"no device is called {device!r}", where="device", remedy=remedy) from error
+        cuda = torch.cuda.device_count()
+        if found.type not in ("cpu", "cuda", "meta") or (found.type == "cuda" and (found.index or 0) >= cuda):
+            what = f"cannot compute on {str(device)!r}: this machine has {cuda} CUDA devices"
+            raise InputError(what, where="device", remedy=remedy)
+        return found
     return torch.device("cuda" if torch.cuda.is_available() else "cpu")
 
 

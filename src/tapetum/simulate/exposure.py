@@ -12,12 +12,13 @@ from __future__ import annotations
 
 import functools
 import math
+import os
 
 import numpy as np
 import numpy.typing as npt
 import torch
 
-from tapetum.bench import Probe, ProbeSensor
+from tapetum.bench import Probe, ProbeSensor, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.simulate.image import Image
 from tapetum.simulate.radiometry import electrons
@@ -30,7 +31,9 @@ _HOT_STREAM = 0x407
 _NOISY = 8.0
 
 
-def expose(image: Image, probe: Probe, seed: int | np.random.Generator) -> npt.NDArray[np.uint8 | np.uint16]:
+def expose(
+    image: Image, probe: Probe | Scene | str | os.PathLike[str], seed: int | np.random.Generator = 0
+) -> npt.NDArray[np.uint8 | np.uint16]:
     """Take frames of a simulated image.
 
     Parameters
@@ -38,7 +41,7 @@ def expose(image: Image, probe: Probe, seed: int | np.random.Generator) -> npt.N
     image
         Irradiance on the probe's pixels, of the one wavelength that its metadata name.
     probe
-        Whose sensor takes it.
+        Whose sensor takes it: a probe, or a scene, its name or its path.
     seed
         Of the noise; the same seed gives the same frames.
 
@@ -52,6 +55,7 @@ def expose(image: Image, probe: Probe, seed: int | np.random.Generator) -> npt.N
     InputError
         For an image that names no wavelength, and as `digitise`.
     """
+    probe = probe if isinstance(probe, Probe) else as_scene(probe).probe
     mean = electrons(image.light.detach(), probe.sensor, _wavelength(image, None))
     return digitise(mean, probe.sensor, np.random.default_rng(seed))
 

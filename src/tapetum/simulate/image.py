@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import html
 import io
 import json
 import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +21,16 @@ import torch
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder
 
+if TYPE_CHECKING:
+    import xarray as xr
+    from matplotlib.figure import Figure
+
 __all__ = ["IMAGE_SUFFIXES", "Image"]
 
 IMAGE_SUFFIXES = (".npy", ".png", ".tif", ".tiff", ".zarr")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Image:
     """One or many retro-reflections on the same pixels.
 
@@ -60,6 +65,81 @@ class Image:
     def numpy(self) -> npt.NDArray[np.float64]:
         """The irradiance as float64, [B, H, W]."""
         return self.irradiance.detach().to("cpu", torch.float64).numpy()
+
+    def __array__(self, dtype: npt.DTypeLike | None = None, copy: bool | None = None) -> npt.NDArray[Any]:
+        """`numpy.asarray(image)`: the irradiance as float64, [B, H, W]."""
+        del copy
+        return self.numpy() if dtype is None else self.numpy().astype(dtype)
+
+    def to_xarray(self) -> xr.DataArray:
+        """The irradiance as a labelled array.
+
+        Returns
+        -------
+        xarray.DataArray
+            [image, y, x] in W/m², with `x` and `y` in metres from the middle of the sensor (x right, y down), the
+            rotations in degrees along `image`, and the other metadata as attributes.
+        """
+        import xarray
+
+        count, height, width = self.irradiance.shape
+        axes = {
+            name: (name, (np.arange(size) - (size - 1) / 2) * self.pitch, {"units": "m"})
+            for name, size in (("y", height), ("x", width))
+        }
+        turned = self.metadata.get("rotation_deg")
+        if turned is not None and len(turned) == count:
+            for k, name in enumerate(("rotation_y", "rotation_x")):
+                axes[name] = ("image", np.array([one[k] for one in turned], np.float64), {"units": "degree"})
+        rest = {name: value for name, value in self.metadata.items() if name != "rotation_deg"}
+        attributes = {"units": "W/m^2", "pitch": self.pitch, **_plain(rest)}
+        return xarray.DataArray(self.numpy(), axes, ("image", "y", "x"), "irradiance", attributes)
+
+    def plot(self, *, columns: int = 4) -> Figure:
+        """Draw the images, square root of the irradiance, each to its own peak, with axes in millimetres.
+
+        Parameters
+        ----------
+        columns
+            Most images beside each other.
+
+        Returns
+        -------
+        matplotlib.figure.Figure
+            It belongs to no window: a notebook shows it, `savefig` writes it.
+        """
+        from matplotlib.figure import Figure
+
+        wide = max(1, min(columns, len(self)))
+        figure = Figure(figsize=(3 * wide, 3 * -(-len(self) // wide)), layout="constrained")
+        half = [size * self.pitch * 1e3 / 2 for size in self.irradiance.shape[1:]]
+        for n, image in enumerate(self.numpy()):
+            axis = figure.add_subplot(-(-len(self) // wide), wide, n + 1)
+            axis.imshow(_stretched(image), cmap="inferno", extent=(-half[1], half[1], half[0], -half[0]))
+            axis.set_title(self._title(n), fontsize=9)
+            axis.set_xlabel("x, mm")
+            axis.set_ylabel("y, mm")
+        return figure
+
+    def _title(self, number: int) -> str:
+        turned = self.metadata.get("rotation_deg")
+        return f"image {number}" if turned is None else f"{turned[number][0]:g}°, {turned[number][1]:g}°"
+
+    def __repr__(self) -> str:
+        count, height, width = self.irradiance.shape
+        peak = float(self.irradiance.detach().max()) if self.irradiance.numel() else 0.0
+        return f"<Image: {count} of {width} x {height} pixels of {self.pitch * 1e6:g} µm, peak {peak:.3g} W/m²>"
+
+    def _repr_html_(self) -> str:
+        """What a notebook shows: the first images, and what they are."""
+        import base64
+
+        few = self.numpy()[:4]
+        png = _encoded(".png", [np.hstack([_stretched(image) for image in few])]) if len(few) else b""
+        more = f", the first {len(few)} shown" if len(few) < len(self) else ""
+        picture = f'<img alt="" src="data:image/png;base64,{base64.b64encode(png).decode()}">'
+        words = html.escape(repr(self)[1:-1])
+        return f"<figure>{picture}<figcaption>{words}{more}; square root of the irradiance</figcaption></figure>"
 
     def save(self, path: str | os.PathLike[str]) -> Path:
         """Write the images to one file.

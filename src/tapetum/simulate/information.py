@@ -5,12 +5,13 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
-from tapetum.bench import PhoneTarget, PrescriptionLens, ProbeSensor, Scene
+from tapetum.bench import PhoneTarget, PrescriptionLens, ProbeSensor, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
@@ -92,7 +93,7 @@ class FisherInformation:
 
 
 def fisher(
-    scene: Scene,
+    scene: Scene | str | os.PathLike[str],
     parameters: Sequence[str] = ("gaze_x", "gaze_y", "object_distance"),
     *,
     accuracy: float | None = None,
@@ -142,6 +143,7 @@ def fisher(
     aperture stays where its focal length is varied. A traced prime is scaled as a whole, so its F-number stays, and a
     zoom's stop opens as its states say, or keeps its `f_number`; the object distance stays.
     """
+    scene = as_scene(scene)
     names = _checked(scene, parameters)
     start = true_values(scene, names)
     if isinstance(scene.target.lens, PrescriptionLens):

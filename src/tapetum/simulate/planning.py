@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 import torch
 
-from tapetum.bench import PhoneTarget, PrescriptionLens, Scene
+from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.budget import LinkBudget, link_budget
@@ -113,7 +114,7 @@ class Plan:
 _FOCUS = ("object_distance", "focal_length")
 
 
-def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
+def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] | None = None) -> Plan:
     """Plan a bench: what a scene would give, before it is simulated or built.
 
     Parameters
@@ -132,6 +133,7 @@ def plan_bench(scene: Scene, parameters: Sequence[str] | None = None) -> Plan:
         When the simulator refuses the scene, or for parameters unknown, given twice or missing. What eye safety refuses
         does not raise: the plan says why.
     """
+    scene = as_scene(scene)
     left_out: dict[str, str] = {}
     if parameters is None:
         reasons = {name: not_told(scene, name) or _costly(scene, name) for name in PARAMETERS}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from tapetum.bench import STEEPEST, Scene
+from tapetum.bench import STEEPEST, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.image import Image
@@ -28,7 +29,7 @@ _DTYPES = (torch.complex64, torch.complex128)
 
 
 def retroreflect(
-    scene: Scene,
+    scene: Scene | str | os.PathLike[str],
     rotation: Rotation | None = None,
     *,
     object_distance: torch.Tensor | float | None = None,
@@ -42,7 +43,7 @@ def retroreflect(
     Parameters
     ----------
     scene
-        What stands on the bench.
+        What stands on the bench; or its name or path, as for `tapetum.bench.load_scene`.
     rotation
         In degrees. One number or [B]: about x, as the paper turns its target. [B, 2]: about y and about x. The scene's
         own rotation when left out.
@@ -71,6 +72,7 @@ def retroreflect(
     over the distance and through the aperture; the metadata say which. Beams, wavelengths, directions of the source and
     scattered light add as intensity, planes within the coherence length as fields.
     """
+    scene = as_scene(scene)
     if dtype not in _DTYPES:
         raise InputError(f"unknown dtype {dtype}", where="dtype", remedy="use torch.complex64 or torch.complex128")
     degrees = _degrees(scene, rotation)

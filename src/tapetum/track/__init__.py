@@ -6,6 +6,7 @@ source and asks the models about each. It knows neither where frames come from n
 
 from __future__ import annotations
 
+import inspect
 import sys
 from collections.abc import Iterator
 from types import ModuleType
@@ -46,3 +47,6 @@ class _Room(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Room
+# `help(tapetum.track)` and a notebook's `tapetum.track?` tell of the function first.
+__signature__ = inspect.signature(track)
+__doc__ = f"{track.__doc__}\nThe room of this name: {__doc__}"

@@ -19,7 +19,10 @@ from tapetum.errors import InputError
 from tapetum.track.detections import Detections
 from tapetum.track.spots import make_maps, search
 
-__all__ = ["detect"]
+__all__ = ["LARGEST_FRAME", "detect"]
+
+LARGEST_FRAME = 2**27
+"""Most pixels of a frame: the search keeps some forty bytes for each, here 5 GB."""
 
 
 def _ghosts(
@@ -148,6 +151,10 @@ def detect(
 
 def _checked(image: NDArray[np.generic]) -> NDArray[Any]:
     array = np.asarray(image)
+    if array.size > LARGEST_FRAME:
+        what = f"{' x '.join(map(str, array.shape[::-1]))} pixels are more than can be searched at once"
+        remedy = f"cut it into parts of at most {LARGEST_FRAME // 10**6} megapixels"
+        raise InputError(what, where="image", remedy=remedy)
     if array.ndim != 2 or min(array.shape) < 8:
         raise InputError(f"expected a grey image [H, W] of at least 8 x 8, got shape {array.shape}", where="image")
     if array.dtype in (np.uint8, np.uint16):

@@ -1,0 +1,112 @@
+"""What the card of a model, model.json, must hold."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from tapetum.checked import Checked, check
+from tapetum.errors import InputError
+
+__all__ = ["checked_card"]
+
+_REMEDY = "copy it again or train it again"
+
+Pixels = Annotated[int, Field(ge=1, le=2**20)]
+Count = Annotated[int, Field(ge=0, lt=2**63)]
+Some = Annotated[int, Field(ge=1, lt=2**31)]
+Size = Annotated[float, Field(ge=0, le=1e6)]
+Strength = Annotated[float, Field(gt=0, le=1e300)]
+Share = Annotated[float, Field(ge=0, lt=1)]
+Named = Annotated[str, Field(min_length=1)]
+Target = str | Annotated[list[str], Field(min_length=1)]
+
+
+class _Parameters(Checked):
+    target: Target
+    calibration_fraction: Share
+
+
+class _Zernike(_Parameters):
+    scales: Annotated[list[Pixels], Field(min_length=1)]
+    order: Annotated[int, Field(ge=0, le=100)]
+    powers: Annotated[list[Annotated[int, Field(ge=1, le=100)]], Field(min_length=1)]
+    alpha: Literal["cv"] | Strength
+    standardise: bool
+
+
+class _Network(_Parameters):
+    crop: Pixels
+    size: Pixels
+    epochs: Some
+    batch: Some
+    learning_rate: Strength
+    weight_decay: Size
+    gain: Size
+    shift: Size
+    noise: Size
+    seed: Count
+
+
+class _NewNetwork(_Network):
+    """Cards of version 1 may lack these: what they then mean is in `ResNet18.from_state`."""
+
+    hide: Count
+    background: str
+    patience: Some | None
+    precision: str
+
+
+class _Weights(Checked):
+    file: Literal["weights.safetensors"]
+    sha256: Annotated[str, Field(pattern="^[0-9a-f]{64}$")]
+    bytes: Count
+    precision: Literal["half", "full"]
+
+
+class _Card(Checked):
+    kind: str
+    targets: Annotated[list[Named], Field(min_length=1)]
+    units: dict[str, str]
+    parameters: dict[str, Any]
+    training_data: str | None
+    metrics: dict[str, Any]
+    notes: dict[str, Any] | str | None
+    versions: dict[str, str]
+    weights: _Weights
+
+
+class _OldCard(_Card):
+    """Cards of version 1 may lack both."""
+
+    classes: Annotated[list[Named], Field(default_factory=list)]
+    training: dict[str, Any] | None = None
+
+
+class _NewCard(_Card):
+    classes: list[Named]
+    training: dict[str, Any] | None
+
+
+_PARAMETERS: dict[str, tuple[type[_Parameters], type[_Parameters]]] = {
+    "zernike": (_Zernike, _Zernike),
+    "resnet18": (_Network, _NewNetwork),
+}
+
+
+def checked_card(card: dict[str, Any], where: object) -> dict[str, Any]:
+    """Return a card whose structure and values can be used.
+
+    Raises
+    ------
+    InputError
+        For a key that is missing, of another type or out of range: one line with its path.
+    """
+    new = card["version"] > 1
+    found = check(_NewCard if new else _OldCard, card, where, _REMEDY)
+    parameters = check(_PARAMETERS[found.kind][new], found.parameters, f"{where}: parameters", _REMEDY)
+    unknown = sorted(parameters.model_extra or ())
+    if unknown:
+        raise InputError(f"parameters.{unknown[0]}: unknown key", where=where, remedy=_REMEDY)
+    return card
