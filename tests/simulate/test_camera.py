@@ -13,6 +13,7 @@ from scipy.special import j1
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.glass import refractive_index
+from tapetum.optics.grid import Grid
 from tapetum.simulate import Camera, retroreflect
 from tapetum.simulate.radiometry import photoelectrons
 
@@ -285,3 +286,42 @@ def test_a_mask_lies_behind_the_layers(tmp_path: Any) -> None:
     assert torch.allclose(dimmed, bare / 4, rtol=1e-9)
     with pytest.raises(InputError, match=r"illumination: a beam .* does not fill"):
         assert Camera(scene(**mask, illumination__diameter=RADIUS), 0.0).plan
+
+
+def test_forced_samples_are_refused_behind_a_traced_lens() -> None:
+    """They were not looked at, while the image's metadata named others."""
+    scene = load_scene("rotation", ["sampling.pupil=64"])
+    with pytest.raises(InputError, match=r"sampling\.pupil"):
+        Camera(scene, 0.01)
+
+
+@pytest.mark.parametrize("propagation", ["far field", "finite"])
+@pytest.mark.parametrize("case", ["filter", "array", "scattering"])
+def test_the_window_holds_what_every_plane_returns(case: str, propagation: str, validated: Any) -> None:
+    """A filter sends light as from a point before the focus, orders of an array meet the lens elsewhere."""
+    sensors: dict[str, dict[str, Any]] = {
+        "filter": {"reflectance": 0.01, "layers": [{"depth": 3e-4, "reflectance": 0.5}]},
+        "array": {"array": {"pitch": 2e-6, "fill": 0.5}},
+        "scattering": {"reflectance": 0.0, "diffuse": {"albedo": 0.3, "spread": 3e-6}},
+    }
+    scene = with_values(
+        load_scene("thin-lens"),
+        {
+            "distance": 0.5,
+            "target.lens": {"focal_length": 4e-3, "aperture_radius": 1e-3},
+            "target.object_distance": 1.0,
+            "target.sensor": sensors[case],
+            "probe.lens.aperture_radius": 2e-3,
+            "probe.sensor.pitch": 50e-6,
+            "sampling": {"accuracy": 1e-2, "propagation": propagation},
+        },
+    )
+    at = torch.tensor([[0.06, -0.03]], dtype=torch.float64)
+
+    def power(grid: Grid) -> float:
+        return float(Camera(scene, 0.07, output=grid, device="cpu")(at).double().sum())
+
+    window = Camera(scene, 0.07, device="cpu").window()
+    lost = 1 - power(window) / power(Grid(2 * window.rows + 1, 2 * window.columns + 1, window.pitch))
+    what = f"Light beside the window, a lens of 4 mm with {case}, {propagation}"
+    validated("Windows", what, lost, 0.01, "a window twice as wide", "of the light")

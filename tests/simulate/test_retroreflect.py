@@ -44,7 +44,7 @@ def test_metadata_says_how_it_was_made() -> None:
 
 
 @pytest.mark.parametrize(
-    "rotation", [math.nan, [0.0, math.inf], [[0.0, 0.1, 0.2]], [], 45.0, [[0.0, 1.0], [math.nan, 0.0]]]
+    "rotation", [math.nan, [0.0, math.inf], [[0.0, 0.1, 0.2]], [], 45.0, [[0.0, 1.0], [math.nan, 0.0]], [[29.0, 29.0]]]
 )
 def test_rotations_that_mean_nothing_are_refused(rotation: Any) -> None:
     with pytest.raises(InputError, match="rotation"):

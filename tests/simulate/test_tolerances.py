@@ -19,7 +19,7 @@ from tapetum.simulate import Camera, gaze_of, sign_dprime, tilt_of_gaze
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.hypotheses import point_of_symmetry
 from tapetum.simulate.reflections import specular_groups
-from tapetum.simulate.round_pass import RoundPass
+from tapetum.simulate.round_pass import Order, RoundPass, Surface
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
 
 SECTION = "Tilt, decentre and microlens shift"
@@ -87,6 +87,43 @@ def test_a_tilted_mirror_is_a_sampled_phase(validated: Validated) -> None:
     validated(SECTION, what, apart(got, want, phase=False), 1e-3, "the mask exp(2ik a·u) sampled, double pass by grids")
     straight = by_orders(replace(one, tilt=(0.0, 0.0)), TILT)
     assert apart(straight, want, phase=False) > 0.02
+
+
+def test_a_tilted_sensor_changes_its_focus_along_itself(validated: Validated) -> None:
+    """Each gaze of one batch meets it at another distance: z + a·u0, u0 = z t/(1 - a·t)."""
+    a, radius = (0.006, -0.01), 2e-3
+    at = torch.tensor([[0.005, -0.02], [-0.01, 0.036], [0.0, 0.0]], dtype=torch.float64)
+    g = replace(geometry(0.04), radius=radius)
+    z = torch.tensor(g.image_distance, dtype=torch.float64)
+    ((surface,),) = specular_groups(scene_of(TargetSensor(1.0, tilt=a)), WAVELENGTH, z, 0.2)
+    got = RoundPass(g, plan_round(g, 1e-3), OUTPUT, (surface,), dtype=torch.complex128)(at)
+    flat = RoundPass(g, plan_round(g, 1e-3), OUTPUT, (replace(surface, tilt=(0.0, 0.0)),), dtype=torch.complex128)(at)
+    for tilt, ours, without in zip(at, got, flat, strict=True):
+        slope = tilt / torch.sqrt(1 - (tilt**2).sum())
+        there = replace(g, image_distance=float(z / (1 - slope @ torch.tensor(a, dtype=torch.float64))))
+
+        def mask(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+            return phasor(2 * K * (a[0] * x[..., None, :] + a[1] * y[..., :, None]))
+
+        grids = plan_double_pass(there, 3e-3, pixels=OUTPUT.rows * OUTPUT.columns, finest=80e-6)
+        want = DoublePass(there, grids, OUTPUT, mask=mask, dtype=torch.complex128)(tilt[None])[0]
+        what = f"Sensor tilted by (6, -10) mrad, f = 50 mm, f/12, tilt ({tilt[0]:g}, {tilt[1]:g})"
+        error = (ours - want).abs().max() / want.max()
+        validated(SECTION, f"{what}: image", error, 1.5e-3, "a mirror where the gaze meets it, double pass by grids")
+        if bool(tilt.any()):
+            assert float((without - want).abs().max()) > 0.015 * float(want.max())
+
+
+def test_gradients_follow_the_focus_along_a_tilted_sensor() -> None:
+    g = replace(geometry(0.04), radius=0.5e-3)
+    surface = Surface(g.image_distance, (Order((0.02, -0.03)),), tilt=(0.01, -0.015))
+    one = RoundPass(g, plan_round(g, 1e-2), Grid(3, 3, 30e-6), (surface,), dtype=torch.complex128)
+
+    def image(tilt: torch.Tensor) -> torch.Tensor:
+        return one(tilt * 1e-2)
+
+    tilt = torch.tensor([[0.9, 1.7], [-1.7, 0.3]], dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(image, (tilt,), eps=1e-6, atol=1e-6, rtol=2e-3)
 
 
 def test_a_tilted_filter_is_a_sampled_phase_at_its_depth(validated: Validated) -> None:

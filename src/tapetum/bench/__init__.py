@@ -14,7 +14,6 @@ from tapetum.bench.load import (
 from tapetum.bench.phone import CameraUnit, Dots, Phone, load_phone, phone_names
 from tapetum.bench.prescription import PrescriptionLens, lens_names, load_lens
 from tapetum.bench.scene import (
-    STEEPEST,
     Illumination,
     Line,
     PhoneTarget,
@@ -26,11 +25,11 @@ from tapetum.bench.scene import (
     Target,
     TargetSensor,
     ThinLens,
+    outside_of_model,
 )
 from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask, at_wavelength
 
 __all__ = [
-    "STEEPEST",
     "CameraUnit",
     "Diffuse",
     "Dots",
@@ -58,6 +57,7 @@ __all__ = [
     "load_lens",
     "load_phone",
     "load_scene",
+    "outside_of_model",
     "phone_names",
     "scene_dict",
     "scene_from_dict",

@@ -34,11 +34,30 @@ __all__ = [
     "Target",
     "TargetSensor",
     "ThinLens",
+    "outside_of_model",
 ]
 
 SCHEMA = "tapetum/scene/1"
 # Rotations from which a target of each kind is refused, in radians.
 STEEPEST = {"thin": math.pi / 6, "prescription": math.pi / 3}
+
+
+def outside_of_model(rotation: tuple[float, float], kind: str) -> str | None:
+    """Why a rotation about y and about x, in radians, is refused before a lens of a kind; None where it is not.
+
+    The laser's direction has the sines of both angles for its components along x and y.
+    """
+    sine = math.hypot(*(math.sin(angle) for angle in rotation))
+    quarter = max(abs(angle) for angle in rotation) >= math.pi / 2 or sine >= 1
+    angle = math.pi / 2 if quarter else math.asin(sine)
+    if angle < STEEPEST[kind]:
+        return None
+    model = "the model of a thin lens" if kind == "thin" else "what any lens sees here"
+    most = math.degrees(STEEPEST[kind])
+    turned = ", ".join(f"{math.degrees(one):.4g}" for one in rotation)
+    met = "90 deg or more" if quarter else f"{math.degrees(angle):.4g} deg"
+    return f"a rotation of ({turned}) deg meets the light under {met}, outside {model}; stay below {most:.0f} deg"
+
 
 Wavelength = Annotated[Length, Field(ge=200e-9, le=2e-6)]
 SmallAngle = Annotated[Angle, Field(gt=-0.2, lt=0.2)]
@@ -199,12 +218,8 @@ class Target:
                 f"object_distance {self.object_distance:g} m is not beyond the focal length "
                 f"{self.lens.focal_length:g} m; focus farther away or shorten the focal length"
             )
-        angle = math.hypot(*self.rotation)
-        steepest = STEEPEST[self.lens.kind]
-        if angle >= steepest:
-            model = "the paraxial model" if self.lens.kind == "thin" else "what any lens sees here"
-            most = math.degrees(steepest)
-            raise ValueError(f"rotation of {math.degrees(angle):.4g} deg is outside {model}; stay below {most:.0f} deg")
+        if too_steep := outside_of_model(self.rotation, self.lens.kind):
+            raise ValueError(too_steep)
         if isinstance(self.lens, PrescriptionLens):
             check_layers(self.lens, self.sensor.layers, self.object_distance)
             return self

@@ -11,6 +11,7 @@ the tilt displaces (docs/conventions.md, "The round pass"). All of a sweep of ga
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -22,7 +23,7 @@ from scipy.special import fresnel, j0, zeta
 
 from tapetum.optics.propagate import fast_length
 
-__all__ = ["RadialTable", "disc_transform", "returning_field", "spot_field"]
+__all__ = ["FocusTables", "RadialTable", "disc_transform", "focus_tables", "returning_field", "spot_field"]
 
 Complex = npt.NDArray[np.complex128]
 Real = npt.NDArray[np.float64]
@@ -82,6 +83,80 @@ class RadialTable:
             self.step,
             {name: values.to(device, dtype) for name, values in self.partials.items()},
         )
+
+
+@dataclass(frozen=True)
+class FocusTables:
+    """Returning light of planes whose distances lie within a range: tables at Chebyshev nodes of the distance.
+
+    At the same angle ξ/2z the light times z changes smoothly with z, by no more than the pupil's change of focus.
+
+    Parameters
+    ----------
+    nodes
+        Distances z of the tables, in metres.
+    tables
+        One for each.
+    """
+
+    nodes: tuple[float, ...]
+    tables: tuple[RadialTable, ...]
+
+    @property
+    def only(self) -> RadialTable:
+        """The table where there is but one."""
+        return self.tables[0]
+
+    def at(self, distances: torch.Tensor, z: torch.Tensor, moves: dict[str, torch.Tensor]) -> torch.Tensor:
+        """The field ξ [B, rows, columns] metres from its middle, of planes at z [B]; differentiable."""
+        total: torch.Tensor | None = None
+        for i, (node, table) in enumerate(zip(self.nodes, self.tables, strict=True)):
+            if len(self.nodes) == 1:
+                return table.smooth(distances / table.step, **moves)
+            share = node / z
+            for j, other in enumerate(self.nodes):
+                if j != i:
+                    share = share * (z - other) / (node - other)
+            steps = distances * (node / z / table.step)[:, None, None]
+            part = table.smooth(steps, **moves) * share[:, None, None]
+            total = part if total is None else total + part
+        assert total is not None
+        return total
+
+
+def focus_tables(
+    table: Callable[[float], RadialTable], z: float, reach: float, turning: float, error: float
+) -> FocusTables:
+    """Tables enough for planes from z/(1 + reach) to z/(1 - reach).
+
+    Parameters
+    ----------
+    table
+        Makes one for a distance.
+    z
+        In the middle, in metres.
+    reach
+        Largest change of 1/z, over 1/z.
+    turning
+        k r², in metres.
+    error
+        Of the field, over its largest value.
+
+    Notes
+    -----
+    The light turns by k r² δ/2z² for a plane farther by δ. What n nodes leave of exp(i turn t) on [-1, 1] is below
+    2 (turn/2)ⁿ/n!.
+    """
+    if reach == 0:
+        return FocusTables((z,), (table(z),))
+    low, high = z / (1 + reach), z / (1 - reach)
+    turn = turning * (high - low) / 2 / (2 * low**2)
+    count, left = 2, turn**2 / 4
+    while left > error:
+        count += 1
+        left *= turn / (2 * count)
+    nodes = [(low + high) / 2 + (high - low) / 2 * math.cos(math.pi * (i + 0.5) / count) for i in range(count)]
+    return FocusTables(tuple(nodes), tuple(table(node) for node in nodes))
 
 
 def disc_transform(

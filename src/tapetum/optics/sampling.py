@@ -82,6 +82,15 @@ class DoublePassGeometry:
         return self.radius * abs(1 - 2 * z * (1 / f - self.curvature))
 
     @property
+    def picture_angle(self) -> float:
+        """Half-angle that holds the rays of the returning beam, geometric, whatever the tilt, in radians.
+
+        Light that meets the sensor r|1/R - 1/f + 1/z| z off its spot's centre leaves the lens anywhere.
+        """
+        out = abs(1 / self.image_distance - 1 / self.focal_length)
+        return self.radius * (out + abs(self.curvature - 1 / self.focal_length + 1 / self.image_distance))
+
+    @property
     def returning(self) -> float:
         """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
         return disc_overlap(self.return_radius, self.radius, 2 * self.image_distance * self.tangent)

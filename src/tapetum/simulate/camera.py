@@ -127,6 +127,9 @@ class Camera:
         self._directions = directions(light, light.wavelength / (2 * target.lens.aperture_radius))
         self._lens: TracedLens | None = None
         if isinstance(target.lens, PrescriptionLens):
+            if scene.sampling.pupil is not None:
+                what = f"{scene.sampling.pupil} samples cannot be forced on a traced lens, which chooses its own"
+                raise InputError(what, where="sampling.pupil", remedy="leave it out, or change sampling.accuracy")
             if any(self._scalar(one).requires_grad for one in (self._focal_length, self._object_distance)):
                 what = "carries gradients, which a traced lens has for the gaze alone"
                 raise InputError(what, where="object_distance", remedy="give a number, or use a thin lens")
@@ -171,10 +174,10 @@ class Camera:
 
         A filter before a focused sensor returns a beam much wider than the sensor's.
         """
-        scene, light = self.scene, self.scene.illumination
+        scene = self.scene
         radius, distance = scene.target.lens.aperture_radius, float(self._distance.detach())
         curvature, widest = float(self._scalar(self._curvature()).detach()), 0.0
-        for wavelength in (light.wavelength, *(line.wavelength for line in light.lines)):
+        for wavelength in self._light():
             focal = float(self._focal_at(wavelength).detach())
             ring = 1.22 * wavelength * distance / (2 * min(radius, beam_radius(scene)))
             for z in mirrors(scene, wavelength, float(self._z.detach())):
@@ -420,7 +423,7 @@ class Camera:
         With a margin it holds the second beam's RR too, wherever the first one's lies within a window's quarter.
         """
         g, second = self.geometry, self.scene.illumination.second_beam
-        exit_angle = g.exit_angle if self._lens is None else self._lens.exit_angle
+        exit_angle = self._picture_angle() if self._lens is None else self._lens.exit_angle
         angle = exit_angle + _RINGS_SHOWN * g.wavelength / (2 * g.radius)
         if self._finite:
             # No more than the probe's aperture lets through, and the fringes about its edge.
@@ -430,6 +433,22 @@ class Camera:
             angle = 1.25 * angle + (math.hypot(*second.angle) if second is not None else 0.0)
         side = 2 * math.ceil(self.scene.probe.lens.focal_length * angle / self.output.pitch) + 1
         return Grid(side, side, self.output.pitch)
+
+    def _picture_angle(self) -> float:
+        """Half-angle of the widest picture of all that returns behind a thin lens, by rays, in radians."""
+        widest = 0.0
+        for line in self._light():
+            g = self._geometry(line, self._steepest)
+            for z in mirrors(self.scene, line, g.image_distance):
+                widest = max(widest, replace(g, image_distance=z).picture_angle)
+            for one in scatterers(self.scene, line, g.image_distance):
+                spread = 2 * one.diffuse.spread / one.image_distance
+                widest = max(widest, replace(g, image_distance=one.image_distance).picture_angle + spread)
+        return widest
+
+    def _light(self) -> tuple[float, ...]:
+        light = self.scene.illumination
+        return (light.wavelength, *(line.wavelength for line in light.lines))
 
     def metadata(self) -> dict[str, Any]:
         """The sampling, the error it should give, and the radiometry, by name."""

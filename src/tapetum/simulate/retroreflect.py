@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
@@ -11,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from tapetum.bench import STEEPEST, Scene, as_scene
+from tapetum.bench import Scene, as_scene, outside_of_model
 from tapetum.errors import InputError
 from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.image import Image
@@ -114,11 +113,9 @@ def _degrees(scene: Scene, rotation: Rotation | None) -> torch.Tensor:
         raise InputError(f"has shape {shape}", where="rotation", remedy="give a number, [B] or [B, 2] in degrees")
     if not bool(torch.isfinite(degrees).all()):
         raise InputError("holds a value that is not finite", where="rotation", remedy="give degrees")
-    most = math.degrees(STEEPEST[scene.target.lens.kind])
-    if float(degrees.detach().abs().max()) >= most:
-        raise InputError(
-            f"{float(degrees.detach().abs().max()):g} deg is outside the model of the lens",
-            where="rotation",
-            remedy=f"stay below {most:.0f} degrees",
-        )
+    for about_y, about_x in torch.deg2rad(degrees.detach()).tolist():
+        too_steep = outside_of_model((about_y, about_x), scene.target.lens.kind)
+        if too_steep is not None:
+            what, _, remedy = too_steep.partition("; ")
+            raise InputError(what, where="rotation", remedy=remedy)
     return degrees

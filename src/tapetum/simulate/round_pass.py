@@ -25,10 +25,11 @@ from tapetum.errors import InputError
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import DiscRows
-from tapetum.optics.radial import RadialTable, returning_field
+from tapetum.optics.radial import FocusTables, RadialTable, focus_tables, returning_field
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.foreshortening import cosines, foreshortens, tangents, twisted
 from tapetum.simulate.probe_path import ProbePath
+from tapetum.simulate.true_paths import Leg, TruePaths, neglected_path
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
@@ -38,6 +39,8 @@ _SAMPLES_AT_ONCE = 1 << 18
 _SAMPLES_KEPT = 1 << 24
 # Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
 _END_ORDER = 3
+# Share of the expected error, in radians, below which a path that the table does not hold is left out.
+_SHARE_MISSED = 0.25
 # What automatic differentiation keeps for each sample of the pupil (some forty numbers), and may keep in all.
 _BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
@@ -113,8 +116,8 @@ class Surface:
         from them for a thin lens, a traced one takes them as they are.
     tilt
         Of its plane, a in radians, which the orders' directions already hold (2a). The plane lies a·u0 farther at the
-        spot u0: a traced lens is computed with that change of focus, a thin one without. For a tilt of half a degree
-        and a spot 2 mm from the axis that is 17 um.
+        spot u0, and each gaze is computed with that change of focus. For a tilt of half a degree and a spot 2 mm from
+        the axis that is 17 um.
     """
 
     image_distance: torch.Tensor | float
@@ -130,12 +133,18 @@ class _Prepared:
     """What a surface needs at every gaze."""
 
     z: torch.Tensor
-    table: RadialTable
+    tables: FocusTables
     bend: torch.Tensor
     orders: tuple[Order, ...]
     phase: float
+    tilt: torch.Tensor
     moves: dict[str, torch.Tensor] = field(default_factory=dict[str, torch.Tensor])
     exit: torch.Tensor | None = None
+
+    @property
+    def tilted(self) -> bool:
+        """Whether the plane's distance changes with the gaze."""
+        return bool(self.tilt.any())
 
 
 class RoundPass:
@@ -213,6 +222,16 @@ class RoundPass:
         self._lit: torch.Tensor | None = None
         if lit_radius is not None and lit_radius < geometry.radius:
             self._lit = self._scalar(lit_radius)
+        self._distance = None if distance is None or probe_radius is None else float(self._scalar(distance).detach())
+        self._probe_radius = probe_radius
+        self._paths = TruePaths(
+            self._k,
+            values["radius"] if self._lit is None else self._lit,
+            values["focal_length"],
+            values["curvature"],
+            None if self._distance is None or distance is None else self._scalar(distance),
+            probe_radius,
+        )
         self._surfaces = [self._prepare(one) for one in surfaces]
 
     def _scalar(self, value: torch.Tensor | float) -> torch.Tensor:
@@ -223,20 +242,32 @@ class RoundPass:
         lit = values["radius"] if self._lit is None else self._lit
         wavelength, radius, z_now = (float(v.detach()) for v in (values["wavelength"], values["radius"], z))
         vergence = values["curvature"] - 1 / values["focal_length"]
-        table = returning_field(
-            wavelength,
-            float(lit.detach()),
-            z_now,
-            float(vergence.detach()),
-            # Beyond the pupil's edge only the end correction reads: a few samples.
-            1.05 * radius + 2 * z_now * self._steepest * (1 + 1e-6),
-            (self.plan.flat_slope, self.plan.end_slope),
-            partials=self.differentiable,
-        ).to(self.device, self.dtype)
+        tilt = torch.tensor(surface.tilt, dtype=torch.float64, device=self.device)
+
+        def table(image_distance: float) -> RadialTable:
+            # The ray that comes along the tilt is read where a round lens's would be: a little farther out.
+            moved = 1 + 1.5 * abs(self.geometry.curvature) * self.geometry.sine**2 * 2 * self.geometry.focal_length
+            return returning_field(
+                wavelength,
+                float(lit.detach()),
+                image_distance,
+                float(vergence.detach()),
+                # Beyond the pupil's edge only the end correction reads: a few samples.
+                moved * (1.05 * radius + 2 * image_distance * self._steepest * (1 + 1e-6)),
+                (self.plan.flat_slope, self.plan.end_slope),
+                partials=self.differentiable,
+            ).to(self.device, self.dtype)
+
+        reach = float(tilt.norm()) * self.geometry.tangent
+        error = 1e-6 if self.dtype == torch.complex128 else 0.03 * min(self.plan.expected_error, 1e-2)
+        tables = focus_tables(table, z_now, reach, float(self._k.detach()) * float(lit.detach()) ** 2, error)
         moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
+        if len(tables.nodes) > 1:
+            # Each table stays at its own distance: the weights between them follow the gaze's.
+            del moving["image_distance"]
         moves = {name: value - value.detach() for name, value in moving.items() if value.requires_grad}
         bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) + self._path.chirp
-        prepared = _Prepared(z, table, bend, surface.orders, surface.phase, moves)
+        prepared = _Prepared(z, tables, bend, surface.orders, surface.phase, tilt, moves)
         if self.plan.columns * self.plan.rows <= _SAMPLES_KEPT:
             prepared = replace(prepared, exit=self._leaving(prepared, slice(0, self.plan.rows)))
         return prepared
@@ -330,14 +361,20 @@ class RoundPass:
         slopes = tangents(sines)
         for one in self._surfaces:
             of_orders: torch.Tensor | None = None
+            followed = self._follows(one, sines)
+            # Where the gaze's chief ray meets the plane.
+            z = one.z / (1 - slopes @ one.tilt) if one.tilted else one.z.expand(len(sines))
             for order in one.orders:
                 tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
-                seen = slopes + tau / 2
-                value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
-                amplitude = order.at(one.z * slopes)
+                if followed:
+                    value = self._followed(one, sines, slopes, tau, z, rows, twist)
+                else:
+                    seen = slopes + tau / 2
+                    value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
+                amplitude = order.at(z[:, None] * slopes)
                 if self._interferes:
                     # The mirror's own phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
-                    phase = self._k * one.z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
+                    phase = self._k * z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
                     value = value * (phasor(phase) * amplitude).to(self.dtype)[:, None, None]
                 elif isinstance(amplitude, torch.Tensor):
                     value = value * amplitude.to(self.dtype)[:, None, None]
@@ -352,14 +389,49 @@ class RoundPass:
             return torch.zeros(shape, dtype=self.dtype, device=self.device)
         return total
 
+    def _follows(self, one: _Prepared, sines: torch.Tensor) -> bool:
+        """Whether these gazes need paths that the table does not hold."""
+        if one.tilted:
+            return True
+        if sines.requires_grad and (self.geometry.curvature or self._distance is not None):
+            return True
+        steepest = float((sines.detach() ** 2).sum(-1).max().sqrt()) if len(sines) else 0.0
+        missed = neglected_path(
+            self.geometry, steepest, distance=self._distance, probe_radius=self._probe_radius or 0.0
+        )
+        return float(self._k.detach()) * missed > _SHARE_MISSED * min(self.plan.expected_error, 1e-2)
+
+    def _followed(
+        self,
+        one: _Prepared,
+        sines: torch.Tensor,
+        slopes: torch.Tensor,
+        tau: torch.Tensor,
+        z: torch.Tensor,
+        rows: slice,
+        twist: bool,
+    ) -> torch.Tensor:
+        """As `_looked_up`, along the light's true paths."""
+        tilt = one.tilt.expand(len(sines), -1)
+        # Along a tilted plane the ways to it grow by less than the plane's own a·v.
+        turn = tau - (slopes**2).sum(-1, keepdim=True) * tilt
+        vectors = (sines, slopes, turn, tilt)
+        if twist:
+            vectors = tuple(twisted(vector, sines) for vector in vectors)
+        leg = Leg(vectors[0], vectors[1], vectors[2], z, vectors[3] if one.tilted else None)
+        across, down, factor = self._paths(self._x, self._y[rows], leg, one.z)
+        value = one.tables.at(torch.sqrt((across**2 + down**2).clamp_min(1e-24)), z, one.moves)
+        return value.to(self.dtype) * factor.to(self.dtype)
+
     def _looked_up(self, one: _Prepared, seen: torch.Tensor, rows: slice) -> torch.Tensor:
         """F(|x - 2z t|) at the pupil's samples, [B, rows, columns], for the tangents seen [B, 2]."""
         offset = 2 * one.z * seen
-        across = ((self._x[None, :] - offset[:, 0:1]) / one.table.step) ** 2
-        down = ((self._y[None, rows] - offset[:, 1:2]) / one.table.step) ** 2
+        table = one.tables.only
+        across = ((self._x[None, :] - offset[:, 0:1]) / table.step) ** 2
+        down = ((self._y[None, rows] - offset[:, 1:2]) / table.step) ** 2
         if self.differentiable or seen.requires_grad or self.dtype == torch.complex128:
             # The root has no gradient at zero: a distance of nothing counts as a billionth of a step.
             steps = torch.sqrt((down[:, :, None] + across[:, None, :]).clamp_min(1e-18))
-            return one.table.smooth(steps, **one.moves).to(self.dtype)
+            return table.smooth(steps, **one.moves).to(self.dtype)
         steps = (down.to(self._real)[:, :, None] + across.to(self._real)[:, None, :]).sqrt_()
-        return one.table.nearest(steps)
+        return table.nearest(steps)

@@ -1,0 +1,182 @@
+"""What a thin lens's light has of path beyond the terms that a round table holds, followed along its rays.
+
+A table of one radius knows the parabola ρ²/2R of the light that comes and the transform over the distance knows that
+of the light that leaves. Seen from the probe the tilted lens is foreshortened, waves are spheres, and a tilted sensor
+changes its distance along itself. Each of these is a small path that changes slowly over the pupil, so it is taken
+where the ray runs: from x0, where it enters, over u on the sensor to x, where it leaves, and on to X in the probe's
+aperture. What is largest, the foreshortened parabola of the light that comes, moves the ray as well: the table is read
+where the moved ray would be without it (docs/conventions.md, "What a table does not hold").
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+
+from tapetum.optics.fourier import phasor
+from tapetum.optics.sampling import DoublePassGeometry
+
+__all__ = ["Leg", "TruePaths", "neglected_path"]
+
+# Rings of a spot in focus that its own tilt is estimated with.
+_RINGS = 3
+
+
+@dataclass(frozen=True)
+class Leg:
+    """One order of one plane for a batch of gazes, all vectors [B, 2] in the pupil's coordinates.
+
+    Parameters
+    ----------
+    sines, slopes
+        s and t of the tilt.
+    turn
+        τ, the order's direction.
+    image_distance
+        z [B], where the gaze meets the plane.
+    tilt
+        a of the plane; None for a straight one.
+    """
+
+    sines: torch.Tensor
+    slopes: torch.Tensor
+    turn: torch.Tensor
+    image_distance: torch.Tensor
+    tilt: torch.Tensor | None = None
+
+
+def neglected_path(
+    g: DoublePassGeometry,
+    sine: float,
+    *,
+    distance: float | None = None,
+    probe_radius: float = 0.0,
+    tilt: float = 0.0,
+) -> float:
+    """The most, in metres, that the table and the transform miss of any path, up to the tilt whose sine is given."""
+    r, v = g.radius, abs(g.curvature)
+    missed = v * (r * sine) ** 2 / 2 + v**2 * sine * r**3 / 2 + v**3 * r**4 / 8
+    if distance is not None:
+        wide = r + probe_radius
+        missed += (r * sine) ** 2 / (2 * distance) + sine * r * wide**2 / distance**2 + wide**4 / (8 * distance**3)
+    if tilt:
+        spot = g.spot_radius + _RINGS * g.airy_step
+        slope = sine / math.sqrt(1 - sine**2) + (r + spot) / g.image_distance
+        missed += 2 * tilt * spot * slope * (r + spot) / g.image_distance
+    return missed
+
+
+class TruePaths:
+    """The paths of one scene's light.
+
+    Parameters
+    ----------
+    wavenumber, radius, focal_length, curvature
+        k, r, f and 1/R as scalars; tensors carry gradients.
+    distance, probe_radius
+        To the probe's aperture and its radius, in metres; None where the light goes to the far field.
+    """
+
+    def __init__(
+        self,
+        wavenumber: torch.Tensor,
+        radius: torch.Tensor,
+        focal_length: torch.Tensor,
+        curvature: torch.Tensor,
+        distance: torch.Tensor | None = None,
+        probe_radius: float | None = None,
+    ) -> None:
+        self._k, self._r, self._f, self._v = wavenumber, radius, focal_length, curvature
+        self._distance, self._probe = distance, probe_radius
+
+    def __call__(
+        self, x: torch.Tensor, y: torch.Tensor, leg: Leg, straight: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Where to read the table, ξ and η [B, rows, columns] in metres, and the factor for what is read there.
+
+        Parameters
+        ----------
+        x, y
+            Columns [columns] and rows [rows] of the pupil.
+        leg
+            The light followed.
+        straight
+            z of the plane that the pupil's own bend was made for.
+        """
+        z = leg.image_distance[:, None, None]
+        x, y = x[None, None, :], y[None, :, None]
+        sx, sy = _both(leg.sines)
+        tx, ty = _both(leg.slopes)
+        ox, oy = _both(leg.turn)
+        wx, wy = x - z * (2 * tx + ox), y - z * (2 * ty + oy)
+        # Of the entering wave's bend the part along the tilt is smaller: β becomes the matrix β - s sᵀ/R.
+        beta = self._v - 1 / self._f + 1 / (2 * z)
+        squash = 1 - (sx**2 + sy**2) * self._v / beta
+        along = (sx * wx + sy * wy) * (self._v / beta / squash)
+        read_x, read_y = wx + sx * along, wy + sy * along
+        x0, y0 = read_x / (2 * z * beta), read_y / (2 * z * beta)
+        # Light that no ray explains comes from the pupil's edge.
+        inside = (self._r / torch.sqrt(x0**2 + y0**2 + 1e-30)).clamp(max=1)
+        x0, y0 = x0 * inside, y0 * inside
+        path = ((read_x - wx) * x0 + (read_y - wy) * y0) / (2 * z)
+        path = path + (read_x**2 - wx**2 + read_y**2 - wy**2) / (4 * z)
+        came = sx * x0 + sy * y0
+        square = x0**2 + y0**2
+        sphere = (2 * came + self._v * square) / (torch.sqrt(1 + 2 * self._v * came + self._v**2 * square) + 1)
+        path = path + sphere - came - self._v * square / 2
+        # Both the wave's strength and the width of the lens that it sees change along the tilt.
+        size = (1 - 1.5 * self._v * came) / torch.sqrt(squash)
+        if leg.tilt is not None:
+            path = path + self._tilted(x, y, x0, y0, leg)
+        path = path + (1 / z - 1 / straight) * (x**2 + y**2) / 2
+        if self._distance is not None:
+            px = (x - x0) / (2 * z) - x / self._f + tx + ox / 2
+            py = (y - y0) / (2 * z) - y / self._f + ty + oy / 2
+            more, less = self._leaving(x, y, px, py, sx, sy)
+            path, size = path + more, size * less
+        return read_x, read_y, phasor(self._k * path) * size
+
+    def _tilted(self, x: torch.Tensor, y: torch.Tensor, x0: torch.Tensor, y0: torch.Tensor, leg: Leg) -> torch.Tensor:
+        """The change of focus along a tilted plane, within the spot."""
+        assert leg.tilt is not None
+        z = leg.image_distance[:, None, None]
+        ax, ay = _both(leg.tilt)
+        tx, ty = _both(leg.slopes)
+        ox, oy = _both(leg.turn)
+        ux, uy = (x0 + x - z * ox) / 2, (y0 + y - z * oy) / 2
+        farther = ax * (ux - z * tx) + ay * (uy - z * ty)
+        ways = (ux - x0) ** 2 + (uy - y0) ** 2 + (ux - x) ** 2 + (uy - y) ** 2
+        # Of that the order's direction holds the part that is the same all over the spot.
+        return farther * (tx**2 + ty**2) - ways * farther / (2 * z * (z + farther))
+
+    def _leaving(
+        self,
+        x: torch.Tensor,
+        y: torch.Tensor,
+        px: torch.Tensor,
+        py: torch.Tensor,
+        sx: torch.Tensor,
+        sy: torch.Tensor,
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """The way to the probe, by the exact distance, without what the transform over it holds; and its strength."""
+        d = self._distance
+        assert d is not None and self._probe is not None
+        out, square = sx * x + sy * y, x**2 + y**2
+        cosine_squared = 1 - sx**2 - sy**2
+        seen = square - out**2
+        # The ray meets the aperture's plane at X = M x + d M⁻¹ p; light that misses it comes by way of its edge.
+        across = x * px + y * py
+        cross = seen + d * across
+        far = seen + 2 * d * across + d**2 * (px**2 + py**2 + (sx * px + sy * py) ** 2 / cosine_squared)
+        inside = (self._probe / torch.sqrt(far.clamp_min(1e-30))).clamp(max=1)
+        cross, far = cross * inside, far * inside**2
+        beside = far - 2 * cross + seen
+        # √((d + out)² + beside) - d - out, without the difference of long ways.
+        length = beside / (torch.sqrt((d + out) ** 2 + beside) + d + out)
+        return length - (beside + out**2) / (2 * d), 1 - 1.5 * out / d
+
+
+def _both(vector: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    return vector[:, 0, None, None], vector[:, 1, None, None]
