@@ -113,8 +113,8 @@ def _degrees(scene: Scene, rotation: Rotation | None) -> torch.Tensor:
         raise InputError(f"has shape {shape}", where="rotation", remedy="give a number, [B] or [B, 2] in degrees")
     if not bool(torch.isfinite(degrees).all()):
         raise InputError("holds a value that is not finite", where="rotation", remedy="give degrees")
-    for about_y, about_x in torch.deg2rad(degrees.detach()).tolist():
-        too_steep = outside_of_model((about_y, about_x), scene.target.lens.kind)
+    for about_y, about_x in torch.deg2rad(degrees.detach()).cpu():
+        too_steep = outside_of_model((float(about_y), float(about_x)), scene.target.lens.kind)
         if too_steep is not None:
             what, _, remedy = too_steep.partition("; ")
             raise InputError(what, where="rotation", remedy=remedy)

@@ -258,7 +258,7 @@ class RoundPass:
                 partials=self.differentiable,
             ).to(self.device, self.dtype)
 
-        reach = float(tilt.norm()) * self.geometry.tangent
+        reach = math.hypot(*surface.tilt) * self.geometry.tangent
         error = 1e-6 if self.dtype == torch.complex128 else 0.03 * min(self.plan.expected_error, 1e-2)
         tables = focus_tables(table, z_now, reach, float(self._k.detach()) * float(lit.detach()) ** 2, error)
         moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
