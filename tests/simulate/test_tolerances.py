@@ -109,7 +109,8 @@ def test_a_tilted_sensor_changes_its_focus_along_itself(validated: Validated) ->
         want = DoublePass(there, grids, OUTPUT, mask=mask, dtype=torch.complex128)(tilt[None])[0]
         what = f"Sensor tilted by (6, -10) mrad, f = 50 mm, f/12, tilt ({tilt[0]:g}, {tilt[1]:g})"
         error = (ours - want).abs().max() / want.max()
-        validated(SECTION, f"{what}: image", error, 1.5e-3, "a mirror where the gaze meets it, double pass by grids")
+        # The grids claim 3e-3.
+        validated(SECTION, f"{what}: image", error, 3e-3, "a mirror where the gaze meets it, double pass by grids")
         if bool(tilt.any()):
             assert float((without - want).abs().max()) > 0.015 * float(want.max())
 
