@@ -251,6 +251,8 @@ class Camera:
 
     def _traced_line(self, lens: TracedLens, wavelength: float, watts: float, geometry: DoublePassGeometry) -> _Line:
         scene = self.scene
+        # Scattered light goes by a thin lens, with the prescription's own focus at this wavelength.
+        geometry = replace(geometry, focal_length=lens.thin_focal_length(wavelength))
         passes: list[Pass] = []
         # Beyond twice the aperture and the steepest tilt no order finds its way out again.
         widest = 4 * lens.aperture_sine(wavelength)

@@ -10,7 +10,7 @@ import torch
 
 from tapetum.bench import PrescriptionLens, Scene, at_wavelength
 from tapetum.errors import InputError
-from tapetum.optics.focus import FocusedLens
+from tapetum.optics.focus import FocusedLens, best_focus
 from tapetum.optics.grid import Grid
 from tapetum.simulate.glints import Glints, GlintTable, glint_tables
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
@@ -82,6 +82,17 @@ class TracedLens:
     def aperture_sine(self, wavelength: float) -> float:
         """Largest half width of the pupil in direction sines."""
         return self._at(wavelength)[1].aperture[0]
+
+    def thin_focal_length(self, wavelength: float) -> float:
+        """Focal length, in metres, of the thin lens that is as much out of focus at a wavelength as this one.
+
+        Its sensor stands where a thin lens of the focal length at the design wavelength is sharp: what is scattered
+        goes by it.
+        """
+        focused, _ = self._at(wavelength)
+        sensor = 1 / (1 / self._lens.focal_length - 1 / self._object_distance)
+        shift = best_focus(focused.lens, self._object_distance) - focused.image
+        return 1 / (1 / (sensor + shift) + 1 / self._object_distance)
 
     def group(
         self,
