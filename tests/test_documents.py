@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -13,8 +12,6 @@ from typing import Any
 import click
 import pytest
 import typer
-
-from tapetum.errors import InputError
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "docs" / "guide.md"
@@ -26,25 +23,17 @@ def blocks(path: Path, language: str) -> list[str]:
     return found
 
 
-def sections(path: Path) -> dict[str, list[str]]:
-    """The Python blocks under each heading."""
-    parts = re.split(r"^## (.+)$", path.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    pairs = zip(parts[1::2], parts[2::2], strict=True)
-    return {title: re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE) for title, text in pairs}
-
-
 def execute(code: str, names: dict[str, Any], where: str) -> None:
     exec(compile(code, where, "exec"), names)
 
 
 @pytest.fixture
 def reader(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A reader's folder, without a screen, with the scene file that the guide prints."""
+    """A reader's empty folder, without a screen."""
     from tapetum.simulate import Image
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(Image, "show", lambda self: None)
-    (tmp_path / "my-bench.yaml").write_text(blocks(GUIDE, "yaml")[0], encoding="utf-8")
     return tmp_path
 
 
@@ -55,84 +44,100 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     from tapetum.record import Session
 
     # The room's function hides the module of its name.
-    monkeypatch.setattr(sys.modules["tapetum.record.film"], "Session", lambda: Session(seconds=1.2))
+    monkeypatch.setattr(sys.modules["tapetum.record.film"], "Session", lambda: Session(seconds=2.4))
     defaults = ResNet18.__init__.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "epochs", 1)
     monkeypatch.setitem(defaults, "size", 32)
 
 
-def readme() -> tuple[str, str]:
-    (code,) = blocks(ROOT / "README.md", "python")
-    first, _, rest = code.partition("\n\nmodel = ")
-    assert rest
-    return first, f"import tapetum as tp\nmodel = {rest}"
+# What takes minutes, or cameras: it is parsed below, and tested elsewhere.
+LONG = re.compile(r"tapetum (demo|paper|dataset synth|record phones|record camera)")
+# What makes a command quicker, its last option counting.
+QUICKER = {
+    "simulate": ["--set", "sampling.accuracy=0.02", "--set", "probe.sensor.pixels=[48, 48]"],
+    "record": ["--seconds", "2.4"],
+}
 
 
-def test_the_readmes_simulation_runs(reader: Path, capsys):
+def steps(path: Path) -> Iterator[tuple[str, str]]:
+    """What a page has its reader type, in order: ("python", a block) or ("tapetum", a line)."""
+    text = path.read_text(encoding="utf-8").replace("\\\n", " ")
+    for found in re.finditer(r"^```python\n(.*?)^```$|^    (tapetum [^\n]+)$", text, re.DOTALL | re.MULTILINE):
+        yield ("python", found[1]) if found[1] else ("tapetum", found[2])
+
+
+def follow(path: Path, languages: tuple[str, ...] = ("python", "tapetum")) -> dict[str, Any]:
+    """Do what a page says from its top to its end, in the current folder and one Python; return the names it made."""
+    from tapetum.cli.app import main
+
     names: dict[str, Any] = {}
-    execute(readme()[0], names, "README.md")
-    assert 0 < float(capsys.readouterr().out) < 0.01
-    assert (reader / "rr.tif").is_file()
-    assert names["frames"].shape == (3, 256, 256)
+    for language, text in steps(path):
+        if language not in languages:
+            continue
+        if language == "python":
+            execute(text, names, path.name)
+            continue
+        words = shlex.split(text, comments=True)[1:]
+        if LONG.match(text):
+            if words[:2] == ["dataset", "synth"]:
+                a_set(Path(words[words.index("-o") + 1]))
+            continue
+        assert main([*words, *QUICKER.get(words[0], [])]) == 0, text
+    return names
 
 
-def test_the_readmes_tracking_runs(reader: Path, capsys):
+def a_set(out: Path) -> None:
+    """Something to train on in the place of a set that takes minutes to film."""
     import tapetum as tp
 
-    try:
-        tp.pretrained("thin-lens-gaze")
-    except InputError as error:
-        pytest.skip(f"the bundled model is not there ({error})")
-    tp.film(tp.load_scene("hand-held"), "short.rec", tp.Session(seconds=0.4))
-    shutil.copy("short.rec/probe.mkv", "probe.mkv")
-    execute(readme()[1], {}, "README.md")
+    recording = tp.film("hand-held", f"{out.stem}-short.rec", tp.Session(seconds=2.4))
+    tp.label_recording(recording)
+    tp.build_dataset([recording.path], out)
+
+
+# Python alone on every run, with the commands between in the long one.
+PYTHON = pytest.param(("python",), id="python")
+ALL = pytest.param(("python", "tapetum"), id="all", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("languages", [PYTHON, ALL])
+def test_the_readme_can_be_followed_in_an_empty_folder(reader: Path, brief, capsys, languages: tuple[str, ...]):
+    names = follow(ROOT / "README.md", languages)
+    assert names["frames"].shape == (3, 256, 256)
     assert "gaze_x" in capsys.readouterr().out
+    made = ["rr.tif", "hand.rec/probe.mkv"]
+    if "tapetum" in languages:
+        made += ["fig4.png", "real.png", "rotation.png", "report/report.html", "network/model.json"]
+    assert [one for one in made if not (reader / one).is_file()] == []
 
 
-def test_the_guides_scenes_and_simulation_run(reader: Path):
-    found, names = sections(GUIDE), {}
-    for title in ("Scenes", "Simulate"):
-        for code in found[title]:
-            execute(code, names, f"guide.md, {title}")
+@pytest.mark.parametrize("languages", [PYTHON, ALL])
+def test_the_guide_can_be_followed_in_an_empty_folder(reader: Path, brief, capsys, languages: tuple[str, ...]):
+    names = follow(GUIDE, languages)
     assert names["images"].irradiance.shape == (3, 256, 256)
-    assert (reader / "rr.tif").is_file()
     assert names["turn"].grad.abs().sum() > 0
     assert names["mine"].target.object_distance == 5.0
-
-
-def test_the_guides_real_lenses_run(reader: Path):
-    names: dict[str, Any] = {}
-    execute("import tapetum as tp", names, "guide.md")
-    for code in sections(GUIDE)["Real lenses and phones"]:
-        execute(code, names, "guide.md, Real lenses and phones")
     assert names["turned"].irradiance.shape == (3, 64, 64)
     # An open app makes the phone flash.
     assert names["opened"].irradiance.max() > 1.2 * names["closed"].irradiance.max()
-
-
-def test_the_guides_recording_to_tracks_runs(reader: Path, brief, capsys):
-    found, names = sections(GUIDE), {}
-    assert set(found) == {
-        "Scenes",
-        "Simulate",
-        "Real lenses and phones",
-        "Recordings",
-        "Datasets and models",
-        "Scores",
-        "Track",
-        "Examples",
-        "When something is wrong",
-    }
-    execute("import tapetum as tp", names, "guide.md")
-    for title in ("Recordings", "Datasets and models", "Scores", "Track"):
-        if title == "Track":
-            shutil.copy("hand.rec/probe.mkv", "probe.mkv")
-        for code in found[title]:
-            execute(code, names, f"guide.md, {title}")
     assert names["prediction"].value.shape == (len(names["test"]), 2)
-    assert (reader / "fig10.png").stat().st_size > 5000
     assert "gaze_x" in capsys.readouterr().out
+    made = ["my-bench.yaml", "rr.tif", "fig10.png", "my-model/model.json"]
+    if "tapetum" in languages:
+        made += ["rr.png", "sweep.npy", "fig4.png", "tracks.csv", "b.csv", "report/report.html"]
+    assert [one for one in made if not (reader / one).is_file()] == []
+
+
+def test_the_page_on_lenses_can_be_followed(reader: Path):
+    assert follow(ROOT / "docs" / "lenses.md")["rays"] is not None
+
+
+def test_the_guides_scene_is_a_scene(reader: Path):
+    import tapetum as tp
+
+    (reader / "bench.yaml").write_text(blocks(GUIDE, "yaml")[0], encoding="utf-8")
+    assert tp.load_scene("bench.yaml").target.object_distance == 5.0
 
 
 def commands() -> Iterator[tuple[str, str]]:
@@ -160,15 +165,3 @@ def test_a_documented_command_parses(where: str, line: str):
         command = command.commands[name]
     if arguments:
         command.make_context("tapetum", arguments, parent=context)
-
-
-def test_the_guides_commands_simulate(reader: Path):
-    from tapetum.cli.app import main
-
-    lines = [line for where, line in commands() if where == "guide.md" and line.startswith("tapetum simulate")]
-    assert len(lines) == 4
-    for line in lines:
-        coarse = ["--set", "sampling.accuracy=0.02", "--set", "probe.sensor.pixels=[48, 48]"]
-        assert main([*shlex.split(line)[1:], *coarse]) == 0
-    for name in ("rr.png", "sweep.npy", "fig4.png", "real.png"):
-        assert (reader / name).stat().st_size > 0

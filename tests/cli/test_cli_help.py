@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import importlib.metadata
+import shlex
 import subprocess
 import sys
+from typing import Any
 
 import pytest
+import typer
+
+from tapetum.cli.app import app
 
 COMMANDS = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "export", "track", "fuse", "paper")
 
@@ -26,6 +31,26 @@ def test_every_command_explains_itself(run, command: str) -> None:
     assert ran.out.startswith(f"Usage: tapetum {command} ")
     # Nothing of Python's types shows.
     assert "list[str]" not in ran.out and "{scene}" not in ran.out
+
+
+def leaves() -> list[tuple[str, Any]]:
+    """Every command that does something, by its words."""
+    command: Any = typer.main.get_command(app)
+    found = []
+    for name, one in command.commands.items():
+        inner = getattr(one, "commands", None)
+        found += [(name, one)] if inner is None else [(f"{name} {word}", leaf) for word, leaf in inner.items()]
+    return found
+
+
+@pytest.mark.parametrize(("words", "command"), leaves(), ids=[words for words, _ in leaves()])
+def test_every_commands_help_has_an_example_that_parses(run, words: str, command: Any) -> None:
+    shown = " ".join(run(*words.split(), "--help").out.split())
+    assert "Example: tapetum" in shown
+    example = shown.split("Example: ")[1]
+    assert example.startswith(f"tapetum {words} ")
+    arguments = shlex.split(example)[1 + len(words.split()) :]
+    command.make_context("tapetum", arguments)
 
 
 def test_version(run) -> None:

@@ -53,17 +53,31 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-app.command("demo", short_help="The main job end to end, with a report.")(demo.demo)
-app.command("simulate", short_help="Retro-reflections of a scene, and sweeps.")(simulate.simulate)
-app.command("plan", short_help="What a scene would give: budget, limits, eye safety.")(plan.plan)
-app.command("record", short_help="Film a scene, or record real cameras.")(record.record)
+_COMMANDS = (
+    ("demo", "The main job end to end, with a report.", demo.demo, "--out demo-out"),
+    (
+        "simulate",
+        "Retro-reflections of a scene, and sweeps.",
+        simulate.simulate,
+        "thin-lens --sweep rotation=0,0.5,1 -o sweep.png",
+    ),
+    ("plan", "What a scene would give: budget, limits, eye safety.", plan.plan, "thin-lens --set object_distance=2.5"),
+    ("record", "Film a scene, or record real cameras.", record.record, "hand-held -o hand.rec --seconds 20 --seed 7"),
+    ("train", "Fit a model to a dataset.", train.train, "hand.zarr --model zernike --target gaze -o my-model"),
+    ("evaluate", "A model's errors on a dataset.", evaluate.evaluate, "my-model hand.zarr -o report"),
+    ("export", "A trained network as one ONNX file.", export.export, "thin-lens-gaze -o gaze.onnx"),
+    ("track", "Find, follow and read retro-reflections.", track.track, "hand.rec --model my-model -o tracks.csv"),
+    (
+        "fuse",
+        "One track of what several probes say.",
+        fuse.fuse,
+        "left.parquet right.parquet --place 0.24,0 --distance 5.5 --field 3.3,2.4 -o both.parquet",
+    ),
+    ("paper", "The paper's figures and tables, made anew.", paper.paper, "fig4 fig5 -o figures"),
+)
+for _name, _short, _function, _example in _COMMANDS:
+    app.command(_name, short_help=_short, epilog=f"Example: tapetum {_name} {_example}")(_function)
 app.add_typer(dataset.app, name="dataset", short_help="Build, import and film datasets, and look into them.")
-app.command("train", short_help="Fit a model to a dataset.")(train.train)
-app.command("evaluate", short_help="A model's errors on a dataset.")(evaluate.evaluate)
-app.command("export", short_help="A trained network as one ONNX file.")(export.export)
-app.command("track", short_help="Find, follow and read retro-reflections.")(track.track)
-app.command("fuse", short_help="One track of what several probes say.")(fuse.fuse)
-app.command("paper", short_help="The paper's figures and tables, made anew.")(paper.paper)
 
 
 def _version(wanted: bool) -> None:

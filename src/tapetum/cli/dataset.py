@@ -17,8 +17,15 @@ from tapetum.progress import bar
 app = typer.Typer(
     help="Build datasets from recordings, and look into them.", no_args_is_help=True, rich_markup_mode=None
 )
-app.command("synth", short_help="Film the paper's three sets.")(synth)
-app.command("import", short_help="Make a dataset of data taken elsewhere.")(import_data)
+_EXAMPLE = "Example: tapetum dataset "
+app.command(
+    "synth", short_help="Film the paper's three sets.", epilog=_EXAMPLE + "synth rotation --size small -o rotation.zarr"
+)(synth)
+app.command(
+    "import",
+    short_help="Make a dataset of data taken elsewhere.",
+    epilog=_EXAMPLE + "import theirs --mapping map.yaml -o theirs.zarr",
+)(import_data)
 
 
 def check_drawable(sheet: Path | None) -> None:
@@ -29,7 +36,9 @@ def check_drawable(sheet: Path | None) -> None:
         raise InputError(what, where=sheet, remedy=f"use one of {', '.join(kinds)}")
 
 
-@app.command("build", short_help="Cut crops out of labelled recordings.")
+@app.command(
+    "build", short_help="Cut crops out of labelled recordings.", epilog=_EXAMPLE + "build hand.rec -o hand.zarr"
+)
 def build(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings, NAME.rec.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
@@ -66,7 +75,11 @@ def build(
     typer.echo(f"{out}: {dataset.tp.train.sizes['frame']} to train on, {dataset.tp.test.sizes['frame']} to test")
 
 
-@app.command("info", short_help="What a dataset holds, and what is wrong with it.")
+@app.command(
+    "info",
+    short_help="What a dataset holds, and what is wrong with it.",
+    epilog=_EXAMPLE + "info hand.zarr --sheet hand.png",
+)
 def info(
     path: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
     as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,

@@ -21,18 +21,27 @@ FIGURES = ("fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "fig10", "fig11", "fi
 FIGURES += ("ablations", "development", "unseen", "fit")
 SEALED = "sealed"
 GROUPS = ("printed", "learned", "beyond", "all")
+
+
+class Figure(str):
+    """A figure's, table's or group's name: the help shows this class in the place of `str`."""
+
+
 SIZES = ("laptop", "small", "paper")
 
 
 def paper(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the figures.")],
     figures: Annotated[
-        list[str] | None,
+        list[Figure],
         typer.Argument(
-            metavar="[FIGURE]...",
+            parser=Figure,
+            default_factory=lambda: ["printed"],
+            show_default=False,
+            metavar="FIGURE",
             help=f"Of {', '.join((*FIGURES, *GROUPS))}, or {SEALED}; see above. By default printed.",
         ),
-    ] = None,
+    ],
     size: Annotated[
         str,
         typer.Option(
@@ -74,11 +83,9 @@ def paper(
     deletes them, and adds the numbers to sealed.jsonl and sealed.md. Nothing may be chosen by them.
 
     Each other becomes NAME.png (not the tables), NAME.md and NAME.json; files of these names are replaced.
-
-    Example: tapetum paper learned -o figures
     """
     # What it was called until now; understood for one release.
-    wanted = ["development" if figure == "fresh" else figure for figure in figures or ["printed"]]
+    wanted = ["development" if figure == "fresh" else figure for figure in figures]
     for figure in wanted:
         one_of(figure, (*FIGURES, *GROUPS, SEALED), "FIGURE")
     if SEALED in wanted and wanted != [SEALED]:

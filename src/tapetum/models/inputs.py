@@ -57,9 +57,9 @@ def prepare(
     hide
         Radius in pixels of a disc about the centre, where the brightest spot lies, that is filled with the background.
     background
-        "root" takes the median's root off the root: the background becomes 0, but faint parts of an RR are paler where
-        the background is bright. "level" takes the median off before the root, which then keeps its sign: an RR looks
-        alike over any background, but for the noise.
+        "root" subtracts the root of the median after the root (legacy): the background becomes 0, but faint parts of an
+        RR are weaker where the background is bright. "level" subtracts the median before the root, which then keeps
+        its sign: an RR looks alike over any background, but for the noise.
 
     Returns
     -------

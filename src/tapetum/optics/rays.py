@@ -17,7 +17,7 @@ _ITERATIONS = 12
 _RESIDUAL = 1e-7
 # Newton's last step, in metres: its path is a billionth of a wave.
 _LAST_STEP = 1e-15
-# Where a conic turns back, 1 - (1 + κ) c² r² is nought. Below this it is held, and a ray there is not good.
+# Where a conic turns back, 1 - (1 + κ) c² r² is zero. Below this it is held, and a ray there is not good.
 _TURNING = 1e-4
 
 

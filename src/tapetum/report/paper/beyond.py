@@ -183,7 +183,7 @@ class Untrained:
     frames
         Fitted of each kind.
     filmed
-        Frames of the Rotation set's test part. The film turns its pictures fast, to 1 % of their peak.
+        Frames of the Rotation set's test part. Filmed frames are rotated by an approximation (error 1 % of the peak).
     exact
         Frames of the same gazes, turned exactly, with the same sensor's noise and unevenness.
     limit
