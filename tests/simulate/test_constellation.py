@@ -9,8 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tapetum.bench import Illumination, Probe, ProbeSensor, Scene, Target, TargetSensor, ThinLens
+from tapetum.bench import Illumination, Layer, PixelArray, Probe, ProbeSensor, Scene, Target, TargetSensor, ThinLens
 from tapetum.errors import InputError
+from tapetum.simulate import retroreflect
+from tapetum.simulate.budget import Reflection, link_budget
 from tapetum.simulate.constellation import (
     Constellation,
     PlacedProbe,
@@ -25,7 +27,7 @@ from tapetum.simulate.constellation import (
     signal,
     single_probe,
 )
-from tapetum.simulate.radiometry import irradiance_at_target, return_radius_at_probe
+from tapetum.simulate.radiometry import irradiance_at_target, photoelectrons
 
 SENSOR = ProbeSensor(pixels=(2592, 1944), bits=12, exposure=1e-3, background=40)
 PHONE = Target(ThinLens(4e-3, 1e-3), object_distance=15.0, sensor=TargetSensor(reflectance=0.1))
@@ -51,28 +53,80 @@ def probes(count: int, seed: int = 0) -> Constellation:
     )
 
 
-def test_one_probe_is_radiometrys_diverging_beam(validated):
-    one = Constellation((PlacedProbe((0, 0, 0), (0, 0, 1), 0.0087, 1e-3, 0.2, 0.025),), SENSOR)
-    lens = ThinLens(0.2, 0.025)
+def seen_by(sensor: ProbeSensor, target: Target, distance: float, divergence: float = 0.0087) -> Scene:
+    light = Illumination("diverging", 640e-9, 1e-3, divergence)
+    return Scene(distance=distance, target=target, probe=Probe(ThinLens(0.2, 0.025), sensor), illumination=light)
+
+
+def kept(distance: float, aperture: float, angle: float = 0.0) -> Reflection:
+    """A phone's return by the link budget: diffraction takes some of it from a probe's aperture at any distance."""
+    target = replace(PHONE, rotation=(angle, 0.0))
+    lens, light = ThinLens(0.2, aperture), Illumination("diverging", 640e-9, 1e-3, 0.5)
+    scene = Scene(distance=distance, target=target, probe=Probe(lens, SENSOR), illumination=light)
+    return link_budget(scene).reflections[0]
+
+
+def dressed(sensor: TargetSensor) -> Target:
+    return Target(ThinLens(4e-3, 1e-3), object_distance=15.0, sensor=sensor)
+
+
+TARGETS = {
+    "mirror": PHONE,
+    "array": dressed(TargetSensor(0.2, array=PixelArray(fill=0.6, surround=0.3, bayer=(0.8, 1, 1, 0.5)))),
+    "filter": dressed(TargetSensor(0.2, layers=(Layer(depth=3e-4, reflectance=0.5, transmittance=0.4),))),
+}
+
+
+@pytest.mark.parametrize("name", TARGETS)
+@pytest.mark.parametrize("gain", [None, 0.02])
+def test_one_probe_is_the_link_budget_of_a_scene(name, gain, validated):
+    sensor, target = replace(SENSOR, gain=gain), TARGETS[name]
+    one = Constellation((PlacedProbe((0, 0, 0), (0, 0, 1), 0.0087, 1e-3, 0.2, 0.025),), sensor)
     worst = 0.0
-    for distance in (2.0, 5.5, 40.0):
-        light = Illumination("diverging", 640e-9, 1e-3, 0.0087)
-        scene = Scene(distance=distance, target=PHONE, probe=Probe(lens, SENSOR), illumination=light)
+    for distance in (1.2, 2.0, 5.5, 40.0):
+        scene = seen_by(sensor, target, distance)
+        budget, found = link_budget(scene), signal(one, target, [[0, 0, distance]])
         here = float(irradiance(one, [[0, 0, distance]])[0, 0])
-        worst = max(worst, abs(here / irradiance_at_target(scene) - 1))
-        # Watts back, counted in electrons by hand.
-        inside = min(1.0, (0.025 / return_radius_at_probe(scene)) ** 2)
-        watts = here * math.pi * 1e-6 * 0.1 * 0.5 * inside
-        electrons = watts * 1e-3 * 0.5 / (6.62607015e-34 * 299792458.0 / 640e-9)
-        worst = max(worst, abs(float(signal(one, PHONE, [[0, 0, distance]]).electrons[0, 0]) / electrons - 1))
-    validated(
-        SECTION,
-        "irradiance and returned electrons of one probe, 2 to 40 m",
-        worst,
-        1e-9,
-        "1/d² and the link budget of a scene",
-        "of the value",
-    )
+        for got, want in (
+            (here, irradiance_at_target(scene)),
+            (found.electrons, budget.electrons),
+            (found.pixels, budget.rr_pixels),
+            (found.snr, budget.snr),
+        ):
+            worst = max(worst, abs(float(np.squeeze(got)) / want - 1))
+        assert bool(found.saturated[0, 0]) == (budget.saturation > 1)
+    what = f"one probe, a {name}, {'own gain' if gain else 'no gain'}, 1.2 to 40 m"
+    validated(SECTION, what, worst, 1e-9, "the link budget of a scene", "of the value")
+
+
+@pytest.mark.parametrize("name", ["mirror", "dimmed"])
+@pytest.mark.parametrize("distance", [1.2, 5.5])
+def test_its_electrons_are_those_of_a_simulated_picture(name, distance, validated):
+    # A layer that only dims: what a reflecting one sends back itself is not the sensor's.
+    dim = dressed(TargetSensor(0.2, layers=(Layer(depth=3e-4, reflectance=0.0, transmittance=0.4),)))
+    target = {"mirror": PHONE, "dimmed": dim}[name]
+    # Large enough for the outer rings, of 64 um each.
+    sensor = replace(SENSOR, pixels=(200, 200), pitch=20e-6)
+    one = Constellation((PlacedProbe((0, 0, 0), (0, 0, 1), 0.0087, 1e-3, 0.2, 0.025),), sensor)
+    picture = retroreflect(seen_by(sensor, target, distance), [0.0], accuracy=3e-3)
+    there = float(photoelectrons(picture.irradiance, sensor, 640e-9).sum())
+    found = float(signal(one, target, [[0, 0, distance]]).electrons[0, 0])
+    what = f"electrons of a return, {name}, {distance:g} m"
+    validated(SECTION, what, abs(found / there - 1), 0.03, "a simulated picture", "of the value")
+
+
+def test_many_links_are_interpolated():
+    one = Constellation((PlacedProbe((0, 0, 0), (0, 0, 1), 0.5, 1e-3),), SENSOR)
+    rng = np.random.default_rng(0)
+    points = np.stack([*rng.uniform(-1, 1, (2, 300)), rng.uniform(5, 20, 300)], axis=1)
+    facing = np.array([0.02, 0, -1.0]) / math.hypot(0.02, 1)
+    many = signal(one, PHONE, points, facing)
+    few = [signal(one, PHONE, points[i : i + 100], facing) for i in (0, 100, 200)]
+    for name in ("electrons", "pixels"):
+        own = np.concatenate([getattr(part, name) for part in few])
+        bright = own[:, 0] > 0.2 * own.max() if name == "electrons" else own[:, 0] < 4 * own.min()
+        np.testing.assert_allclose(getattr(many, name)[bright], own[bright], rtol=0.02)
+    assert many.electrons.min() >= 0
 
 
 @pytest.mark.parametrize("tilt", [0.0, 0.5])
@@ -129,9 +183,11 @@ def test_overlap_law_is_what_constellations_of_that_many_beams_do(validated):
         one = PlacedProbe((0, 0, 0), (0, 0, 1), 0.1, 1e-5, aperture_radius=0.05)
         there = signal(Constellation((one,) * n, SENSOR), PHONE, [[0, 0, d]])
         near = signal(Constellation((one,), SENSOR), PHONE, [[0, 0, 5.0]])
-        law = overlap_law(d, 5.0, float(near.electrons[0, 0]), float(there.noise[0, 0]))
+        # The law is that of returns which do not depend on the distance.
+        first = float(near.electrons[0, 0]) * kept(d, 0.05).watts / kept(5.0, 0.05).watts * (d / 5) ** 2
+        law = overlap_law(d, 5.0, first, float(there.noise[0, 0]))
         worst = max(worst, abs(float(there.combined[0]) / float(law.snr) - 1))
-        worst = max(worst, abs(float(there.electrons.sum()) / float(near.electrons[0, 0]) - float(law.signal)))
+        worst = max(worst, abs(float(there.electrons.sum()) / first - float(law.signal)))
     validated(
         SECTION, "summed signal and combined SNR of d² beams, 5 to 20 m", worst, 1e-9, "closed form", "of the value"
     )
@@ -188,7 +244,8 @@ def test_a_camera_that_looks_away_answers_as_two_shifted_pupils_share():
     disc = X**2 + Y**2 < 1e-6
     for angle, value in zip(angles, seen, strict=True):
         other = (X - 2 * z * math.tan(angle)) ** 2 + Y**2 < 1e-6
-        assert value / seen[0] == pytest.approx((disc & other).sum() / disc.sum() * math.cos(angle), abs=2e-3)
+        share = kept(8.0, 0.0125, angle).inside_probe / kept(8.0, 0.0125).inside_probe
+        assert value / seen[0] == pytest.approx((disc & other).sum() / disc.sum() * math.cos(angle) * share, abs=2e-3)
     assert seen[-1] == 0
 
 

@@ -13,20 +13,22 @@ The lasers are independent of each other, so irradiances add. People in the way 
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
-import torch
 from scipy.optimize import isotonic_regression, linprog
 from scipy.stats import qmc
 
-from tapetum.bench import ProbeSensor, Target
+from tapetum.bench import Illumination, Probe, ProbeSensor, Scene, Target, ThinLens
+from tapetum.bench.scene import STEEPEST
 from tapetum.errors import InputError
-from tapetum.optics.grid import lens_numbers
-from tapetum.simulate.radiometry import electrons
+from tapetum.simulate.budget import link_budget
+from tapetum.simulate.exposure import gain_of
+from tapetum.simulate.radiometry import dark_electrons
 
 __all__ = [
     "Constellation",
@@ -48,6 +50,9 @@ __all__ = [
 ]
 
 Array = npt.NDArray[np.float64]
+# Of the lattice of links: distances a doubling, tilts a unit of their sine; and links that are computed one by one.
+_A_DOUBLING, _A_SINE, _FEW = 16, 100, 200
+_WIDE = 1.0
 Point = tuple[float, float, float]
 
 
@@ -258,11 +263,10 @@ def signal(
 ) -> Signals:
     """Photo-electrons a frame that a camera at each point returns to each probe.
 
-    The link of `radiometry`: irradiance on the target's aperture, its area, the part of it that two pupils 2z tanθ
-    apart share (θ: between where the camera points and the probe), the sensor's reflectance, the part of the
-    returning disc inside the probe's aperture (all of it while it fits, so that the return does not depend on the
-    distance), the probe's transmission, quantum efficiency and exposure. The RR's pixels, which count for the noise
-    only, are those of the rays' spread and the Airy disc.
+    Every pair of a point and a probe is a scene whose `link_budget` says what returns: its sensor's reflectance in the
+    mirror's direction, layers, overlap of the pupils, the part of the return inside the probe's aperture, and the
+    sensor's noise. Layers' own returns and higher orders are not counted, as there. Of many pairs those on a lattice
+    of distances and tilts are computed; what lies between is interpolated, within 2 % where it is bright.
 
     Parameters
     ----------
@@ -279,40 +283,59 @@ def signal(
         When a point is nearer to a probe than ten focal lengths of the target, where the paraxial return fails.
     """
     reach = _geometry(constellation, points)[1]
-    lens, sensor, probes = target.lens, constellation.sensor, constellation.probes
+    lens, sensor = target.lens, constellation.sensor
     if (reach < 10 * lens.focal_length).any():
         raise InputError(
             f"a point is {reach.min():.3g} m from a probe", where="points", remedy="keep ten focal lengths away"
         )
-    aperture = np.array([probe.aperture_radius for probe in probes])
-    z, _ = lens_numbers(lens.focal_length, target.object_distance)
-    shared = np.ones_like(reach)
+    sine = np.zeros_like(reach)
     if facing is not None:
-        cosine = np.clip(_cosine(constellation, points, facing), 1e-12, 1.0)
-        apart = np.minimum(z * np.sqrt(1 / cosine**2 - 1) / lens.aperture_radius, 1.0)
-        shared = 2 / math.pi * (np.arccos(apart) - apart * np.sqrt(1 - apart**2))
-    # Rays and diffraction as in radiometry.return_radius_at_probe, for light from a source at the probe.
-    slope = 1 / lens.focal_length - 1 / reach
-    curvature = slope / (1 - 2 * z * slope) + 1 / lens.focal_length
-    blur = 1.22 * constellation.wavelength / (2 * lens.aperture_radius)
-    returned = lens.aperture_radius * np.abs(1 - reach * curvature) + blur * reach
-    inside = np.minimum(1.0, (aperture / returned) ** 2)
+        sine = np.sqrt(np.clip(1 - np.clip(_cosine(constellation, points, facing), 0.0, 1.0) ** 2, 0.0, 1.0))
+    lit = irradiance(constellation, points, margin=margin)
     area = math.pi * lens.aperture_radius**2
-    keeps = np.array([probe.transmission for probe in probes]) * target.sensor.reflectance
-    watts = irradiance(constellation, points, facing, margin=margin) * area * shared * inside * keeps
-    one_watt = electrons(
-        torch.tensor([1 / sensor.pitch**2, 0.0], dtype=torch.float64), sensor, constellation.wavelength
-    )
-    count = watts * float(one_watt[0] - one_watt[1])
+    count, pixels, full = (np.zeros_like(reach) for _ in range(3))
+    for p, probe in enumerate(constellation.probes):
+        optics = Probe(ThinLens(probe.focal_length, probe.aperture_radius), sensor, probe.transmission)
+        links = _links(target, optics, constellation.wavelength, reach[:, p], sine[:, p])
+        # A beam narrower than the aperture goes in whole.
+        entering = np.minimum(lit[:, p], probe.power / (area * np.sqrt(1 - sine[:, p] ** 2).clip(1e-9)))
+        count[:, p], full[:, p] = links[:, 0] * entering, links[:, 1] * entering
+        # Near the cut-off what returns spreads without end.
+        pixels[:, p] = np.minimum(np.exp(links[:, 2]), math.prod(sensor.pixels))
+    most = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor)) - dark_electrons(sensor)
+    one = dark_electrons(sensor) + sensor.read_noise**2 + 1 / (12 * gain_of(sensor) ** 2)
+    return Signals(count, pixels * max(one, 1e-12), pixels, full > most)
 
-    # The slopes among the rays that the probe's aperture lets in.
-    slopes = np.abs(curvature) * lens.aperture_radius * np.minimum(1.0, aperture / returned)
-    focal = np.array([probe.focal_length for probe in probes])
-    pixels = np.maximum(1.0, math.pi * (focal * (slopes + blur) / sensor.pitch) ** 2)
-    step = sensor.full_well / (2**sensor.bits - 1)
-    stray = float(one_watt[1])
-    noise = pixels * max(stray + sensor.read_noise**2 + step**2 / 12, 1e-12)
-    return Signals(count, noise, pixels, count / pixels + stray > sensor.full_well)
+
+def _links(target: Target, probe: Probe, wavelength: float, reach: Array, sine: Array) -> Array:
+    """Electrons and those of the brightest pixel for 1 W/m², and the logarithm of the pixels, [N, 3]."""
+    pairs = np.stack([np.log(reach) * _A_DOUBLING / math.log(2), sine * _A_SINE], 1)
+    own, back = np.unique(np.stack([reach, sine], 1), axis=0, return_inverse=True)
+    if len(own) <= _FEW:
+        return np.array([_link(target, probe, wavelength, *map(float, one)) for one in own])[back.reshape(-1)]
+    low = np.floor(pairs)
+    part = pairs - low
+    found = np.zeros((len(pairs), 3))
+    for corner in ((0, 0), (0, 1), (1, 0), (1, 1)):
+        nodes, back = np.unique(low + corner, axis=0, return_inverse=True)
+        values = [_link(target, probe, wavelength, 2 ** (a / _A_DOUBLING), b / _A_SINE) for a, b in nodes]
+        weights = np.prod(np.where(corner, part, 1 - part), axis=1)
+        found += weights[:, None] * np.array(values)[back.reshape(-1)]
+    return found
+
+
+@functools.lru_cache(maxsize=1 << 16)
+def _link(target: Target, probe: Probe, wavelength: float, reach: float, sine: float) -> tuple[float, float, float]:
+    """A row of `_links`."""
+    steepest = math.sin(STEEPEST[target.lens.kind]) * (1 - 1e-9)
+    if sine >= steepest:
+        return 0.0, 0.0, 0.0
+    # Any beam wider than the aperture: the link does not depend on the probe's own.
+    light = Illumination("diverging", wavelength, 1.0, _WIDE)
+    turned = replace(target, rotation=(math.asin(sine), 0.0))
+    found = link_budget(Scene(distance=reach, target=turned, probe=probe, illumination=light))
+    lit = found.irradiance_at_target
+    return found.electrons / lit, found.peak_electrons / lit, math.log(found.rr_pixels)
 
 
 @dataclass(frozen=True)
