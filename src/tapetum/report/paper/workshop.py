@@ -77,7 +77,7 @@ class Effort:
 
 # Chosen by the error on frames kept aside of the training parts. Small batches make more steps of few frames.
 EFFORTS: dict[str, dict[str, Effort]] = {
-    "gaze": {"paper": Effort(72, 60), "laptop": Effort(48, 25), "small": Effort(72, 4)},
+    "gaze": {"paper": Effort(72, 60), "laptop": Effort(48, 30), "small": Effort(72, 4)},
     "varied": {"paper": Effort(80, 40), "laptop": Effort(64, 20), "small": Effort(80, 4)},
     "focus": {"paper": Effort(80, 20), "laptop": Effort(64, 10, 16), "small": Effort(80, 4)},
     "phone": {"paper": Effort(200, 48), "laptop": Effort(80, 20, 16), "small": Effort(100, 4)},
