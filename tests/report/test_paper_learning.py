@@ -128,7 +128,7 @@ def test_a_model_is_trained_once_and_kept(work, sets, monkeypatch):
     first = work.outcome("rotation-resnet18").prediction.value
     # How its settings came about stands on the card, for whoever evaluates it later.
     chosen = work.model("rotation-resnet18").training_["chosen"]
-    assert chosen["settings"] == RECIPES["rotation-resnet18"].reason
+    assert chosen["settings"] == RECIPES["rotation-resnet18"].reason_at("small")
     monkeypatch.setattr(ResNet18, "fit", lambda *_, **__: pytest.fail("trained again"))
     again = Workshop(work.folder, "small", sets=sets).outcome("rotation-resnet18").prediction.value
     np.testing.assert_allclose(again, first, atol=1e-6)
@@ -378,6 +378,8 @@ def test_a_page_and_a_picture_say_what_a_smoke_test_is(size: str, tmp_path: Path
 def test_every_model_can_be_made_at_every_size(name: str):
     small, laptop, paper = (OWN_RECIPES[name].make(size) for size in ("small", "laptop", "paper"))
     assert small.target == laptop.target == paper.target
+    reasons = {OWN_RECIPES[name].reason_at(size) for size in ("small", "laptop", "paper")}
+    assert len(reasons) == (3 if isinstance(paper, ResNet18) else 1)
     if isinstance(small, ResNet18) and isinstance(laptop, ResNet18) and isinstance(paper, ResNet18):
         assert small.settings.epochs < laptop.settings.epochs <= paper.settings.epochs
         assert small.crop == laptop.crop == paper.crop and laptop.size <= paper.size
