@@ -350,6 +350,11 @@ def test_a_specular_filter_makes_a_disc_of_the_probe_s_aperture() -> None:
     assert filtered.inside_probe == pytest.approx((25e-3 / rays) ** 2, rel=0.1)
 
 
+def test_the_peak_is_called_an_estimate() -> None:
+    (line,) = [one for one in link_budget(scene()).lines() if one.startswith("RR ")]
+    assert "estimated in closed form, not from a picture" in line
+
+
 def test_what_a_layer_lets_pass() -> None:
     assert layer_transmittance(Layer(depth=1e-3, reflectance=0.1), 640e-9) == pytest.approx(0.9)
     cut = Layer(depth=1e-3, reflectance=0.02, transmittance=((640e-9, 0.95), (785e-9, 0.05)))

@@ -40,8 +40,8 @@ def drawn(seed: int) -> tuple[Case, float, tuple[float, float]]:
     return case, draw.choice([3e-2, 1e-2]), (size * math.cos(azimuth), size * math.sin(azimuth))
 
 
-def claimed(seed: int) -> float:
-    """Measured over claimed error of a random scene; 0 where it is refused."""
+def claimed(seed: int) -> float | None:
+    """Measured over claimed error of a random scene, of its own peak; None where it is refused."""
     case, accuracy, tilt = drawn(seed)
     traced.cache_clear()
     output = picture(case, 31)
@@ -49,29 +49,26 @@ def claimed(seed: int) -> float:
         one = planned(case, output, accuracy)
     except InputError as refusal:
         assert "\n" not in str(refusal)
-        return 0.0
+        return None
     assert one.plan.expected_error <= accuracy
     at = torch.tensor([tilt], dtype=torch.float64)
     ours, better = (
         each.field(at)[0].to(torch.complex128).abs() ** 2 for each in (one, finer(one.passes[0], output, 1.5))
     )
-    head_on = float(one.field(torch.zeros(1, 2, dtype=torch.float64)).abs().square().max())
-    # As for thin lenses: near the cut-off the error counts against light that is still there.
-    peak = max(float(better.max()), 0.02 * head_on)
-    return float((ours - better).abs().max()) / peak / one.plan.expected_error
+    return float((ours - better).abs().max()) / float(better.max()) / one.plan.expected_error
 
 
 def test_the_stated_error_holds(validated: Any) -> None:
-    ratios = [claimed(seed) for seed in range(12)]
-    assert sum(ratio > 0 for ratio in ratios) >= 9
+    ratios = [ratio for ratio in map(claimed, range(12)) if ratio is not None]
+    assert len(ratios) >= 9
     validated(SECTION, "measured over stated error, 12 random lenses, gazes and focuses", max(ratios), 2.0,
               "a window twice and samples three times as fine", "of the stated error")  # fmt: skip
 
 
 @pytest.mark.slow
 def test_the_stated_error_holds_on_many(validated: Any) -> None:
-    ratios = [claimed(seed) for seed in range(1000, 1100)]
-    assert sum(ratio > 0 for ratio in ratios) >= 70
+    ratios = [ratio for ratio in map(claimed, range(1000, 1100)) if ratio is not None]
+    assert len(ratios) >= 70
     validated(SECTION, "measured over stated error, 100 random lenses, gazes and focuses", max(ratios), 2.0,
               "a window twice and samples three times as fine", "of the stated error")  # fmt: skip
 
