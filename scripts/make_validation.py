@@ -13,6 +13,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "validation.md"
+# What `python -m tests.references.compare --summary` printed of the scenes that were drawn once.
+SCENES = ROOT / "tests" / "references" / "scenes-20261122.md"
 HEAD = """# Validation
 
 Every line is a test that ran: what it compared, with what, how far apart the two were, and how far apart they may be.
@@ -69,6 +71,8 @@ def page(lines: list[dict], slow: bool) -> str:
         ]
         text += [_row(line) for line in _worst(sections[section])]
         text.append("")
+    if SCENES.exists():
+        text += ["## Random scenes", "", SCENES.read_text(encoding="utf-8")]
     day = dt.datetime.now(dt.UTC).date().isoformat()
     return "\n".join([*text, f"*{day}, {len(lines)} comparisons.*", ""])
 

@@ -6,7 +6,6 @@ documented as incoherent approximations by rays.
 
 from __future__ import annotations
 
-import functools
 import math
 from collections.abc import Iterator
 
@@ -16,18 +15,12 @@ from tapetum.bench import Layer, PrescriptionLens, Scene, TargetSensor, at_wavel
 
 from .plane import Cells, Mask, Plane, Rectangle
 from .quadrature import Complex, Real, legendre
+from .rays import index_of
 from .thin import Beam, Effort, ThinLens, TooLargeError, amplitudes
+from .traced import traced_amplitudes
 from .way import Probe
 
 __all__ = ["Effort", "TooLargeError", "judge", "pixel_places"]
-
-# Sellmeier's B and C, and of PMMA the coefficients of powers of λ in micrometres: the makers' and papers' own numbers.
-_SELLMEIER = {
-    "N-BK7": ((1.03961212, 0.00600069867), (0.231792344, 0.0200179144), (1.01046945, 103.560653)),
-    "N-SF11": ((1.73759695, 0.013188707), (0.313747346, 0.0623068142), (1.89878101, 155.23629)),
-    "fused silica": ((0.6961663, 0.0684043**2), (0.4079426, 0.1162414**2), (0.8974794, 9.896161**2)),
-}
-_PMMA = ((2.399964, 0), (-8.308636e-2, 2), (-1.919569e-1, -2), (8.720608e-2, -4), (-1.666411e-2, -6), (1.169519e-3, -8))
 
 
 def judge(scene: Scene, pixels: Real, finite: bool, effort: Effort | None = None) -> Real:
@@ -70,12 +63,10 @@ def pixel_places(columns: Real, rows: Real, pixels: tuple[int, int], pitch: floa
 def _field(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixels: Real, effort: Effort) -> Complex:
     lens = scene.target.lens
     if isinstance(lens, PrescriptionLens):
-        from .traced import traced_amplitudes
-
         return traced_amplitudes(scene, beam, plane, probe, pixels, effort)
     focal = lens.focal_length
     if lens.glass is not None:
-        focal *= (_index(lens.glass, lens.design_wavelength) - 1) / (_index(lens.glass, beam.wavelength) - 1)
+        focal *= (index_of(lens.glass, lens.design_wavelength) - 1) / (index_of(lens.glass, beam.wavelength) - 1)
     return amplitudes(ThinLens(focal, lens.aperture_radius), beam, plane, probe, pixels, effort)
 
 
@@ -245,11 +236,3 @@ def _source(scene: Scene, wavelength: float, effort: Effort) -> list[tuple[float
             turn = 2 * math.pi * (i + 0.5) / spokes
             found.append((away * math.cos(turn), away * math.sin(turn), float(weight) / 2 / spokes))
     return found
-
-
-@functools.lru_cache(maxsize=256)
-def _index(glass: str, wavelength: float) -> float:
-    square = (wavelength * 1e6) ** 2
-    if glass == "PMMA":
-        return math.sqrt(sum(c * square ** (power / 2) for c, power in _PMMA))
-    return math.sqrt(1 + sum(b * square / (square - c) for b, c in _SELLMEIER[glass]))

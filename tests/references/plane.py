@@ -18,7 +18,7 @@ __all__ = ["Cells", "Mask", "Plane", "Points", "Rectangle", "TooLargeError", "po
 
 
 # Points of a sum over a plane.
-_MOST, _MOST_ROWS = 8e6, 8000
+_MOST, _MOST_ROWS = 1.5e7, 8000
 
 
 class TooLargeError(Exception):
@@ -273,4 +273,4 @@ def points(plane: Plane, centre: Real, half: float, flat: float, density: float,
 def _count(edges: Real, steep: float, effort: float) -> int:
     """Points of a panel: the longest one's phase decides."""
     phase = steep * float(np.diff(edges, axis=-1).max()) / 2
-    return max(3, math.ceil(effort * (0.75 * phase + 3)))
+    return max(2, math.ceil(effort * (0.75 * phase + 2)))

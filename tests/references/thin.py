@@ -9,10 +9,12 @@ pupil → plane → pupil → pixels, which is the same sum for all pixels at on
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from .plane import Plane, Points, TooLargeError, points
 from .quadrature import Complex, Real, cardinals, interpolation, legendre, phasor, region_weights
@@ -21,7 +23,7 @@ from .way import Probe, through_aperture
 __all__ = ["Beam", "Effort", "ThinLens", "TooLargeError", "amplitudes"]
 
 # Seconds that the sum over one plane may take, points across the pupil, and exponentials at a time.
-MOST_SECONDS, MOST_PUPIL = 10.0, 1500
+MOST_SECONDS, MOST_PUPIL = 12.0, 1500
 _AT_ONCE = 1 << 21
 # What the sum over a plane holds beyond the light by rays, at a window of 1: dark rings λz/2r, and Fresnel zones √(λz),
 # for waves from opposite edges of the aperture turn against each other like k v²/z. Over the outer half it fades out.
@@ -90,10 +92,12 @@ def amplitudes(
     ring = beam.wavelength * z / (2 * lit)
     # The fainter the picture the more those waves count: in focus, hardly.
     zones = _ZONES * math.sqrt(min(coming, going) / ring / _RINGS)
-    margin = effort.window * max(_RINGS * ring, min(zones, _ZONES) * math.sqrt(beam.wavelength * z))
+    zone = math.sqrt(beam.wavelength * z)
+    rings = min(_RINGS * ring, 2.5 * zone)
+    margin = effort.window * max(rings, min(zones, _ZONES) * zone)
     centre = t * z / (1 - a @ t)
     narrow, wide_one = min(coming, going), max(coming, going)
-    flat = narrow + min(z * widest, wide_one - narrow + 20 * ring)
+    flat = narrow + min(z * widest, wide_one - narrow + min(20 * ring, 2.5 * zone))
     flat += float(np.hypot(*a)) * (flat + 2 * ring) * r / z + _FLAT * margin
     half = flat + (1 - _FLAT) * margin
     cut = plane.cuts(centre, half * math.sqrt(2))
@@ -221,23 +225,32 @@ class _Kernel:
         knots, shares = interpolation(low, high, 10 + math.ceil(1.1 * turning), inverse)
         return _Kernel(found, k, knots, shares, factor * phasor(2 * k * farther))
 
+    @functools.cached_property
+    def alike(self) -> list[tuple[Real, npt.NDArray[np.intp]]]:
+        """Places in a row, and the rows that have the same: all of a product, one of every period of an array."""
+        u = self.found.u
+        if self.found.product:
+            return [(u[0], np.arange(len(u)))]
+        # To 1e-14 m: what rounding makes of a period.
+        _, first, which = np.unique(np.round(u * 1e14), axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(which.ravel(), kind="stable")
+        ends = np.cumsum(np.bincount(which.ravel()))[:-1]
+        return [(u[i], rows) for i, rows in zip(first, np.split(order, ends), strict=True)]
+
     def seconds(self, count: int) -> float:
         """Roughly, on one core: 5e-10 s a product of two complex numbers, 2e-8 s an exponential."""
         rows, places = self.found.u.shape
-        one = (count + places) * 5e-10 if self.found.product else 2.2e-8 * places
-        return 2 * len(self.knots) * rows * count * one
+        one = rows * count * (count + places) * 5e-10 + len(self.alike) * places * count * 2.2e-8
+        return 2 * len(self.knots) * one
 
     def there(self, field: Complex, x: Real) -> Complex:
         """At the plane's points, with weights and amplitudes in it, of a field [y, x] with weights in it."""
         total = np.zeros(self.found.u.shape, np.complex128)
         for knot, share in zip(self.knots, self.shares, strict=True):
             rows = self._wave(self.found.v, x, knot) @ field
-            if self.found.product:
-                part = rows @ self._wave(self.found.u[0], x, knot).T
-            else:
-                part = np.empty_like(total)
-                for some in self._bands(len(x)):
-                    part[some] = (self._wave(self.found.u[some], x, knot) @ rows[some, :, None])[..., 0]
+            part = np.empty_like(total)
+            for u, some in self.alike:
+                part[some] = rows[some] @ self._wave(u, x, knot).T
             total += part * share
         return total * self.factor
 
@@ -246,22 +259,14 @@ class _Kernel:
         total = np.zeros((len(x), len(x)), np.complex128)
         for knot, share in zip(self.knots, self.shares, strict=True):
             part = reflected * share
-            if self.found.product:
-                rows = part @ self._wave(self.found.u[0], x, knot)
-            else:
-                rows = np.empty((len(self.found.v), len(x)), np.complex128)
-                for some in self._bands(len(x)):
-                    rows[some] = (part[some, None, :] @ self._wave(self.found.u[some], x, knot))[:, 0, :]
+            rows = np.empty((len(self.found.v), len(x)), np.complex128)
+            for u, some in self.alike:
+                rows[some] = part[some] @ self._wave(u, x, knot)
             total += self._wave(self.found.v, x, knot).T @ rows
         return total
 
     def _wave(self, u: Real, x: Real, knot: float) -> Complex:
         return phasor(self.k / 2 * knot * (u[..., None] - x) ** 2)
-
-    def _bands(self, count: int) -> list[slice]:
-        rows, places = self.found.u.shape
-        step = max(1, _AT_ONCE // (places * count))
-        return [slice(i, i + step) for i in range(0, rows, step)]
 
 
 def _far(exit_field: Complex, nodes: Real, s: Real, cosine: float, k: float, probe: Probe, pixels: Real) -> Complex:

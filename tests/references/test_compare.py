@@ -1,0 +1,59 @@
+"""The engine against the judge on random scenes: each agrees within what it states, or is refused."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tapetum.bench.load import scene_from_dict
+from tapetum.simulate import retroreflect
+
+from .compare import compared, summary
+from .draw import KINDS, draw
+
+# Scenes of a seed of their own that the judge does in a second or two each, of as many kinds as there are.
+QUICK = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 17, 18, 19)
+SEALED, SCENES = 20261122, 200
+
+
+@pytest.mark.parametrize("number", QUICK)
+def test_the_engine_agrees_with_the_judge_or_refuses(number: int, tmp_path: Path) -> None:
+    kind, plain = draw(4, number, tmp_path)
+    line = compared(kind, plain)
+    assert line["outcome"] in ("agrees", "refused"), json.dumps(line, indent=1)
+
+
+@pytest.mark.slow
+def test_two_hundred_scenes(tmp_path: Path) -> None:
+    lines, number = list[dict](), 0
+    # A scene too large for the judge is drawn again.
+    while sum(line["outcome"] != "too large" for line in lines) < SCENES:
+        lines.append({"number": number, **compared(*draw(SEALED, number, tmp_path))})
+        number += 1
+    print(summary(lines))
+    wrong = [line for line in lines if line["outcome"] == "differs"]
+    assert not wrong, summary(lines)
+    # What is refused or too large is no proof.
+    assert sum(line["outcome"] == "agrees" for line in lines) >= SCENES / 2
+
+
+def test_a_picture_of_a_slightly_other_scene_differs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    kind, plain = draw(4, 1, tmp_path)
+
+    def other(scene: object) -> object:
+        turned = [1.05 * angle for angle in plain["target"]["rotation"]]
+        return retroreflect(scene_from_dict({**plain, "target": {**plain["target"], "rotation": turned}}))
+
+    assert compared(kind, plain)["outcome"] == "agrees"
+    monkeypatch.setattr("references.compare.retroreflect", other)
+    assert compared(kind, plain)["outcome"] == "differs"
+
+
+def test_scenes_are_drawn_by_seed_and_number_alone(tmp_path: Path) -> None:
+    first = [draw(5, number, tmp_path) for number in range(len(KINDS))]
+    again = [draw(5, number, tmp_path) for number in reversed(range(len(KINDS)))][::-1]
+    assert first == again
+    assert [kind for kind, _ in first] == list(KINDS)
+    assert len({json.dumps(plain) for _, plain in first}) == len(KINDS)

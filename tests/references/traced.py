@@ -1,0 +1,227 @@
+"""The judge's traced lens: rays to a plane before the sensor, and from there waves with exact distances.
+
+Light from the probe, and light that a pixel of the probe would send, are each a bundle of rays of their own through the
+whole lens. Rays are laid out by their azimuth and distance from the pupil's middle up to the edge that the surfaces
+leave. What each pixel receives is the sum of both fields' product over the sensor (reciprocity).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tapetum.bench import PrescriptionLens, Scene
+
+from .plane import Plane, Points, TooLargeError, points
+from .quadrature import Complex, Real, interpolation, legendre, phasor
+from .rays import Traced, focused
+from .thin import Beam, Effort
+from .way import Probe
+
+__all__ = ["traced_amplitudes"]
+
+# Dark rings that the sum over the sensor holds beyond the rays, at a window of 1; it fades out over the outer half.
+_RINGS = 14.0
+_MOST_RAYS, _MOST_POINTS = 30_000, 700_000
+_AT_ONCE = 1 << 20
+
+
+@dataclass(frozen=True)
+class _Wave:
+    """Rays on a plane before the sensor [N, 3], their directions, phases (rad) and strengths with weights."""
+
+    position: Real
+    direction: Real
+    path: Real
+    strength: Real
+
+
+def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixels: Real, effort: Effort) -> Complex:
+    """As `thin.amplitudes`, for a prescription; to the far field."""
+    if probe.distance is not None:
+        raise TooLargeError("a traced lens seen through the probe's aperture takes a bundle of rays a direction")
+    assert isinstance(scene.target.lens, PrescriptionLens)
+    lens = focused(scene.target.lens, beam.wavelength, scene.target.object_distance)
+    k = 2 * math.pi / beam.wavelength
+    s = np.array(beam.sines)
+    cosine = math.sqrt(1 - s @ s)
+    shift = plane.depth / plane.index
+    place = lens.image - shift
+    a = np.array(plane.tilt)
+    # Few rays first: where they land, how steep they are.
+    coarse = _wave(lens, s, beam.curvature, place, 12, 5, k)
+    landing, spread = _landing(coarse, place)
+    if math.hypot(*(beam.sines)) > 0 and beam.radius < 1.2 * _outer(lens, s):
+        raise TooLargeError("a beam that does not fill the lens is not laid out in rays here")
+    aperture = float(np.abs(coarse.direction[:, :2] - coarse.direction[:, :2].mean(0)).max())
+    ring = beam.wavelength / (2 * aperture)
+    steepest = float(np.abs(coarse.direction[:, :2]).max())
+    square = float(s @ s)
+    turned = pixels / probe.focal_length
+    if square > 0:
+        turned = turned - (1 - cosine) / square * np.outer(turned @ s, s)
+    others = [
+        _landing(_wave(lens, s - one, 0.0, place, 12, 5, k), place) for one in turned[:: max(1, len(turned) // 4)]
+    ]
+    margin = effort.window * _RINGS * ring
+    flat = min(spread, *(one[1] for one in others)) + max(
+        min(float(np.hypot(*(one[0] - landing))), 8 * ring + abs(spread - one[1])) for one in others
+    )
+    flat += margin / 2 + float(np.hypot(*a)) * 2 * flat
+    half = flat + margin / 2
+    density = 2 * k * steepest + 2 * k * float(np.hypot(*a))
+    found = points(plane, landing, half, flat, density, effort.points)
+    if found is None:
+        return np.zeros(len(pixels), np.complex128)
+    widest = max(spread, *(one[1] for one in others)) + half
+    turns = k * aperture * widest
+    spokes = math.ceil(effort.points * (1.15 * turns + 24))
+    rings = math.ceil(effort.points * (0.6 * turns + 10))
+    if not found.product or spokes * rings > _MOST_RAYS or found.u.size > _MOST_POINTS:
+        raise TooLargeError(f"{spokes} x {rings} rays, {found.u.shape} points of the plane")
+    coming = _at(found, _wave(lens, s, beam.curvature, place, spokes, rings, k), place, a, landing, k) * found.weights
+    amplitudes = [
+        (coming * _at(found, _wave(lens, s - one, 0.0, place, spokes, rings, k), place, a, landing, k)).sum()
+        for one in turned
+    ]
+    # The distance to a layer has 2kt/n of its path in it already.
+    phase = -k * (plane.path - 2 * shift)
+    return np.array(amplitudes) * (np.exp(1j * phase) * k / (2 * math.pi * probe.focal_length))
+
+
+def _started(lens: Traced, s: Real, curvature: float, e: Real) -> tuple[Real, Real, Real, Real]:
+    """Rays through places e [N, 2] of the entrance pupil: positions, directions, path so far, power of a unit area."""
+    cosine = math.sqrt(1 - s @ s)
+    position = np.concatenate([e, np.full((len(e), 1), lens.pupil)], 1)
+    towards = np.array([s[0], s[1], cosine])
+    if curvature == 0:
+        return position, np.broadcast_to(towards, position.shape), e @ s, np.full(len(e), cosine)
+    away = 1 / curvature
+    from_source = np.concatenate([e, np.zeros((len(e), 1))], 1) + away * towards
+    length = np.linalg.norm(from_source, axis=1)
+    sign = math.copysign(1.0, away)
+    path = sign * (2 * away * (e @ s) + (e**2).sum(1)) / (length + abs(away))
+    return position, sign * from_source / length[:, None], path, cosine * (abs(away) / length) ** 3
+
+
+def _edges(lens: Traced, s: Real, curvature: float, spokes: int) -> tuple[Real, Real]:
+    """A place within the pupil and the distance of its edge from there along each spoke."""
+    turn = 2 * math.pi * np.arange(spokes) / spokes
+    rays = np.stack([np.cos(turn), np.sin(turn)], 1)
+    reach = _outer(lens, s)
+    line = np.linspace(-reach, reach, 61)
+    x, y = (one.ravel() for one in np.meshgrid(line, line))
+    e = np.stack([x, y], 1)
+    inside = _height(lens, s, curvature, e) <= 1
+    if not inside.any():
+        return np.zeros(2), np.zeros(spokes)
+    middle = e[inside].mean(0)
+    low, high = np.zeros(spokes), np.full(spokes, 2 * reach)
+    # The first of equal steps that is stopped, then halves.
+    steps = np.linspace(0, 1.6 * reach, 49)
+    every = (middle + rays[:, None, :] * steps[:, None]).reshape(-1, 2)
+    stopped = (_height(lens, s, curvature, every) > 1).reshape(spokes, -1)
+    first = np.maximum(stopped.argmax(1), 1)
+    low, high = steps[first - 1], steps[first]
+    for _ in range(24):
+        at = (low + high) / 2
+        out = _height(lens, s, curvature, middle + rays * at[:, None]) > 1
+        low, high = np.where(out, low, at), np.where(out, at, high)
+    return middle, low
+
+
+def _outer(lens: Traced, s: Real) -> float:
+    """Half width of a square that holds the pupil."""
+    reach = lens.focal_length
+    line = np.linspace(-reach, reach, 201)
+    zero = np.zeros_like(line)
+    e = np.concatenate([np.stack([line, zero], 1), np.stack([zero, line], 1)])
+    inside = _height(lens, s, 0.0, e) <= 1
+    if not inside.any():
+        return reach / 10
+    return 1.3 * float(np.abs(e[inside]).max()) + 2 * reach / 200
+
+
+def _height(lens: Traced, s: Real, curvature: float, e: Real) -> Real:
+    position, direction, _, _ = _started(lens, s, curvature, e)
+    return lens.trace(position, np.ascontiguousarray(direction)).height
+
+
+def _wave(lens: Traced, s: Real, curvature: float, place: float, spokes: int, rings: int, k: float) -> _Wave:
+    """Rays on a plane one focal length before the sensor; where that lies within the lens, as if it did not."""
+    middle, edge = _edges(lens, s, curvature, spokes)
+    nodes, weights = legendre(rings)
+    away = edge[:, None] * (nodes + 1) / 2
+    turn = (2 * math.pi * np.arange(spokes) / spokes)[:, None]
+    e = np.stack([middle[0] + away * np.cos(turn), middle[1] + away * np.sin(turn)], -1).reshape(-1, 2)
+    area = (away * edge[:, None] / 2 * weights * (2 * math.pi / spokes)).ravel()
+    reference = place - lens.focal_length
+
+    def ends(at: Real) -> tuple[Real, Real, Real]:
+        position, direction, before, _ = _started(lens, s, curvature, at)
+        rays = lens.trace(position, np.ascontiguousarray(direction))
+        way = (reference - rays.position[:, 2]) / rays.direction[:, 2]
+        return rays.position + way[:, None] * rays.direction, rays.direction, before + rays.path + way
+
+    position, direction, path = ends(e)
+    # ∂(place on the plane)/∂e by differences: what area a bundle takes there.
+    h = 1e-4 * lens.focal_length
+    along, down = np.array([h, 0.0]), np.array([0.0, h])
+    dx = (ends(e + along)[0] - ends(e - along)[0]) / (2 * h)
+    dy = (ends(e + down)[0] - ends(e - down)[0]) / (2 * h)
+    grown = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
+    _, _, _, power = _started(lens, s, curvature, e)
+    # √(power · area · cosine of the ray on both planes): of a power-normalised wave.
+    strength = area * np.sqrt(power * grown) * direction[:, 2]
+    good = np.isfinite(path + strength) & (area > 0)
+    return _Wave(position[good], direction[good], path[good], strength[good])
+
+
+def _landing(wave: _Wave, place: float) -> tuple[Real, float]:
+    """Mean place of rays on the sensor, and their largest distance from it."""
+    way = (place - wave.position[:, 2]) / wave.direction[:, 2]
+    at = wave.position[:, :2] + way[:, None] * wave.direction[:, :2]
+    if not len(at):
+        raise TooLargeError("no ray gets through")
+    return at.mean(0), float(np.hypot(*(at - at.mean(0)).T).max())
+
+
+def _at(found: Points, wave: _Wave, place: float, a: Real, centre: Real, k: float) -> Complex:
+    """Huygens' sum at points of a plane that lies a·u farther at u.
+
+    ρ² between a ray's end and a point is X(u) + Y(v) but for 2 a_x a_y u v, taken in at the mean distance. exp(ikρ) is
+    interpolated in X at so many points that the error is rounding; then rows and columns are summed apart.
+    """
+    u, v = found.u[0] - centre[0], found.v - centre[1]
+    p = wave.position
+    far = place + a @ centre - p[:, 2]
+    ax, ay = centre[0] - p[:, 0], centre[1] - p[:, 1]
+    mean = float(np.sqrt(ax**2 + ay**2 + far**2).mean())
+    base = float(wave.path.mean()) + mean
+    total = np.zeros((len(v), len(u)), np.complex128)
+    step = max(1, _AT_ONCE // (len(u) + len(v)))
+    for i in range(0, len(p), step):
+        some = slice(i, i + step)
+        x0, d0 = ax[some, None], far[some, None]
+        y0 = ay[some, None]
+        # Against the middle: X - X0 and Y - Y0.
+        X = 2 * (x0 + d0 * a[0]) * u + (1 + a[0] ** 2) * u**2
+        Y = 2 * (y0 + d0 * a[1]) * v + (1 + a[1] ** 2) * v**2
+        R2 = x0**2 + y0**2 + d0**2
+        R = np.sqrt(R2)
+        low, high = X.min(1, keepdims=True), X.max(1, keepdims=True)
+        middle, half = (low + high) / 2, (high - low) / 2
+        turning = float((k * (half**2 / (4 * R2 * R) + half * np.abs(Y).max() / (4 * R2 * R))).max())
+        knots, shares = interpolation(-1.0, 1.0, 5 + math.ceil(1.5 * turning), (X - middle) / half)
+        across = phasor(k * X / (2 * R))
+        strength = (wave.strength[some] * (k / (2 * math.pi)))[:, None]
+        for knot, share in zip(knots, shares, strict=True):
+            at = middle + half * knot
+            length = np.sqrt(R2 + at + Y)
+            path = wave.path[some, None] - base + length - at / (2 * R)
+            down = phasor(k * path) * (strength / length)
+            total += down.T @ (across * share)
+    cross = phasor(k * a[0] * a[1] / mean * np.outer(v, u)) if a.all() else 1.0
+    return total * cross * -1j
