@@ -198,8 +198,8 @@ def _at(found: Points, wave: _Wave, place: float, a: Real, centre: Real, k: floa
     p = wave.position
     far = place + a @ centre - p[:, 2]
     ax, ay = centre[0] - p[:, 0], centre[1] - p[:, 1]
+    # Phases are absolute: planes at different depths interfere.
     mean = float(np.sqrt(ax**2 + ay**2 + far**2).mean())
-    base = float(wave.path.mean()) + mean
     total = np.zeros((len(v), len(u)), np.complex128)
     step = max(1, _AT_ONCE // (len(u) + len(v)))
     for i in range(0, len(p), step):
@@ -220,7 +220,7 @@ def _at(found: Points, wave: _Wave, place: float, a: Real, centre: Real, k: floa
         for knot, share in zip(knots, shares, strict=True):
             at = middle + half * knot
             length = np.sqrt(R2 + at + Y)
-            path = wave.path[some, None] - base + length - at / (2 * R)
+            path = wave.path[some, None] + length - at / (2 * R)
             down = phasor(k * path) * (strength / length)
             total += down.T @ (across * share)
     cross = phasor(k * a[0] * a[1] / mean * np.outer(v, u)) if a.all() else 1.0
