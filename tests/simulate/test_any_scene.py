@@ -309,7 +309,7 @@ def limited(beams: int) -> Iterator[None]:
         samples = plan.columns * plan.rows * (1 + sum(len(one.orders) for one in surfaces) / 4)
         if options["distance"] is not None:
             distance = float(options["distance"])
-            samples += 2 * math.prod(aperture_samples(geometry, plan, distance, options["probe_radius"]))
+            samples += 2 * math.prod(aperture_samples(geometry, distance, options["probe_radius"]))
         steepest = max((math.hypot(*order.direction) / 2 for one in surfaces for order in one.orders), default=0.0)
         reach = 2 * geometry.image_distance * (geometry.sine + steepest) + 3 * geometry.radius
         # Entries of the table of returning light, about.

@@ -326,9 +326,7 @@ def through_aperture(geometry: DoublePassGeometry, distance: float, probe_radius
     return replace(geometry, window=geometry.probe_focal_length * (probe_radius + geometry.radius) / distance)
 
 
-def aperture_samples(
-    geometry: DoublePassGeometry, plan: RoundPlan, distance: float, probe_radius: float
-) -> tuple[int, int]:
+def aperture_samples(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> tuple[int, int]:
     """Columns and rows over the probe's aperture: it sees the whole lens, and its rays under their own angles."""
     g = geometry
     widest = (probe_radius + g.radius) / distance
@@ -339,7 +337,7 @@ def aperture_samples(
     return columns, math.ceil(columns * _ROWS_A_COLUMN)
 
 
-def check_aperture(geometry: DoublePassGeometry, plan: RoundPlan, distance: float, probe_radius: float) -> None:
+def check_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> None:
     """Refuse a probe's aperture whose samples exceed the memory allowed; arguments as for `aperture_samples`.
 
     Raises
@@ -349,12 +347,12 @@ def check_aperture(geometry: DoublePassGeometry, plan: RoundPlan, distance: floa
     """
 
     def needed(radius: float) -> int:
-        columns, rows = aperture_samples(geometry, plan, distance, radius)
+        columns, rows = aperture_samples(geometry, distance, radius)
         return _BYTES_AT_APERTURE * columns * rows
 
     if needed(probe_radius) <= _MOST_BYTES:
         return
-    columns, rows = aperture_samples(geometry, plan, distance, probe_radius)
+    columns, rows = aperture_samples(geometry, distance, probe_radius)
     fitting = _largest(lambda share: needed(probe_radius * share) <= _MOST_BYTES)
     raise InputError(
         f"light that goes {distance:.3g} m to an aperture of {probe_radius:.3g} m needs {columns} x {rows} samples "

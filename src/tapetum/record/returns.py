@@ -261,7 +261,8 @@ def flashes_of(
 
 def _camera(scene: Scene, steepest: float, window: Grid | None = None) -> Camera:
     # A frame is to be the same wherever it is made: a GPU would round its light differently.
-    return Camera(scene, steepest, output=window, device="cpu")
+    # A spot that crosses the sensor's edge fades as it goes: no frame is refused.
+    return Camera(scene, steepest, output=window, edge="dimmed", device="cpu")
 
 
 def _radius(scene: Scene) -> float:

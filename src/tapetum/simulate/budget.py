@@ -11,11 +11,14 @@ import os
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
+import torch
+
 from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, as_scene, at_wavelength
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import lens_numbers
 from tapetum.optics.sampling import DoublePassGeometry, disc_overlap
 from tapetum.simulate.exposure import gain_of
+from tapetum.simulate.gaze import spot_places
 from tapetum.simulate.radiometry import (
     beam_radius,
     dark_electrons,
@@ -29,6 +32,7 @@ from tapetum.simulate.radiometry import (
     specular_reflectance,
 )
 from tapetum.simulate.reflections import glinting
+from tapetum.simulate.sensor_edge import SensorEdge
 
 __all__ = ["LinkBudget", "Reflection", "link_budget"]
 
@@ -46,7 +50,7 @@ class Reflection:
     transmittance
         Of the layers before the plane, there and back.
     returning
-        Share of the reflected light that the target's aperture lets out again, by rays.
+        Share of the light that the sensor's edges leave on it and the target's aperture lets out again, by rays.
     return_radius
         Of the beam at the probe, by rays and diffraction, in metres.
     inside_probe
@@ -243,11 +247,19 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     cosine = math.sqrt(1 - sine**2)
     accepted = min(irradiance * math.pi * target.lens.aperture_radius**2 * cosine, watts)
 
+    tilt = torch.sin(torch.tensor([target.rotation], dtype=torch.float64))
+    place = spot_places(scene, torch.tensor(z, dtype=torch.float64), tilt)
+
     def reflection(name: str, depth: float, reflectance: float, transmittance: float) -> Reflection:
         geometry = DoublePassGeometry(
             wavelength, target.lens.aperture_radius, f, z - depth, f_p, 0.0, sine, illumination_curvature(scene)
         )
-        return _returned(name, scene, geometry, accepted, reflectance, transmittance)
+        held = 1.0
+        if name == "sensor":
+            # Beside its edge nothing comes back.
+            spot = geometry.spot_radius + geometry.airy_step
+            held = float(SensorEdge.of(target.sensor).share(place, spot))
+        return _returned(name, scene, geometry, accepted, reflectance, transmittance, held)
 
     before = [layer_transmittance(layer, wavelength) ** 2 for layer in target.sensor.layers]
     depths = [layer.depth for layer in target.sensor.layers]
@@ -258,6 +270,8 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
         reflections.append(reflection(f"layers.{i}", layer.depth / layer.index, share, above))
 
     one, sensor = reflections[0], probe.sensor
+    if float(SensorEdge.of(target.sensor).depths(place).min()) < 0:
+        notes.append("the spot lies beside the target's sensor")
     reflected = accepted * one.reflectance * one.transmittance
     photons = one.watts * sensor.exposure / photon_energy(wavelength)
     electrons = photons * sensor.quantum_efficiency
@@ -298,10 +312,16 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
 
 
 def _returned(
-    name: str, scene: Scene, g: DoublePassGeometry, accepted: float, reflectance: float, transmittance: float
+    name: str,
+    scene: Scene,
+    g: DoublePassGeometry,
+    accepted: float,
+    reflectance: float,
+    transmittance: float,
+    held: float,
 ) -> Reflection:
     probe, distance = scene.probe, scene.distance
-    share, aperture = g.returning, probe.lens.aperture_radius
+    share, aperture = g.returning * held, probe.lens.aperture_radius
     rays = return_radius_by_rays(g.radius, g.focal_length, g.image_distance, g.curvature, distance)
     # The light that leaves, as a disc of the same area. Light that the target brings to a focus in its own lens is as
     # wide there as diffraction makes it.

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -26,6 +27,7 @@ from tapetum.optics.sampling import (
 from tapetum.simulate.diffuse import DiffuseProfile, corner, diffuse_profile
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.foreshortening import cosines, off_axis
+from tapetum.simulate.gaze import spot_places
 from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
 from tapetum.simulate.radiometry import (
@@ -43,10 +45,12 @@ from tapetum.simulate.reflections import (
     scatterers,
     specular_groups,
 )
-from tapetum.simulate.round_pass import RoundPass
+from tapetum.simulate.round_pass import RoundPass, Surface
+from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, Spots
+from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.traced_lens import TracedLens
-from tapetum.simulate.traced_plan import TracedPlan
+from tapetum.simulate.traced_plan import TracedGroup, TracedPlan
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
 
@@ -68,6 +72,8 @@ class _Line:
     scatterers: tuple[Scatterer, ...]
     geometry: DoublePassGeometry
     glints: Glints | None = None
+    # For each pass what it returns where its sensor does not hold the whole spot; None where no sensor is in it.
+    ends: tuple[SensorEnd | None, ...] = ()
 
 
 class Camera:
@@ -83,6 +89,9 @@ class Camera:
         Pixels to compute in place of the probe's whole sensor.
     object_distance, focal_length, distance, power
         In place of the scene's, in metres and watts: as tensors they carry gradients.
+    edge
+        What becomes of a spot that the edge of the target's sensor cuts. `exact`: it is computed on a sampled sensor
+        plane, or refused. `dimmed`: the return fades by the share of the spot that the sensor holds, by rays.
     accuracy, dtype, device
         As for `retroreflect`.
 
@@ -102,11 +111,14 @@ class Camera:
         focal_length: torch.Tensor | float | None = None,
         distance: torch.Tensor | float | None = None,
         power: torch.Tensor | float | None = None,
+        edge: EdgeRule = "exact",
         accuracy: float | None = None,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "auto",
     ) -> None:
         self.scene, self.output = scene, output or sensor_grid(scene)
+        self._edge, self._edge_error = SensorEdge.of(scene.target.sensor), 0.0
+        self._edge_rule: EdgeRule = edge
         self._dtype, self._device = dtype, pick_device(device)
         self._accuracy = scene.sampling.accuracy if accuracy is None else accuracy
         target = scene.target
@@ -205,6 +217,7 @@ class Camera:
         focal = self._focal_at(wavelength)
         curvature = self._curvature()
         passes: list[Pass] = []
+        ends: list[SensorEnd | None] = []
         for group in specular_groups(scene, wavelength, self._z, widest):
             # The plane that is most out of focus asks for the finest grid.
             lengths = [float(self._scalar(one.image_distance).detach()) for one in group]
@@ -223,31 +236,29 @@ class Camera:
             )
             check_table(at, plan, at.tangent + tilt)
             if distance is not None:
-                check_aperture(at, plan, float(distance.detach()), scene.probe.lens.aperture_radius)
+                check_aperture(at, float(distance.detach()), scene.probe.lens.aperture_radius)
             self._plans.append(plan)
-            passes.append(
-                RoundPass(
-                    at,
-                    plan,
-                    self.output,
-                    group,
-                    distance=distance,
-                    probe_radius=scene.probe.lens.aperture_radius if self._finite else None,
-                    focal_length=focal,
-                    curvature=curvature,
-                    lit_radius=min(radius, beam_radius(scene)),
-                    dtype=self._dtype,
-                    device=self._device,
-                )
-            )
+            options: dict[str, Any] = {
+                "distance": distance,
+                "probe_radius": scene.probe.lens.aperture_radius if self._finite else None,
+                "focal_length": focal,
+                "curvature": curvature,
+                "lit_radius": min(radius, beam_radius(scene)),
+                "dtype": self._dtype,
+                "device": self._device,
+            }
+            passes.append(RoundPass(at, plan, self.output, group, **options))
+            own = {"edge": self._edge, "accuracy": self._accuracy}
+            ends.append(thin_end(at, plan, self.output, group, sensor=sensor, **own, **options))
         if sensor.mask is not None:
             passes.append(self._masked(geometry, wavelength, focal))
+            ends.append(None)
         share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
             # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry)
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, None, tuple(ends))
 
     def _traced_line(self, lens: TracedLens, wavelength: float, watts: float, geometry: DoublePassGeometry) -> _Line:
         scene = self.scene
@@ -256,24 +267,24 @@ class Camera:
         passes: list[Pass] = []
         # Beyond twice the aperture and the steepest tilt no order finds its way out again.
         widest = 4 * lens.aperture_sine(wavelength)
+        ends: list[SensorEnd | None] = []
+
+        def opened(group: Sequence[Surface]) -> TracedGroup:
+            distance = float(self._distance) if self._finite else None
+            given = group, self.output, wavelength, self._accuracy, distance
+            return lens.group(*given, dtype=self._dtype, device=self._device)
+
         for group in specular_groups(scene, wavelength, self._z, widest):
-            one = lens.group(
-                group,
-                self.output,
-                wavelength,
-                self._accuracy,
-                float(self._distance) if self._finite else None,
-                dtype=self._dtype,
-                device=self._device,
-            )
+            one = opened(group)
             self._plans.append(one.plan)
             passes.append(one)
+            ends.append(traced_end(group, opened, self.output))
         share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
         glints = lens.glints(self.output, wavelength, float(self._distance) if self._finite else None)
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints)
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends))
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
         sensor, sampling = self.scene.target.sensor, self.scene.sampling
@@ -295,13 +306,14 @@ class Camera:
         )
         self._plans.append(plan)
         bare, passed = reflectance_at(sensor, wavelength), math.sqrt(reaching_sensor(self.scene, wavelength))
+        edge = self._edge
         return DoublePass(
             geometry,
             plan,
             self.output,
             focal,
             self._z,
-            mask=lambda x, y: bare(x, y) * passed,
+            mask=lambda x, y: bare(x, y) * edge.window(x, y) * passed,
             dtype=self._dtype,
             device=self._device,
         )
@@ -375,13 +387,18 @@ class Camera:
             weight = scale * line.power
             if equivalent:
                 weight = weight * (line.wavelength / self.scene.illumination.wavelength)
-            for one in line.passes:
-                image = one(sines, None if middle else centres)
+            spots = self._spots(line, sines) if line.ends or line.scatterers else None
+            for one, end in itertools.zip_longest(line.passes, line.ends):
+                given = sines, None if middle else centres
+                image = one(*given) if end is None or spots is None else end.seen(one, spots, self._edge_rule, *given)
                 part = weight.to(image.dtype) * image
                 total = part if total is None else total + part
             for scatterer in line.scatterers:
                 # The spot's light and what the lens sends of it go by the width that the tilted lens shows the probe.
                 seen = cosines(sines)[:, None, None].to(self._device) ** 2
+                if spots is not None and scatterer.image_distance == line.geometry.image_distance:
+                    # The sensor's own: its layers scatter beside it, too.
+                    seen = seen * spots.share[:, None, None].to(seen)
                 part = weight * seen * self._scattered(line, scatterer, centres)
                 total = part if total is None else total + part.to(total.dtype)
             if line.glints is not None:
@@ -390,6 +407,16 @@ class Camera:
         if total is None:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
         return total
+
+    def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
+        """Where the gazes put their spots on the sensor, and how much of each it holds."""
+        g = line.geometry
+        lit = min(g.radius, beam_radius(self.scene))
+        places, turning = spot_places(self.scene, self._z, sines), 4 * math.pi / (g.wavelength * g.image_distance)
+        spot, ring = g.spot_radius * lit / g.radius, g.airy_step * g.radius / lit
+        spots = Spots.of(self._edge, places, spot, ring, turning, self._accuracy)
+        self._edge_error = max(self._edge_error, spots.missed)
+        return spots
 
     def _scattered(self, line: _Line, scatterer: Scatterer, centres: torch.Tensor) -> torch.Tensor:
         """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target, head on."""
@@ -462,7 +489,8 @@ class Camera:
             way += "; the return overfills the probe, which cuts off nothing here"
         return {
             "sampling": self.plan.as_dict(),
-            "expected_error": self.plan.expected_error,
+            # What the sensor's edges change of spots that lie near them, of all gazes so far.
+            "expected_error": self.plan.expected_error + self._edge_error,
             "irradiance_at_target": irradiance_at_target(scene),
             "beam_radius_at_target": beam_radius(scene),
             "return_radius_at_probe": returning,

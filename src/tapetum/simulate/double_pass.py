@@ -24,8 +24,9 @@ from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.grid_sampling import SamplingPlan
 from tapetum.optics.pupil import disc_quadrature
-from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.optics.sampling import DoublePassGeometry, aperture_samples
 from tapetum.simulate.foreshortening import cosines, foreshortening, foreshortens, tangents, twisted
+from tapetum.simulate.true_paths import Leg, TruePaths
 
 __all__ = ["DoublePass"]
 
@@ -51,6 +52,10 @@ class DoublePass:
     mask
         Complex reflectance of the sensor plane, for columns x [B, n] and rows y [B, m] in metres from the optical axis:
         [B, m, n]. Plan for its finest detail. A perfect mirror when left out.
+    distance, probe_radius
+        Both given, the light of a mask travels the distance and through the probe's round aperture, in metres.
+    followed
+        Whether to follow the paths of `true_paths`, along the rays of a mirror.
     dtype
         complex64 or complex128.
     device
@@ -66,6 +71,9 @@ class DoublePass:
         image_distance: torch.Tensor | float | None = None,
         *,
         mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None = None,
+        distance: torch.Tensor | float | None = None,
+        probe_radius: float | None = None,
+        followed: bool = False,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -99,9 +107,22 @@ class DoublePass:
         self._to_pupil = MatrixFourier(self._v, self._v, self._x, self._y, self._k / z, dtype)
         self._exit = (weights * phasor(defocus)).to(dtype)
         self._kappa = self._k / geometry.probe_focal_length
-        self._to_image = MatrixFourier(
-            self._x, self._y, output.x(device=device), output.y(device=device), self._kappa, dtype
-        )
+        pixels = output.x(device=device), output.y(device=device)
+        self._to_image = MatrixFourier(self._x, self._y, *pixels, self._kappa, dtype)
+        self._aperture: torch.Tensor | None = None
+        way = None
+        if distance is not None and probe_radius is not None:
+            way = _scalar(distance, device)
+            columns, rows = aperture_samples(geometry, float(way.detach()), probe_radius)
+            stop = disc_quadrature(probe_radius, columns, rows)
+            self._far_x, self._far_y = stop.x.to(device), stop.y.to(device)
+            self._to_probe = self._k / way
+            chirp = stop.weights.to(device) * phasor(self._to_probe / 2 * stop.rho_squared().to(device))
+            self._aperture = (chirp / (1j * geometry.wavelength * way)).to(dtype)
+            self._exit = (weights * phasor(defocus + self._to_probe / 2 * rho_squared)).to(dtype)
+            self._second = MatrixFourier(self._far_x, self._far_y, *pixels, self._kappa, dtype)
+        k, radius, curvature = (_scalar(value, device) for value in (self._k, geometry.radius, geometry.curvature))
+        self._paths = TruePaths(k, radius, f, curvature, way, probe_radius) if followed else None
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Irradiance on the probe's pixels for an illumination of 1 W/m² and the mask's reflectance, or 1.
@@ -137,21 +158,35 @@ class DoublePass:
         if self._mask is not None:
             places = self._z * slopes[:, :, None] + self._v
             returned = returned * self._mask(places[:, 0], places[:, 1]).to(self.dtype)
-        return self._to_pupil(returned) * self._exit * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
+        pupil = self._to_pupil(returned) * self._exit
+        if self._paths is not None:
+            z = self._z.expand(len(sines))
+            leg = Leg(sines, slopes, torch.zeros_like(slopes), z)
+            pupil = pupil * self._paths(self._x, self._y, leg, self._z)[2].to(self.dtype)
+        return pupil * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
         sines = sines.to(self.device, torch.float64)
         # What a tilted pupil sends spreads over a foreshortened picture.
         pupil = self.exit_pupil(sines) * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
+        if self._aperture is not None:
+            far = self._in_place(pupil, sines, self._far_x, self._far_y, self._to_probe) * self._aperture
+            # The beam comes back to the probe's middle, under an angle.
+            return self._second(far if centres is None else far * self._ramp(centres, self._far_x, self._far_y))
         if centres is not None:
-            shift = self._kappa * centres.to(self.device, torch.float64)
-            column = phasor(shift[:, 0, None, None] * self._x[None, None, :]).to(self.dtype)
-            row = phasor(shift[:, 1, None, None] * self._y[None, :, None]).to(self.dtype)
-            pupil = pupil * column * row
+            pupil = pupil * self._ramp(centres, self._x, self._y)
         if not foreshortens(self, sines):
             return self._to_image(pupil)
-        return self._foreshortened(pupil, sines) if self._mask is None else self._foreshortened_in_place(pupil, sines)
+        if self._mask is None:
+            return self._foreshortened(pupil, sines)
+        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
+        return self._in_place(pupil, sines, qx, qy, _scalar(self._kappa, self.device))
+
+    def _ramp(self, centres: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+        shift = self._kappa * centres.to(self.device, torch.float64)
+        column = phasor(shift[:, 0, None, None] * x[None, None, :]).to(self.dtype)
+        return column * phasor(shift[:, 1, None, None] * y[None, :, None]).to(self.dtype)
 
     def _batch(self, gradients: bool) -> int:
         size = 16 if self.dtype == torch.complex128 else 8
@@ -171,12 +206,13 @@ class DoublePass:
         row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * self._y[None, None, :])
         return row.to(self.dtype) @ ((pupil @ column.to(self.dtype)) * mix.to(self.dtype))
 
-    def _foreshortened_in_place(self, pupil: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
+    def _in_place(
+        self, pupil: torch.Tensor, sines: torch.Tensor, qx: torch.Tensor, qy: torch.Tensor, kappa: torch.Tensor
+    ) -> torch.Tensor:
         # M as it is: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Of its four phases the one of y and qx fits into no
         # product. It turns slowly, by the square of the tilt: a few Chebyshev nodes in qx hold it.
         rotation, t = foreshortening(sines)
-        m = self._kappa * (rotation @ t)
-        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
+        m = kappa * (rotation @ t)
         half_width = float(qx.max() - qx.min()) / 2
         turn = float(m[:, 1, 0].detach().abs().max() * self._y.abs().max()) * half_width
         nodes, lift = _nodes(qx, turn, 1e-12 if self.dtype == torch.complex128 else 1e-6)

@@ -10,7 +10,7 @@ from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.field_map import FieldMap, field_map
 
-__all__ = ["gaze_of", "largest_sine", "tilt_of_gaze"]
+__all__ = ["gaze_of", "largest_sine", "spot_places", "tilt_of_gaze"]
 
 _NO_TILT = 1e-12
 # Nearer to the axis a traced lens counts as linear: the fit's own offset there, some 1e-11 m, would spoil the slope.
@@ -55,6 +55,20 @@ def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
         return place / height * traced.sine(height[..., 0])[..., None]
     tangents = place / _image_distance(scene)
     return tangents / torch.sqrt(1 + (tangents**2).sum(-1, keepdim=True))
+
+
+def spot_places(scene: Scene, image_distance: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
+    """Where tilts [B, 2] put their spots on the target's sensor: [B, 2] in metres from the lens's axis.
+
+    Beyond the field that a traced lens covers the place is infinitely far away: no light arrives.
+    """
+    size = torch.sqrt((sines**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
+    traced = _traced(scene)
+    if traced is None:
+        return sines / torch.sqrt(1 - size**2) * image_distance.to(sines.device)
+    edge = traced.nodes.steepest
+    height = traced.image(size[..., 0].clamp(_NEAR_TILT, edge))[..., None]
+    return torch.where(size > edge * (1 + 1e-9), math.inf, height) * (sines / size.clamp_min(_NEAR_TILT))
 
 
 def _field(scene: Scene) -> torch.Tensor:

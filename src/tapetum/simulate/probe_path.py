@@ -65,7 +65,7 @@ class ProbePath:
             self._first = BandLimitedFourier(x, y, qx, qy, self._kappa, dtype)
             return
         way = torch.as_tensor(distance, dtype=torch.float64, device=device)
-        columns, rows = aperture_samples(geometry, plan, float(way.detach()), probe_radius)
+        columns, rows = aperture_samples(geometry, float(way.detach()), probe_radius)
         disc = disc_quadrature(probe_radius, columns, rows)
         self._far_x, self._far_y = disc.x.to(device), disc.y.to(device)
         self._kappa = self._k / way

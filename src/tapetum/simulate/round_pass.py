@@ -165,6 +165,8 @@ class RoundPass:
         have been made for it (`optics.sampling.through_aperture`). Left out, all of it reaches the probe's sensor.
     lit_radius
         Of the light that enters, in metres, where the beam is narrower than the aperture.
+    interferes
+        Whether the field meets others', so that it needs the phases of its planes even for a single one.
     parameters
         Tensors in place of the geometry's numbers where gradients shall flow: `focal_length`, `radius`, `wavelength`,
         `curvature`, `probe_focal_length`; a surface carries its own image distance.
@@ -184,6 +186,7 @@ class RoundPass:
         distance: torch.Tensor | float | None = None,
         probe_radius: float | None = None,
         lit_radius: float | None = None,
+        interferes: bool = False,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
         **parameters: torch.Tensor | float,
@@ -218,7 +221,7 @@ class RoundPass:
         directions = [math.hypot(*order.direction) for one in surfaces for order in one.orders]
         self._steepest = geometry.tangent + max(directions, default=0.0) / 2
         # One plane mirror needs no phase of its own: nothing interferes with it.
-        self._interferes = sum(len(one.orders) for one in surfaces) > 1
+        self._interferes = interferes or sum(len(one.orders) for one in surfaces) > 1
         self._lit: torch.Tensor | None = None
         if lit_radius is not None and lit_radius < geometry.radius:
             self._lit = self._scalar(lit_radius)

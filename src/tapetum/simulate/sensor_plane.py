@@ -11,7 +11,7 @@ c_m(w) = Σ s_(m-b) l_b exp(2πi shift b·w/p), a series that an order carries w
 The cell is one pitch square: a photosite in its middle, what surrounds it, and over both a microlens. With a Bayer
 filter each cell is dimmed by its own colour, photosite and surround alike, and the period P is two pitches. Rows and
 columns begin at the sensor's upper left corner, so that a photosite's centre lies on the optical axis for odd counts of
-pixels, a corner of four for even ones. The array is taken to have no end.
+pixels, a corner of four for even ones. The orders are those of an array without an end; `sensor_edge` says where it is.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -37,7 +37,7 @@ from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
 from tapetum.simulate.round_pass import Order, PlaceSeries
 
-__all__ = ["Reflectance", "orders_of", "reflectance_at"]
+__all__ = ["Reflectance", "orders_of", "reflectance_at", "second_derivative", "widened"]
 
 Reflectance = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Complex = npt.NDArray[np.complex128]
@@ -358,7 +358,7 @@ class _Periodic:
 
     def _seen(self, u: torch.Tensor) -> torch.Tensor:
         """How much of each step every sample sees, [..., n, steps]."""
-        padded, step = _padded(u)
+        padded, step = widened(u)
         p, low, h = self._period, self._low.to(u.device), self._wide.to(u.device)
         within = torch.remainder(padded, p)[..., None]
         # Integrated once a step is a ramp up to its width h, twice h a parabola and a line. Its mean, h/p, is left out
@@ -366,7 +366,7 @@ class _Periodic:
         end = p - low - h
         parabola = 0.5 * torch.minimum((within - low).clamp_min(0), h) ** 2 + h * (within - low - h).clamp_min(0)
         level = (h**2 / 2 + h * end - h * p / 2) * within / p
-        return _second_derivative(parabola - h * within**2 / (2 * p) - level, step) + h / p
+        return second_derivative(parabola - h * within**2 / (2 * p) - level, step) + h / p
 
 
 class _Sampled:
@@ -384,7 +384,7 @@ class _Sampled:
 
     def _seen(self, u: torch.Tensor, count: int) -> tuple[torch.Tensor, slice]:
         """How much of each of the file's columns every sample sees, [..., n, columns], and which columns these are."""
-        padded, step = _padded(u)
+        padded, step = widened(u)
         h, middle = self._pitch, (count - 1) / 2
         first = math.floor(float(padded.detach().min()) / h + middle)
         last = math.ceil(float(padded.detach().max()) / h + middle)
@@ -395,10 +395,10 @@ class _Sampled:
         # which is written as such to lose no digits.
         near = apart.clamp(-2, 2)
         cubes = (near + 1).clamp_min(0) ** 3 - 2 * near.clamp_min(0) ** 3 + (near - 1).clamp_min(0) ** 3
-        return _second_derivative(h**2 * (cubes / 6 + (apart - near).clamp_min(0)), step), some
+        return second_derivative(h**2 * (cubes / 6 + (apart - near).clamp_min(0)), step), some
 
 
-def _padded(u: torch.Tensor) -> tuple[torch.Tensor, float]:
+def widened(u: torch.Tensor) -> tuple[torch.Tensor, float]:
     """Equally spaced places with those that the second derivative needs on both sides, and their distance."""
     if u.shape[-1] < 2:
         raise InputError("needs two columns and rows or more", where="reflectance", remedy="give places in equal steps")
@@ -408,7 +408,7 @@ def _padded(u: torch.Tensor) -> tuple[torch.Tensor, float]:
     return u[..., :1] + places * step, step
 
 
-def _second_derivative(values: torch.Tensor, step: float) -> torch.Tensor:
+def second_derivative(values: torch.Tensor, step: float) -> torch.Tensor:
     """Along the last but one axis, by differences."""
     count = values.shape[-2] - len(_SECOND_DERIVATIVE) + 1
     total = values[..., :count, :] * _SECOND_DERIVATIVE[0]

@@ -158,7 +158,7 @@ class Pictures:
         steepest = largest_sine(tilt_of_gaze(scene, corners))
         grid = Grid(side, side, self.pitch)
         # Light small enough to be drawn faster on the processor: a transfer a picture would eat a GPU's gain.
-        camera = Camera(scene, steepest, output=grid, accuracy=self._accuracy, device="cpu")
+        camera = Camera(scene, steepest, output=grid, edge="dimmed", accuracy=self._accuracy, device="cpu")
         self._cameras[key] = scene, camera
         if len(self._cameras) > _CAMERAS_KEPT:
             self._cameras.popitem(last=False)

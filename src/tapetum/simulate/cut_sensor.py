@@ -1,0 +1,168 @@
+"""A thin lens's planes where the spot lies beside the sensor's edge, or across it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+
+from tapetum.bench import TargetSensor
+from tapetum.optics.fourier import phasor
+from tapetum.optics.grid import Grid
+from tapetum.optics.grid_sampling import ACCURACIES, plan_double_pass
+from tapetum.optics.sampling import DoublePassGeometry, RoundPlan, through_aperture
+from tapetum.simulate.double_pass import DoublePass
+from tapetum.simulate.foreshortening import tangents
+from tapetum.simulate.round_pass import RoundPass, Surface
+from tapetum.simulate.sensor_edge import SensorEdge
+from tapetum.simulate.sensor_plane import orders_of, reflectance_at
+
+__all__ = ["CutSensor"]
+
+# Samples of the sensor for each period of its photosites, where their orders are no table's any more.
+_DETAILS = 5
+
+
+class CutSensor:
+    """Planes that interfere, the sensor among them, which ends at its edge.
+
+    Parameters
+    ----------
+    geometry, plan, output, surfaces
+        As for `RoundPass`; the sensor is the surface of no depth.
+    sensor, edge
+        Its array, and where it ends.
+    accuracy
+        Of the sampled plane, in fractions of the peak.
+    distance, probe_radius
+        As for `RoundPass`.
+    focal_length
+        Of the lens.
+    options
+        Further ones of `RoundPass`.
+    """
+
+    def __init__(
+        self,
+        geometry: DoublePassGeometry,
+        plan: RoundPlan,
+        output: Grid,
+        surfaces: Sequence[Surface],
+        *,
+        sensor: TargetSensor,
+        edge: SensorEdge,
+        accuracy: float,
+        distance: torch.Tensor | float | None,
+        probe_radius: float | None,
+        focal_length: torch.Tensor,
+        **options: Any,
+    ) -> None:
+        (self._sensor,) = (one for one in surfaces if one.depth == 0)
+        self._geometry, self._output, self._edge, self._bare = geometry, output, edge, sensor
+        self._accuracy, self._options = max(accuracy, ACCURACIES[-1]), options
+        self._distance, self._probe_radius = distance, probe_radius
+        self._focal_length = focal_length
+        layers = [one for one in surfaces if one.depth != 0]
+        self._layers: RoundPass | None = None
+        if layers:
+            self._layers = RoundPass(
+                geometry,
+                plan,
+                output,
+                layers,
+                distance=distance,
+                probe_radius=probe_radius,
+                interferes=True,
+                focal_length=focal_length,
+                **options,
+            )
+        self._mirrors: dict[float, DoublePass] = {}
+
+    @property
+    def layers(self) -> RoundPass:
+        """What answers where the spot misses the sensor: the layers before it, of which there must be some."""
+        assert self._layers is not None
+        return self._layers
+
+    def across(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+        """Irradiance [B, H, W] where the edge cuts the spot, by a sampled sensor plane.
+
+        Raises
+        ------
+        InputError
+            Where the samples are too many, and for shifted microlenses, which are not sampled.
+        """
+        return torch.cat([self._one(sines[i : i + 1], None if centres is None else centres[i : i + 1])
+                          for i in range(len(sines))])  # fmt: skip
+
+    def _one(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+        k = 2 * math.pi / self._geometry.wavelength
+        slopes = tangents(sines)
+        tilt = torch.tensor(self._sensor.tilt, dtype=torch.float64)
+        z = torch.as_tensor(self._sensor.image_distance, dtype=torch.float64)
+        there = z / (1 - (slopes.cpu() * tilt).sum())
+        field = self._sampled(there)(sines, centres)
+        if self._layers is not None:
+            phase = k * there * (slopes**2).sum(-1) + self._sensor.phase
+            field = field * phasor(phase)[:, None, None].to(field.dtype) + self._layers.field(sines, centres)
+        return field.real**2 + field.imag**2
+
+    def _sampled(self, z: torch.Tensor) -> Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]:
+        """The sampled plane at a distance, made once for a sensor without a tilt."""
+        key = float(z.detach())
+        if z.requires_grad or key not in self._mirrors:
+            geometry = replace(self._geometry, image_distance=key)
+            planned, distance, radius = geometry, self._distance, self._probe_radius
+            if distance is not None and radius is not None:
+                planned = through_aperture(geometry, float(torch.as_tensor(distance).detach()), radius)
+            array = self._bare.array
+            # What a straight edge makes of light that comes back through the lens has no finer detail.
+            finest = geometry.airy_step / 2
+            if array is not None or self._bare.microlens is not None:
+                pitch = self._bare.pitch if array is None or array.pitch is None else array.pitch
+                finest = min(finest, pitch / _DETAILS)
+            plan = plan_double_pass(
+                planned, self._accuracy, pixels=self._output.rows * self._output.columns, finest=finest
+            )
+            options = {name: self._options[name] for name in ("dtype", "device") if name in self._options}
+            made = DoublePass(
+                geometry,
+                plan,
+                self._output,
+                self._focal_length,
+                z,
+                mask=self._plane(),
+                followed=True,
+                distance=distance,
+                probe_radius=radius,
+                **options,
+            )
+            self._mirrors = {key: made}
+        return self._mirrors[key].field
+
+    def _plane(self) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
+        """The sensor's reflectance as its surface weighs it, up to its edge."""
+        k, (across, down) = 2 * math.pi / self._geometry.wavelength, self._sensor.tilt
+        plain = replace(self._bare, mask=None, reflectance=1.0)
+        bare = reflectance_at(plain, self._geometry.wavelength)
+        # What layers and coherence leave of it: the surface's first order is the sensor's own, scaled.
+        share = _scale_of(self._sensor, plain, self._geometry.wavelength)
+
+        def plane(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+            held = bare(x, y) * self._edge.window(x, y) * share
+            if across or down:
+                held = held * (phasor(2 * k * down * y)[..., :, None] * phasor(2 * k * across * x)[..., None, :])
+            return held
+
+        return plane
+
+
+def _scale_of(surface: Surface, plain: TargetSensor, wavelength: float) -> complex:
+    first = max(surface.orders, key=lambda order: abs(order.amplitude))
+    a, b = (direction - 2 * tilt for direction, tilt in zip(first.direction, surface.tilt, strict=True))
+    known = orders_of(plain, wavelength, math.hypot(a, b) * (1 + 1e-6) + 1e-9)
+    own = min(known, key=lambda order: math.hypot(order.direction[0] - a, order.direction[1] - b))
+    return first.amplitude / own.amplitude

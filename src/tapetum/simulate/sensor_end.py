@@ -1,0 +1,134 @@
+"""What planes return where the sensor among them does not hold the whole spot."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import torch
+
+from tapetum.bench import TargetSensor
+from tapetum.errors import InputError
+from tapetum.optics.grid import Grid
+from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
+from tapetum.simulate.cut_sensor import CutSensor
+from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.sensor_edge import EdgeRule, Spots
+from tapetum.simulate.traced_plan import TracedGroup
+
+__all__ = ["SensorEnd", "thin_end", "traced_end"]
+
+Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
+_REMEDY = "turn the target until its spot lies on the sensor or beside it, or film it: films dim such a return by rays"
+
+
+@dataclass(frozen=True)
+class SensorEnd:
+    """The rest of a group of planes once its sensor ends.
+
+    Parameters
+    ----------
+    open_beside
+        Makes the pass of the layers alone; None where there are none.
+    open_across
+        Makes the pass of a spot that the edge cuts; None where there is no way to have it.
+    output
+        Pixels of the probe's sensor.
+    """
+
+    open_beside: Callable[[], Pass] | None
+    open_across: Callable[[], Pass] | None
+    output: Grid
+
+    @cached_property
+    def _beside(self) -> Pass | None:
+        return None if self.open_beside is None else self.open_beside()
+
+    @cached_property
+    def _across(self) -> Pass:
+        if self.open_across is None:
+            what = "the spot lies across the edge of the target's sensor, which is not computed behind a traced lens"
+            raise InputError(what, where="rotation", remedy=_REMEDY)
+        return self.open_across()
+
+    def seen(
+        self, whole: Pass, spots: Spots, rule: EdgeRule, sines: torch.Tensor, centres: torch.Tensor | None
+    ) -> torch.Tensor:
+        """Irradiance [B, H, W] of the group for 1 W/m², `whole` being its pass for spots that the sensor holds."""
+        if bool(spots.whole.all()):
+            return whole(sines, centres)
+        parts: list[tuple[torch.Tensor, torch.Tensor]] = []
+        cut = ~(spots.whole | spots.beside)
+        for some, kind in ((spots.whole, "whole"), (spots.beside, "beside"), (cut, "cut")):
+            which = torch.nonzero(some)[:, 0]
+            if not len(which):
+                continue
+            given = sines[which.to(sines.device)], None if centres is None else centres[which.to(centres.device)]
+            if kind == "whole":
+                image = whole(*given)
+            elif kind == "beside":
+                image = self._layers(*given)
+            elif rule == "exact":
+                image = self._across(*given)
+            else:
+                image = whole(*given)
+                share = spots.share[which][:, None, None].to(image)
+                image = share * image + (1 - share) * self._layers(*given).to(image)
+            parts.append((which, image))
+        order = torch.argsort(torch.cat([which for which, _ in parts]))
+        like = max((image for _, image in parts), key=lambda image: image.is_cuda)
+        return torch.cat([image.to(like.device) for _, image in parts])[order.to(like.device)]
+
+    def _layers(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+        if self._beside is not None:
+            return self._beside(sines, centres)
+        # Nothing, but with a gradient where one is asked for.
+        return 0 * sines.sum(-1)[:, None, None] * torch.ones(self.output.rows, self.output.columns).to(sines)
+
+
+def thin_end(
+    geometry: DoublePassGeometry,
+    plan: RoundPlan,
+    output: Grid,
+    surfaces: Sequence[Surface],
+    *,
+    sensor: TargetSensor,
+    **options: Any,
+) -> SensorEnd | None:
+    """That of planes behind a thin lens, with the arguments of `CutSensor`; None without a sensor among them."""
+    if all(one.depth != 0 for one in surfaces):
+        return None
+
+    def cut() -> CutSensor:
+        return CutSensor(geometry, plan, output, surfaces, sensor=sensor, **options)
+
+    def across() -> Pass:
+        lit = options["lit_radius"]
+        if lit < geometry.radius:
+            what = "the spot of a beam narrower than the lens lies across the edge of the target's sensor"
+            raise InputError(what, where="rotation", remedy=_REMEDY)
+        made = cut()
+
+        def one(sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+            try:
+                return made.across(sines, centres)
+            except InputError as error:
+                what = f"the spot lies across the edge of the target's sensor, and there {error.what}"
+                raise InputError(what, where="rotation", remedy=_REMEDY) from error
+
+        return one
+
+    layers = any(one.depth != 0 for one in surfaces)
+    return SensorEnd((lambda: cut().layers) if layers else None, across, output)
+
+
+def traced_end(
+    surfaces: Sequence[Surface], opened: Callable[[Sequence[Surface]], TracedGroup], output: Grid
+) -> SensorEnd | None:
+    """That of planes behind a traced lens, `opened` making a group's pass; None without a sensor among them."""
+    layers = [one for one in surfaces if one.depth != 0]
+    if len(layers) == len(surfaces):
+        return None
+    return SensorEnd((lambda: opened(layers)) if layers else None, None, output)
