@@ -136,7 +136,7 @@ def test_layers_answer_beside_the_sensor() -> None:
 def test_behind_a_traced_lens_a_cut_spot_is_refused_or_dimmed() -> None:
     """The rule itself: gazes of one batch go each their own way."""
     spots = Spots.of(
-        SensorEdge(-1e-3, 1e-3, -1e-3, 1e-3), torch.tensor([[2e-3, 0], [0, 0], [1e-3, 0.0]]), 1e-4, 1e-6, 1e8, 0.1
+        SensorEdge(-1e-3, 1e-3, -1e-3, 1e-3), torch.tensor([[2e-3, 0], [0, 0], [1e-3, 0.0]]), 1e-4, 1e-6, 1e8, 0.05
     )
     end = SensorEnd(lambda: lambda sines, _: torch.full((len(sines), 1, 1), 0.25), None, Grid(1, 1, 1e-6))
     at = torch.tensor([[0.3, 0.0], [0.1, 0.0], [0.2, 0.0]])

@@ -51,6 +51,7 @@ from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.traced_lens import TracedLens
 from tapetum.simulate.traced_plan import TracedGroup, TracedPlan
+from tapetum.simulate.true_paths import check_squash
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
 
@@ -58,6 +59,9 @@ __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
 _RINGS_SHOWN = 12
 # Wavelengths in the radius of an opening whose first dark ring is 0.12 rad from the axis.
 _LEAST_WIDTH = 5
+
+# Share of the accuracy that the sensor's edges may take of a spot's outer rings before they are computed.
+_EDGE_SHARE = 0.5
 
 Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 
@@ -235,6 +239,7 @@ class Camera:
                 orders=tilt,
             )
             check_table(at, plan, at.tangent + tilt)
+            check_squash(at)
             if distance is not None:
                 check_aperture(at, float(distance.detach()), scene.probe.lens.aperture_radius)
             self._plans.append(plan)
@@ -414,7 +419,9 @@ class Camera:
         lit = min(g.radius, beam_radius(self.scene))
         places, turning = spot_places(self.scene, self._z, sines), 4 * math.pi / (g.wavelength * g.image_distance)
         spot, ring = g.spot_radius * lit / g.radius, g.airy_step * g.radius / lit
-        spots = Spots.of(self._edge, places, spot, ring, turning, self._accuracy)
+        sampled = self._lens is None and lit == g.radius
+        most = _EDGE_SHARE * self._accuracy if sampled else math.inf
+        spots = Spots.of(self._edge, places, spot, ring, turning, most)
         self._edge_error = max(self._edge_error, spots.missed)
         return spots
 

@@ -18,8 +18,8 @@ EdgeRule = Literal["exact", "dimmed"]
 # Share of the returning amplitude that an edge takes from a focused spot N rings λz/2r away, times N: the light of an
 # Airy pattern beyond a straight line, 2/(π³N). The irradiance changes by twice that at the most.
 _MISSED = 4 / math.pi**3
-# Rings from an edge up to which a spot counts as cut, and the share of the accuracy that whole spots may miss.
-_FEWEST_RINGS, _SHARE = 2.0, 0.5
+# Rings from an edge up to which a spot counts as cut.
+_FEWEST_RINGS = 2.0
 
 
 @dataclass(frozen=True)
@@ -98,13 +98,14 @@ class Spots:
     missed: float
 
     @classmethod
-    def of(
-        cls, edge: SensorEdge, places: torch.Tensor, spot: float, ring: float, turning: float, accuracy: float
-    ) -> Spots:
-        """Sort places [B, 2] by how their spots lie to the edge; lengths as for `SensorEdge.missed`."""
+    def of(cls, edge: SensorEdge, places: torch.Tensor, spot: float, ring: float, turning: float, most: float) -> Spots:
+        """Sort places [B, 2] by how their spots lie to the edge; lengths as for `SensorEdge.missed`.
+
+        A whole spot may miss up to `most` of the picture's peak: infinite where it can be had no better.
+        """
         nearest = edge.depths(places.detach()).amin(-1)
         lost = edge.missed(places.detach(), spot, ring, turning)
-        whole = (nearest >= spot + _FEWEST_RINGS * ring) & (lost <= _SHARE * accuracy)
+        whole = (nearest >= spot + _FEWEST_RINGS * ring) & (lost <= most)
         # Light of so few rings comes back with less than 1e-3 of what a spot on the sensor returns.
         beside = nearest <= -(spot + _FEWEST_RINGS * ring)
         missed = lost[whole]

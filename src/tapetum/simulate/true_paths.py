@@ -15,13 +15,18 @@ from dataclasses import dataclass
 
 import torch
 
+from tapetum.errors import InputError
 from tapetum.optics.fourier import phasor
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["Leg", "TruePaths", "neglected_path"]
+__all__ = ["Leg", "TruePaths", "check_squash", "neglected_path"]
 
 # Rings of a spot in focus that its own tilt is estimated with.
 _RINGS = 3
+# β z of a returning light that comes to a point in the lens.
+_STRAIGHT = 1e-6
+# Largest s²/(Rβ) that rays of the round lens are a start for.
+_MOST_SQUASHED = 0.1
 
 
 @dataclass(frozen=True)
@@ -66,6 +71,27 @@ def neglected_path(
         slope = sine / math.sqrt(1 - sine**2) + (r + spot) / g.image_distance
         missed += 2 * tilt * spot * slope * (r + spot) / g.image_distance
     return missed
+
+
+def check_squash(g: DoublePassGeometry) -> None:
+    """Refuse light of a near source that a tilted lens brings back too far from round.
+
+    Raises
+    ------
+    InputError
+        Where s²/(Rβ) is not small, β being the bend of the light that returns.
+    """
+    beta = g.curvature - 1 / g.focal_length + 1 / (2 * g.image_distance)
+    if g.curvature == 0 or g.sine == 0:
+        return
+    if g.sine**2 * abs(g.curvature) > _MOST_SQUASHED * abs(beta):
+        source = f"a source at {1 / g.curvature:.3g} m" if g.curvature > 0 else f"a vergence of {g.curvature:.3g}/m"
+        raise InputError(
+            f"{source} and a tilt of {math.degrees(math.asin(g.sine)):.3g} deg bring the light back to the lens nearly "
+            "in a point, far from round: neither table nor rays hold it",
+            where="illumination",
+            remedy="turn the target less, or move the source farther away than twice its focal length",
+        )
 
 
 class TruePaths:
@@ -113,6 +139,8 @@ class TruePaths:
         wx, wy = x - z * (2 * tx + ox), y - z * (2 * ty + oy)
         # Of the entering wave's bend the part along the tilt is smaller: β becomes the matrix β - s sᵀ/R.
         beta = self._v - 1 / self._f + 1 / (2 * z)
+        # Light that all returns to one point has no ray of its own there: any small bend does.
+        beta = torch.where(beta.abs() * z < _STRAIGHT, _STRAIGHT / z, beta)
         squash = 1 - (sx**2 + sy**2) * self._v / beta
         along = (sx * wx + sy * wy) * (self._v / beta / squash)
         read_x, read_y = wx + sx * along, wy + sy * along
