@@ -120,7 +120,7 @@ def rows_of(path: Path) -> int:
 @pytest.mark.parametrize("kind", ["parquet", "csv", "jsonl"])
 def test_track(run, chain, small: Small, kind: str) -> None:
     # One block: the smallest file system that there is.
-    with small(4096 if kind == "parquet" else 2048) as folder:
+    with small(4096 if kind == "parquet" else 2560) as folder:
         ran = run("track", chain.recording, "-o", folder / f"x.{kind}", "--detections", folder / f"d.{kind}")
         line = complaint(ran)
         assert f".{kind}" in line and ran.out == ""

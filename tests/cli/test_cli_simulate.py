@@ -141,7 +141,7 @@ def test_sweeps_that_cannot_be_read(text: str, words: str) -> None:
         (["-o", "x.npy", *["--sweep", "distance=1,2"] * 3], "3 sweeps"),
         (["-o", "x.npy", "--sweep", "pitch=1um,2um"], "names more than one field"),
         (["-o", "x.npy", "--sweep", "probe.sensor.pitch=1um,2um"], "pitch of the probe's pixels"),
-        (["-o", "x.npy", "--sweep", "rotation=0,40"], "--sweep: target: rotation of 40 deg"),
+        (["-o", "x.npy", "--sweep", "rotation=0,40"], "--sweep: target: a rotation of (0, 40) deg"),
         (["-o", "x.npy", "--sweep", "object_distance=1,0.05"], "not beyond the focal length"),
         (["-o", "x.npy", "--sweep", "rotation=0:1:90000", "--set", "probe.sensor.pixels=[640, 480]"], "memory"),
     ],

@@ -165,8 +165,18 @@ def test_a_set_of_another_plan_is_not_taken_for_the_one_wanted(tmp_path: Path, m
         build = zarr.create_group(str(path), zarr_format=3)
         kept = Kept()
         for n in range(4):
-            columns = dict.fromkeys(("centre_x", "centre_y", "snr", "quality", "time"), 1.0)
-            kept.add(**columns, gaze_x=n / 9, gaze_y=0.0, recording=0, frame_index=n, split=n // 3)
+            columns = dict.fromkeys(("centre_x", "centre_y", "snr", "quality"), 1.0)
+            kept.add(
+                **columns,
+                time=float(n),
+                label_back=0.0,
+                label_ahead=0.0,
+                gaze_x=n / 9,
+                gaze_y=0.0,
+                recording=0,
+                frame_index=n,
+                split=n // 3,
+            )
         images = Images(build, 8, np.dtype(np.uint8))
         for n in range(4):
             images.add(np.full((8, 8), n, np.uint8))

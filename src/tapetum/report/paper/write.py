@@ -191,9 +191,10 @@ def reproduce(
         if name in LEARNED:
             work.folder.mkdir(parents=True, exist_ok=True)
         figure, text, numbers = _MAKERS[name](work)
-        if text is None:
+        if text is None or name in LEARNED:
             # As the file will hold them: the page says what a reader of the numbers finds.
             numbers = json.loads(json.dumps({"size": work.size, **numbers}, allow_nan=False))
+        if text is None:
             text = render(name, numbers)
         if name in LEARNED:
             text = with_note(text, work.size)
