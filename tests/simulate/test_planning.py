@@ -130,7 +130,9 @@ def test_errors_that_nobody_claims() -> None:
     assert row(beyond, "leaves the target") == "0 W (share 0)"
     # 1.6 deg still returns, 1.6 deg and the second beam's mrad do not.
     second = {"ratio": 0.1, "angle": [0, 3e-3]}
-    partly = plan_bench(scene(rotation=1.6, illumination__second_beam=second))
+    # On a sensor that reaches so far out.
+    wide = {"target__sensor__pixels": [4000, 4000]}
+    partly = plan_bench(scene(rotation=1.6, illumination__second_beam=second, **wide))
     assert partly.budgets[0].sensor_watts > 0
     assert row(partly, "expected error") == "no claim: some of the light is past the cut-off"
 
