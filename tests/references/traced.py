@@ -1,5 +1,6 @@
-"""The judge's traced lens: rays to a plane before the sensor, and from there waves with exact distances.
+"""The judge's traced lens: rays to the stop's image before the sensor, and from there waves with exact distances.
 
+In the stop's image the pupil's edge is sharp; on any other plane it has fringes, which rays know nothing of.
 Light from the probe, and light that a pixel of the probe would send, are each a bundle of rays of their own through the
 whole lens. Rays are laid out by their azimuth and distance from the pupil's middle up to the edge that the surfaces
 leave. What each pixel receives is the sum of both fields' product over the sensor (reciprocity).
@@ -30,7 +31,7 @@ _AT_ONCE = 1 << 20
 
 @dataclass(frozen=True)
 class _Wave:
-    """Rays on a plane before the sensor [N, 3], their directions, phases (rad) and strengths with weights."""
+    """Rays in the exit pupil [N, 3], their directions, phases (rad) and strengths with weights."""
 
     position: Real
     direction: Real
@@ -50,8 +51,10 @@ def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixe
     shift = plane.depth / plane.index
     place = lens.image - shift
     a = np.array(plane.tilt)
+    if not 0 < place - lens.exit_pupil() < 50 * lens.focal_length:
+        raise TooLargeError("an exit pupil behind the sensor, or far away, is no plane to sum from here")
     # Few rays first: where they land, how steep they are.
-    coarse = _wave(lens, s, beam.curvature, place, 12, 5, k)
+    coarse = _wave(lens, s, beam.curvature, 12, 5, k)
     landing, spread = _landing(coarse, place)
     if math.hypot(*(beam.sines)) > 0 and beam.radius < 1.2 * _outer(lens, s):
         raise TooLargeError("a beam that does not fill the lens is not laid out in rays here")
@@ -62,9 +65,7 @@ def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixe
     turned = pixels / probe.focal_length
     if square > 0:
         turned = turned - (1 - cosine) / square * np.outer(turned @ s, s)
-    others = [
-        _landing(_wave(lens, s - one, 0.0, place, 12, 5, k), place) for one in turned[:: max(1, len(turned) // 4)]
-    ]
+    others = [_landing(_wave(lens, s - one, 0.0, 12, 5, k), place) for one in turned[:: max(1, len(turned) // 4)]]
     margin = effort.window * _RINGS * ring
     flat = min(spread, *(one[1] for one in others)) + max(
         min(float(np.hypot(*(one[0] - landing))), 8 * ring + abs(spread - one[1])) for one in others
@@ -81,10 +82,9 @@ def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixe
     rings = math.ceil(effort.points * (0.6 * turns + 10))
     if not found.product or spokes * rings > _MOST_RAYS or found.u.size > _MOST_POINTS:
         raise TooLargeError(f"{spokes} x {rings} rays, {found.u.shape} points of the plane")
-    coming = _at(found, _wave(lens, s, beam.curvature, place, spokes, rings, k), place, a, landing, k) * found.weights
+    coming = _at(found, _wave(lens, s, beam.curvature, spokes, rings, k), place, a, landing, k) * found.weights
     amplitudes = [
-        (coming * _at(found, _wave(lens, s - one, 0.0, place, spokes, rings, k), place, a, landing, k)).sum()
-        for one in turned
+        (coming * _at(found, _wave(lens, s - one, 0.0, spokes, rings, k), place, a, landing, k)).sum() for one in turned
     ]
     # The distance to a layer has 2kt/n of its path in it already.
     phase = -k * (plane.path - 2 * shift)
@@ -149,15 +149,15 @@ def _height(lens: Traced, s: Real, curvature: float, e: Real) -> Real:
     return lens.trace(position, np.ascontiguousarray(direction)).height
 
 
-def _wave(lens: Traced, s: Real, curvature: float, place: float, spokes: int, rings: int, k: float) -> _Wave:
-    """Rays on a plane one focal length before the sensor; where that lies within the lens, as if it did not."""
+def _wave(lens: Traced, s: Real, curvature: float, spokes: int, rings: int, k: float) -> _Wave:
+    """Rays in the paraxial exit pupil; where that lies within the lens, as if it did not."""
     middle, edge = _edges(lens, s, curvature, spokes)
     nodes, weights = legendre(rings)
     away = edge[:, None] * (nodes + 1) / 2
     turn = (2 * math.pi * np.arange(spokes) / spokes)[:, None]
     e = np.stack([middle[0] + away * np.cos(turn), middle[1] + away * np.sin(turn)], -1).reshape(-1, 2)
     area = (away * edge[:, None] / 2 * weights * (2 * math.pi / spokes)).ravel()
-    reference = place - lens.focal_length
+    reference = lens.exit_pupil()
 
     def ends(at: Real) -> tuple[Real, Real, Real]:
         position, direction, before, _ = _started(lens, s, curvature, at)

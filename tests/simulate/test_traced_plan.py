@@ -30,18 +30,19 @@ LENSES: list[tuple[str, float, dict[str, tuple[float, float]]]] = [
 
 
 def drawn(seed: int) -> tuple[Case, float, tuple[float, float]]:
-    """A lens, its focus and an accuracy; and a tilt within its field, as sines."""
+    """A lens, its focus and an accuracy; and a tilt within its field or, every second time, at its end, as sines."""
     draw = random.Random(seed)
     name, degrees, ranges = draw.choice(LENSES)
     values = {key: draw.uniform(*limits) for key, limits in ranges.items()}
     far = draw.choice([math.inf, math.inf, 5.0, 2.0])
-    size, azimuth = math.sin(math.radians(draw.uniform(0, degrees * 0.9))), draw.uniform(0, 2 * math.pi)
-    case = Case(name, degrees, far, values.get("focal_length"), values.get("f_number"))
+    angle, azimuth = draw.uniform(0, degrees * 0.9), draw.uniform(0, 2 * math.pi)
+    size = math.sin(math.radians(angle))
+    case = Case(name, angle if seed % 2 else degrees, far, values.get("focal_length"), values.get("f_number"))
     return case, draw.choice([3e-2, 1e-2]), (size * math.cos(azimuth), size * math.sin(azimuth))
 
 
 def claimed(seed: int) -> float | None:
-    """Measured over claimed error of a random scene, of its own peak; None where it is refused."""
+    """Measured over claimed error of a random scene, of its own peak; None where it is refused or nothing claimed."""
     case, accuracy, tilt = drawn(seed)
     traced.cache_clear()
     output = picture(case, 31)
@@ -50,7 +51,8 @@ def claimed(seed: int) -> float | None:
     except InputError as refusal:
         assert "\n" not in str(refusal)
         return None
-    assert one.plan.expected_error <= accuracy
+    if math.isinf(one.plan.expected_error):
+        return None
     at = torch.tensor([tilt], dtype=torch.float64)
     ours, better = (
         each.field(at)[0].to(torch.complex128).abs() ** 2 for each in (one, finer(one.passes[0], output, 1.5))
@@ -60,17 +62,33 @@ def claimed(seed: int) -> float | None:
 
 def test_the_stated_error_holds(validated: Any) -> None:
     ratios = [ratio for ratio in map(claimed, range(12)) if ratio is not None]
-    assert len(ratios) >= 9
-    validated(SECTION, "measured over stated error, 12 random lenses, gazes and focuses", max(ratios), 2.0,
+    assert len(ratios) >= 8
+    validated(SECTION, "measured over stated error, 12 random lenses, gazes and focuses", max(ratios), 1.0,
               "a window twice and samples three times as fine", "of the stated error")  # fmt: skip
 
 
 @pytest.mark.slow
 def test_the_stated_error_holds_on_many(validated: Any) -> None:
     ratios = [ratio for ratio in map(claimed, range(1000, 1100)) if ratio is not None]
-    assert len(ratios) >= 70
-    validated(SECTION, "measured over stated error, 100 random lenses, gazes and focuses", max(ratios), 2.0,
+    assert len(ratios) >= 65
+    validated(SECTION, "measured over stated error, 100 random lenses, gazes and focuses", max(ratios), 1.0,
               "a window twice and samples three times as fine", "of the stated error")  # fmt: skip
+
+
+def test_a_bright_return_is_as_accurate_as_asked_and_a_faint_one_says_so() -> None:
+    """Head on a mirror's return is at its most sensitive; where the return fades its error is of what is left."""
+    bright = Case("phone-a", 5.0)
+    output = picture(bright, 31)
+    one = planned(bright, output, 1e-2)
+    assert one.plan.expected_error <= 1e-2
+    ours, better = (
+        each.field(torch.zeros(1, 2).double())[0].to(torch.complex128).abs() ** 2
+        for each in (one, finer(one.passes[0], output, 1.5))
+    )
+    assert float((ours - better).abs().max() / better.max()) <= one.plan.expected_error
+    faint = Case("la1509", 0.65, f_number=39.0)
+    assert 1e-2 < planned(faint, picture(faint, 31), 1e-2).plan.expected_error < math.inf
+    assert math.isinf(planned(Case("la1509", 1.0, f_number=39.0), picture(faint, 31), 1e-2).plan.expected_error)
 
 
 def test_far_defocus_is_refused_in_one_line() -> None:

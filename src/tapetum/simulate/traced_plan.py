@@ -1,7 +1,7 @@
 """Choose the samples of a traced lens's passes, measure the error that they leave, and refuse what they cannot hold.
 
 Unlike a thin lens, a real one has no closed form to plan by. A ladder of efforts is climbed instead: at each the image
-is computed at two tilts and compared with the next one's. What is left of the error the rays say (traced_return).
+is computed at some tilts and compared with the next one's. What is left of the error the rays say (traced_return).
 """
 
 from __future__ import annotations
@@ -36,13 +36,21 @@ class _Effort:
 
 _LADDER = (
     _Effort(10, 72, 1.2),
+    _Effort(14, 90, 1.3),
     _Effort(20, 112, 1.4),
+    _Effort(28, 140, 1.5),
     _Effort(40, 176, 1.6),
+    _Effort(57, 219, 1.7),
     _Effort(80, 272, 1.8),
+    _Effort(113, 338, 1.9),
     _Effort(160, 420, 2.0),
 )
-# The error measured between two efforts, times this, is claimed of the lesser one.
-_SAFETY = 1.5
+# The error measured between an effort and the second next, times this, is claimed of the lesser one: the rings that it
+# leaves out count for half or less in the other, which keeps twice as many.
+_SAFETY = 2.0
+# Tilts tried, in fractions of the steepest one. Head on a mirror's return is at its most sensitive: the edges of the
+# pupil that light comes by and of the one it leaves by coincide.
+_TRIED = ((0.0, 0.0), (0.0, 0.06), (0.18, 0.18), (0.65, 0.65))
 # Fresnel zones of the cone of light on the plane from which on every place of the pupil is left by one ray.
 _GEOMETRIC = 2.5
 # More light cannot come back than went in: aliasing shows as that.
@@ -72,8 +80,9 @@ class TracedPlan:
     by_rays
         Whether they do.
     expected_error
-        Largest error of the irradiance, in fractions of the image's peak, measured against the next finer sampling; at
-        tilts that return 0.3 of the most light or more.
+        Largest error of the irradiance, in fractions of the image's own peak, measured against the next finer
+        sampling. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the most light
+        the error there is stated, and may be larger than the accuracy asked for, which is that of brighter tilts.
     """
 
     method: ClassVar[str] = "traced lens"
@@ -263,29 +272,37 @@ def _planned(
 
     # Near the cut-off the peak fades with the light that still returns, the error with the light that entered: what is
     # claimed is claimed of tilts that return enough.
-    bright = sines[told.overlap >= _FADING * told.overlap.max()].max()
-    steepest = min(float(bright), pupils.nodes.steepest)
-    tried = torch.tensor([[0.0, 0.15 * steepest], [0.65 * steepest, 0.65 * steepest]], dtype=torch.float64)
+    lit = sines[told.overlap >= _FADING * told.overlap.max()].max()
+    bright = min(float(lit), pupils.nodes.steepest)
+    tried = bright * torch.tensor(_TRIED, dtype=torch.float64)
     limit = sum(abs(order.amplitude) for order in surface.orders) ** 2
-    now = made(_LADDER[0])
-    image = now.field(tried).abs() ** 2
+    steps = [(one := made(effort), one.field(tried).abs() ** 2) for effort in _LADDER[:2]]
     error = math.inf
-    for effort in _LADDER[1:]:
-        finer = made(effort)
-        better = finer.field(tried).abs() ** 2
-        peak = better.amax((1, 2)).clamp_min(1e-30)
-        error = _SAFETY * float(((image - better).abs().amax((1, 2)) / peak).max())
+    for effort in _LADDER[2:]:
+        best = made(effort)
+        steps.append((best, best.field(tried).abs() ** 2))
+        now, image = steps[-3]
+        error = _SAFETY * _apart(image, steps[-1][1])
         if error <= accuracy:
             _check_power(now, tried, limit)
             claimed = max(error, unsure)
+            if bright < 0.95 * fits.nodes.steepest:
+                faint = fits.nodes.steepest * sines.new_tensor([[0.0, 1.0], [0.7, 0.7], [1.0, 0.0]])
+                claimed = max(claimed, _SAFETY * _apart(now.field(faint).abs() ** 2, best.field(faint).abs() ** 2))
             plan = TracedPlan(now.grids.pupil, now.grids.pupil, now.grids.sensor, departure, by_rays, claimed)
             return now, plan
-        now, image = finer, better
     raise InputError(
-        f"{accuracy:g} of the peak is not reached with {now.grids.pupil} samples over the pupil",
+        f"{accuracy:g} of the peak is not reached with {steps[-3][0].grids.pupil} samples over the pupil",
         where="sampling.accuracy",
         remedy=f"ask for {2 * error:.1g} or more, or stop the lens down with f_number",
     )
+
+
+def _apart(image: torch.Tensor, better: torch.Tensor) -> float:
+    """Largest difference of images [B, H, W] over each one's own peak; infinite where one is dark."""
+    peak = better.amax((1, 2))
+    apart = torch.where(peak > 0, (image - better).abs().amax((1, 2)) / peak.clamp_min(1e-30), math.inf)
+    return float(apart.max())
 
 
 def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float, angle: float) -> TracedGrids:

@@ -19,9 +19,24 @@ from tapetum.errors import one_of
 from tapetum.record import HandMotion, Session
 from tapetum.record.stray import FixedPattern
 
-__all__ = ["KINDS", "PIECE", "SIZES", "Part", "Plan", "Video", "focusing_plan", "make_plan", "phones_plan"]
+__all__ = [
+    "FOCUSING_SAMPLING",
+    "KINDS",
+    "PIECE",
+    "SIZES",
+    "Part",
+    "Plan",
+    "Video",
+    "focusing_plan",
+    "make_plan",
+    "phones_plan",
+]
 __all__ += ["rotation_plan"]
 
+# The set's 135 mm lens is not to be had more accurately, and its frames are many. Beside 0.03 of the peak and the way
+# over the distance, pictures at 50 and 85 mm differ by 4 to 9 % RMS, by 8 to 38 % of the peak in a few pixels, and hold
+# the same light within 2 %.
+FOCUSING_SAMPLING = ("sampling.accuracy=0.3", "sampling.propagation=far field")
 KINDS = ("rotation", "focusing", "phones")
 SIZES = ("small", "laptop", "paper")
 RATE = 15.0
@@ -188,7 +203,7 @@ def make_plan(kind: str, size: str = "small", seed: int = 0) -> Plan:
     one_of(kind, KINDS, "kind")
     one_of(size, SIZES, "size")
     plans = {"rotation": rotation_plan, "focusing": focusing_plan, "phones": phones_plan}
-    return plans[kind](load_scene(kind), size, seed)
+    return plans[kind](load_scene(kind, FOCUSING_SAMPLING if kind == "focusing" else ()), size, seed)
 
 
 def rotation_plan(scene: Scene, size: str = "small", seed: int = 0) -> Plan:

@@ -12,6 +12,7 @@ from scipy.ndimage import gaussian_filter, label
 
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.data.crop import crop, find_centre
+from tapetum.data.synth.plan import FOCUSING_SAMPLING
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 from tapetum.report.paper.measure import holding_diameter, mirror_error, widths
@@ -99,7 +100,8 @@ def simulate_fig7(*, size: str = "paper", seed: int = 1, progress: Progress = qu
     progress
         Shows how far it is.
     """
-    rotation, focusing = load_scene("rotation"), load_scene("focusing")
+    # Sampled as the set is, which has the longest lens in it.
+    rotation, focusing = load_scene("rotation"), load_scene("focusing", FOCUSING_SAMPLING)
     cases = [("a", f"{gaze:g}", rotation, (0.0, gaze)) for gaze in GAZES[size]]
     for letter, focal_length, x_d, name in (
         *(("b", FOCAL_LENGTHS[0], x_d, f"{x_d:g} m") for x_d in DISTANCES[size]),
