@@ -200,13 +200,32 @@ def traced_group(
     if aperture is not None:
         # Light under larger angles misses the probe's aperture, whatever the picture.
         accepted = seen = (aperture.radius + fits.aperture[1]) / aperture.distance
-    passes: list[TracedPass] = []
-    plans: list[TracedPlan] = []
-    for surface in surfaces:
-        one, plan = _planned(focused, fits, surface, path, wavelength, accuracy, curvature, accepted, seen)
-        passes.append(one)
-        plans.append(plan)
-    return TracedGroup(passes, max(plans, key=lambda plan: plan.expected_error))
+
+    def made(wanted: float) -> TracedGroup:
+        found = [
+            _planned(focused, fits, surface, path, wavelength, wanted, curvature, accepted, seen)
+            for surface in surfaces
+        ]
+        passes, plans = [one for one, _ in found], [plan for _, plan in found]
+        worst = max(plans, key=lambda plan: plan.expected_error)
+        if len(passes) > 1:
+            worst = replace(worst, expected_error=_together(passes, plans))
+        return TracedGroup(passes, worst)
+
+    group = made(accuracy)
+    if accuracy < (error := group.plan.expected_error) < math.inf and len(surfaces) > 1:
+        # What each plane of several may take of it; steps of the ladder are coarse.
+        group = made(0.7 * accuracy * accuracy / error)
+    return group
+
+
+def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> float:
+    """The error of planes that interfere, over the peak of their sum: each one's amplitude is off by half its own."""
+    head_on = torch.zeros(1, 2, dtype=torch.float64)
+    fields = [one.field(head_on) for one in passes]
+    peak = float((sum(fields[1:], fields[0]).abs() ** 2).max())
+    shares = [math.sqrt(float((field.abs() ** 2).max()) / peak) for field in fields]
+    return sum(share * plan.expected_error for share, plan in zip(shares, plans, strict=True))
 
 
 def _planned(
