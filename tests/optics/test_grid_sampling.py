@@ -58,22 +58,22 @@ def worst_ratio(rng: np.random.Generator, largest: int = 1_200_000) -> float | N
     return max(ratios)
 
 
-def test_error_stays_below_twice_the_claim_on_random_scenes() -> None:
+def test_error_stays_below_the_claim_on_random_scenes() -> None:
     rng = np.random.default_rng(11)
     ratios = [ratio for _ in range(10) if (ratio := worst_ratio(rng)) is not None]
     assert len(ratios) >= 3
-    assert max(ratios) < 2
+    assert max(ratios) < 1
 
 
 @pytest.mark.slow
-def test_error_stays_below_twice_the_claim_on_many_random_scenes() -> None:
+def test_error_stays_below_the_claim_on_many_random_scenes() -> None:
     rng, ratios = np.random.default_rng(12), []
     while len(ratios) < 200:
         # Scenes whose reference would be too large are passed over.
         if (ratio := worst_ratio(rng, largest=2_000_000)) is not None:
             ratios.append(ratio)
     print(f"{len(ratios)} scenes: worst measured over claimed {max(ratios):.2f}, median {np.median(ratios):.3f}")
-    assert max(ratios) < 2
+    assert max(ratios) < 1
 
 
 def test_finer_claims_cost_more_samples() -> None:
@@ -124,7 +124,7 @@ MASKS = [(2.4, 0.05, 1e-3), (1.2, 0.05, 1e-3), (0.5, 0.004, 0.5e-3)]
         *(pytest.param(case, ACCURACIES[:3], 110, marks=pytest.mark.slow) for case in range(len(MASKS))),
     ],
 )
-def test_a_mask_is_resolved_to_twice_the_claim(
+def test_a_mask_is_resolved_to_the_claim(
     case: int, accuracies: tuple[float, ...], widest: float, tmp_path: Path
 ) -> None:
     """A mask of random amplitudes and phases, sample by sample: the hardest for its pitch."""
@@ -150,7 +150,7 @@ def test_a_mask_is_resolved_to_twice_the_claim(
     peak = float(reference.max())
     for accuracy in accuracies:
         got, claim = image(pitch, accuracy)
-        assert float((got - reference).abs().max()) < 2 * claim * peak
+        assert float((got - reference).abs().max()) < claim * peak
     # Planned for a mirror the mask is not resolved everywhere: `finest` does something.
     if rings < 1:
         assert float((image(None, 1e-2)[0] - reference).abs().max()) > 2e-2 * peak

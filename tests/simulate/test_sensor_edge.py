@@ -17,7 +17,7 @@ from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.record.returns import Returns
 from tapetum.simulate import Camera, tilt_of_gaze
-from tapetum.simulate.sensor_edge import SensorEdge, Spots
+from tapetum.simulate.sensor_edge import SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd
 
 SECTION = "The sensor's edge"
@@ -135,9 +135,9 @@ def test_layers_answer_beside_the_sensor() -> None:
 
 def test_behind_a_traced_lens_a_cut_spot_is_refused_or_dimmed() -> None:
     """The rule itself: gazes of one batch go each their own way."""
-    spots = Spots.of(
-        SensorEdge(-1e-3, 1e-3, -1e-3, 1e-3), torch.tensor([[2e-3, 0], [0, 0], [1e-3, 0.0]]), 1e-4, 1e-6, 1e8, 0.05
-    )
+    light = SpotLight(1e-4, 1e-6, 1e7, 0.1, 5e-3, torch.tensor([[1.0, 0.0, 0.0]]))
+    places = torch.tensor([[2e-3, 0], [0, 0], [1e-3, 0.0]])
+    spots = Spots.of(SensorEdge(-1e-3, 1e-3, -1e-3, 1e-3), places, light, 0.05)
     end = SensorEnd(lambda: lambda sines, _: torch.full((len(sines), 1, 1), 0.25), None, Grid(1, 1, 1e-6))
     at = torch.tensor([[0.3, 0.0], [0.1, 0.0], [0.2, 0.0]])
 

@@ -416,3 +416,25 @@ def test_other_refusals(tmp_path: Path) -> None:
     one = torch.zeros(1, dtype=torch.float64)
     with pytest.raises(InputError, match="two columns and rows or more"):
         reflectance_at(masked, WAVELENGTH)(one, one)
+
+
+def test_a_window_cuts_the_pattern_itself() -> None:
+    """What samples see of photosites up to an edge adds up to their integral, wherever the edge cuts them."""
+    one = sensor(PixelArray(pitch=2e-6, fill=0.5, surround=0.2))
+    x = torch.linspace(-10e-6, 11e-6, 176, dtype=torch.float64)
+    y = torch.linspace(-7e-6, 6e-6, 131, dtype=torch.float64)
+    area = float((x[1] - x[0]) * (y[1] - y[0]))
+    plain = reflectance_at(one, WAVELENGTH)
+    cut, multiplied = [], []
+    for right in np.arange(5e-6, 7e-6, 0.13e-6):
+        window = (-7.3e-6, float(right), -5.12e-6, 4.4e-6)
+        # By midpoints that tile the window.
+        fine_x = window[0] + (torch.arange(2000, dtype=torch.float64) + 0.5) * (window[1] - window[0]) / 2000
+        fine_y = window[2] + (torch.arange(952, dtype=torch.float64) + 0.5) * 10e-9
+        want = complex(plain(fine_x, fine_y).mean()) * (window[1] - window[0]) * (window[3] - window[2])
+        cut.append(abs(complex(reflectance_at(one, WAVELENGTH, window)(x, y).sum()) * area / want - 1))
+        product = plain(x, y) * reflectance_at(sensor(), WAVELENGTH, window)(x, y)
+        multiplied.append(abs(complex(product.sum()) * area / want - 1))
+    assert max(cut) < 2e-4
+    # Two means multiplied are not the mean of the product.
+    assert max(multiplied) > 10 * max(cut)

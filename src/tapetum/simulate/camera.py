@@ -46,7 +46,7 @@ from tapetum.simulate.reflections import (
     specular_groups,
 )
 from tapetum.simulate.round_pass import RoundPass, Surface
-from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, Spots
+from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.traced_lens import TracedLens
@@ -63,6 +63,9 @@ _LEAST_WIDTH = 5
 # Share of the accuracy that the sensor's edges may take of a spot's outer rings before they are computed.
 _EDGE_SHARE = 0.5
 
+# A mirror's one order.
+_MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
+
 Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 
 
@@ -78,6 +81,8 @@ class _Line:
     glints: Glints | None = None
     # For each pass what it returns where its sensor does not hold the whole spot; None where no sensor is in it.
     ends: tuple[SensorEnd | None, ...] = ()
+    # Of the sensor, as of `SpotLight`.
+    orders: torch.Tensor = _MIRRORS
 
 
 class Camera:
@@ -222,7 +227,8 @@ class Camera:
         curvature = self._curvature()
         passes: list[Pass] = []
         ends: list[SensorEnd | None] = []
-        for group in specular_groups(scene, wavelength, self._z, widest):
+        groups = specular_groups(scene, wavelength, self._z, widest)
+        for group in groups:
             # The plane that is most out of focus asks for the finest grid.
             lengths = [float(self._scalar(one.image_distance).detach()) for one in group]
             at = replace(geometry, image_distance=max(lengths, key=lambda z: abs(z - geometry.focal_length)))
@@ -263,7 +269,8 @@ class Camera:
         if not self._plans:
             # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, None, tuple(ends))
+        orders = _orders_of(groups)
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, None, tuple(ends), orders)
 
     def _traced_line(self, lens: TracedLens, wavelength: float, watts: float, geometry: DoublePassGeometry) -> _Line:
         scene = self.scene
@@ -279,7 +286,8 @@ class Camera:
             given = group, self.output, wavelength, self._accuracy, distance
             return lens.group(*given, dtype=self._dtype, device=self._device)
 
-        for group in specular_groups(scene, wavelength, self._z, widest):
+        groups = specular_groups(scene, wavelength, self._z, widest)
+        for group in groups:
             one = opened(group)
             self._plans.append(one.plan)
             passes.append(one)
@@ -289,7 +297,8 @@ class Camera:
         if not self._plans:
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
         glints = lens.glints(self.output, wavelength, float(self._distance) if self._finite else None)
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends))
+        orders = _orders_of(groups)
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
         sensor, sampling = self.scene.target.sensor, self.scene.sampling
@@ -310,15 +319,15 @@ class Camera:
             finest=sensor.mask.pitch,
         )
         self._plans.append(plan)
-        bare, passed = reflectance_at(sensor, wavelength), math.sqrt(reaching_sensor(self.scene, wavelength))
-        edge = self._edge
+        bare = reflectance_at(sensor, wavelength, self._edge.window)
+        passed = math.sqrt(reaching_sensor(self.scene, wavelength))
         return DoublePass(
             geometry,
             plan,
             self.output,
             focal,
             self._z,
-            mask=lambda x, y: bare(x, y) * edge.window(x, y) * passed,
+            mask=lambda x, y: bare(x, y) * passed,
             dtype=self._dtype,
             device=self._device,
         )
@@ -417,11 +426,12 @@ class Camera:
         """Where the gazes put their spots on the sensor, and how much of each it holds."""
         g = line.geometry
         lit = min(g.radius, beam_radius(self.scene))
-        places, turning = spot_places(self.scene, self._z, sines), 4 * math.pi / (g.wavelength * g.image_distance)
+        places = spot_places(self.scene, self._z, sines)
         spot, ring = g.spot_radius * lit / g.radius, g.airy_step * g.radius / lit
+        light = SpotLight(spot, ring, 2 * math.pi / g.wavelength, g.image_distance, g.radius, line.orders)
         sampled = self._lens is None and lit == g.radius
         most = _EDGE_SHARE * self._accuracy if sampled else math.inf
-        spots = Spots.of(self._edge, places, spot, ring, turning, most)
+        spots = Spots.of(self._edge, places, light, most)
         self._edge_error = max(self._edge_error, spots.missed)
         return spots
 
@@ -505,6 +515,13 @@ class Camera:
             "wavelengths": [line.wavelength for line in self._lines],
             "planes": sum(len(line.passes) + len(line.scatterers) for line in self._lines[:1]),
         }
+
+
+def _orders_of(groups: Sequence[Sequence[Surface]]) -> torch.Tensor:
+    """Size and direction [M, 3] of what the sensor makes of light; a mirror's where it only lets layers answer."""
+    sensors = [one for group in groups for one in group if one.depth == 0]
+    orders = [(abs(order.amplitude), *order.direction) for one in sensors for order in one.orders if order.amplitude]
+    return torch.tensor(orders, dtype=torch.float64) if orders else _MIRRORS
 
 
 def sensor_grid(scene: Scene) -> Grid:

@@ -147,12 +147,12 @@ class CutSensor:
         """The sensor's reflectance as its surface weighs it, up to its edge."""
         k, (across, down) = 2 * math.pi / self._geometry.wavelength, self._sensor.tilt
         plain = replace(self._bare, mask=None, reflectance=1.0)
-        bare = reflectance_at(plain, self._geometry.wavelength)
+        bare = reflectance_at(plain, self._geometry.wavelength, self._edge.window)
         # What layers and coherence leave of it: the surface's first order is the sensor's own, scaled.
         share = _scale_of(self._sensor, plain, self._geometry.wavelength)
 
         def plane(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-            held = bare(x, y) * self._edge.window(x, y) * share
+            held = bare(x, y) * share
             if across or down:
                 held = held * (phasor(2 * k * down * y)[..., :, None] * phasor(2 * k * across * x)[..., None, :])
             return held

@@ -9,7 +9,6 @@ from typing import Literal
 import torch
 
 from tapetum.bench import TargetSensor
-from tapetum.simulate.sensor_plane import second_derivative, widened
 
 __all__ = ["EdgeRule", "SensorEdge", "Spots"]
 
@@ -20,6 +19,28 @@ EdgeRule = Literal["exact", "dimmed"]
 _MISSED = 4 / math.pi**3
 # Rings from an edge up to which a spot counts as cut.
 _FEWEST_RINGS = 2.0
+
+
+@dataclass(frozen=True)
+class SpotLight:
+    """The light of a spot on a sensor.
+
+    Parameters
+    ----------
+    spot, ring
+        Its geometric radius and the width λz/2r of its rings, in metres.
+    wavenumber, image_distance, radius
+        k, z and the lens's radius.
+    orders
+        [M, 3] size of the amplitude and direction sines of each of the sensor's orders.
+    """
+
+    spot: float
+    ring: float
+    wavenumber: float
+    image_distance: float
+    radius: float
+    orders: torch.Tensor
 
 
 @dataclass(frozen=True)
@@ -43,23 +64,26 @@ class SensorEdge:
         x, y = places[:, 0], places[:, 1]
         return torch.stack([x - self.left, self.right - x, y - self.top, self.bottom - y], -1)
 
-    def missed(self, places: torch.Tensor, spot: float, ring: float, turning: float) -> torch.Tensor:
-        """What edges beside a spot at most change of the picture, over its peak: [B].
+    def missed(self, places: torch.Tensor, light: SpotLight) -> torch.Tensor:
+        """What edges beside a spot at most change of the picture, over its peak: [B], for places [B, 2] of its middle.
 
-        Parameters
-        ----------
-        places
-            [B, 2] of the spot's middle.
-        spot, ring
-            Its geometric radius and the width λz/2r of its rings, in metres.
-        turning
-            2k/z: how the light turns against what comes back, in radians for a metre from the spot and one from the
-            lens's axis. Beyond an edge that is far from the axis it turns quickly, and adds up to little.
+        The faint light at an edge comes from the pupil's rim on either side, goes back to it on either side, and turns
+        quickly along the sensor: then it adds up to little. It does not where an order sends it back to where it came
+        from, or to the opposite rim.
         """
-        beyond = (self.depths(places) - spot).clamp_min(ring)
+        beyond = (self.depths(places) - light.spot).clamp_min(light.ring)
         sides = torch.tensor([self.left, self.right, self.top, self.bottom], dtype=places.dtype, device=places.device)
-        turned = (turning * beyond * sides.abs()).clamp_min(1.0)
-        return (_MISSED * ring / beyond / turned).sum(-1)
+        z, r, k = light.image_distance, light.radius, light.wavenumber
+        sizes, directions = light.orders.to(places)[:, 0], light.orders.to(places)[:, 1:]
+        # What the orders make of the spot itself: those that meet the lens again.
+        away = ((2 * places[:, None, :] / z + directions) ** 2).sum(-1).sqrt()
+        brightest = (sizes * (1 - away * z / (2 * r)).clamp_min(1e-3)).amax(-1)
+        slopes = 2 * sides / z + directions[:, [0, 0, 1, 1]]
+        adds_up = torch.zeros_like(beyond)
+        for rims, weight in ((0.0, 1.0), (2 * r / z, 0.5), (-2 * r / z, 0.5)):
+            turned = (k * (slopes + rims).abs() * beyond[:, None, :]).clamp_min(1.0)
+            adds_up = adds_up + weight * (sizes[:, None] / turned).sum(1)
+        return (_MISSED * light.ring / beyond * adds_up).sum(-1) / brightest
 
     def share(self, places: torch.Tensor, spot: float) -> torch.Tensor:
         """Share of an even round spot that the sensor holds, by rays: [B]."""
@@ -68,14 +92,10 @@ class SensorEdge:
         held = 0.5 + (along * torch.sqrt(1 - along**2) + torch.asin(along)) / math.pi
         return held.prod(-1)
 
-    def window(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """1 on the sensor and 0 beside it, for equally spaced columns [..., n] and rows [..., m]: [..., m, n].
-
-        Sharp edges between samples are seen as `sensor_plane.reflectance_at` sees them.
-        """
-        across = _between(x, self.left, self.right)
-        down = _between(y, self.top, self.bottom)
-        return down[..., :, None] * across[..., None, :]
+    @property
+    def window(self) -> tuple[float, float, float, float]:
+        """Left, right, upper and lower edge in metres, as `sensor_plane.reflectance_at` takes them."""
+        return self.left, self.right, self.top, self.bottom
 
 
 @dataclass(frozen=True)
@@ -98,22 +118,16 @@ class Spots:
     missed: float
 
     @classmethod
-    def of(cls, edge: SensorEdge, places: torch.Tensor, spot: float, ring: float, turning: float, most: float) -> Spots:
-        """Sort places [B, 2] by how their spots lie to the edge; lengths as for `SensorEdge.missed`.
+    def of(cls, edge: SensorEdge, places: torch.Tensor, light: SpotLight, most: float) -> Spots:
+        """Sort places [B, 2] by how their spots lie to the edge.
 
         A whole spot may miss up to `most` of the picture's peak: infinite where it can be had no better.
         """
         nearest = edge.depths(places.detach()).amin(-1)
-        lost = edge.missed(places.detach(), spot, ring, turning)
+        lost, spot, ring = edge.missed(places.detach(), light), light.spot, light.ring
         whole = (nearest >= spot + _FEWEST_RINGS * ring) & (lost <= most)
         # Light of so few rings comes back with less than 1e-3 of what a spot on the sensor returns.
         beside = nearest <= -(spot + _FEWEST_RINGS * ring)
         missed = lost[whole]
         share = torch.where(whole, 1.0, torch.where(beside, 0.0, edge.share(places, spot + ring)))
         return cls(whole, beside, share, float(missed.max()) if len(missed) else 0.0)
-
-
-def _between(u: torch.Tensor, low: float, high: float) -> torch.Tensor:
-    padded, step = widened(u.double())
-    twice = ((padded - low).clamp_min(0) ** 2 - (padded - high).clamp_min(0) ** 2) / 2
-    return second_derivative(twice[..., None], step)[..., 0]

@@ -128,7 +128,9 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     )
 
 
-def reflectance_at(sensor: TargetSensor, wavelength: float) -> Reflectance:
+def reflectance_at(
+    sensor: TargetSensor, wavelength: float, window: tuple[float, float, float, float] | None = None
+) -> Reflectance:
     """The sensor plane's complex reflectance as a function of place.
 
     Parameters
@@ -137,6 +139,9 @@ def reflectance_at(sensor: TargetSensor, wavelength: float) -> Reflectance:
         What it is made of.
     wavelength
         In metres.
+    window
+        Left, right, upper and lower edge in metres from the axis, beyond which nothing is reflected; none when left
+        out.
 
     Returns
     -------
@@ -160,15 +165,23 @@ def reflectance_at(sensor: TargetSensor, wavelength: float) -> Reflectance:
     amplitude = math.sqrt(sensor.reflectance)
     if sensor.mask is not None:
         plane = _Sampled(_read(Path(sensor.mask.file), sensor.reflectance) * amplitude, sensor.mask.pitch)
+        bounds = _bounds(window)
         across, down = sensor.decentre
-        return lambda x, y: plane(x + across, y + down)
+        moved = bounds[0] + across, bounds[1] + across, bounds[2] + down, bounds[3] + down
+        return lambda x, y: plane(x + across, y + down, moved)
     if sensor.microlens is not None and sensor.microlens.shift != 0:
         what = "a plane of shifted microlenses has no period and is not sampled"
         raise InputError(what, where="target.sensor.microlens.shift", remedy="use its orders")
     cell = _cell_of(sensor, wavelength)
+    bounds = _bounds(window)
     if cell is None:
-        return lambda x, y: torch.full((*y.shape, x.shape[-1]), amplitude, dtype=torch.complex128, device=x.device)
-    return _Periodic(cell)
+        return lambda x, y: amplitude * (_held(y, *bounds[2:]) @ _held(x, *bounds[:2]).mT).to(torch.complex128)
+    periodic = _Periodic(cell)
+    return lambda x, y: periodic(x, y, bounds)
+
+
+# Left, right, upper and lower end of what reflects, in metres.
+_Bounds = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)
@@ -351,22 +364,27 @@ class _Periodic:
         self._values = torch.from_numpy(np.kron(cell.tiles, values) * math.sqrt(cell.reflectance))
         self._corner = cell.corner
 
-    def __call__(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        across = self._seen(x.double() - self._corner[0])
-        down = self._seen(y.double() - self._corner[1])
+    def __call__(self, x: torch.Tensor, y: torch.Tensor, bounds: _Bounds) -> torch.Tensor:
+        across = self._seen(x.double() - self._corner[0], *(one - self._corner[0] for one in bounds[:2]))
+        down = self._seen(y.double() - self._corner[1], *(one - self._corner[1] for one in bounds[2:]))
         return _woven(down, self._values.to(x.device), across)
 
-    def _seen(self, u: torch.Tensor) -> torch.Tensor:
-        """How much of each step every sample sees, [..., n, steps]."""
+    def _seen(self, u: torch.Tensor, low: float, high: float) -> torch.Tensor:
+        """How much of each step every sample sees between two places, [..., n, steps]."""
         padded, step = widened(u)
-        p, low, h = self._period, self._low.to(u.device), self._wide.to(u.device)
-        within = torch.remainder(padded, p)[..., None]
+        p, start, h = self._period, self._low.to(u.device), self._wide.to(u.device)
+        # Beyond the ends what was integrated goes on in a straight line.
+        at = padded.clamp(low, high)
+        within = torch.remainder(at, p)[..., None]
         # Integrated once a step is a ramp up to its width h, twice h a parabola and a line. Its mean, h/p, is left out
         # of the integral and added at the end: what remains is periodic, and loses no digits far from the origin.
-        end = p - low - h
-        parabola = 0.5 * torch.minimum((within - low).clamp_min(0), h) ** 2 + h * (within - low - h).clamp_min(0)
-        level = (h**2 / 2 + h * end - h * p / 2) * within / p
-        return second_derivative(parabola - h * within**2 / (2 * p) - level, step) + h / p
+        end = p - start - h
+        ramp = (within - start).clamp_min(0).minimum(h)
+        parabola = 0.5 * ramp**2 + h * (within - start - h).clamp_min(0)
+        middle = (h**2 / 2 + h * end - h * p / 2) / p
+        twice = parabola - h * within**2 / (2 * p) - middle * within
+        twice = twice + (ramp - h * within / p - middle) * (padded - at)[..., None]
+        return second_derivative(twice, step) + h / p * _held(u, low, high)
 
 
 class _Sampled:
@@ -376,13 +394,13 @@ class _Sampled:
         self._values = torch.from_numpy(values)
         self._pitch = pitch
 
-    def __call__(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+    def __call__(self, x: torch.Tensor, y: torch.Tensor, bounds: _Bounds) -> torch.Tensor:
         rows, columns = self._values.shape
-        across, some_columns = self._seen(x.double(), columns)
-        down, some_rows = self._seen(y.double(), rows)
+        across, some_columns = self._seen(x.double(), columns, *bounds[:2])
+        down, some_rows = self._seen(y.double(), rows, *bounds[2:])
         return _woven(down, self._values[some_rows, some_columns].to(x.device), across)
 
-    def _seen(self, u: torch.Tensor, count: int) -> tuple[torch.Tensor, slice]:
+    def _seen(self, u: torch.Tensor, count: int, low: float, high: float) -> tuple[torch.Tensor, slice]:
         """How much of each of the file's columns every sample sees, [..., n, columns], and which columns these are."""
         padded, step = widened(u)
         h, middle = self._pitch, (count - 1) / 2
@@ -390,12 +408,29 @@ class _Sampled:
         last = math.ceil(float(padded.detach().max()) / h + middle)
         some = slice(min(max(first, 0), count), min(max(last + 1, 0), count))
         places = (torch.arange(some.start, some.stop, dtype=u.dtype, device=u.device) - middle) * h
-        apart = (padded[..., None] - places) / h
+        at = padded.clamp(low, high)
+        apart = (at[..., None] - places) / h
         # Linear interpolation is a hat about each column; integrated twice it is made of cubes, and far on a line,
         # which is written as such to lose no digits.
         near = apart.clamp(-2, 2)
-        cubes = (near + 1).clamp_min(0) ** 3 - 2 * near.clamp_min(0) ** 3 + (near - 1).clamp_min(0) ** 3
-        return second_derivative(h**2 * (cubes / 6 + (apart - near).clamp_min(0)), step), some
+        left, top, right = (near + 1).clamp_min(0), near.clamp_min(0), (near - 1).clamp_min(0)
+        twice = h**2 * ((left**3 - 2 * top**3 + right**3) / 6 + (apart - near).clamp_min(0))
+        # Beyond the ends what was integrated goes on in a straight line.
+        twice = twice + h * (left**2 - 2 * top**2 + right**2) / 2 * (padded - at)[..., None]
+        return second_derivative(twice, step), some
+
+
+def _bounds(window: tuple[float, float, float, float] | None) -> _Bounds:
+    return (-math.inf, math.inf, -math.inf, math.inf) if window is None else window
+
+
+def _held(u: torch.Tensor, low: float, high: float) -> torch.Tensor:
+    """How much of a plane between two places every sample sees, [..., n, 1]."""
+    if math.isinf(low) and math.isinf(high):
+        return torch.ones_like(u.double())[..., None]
+    padded, step = widened(u.double())
+    at = padded.clamp(low, high)
+    return second_derivative(((at - low) ** 2 / 2 + (at - low) * (padded - at))[..., None], step)
 
 
 def widened(u: torch.Tensor) -> tuple[torch.Tensor, float]:
