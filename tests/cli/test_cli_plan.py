@@ -16,7 +16,7 @@ from tapetum.simulate.information import fisher
 SMALL = ("--set", "probe.sensor.pixels=[40, 32]", "--set", "sampling.accuracy=0.01")
 PLAIN = ("--set", "target.sensor={pixels: [648, 486], pitch: 8.8 um}")
 # What the commands say, not how well they know it, is asked for: a traced lens is planned in seconds.
-ROUGH = ("--set", "sampling.accuracy=0.1")
+ROUGH = ("--set", "sampling.accuracy=0.3")
 TWO = ("--set", "illumination.lines=[{wavelength: 532 nm, power: 1 mW}]")
 KEYS = ["scene", "geometry", "link_budget", "sampling", "limit", "eye_safety"]
 THIN = ("hand-held", "thin-lens")

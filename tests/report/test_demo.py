@@ -7,15 +7,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 from tapetum.errors import InputError
 from tapetum.models import load_model
+from tapetum.report import demo
 from tapetum.report.demo import run_demo
 from tapetum.report.pretrain import TRAIN_SEEDS
 from tapetum.track import read_tracks
 
 
-def test_from_a_scene_to_a_report(tmp_path: Path) -> None:
+def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
     outcome = run_demo(tmp_path / "out", seconds=8.0, seed=3, say=said.append)
     page = outcome.report.read_text(encoding="utf-8")
@@ -37,7 +39,8 @@ def test_from_a_scene_to_a_report(tmp_path: Path) -> None:
     assert (outcome.folder / "gaze-path.png").stat().st_size > 10_000
     assert any("Filming" in line for line in said)
 
-    # A second run takes the finished recording as it is.
+    # A second run takes the finished recording as it is; what the sign rests on is not computed twice for that.
+    monkeypatch.setattr(demo, "sign_dprime", lambda scene, gaze: torch.zeros(len(gaze), dtype=torch.float64))
     video = outcome.folder / "demo.rec" / "probe.mkv"
     before = video.stat().st_mtime_ns
     run_demo(tmp_path / "out", seconds=8.0, seed=3)

@@ -18,7 +18,7 @@ from tapetum.report import pretrain
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrain, "TRAIN_SEEDS", (101,))
-    monkeypatch.setattr(pretrain, "SECONDS", 4.0)
+    monkeypatch.setattr(pretrain, "SECONDS", 2.0)
 
 
 @pytest.mark.usefixtures("tiny")

@@ -17,7 +17,7 @@ def test_the_flash_of_a_phone_that_opens_its_camera() -> None:
     content["illumination"] |= short
     scenes = [with_values(scene_from_dict(content), {"target.imaging": imaging}) for imaging in (True, False)]
     sines, output = torch.zeros(1, 2, dtype=torch.float64), Grid(31, 31, 4 * 2.2e-6)
-    cameras = [PhoneCamera(scene, 1e-3, output=output, accuracy=0.1) for scene in scenes]
+    cameras = [PhoneCamera(scene, 1e-3, output=output, accuracy=0.3) for scene in scenes]
     (_, _), (opened, closed) = cameras, (camera.units[0][0]._lines[0] for camera in cameras)
     # Planes come by their distance, the sensor first: only while its camera images.
     assert (len(opened.passes), len(closed.passes)) == (2, 1)

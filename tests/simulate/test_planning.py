@@ -22,6 +22,10 @@ from tapetum.simulate.planning import PARAMETERS, Plan, plan_bench
 from tapetum.simulate.retroreflect import plan_scene
 
 TWO_LINES = [{"wavelength": "532 nm", "power": "2 mW"}, {"wavelength": "850 nm", "power": "3 mW"}]
+# What a traced lens is planned with here: the same numbers are asked for several times, and none of them is judged.
+ROUGH = {"sampling.accuracy": 0.3, "probe.sensor.pixels": [40, 32]}
+# A long zoom lens costs the most, over the distance above all.
+ROUGH_OF = {"focusing": {**ROUGH, "sampling.propagation": "far field"}, "phones": ROUGH, "rotation": ROUGH}
 
 
 @pytest.fixture
@@ -58,9 +62,7 @@ pytestmark = pytest.mark.usefixtures("known")
 def test_every_number_is_its_module_s(name: str) -> None:
     bench = scene(name, rotation=[0.1, 0.3])
     thin = bench.target.lens.kind == "thin"
-    if not thin:
-        # The same numbers are asked for three times: a rough plan does.
-        bench = with_values(bench, {"sampling.accuracy": 0.1})
+    bench = with_values(bench, ROUGH_OF.get(name, {}))
     plan = plan_bench(bench)
     sine = math.hypot(math.sin(math.radians(0.1)), math.sin(math.radians(0.3)))
     camera = open_camera(bench, sine)
@@ -206,10 +208,19 @@ def test_a_scene_too_large_is_refused_before_anything_is_computed() -> None:
         plan_bench(large)
 
 
+def test_a_parameter_that_is_refused_is_refused_before_a_lens_is_traced(monkeypatch: pytest.MonkeyPatch) -> None:
+    def traced(*_: object) -> None:
+        raise AssertionError("planned all the same")
+
+    monkeypatch.setattr("tapetum.simulate.planning.open_camera", traced)
+    with pytest.raises(InputError, match="take one of its cameras for the target"):
+        plan_bench(scene("phones"), ["gaze_x"])
+
+
 @pytest.mark.parametrize(
     ("name", "changes"),
     [
-        *((name, {}) for name in scene_names()),
+        *((name, ROUGH_OF.get(name, {})) for name in scene_names()),
         ("hand-held", {"illumination.lines": TWO_LINES, "object_distance": math.inf}),
         ("thin-lens", {"power": 5.0, "rotation": [1.7, -1.6], "source_size": 5e-4}),
         ("hand-held", {"offset": 300, "wavelength": 1e-6}),

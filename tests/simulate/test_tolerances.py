@@ -149,7 +149,7 @@ def test_a_tilted_filter_is_a_sampled_phase_at_its_depth(validated: Validated) -
 def test_a_tilted_filter_close_to_the_sensor_is_the_sensor_tilted() -> None:
     """Behind a traced lens too."""
     lens = {"kind": "prescription", "name": "phone-f"}
-    scene = with_values(load_scene("rotation"), {"sampling.accuracy": 0.1, "target.lens": lens})
+    scene = with_values(load_scene("rotation"), {"sampling.accuracy": 0.3, "target.lens": lens})
     grid, sines = Grid(41, 41, 8.8e-6), torch.tensor([[0.02, -0.05]], dtype=torch.float64)
 
     def picture(sensor: TargetSensor) -> torch.Tensor:

@@ -417,7 +417,10 @@ class ResNet18:
         if classes:
             shapes["scaling.temperature"] = (1,)
         scaling = checked_state(state, shapes)
-        network = ResNet18Network(k + len(classes))
+        # Weights drawn at random only to be replaced would take most of the time.
+        with torch.device("meta"):
+            network = ResNet18Network(k + len(classes))
+        network.to_empty(device="cpu")
         own = {name: state[name] for name in network.state_dict() if name in state}
         try:
             network.load_state_dict(own)

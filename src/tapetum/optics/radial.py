@@ -306,8 +306,13 @@ def spot_field(
 
 def _cubic(values: torch.Tensor, places: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
     """Values at places + t by the cubic through four entries."""
+    if not t.requires_grad:
+        # Weights more precise than the table would only make complex128 of it all.
+        t = t.to(values.real.dtype)
     # The field is even: its entry at -1 is that at 1.
-    before, at, after, then = (values[(places + i).abs()] for i in (-1, 0, 1, 2))
+    before, at, after, then = (
+        values.index_select(0, (places + i).abs().flatten()).view(t.shape) for i in (-1, 0, 1, 2)
+    )
     return (
         before * (-t * (t - 1) * (t - 2) / 6)
         + at * ((t + 1) * (t - 1) * (t - 2) / 2)

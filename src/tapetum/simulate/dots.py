@@ -15,7 +15,6 @@ import math
 import numpy as np
 import numpy.typing as npt
 import torch
-from scipy.stats import ncx2
 
 from tapetum.bench.phone import Dots
 from tapetum.optics.fourier import phasor
@@ -106,6 +105,9 @@ def power_through(power: float, waist: float, offset: Array, radius: float) -> A
     The squared distance from the aperture's middle, in units of (waist/2)², is distributed as a noncentral χ² of two
     degrees of freedom.
     """
+    # SciPy's statistics take half a second to import, which every start of a process would wait for.
+    from scipy.stats import ncx2
+
     sigma = waist / 2
     away = (np.asarray(offset) ** 2).sum(-1) / sigma**2
     # SciPy has no noncentral distribution about the centre.

@@ -21,8 +21,8 @@ from tapetum.simulate.radiometry import beam_radius, electrons
 from tapetum.simulate.reflections import only_sensor
 from tapetum.simulate.traced_information import TRACED, TracedSlopes
 
-__all__ = ["PARAMETERS", "FisherInformation", "expected_electrons", "fisher", "information_of", "not_told"]
-__all__ += ["true_values"]
+__all__ = ["PARAMETERS", "FisherInformation", "checked_parameters", "expected_electrons", "fisher", "information_of"]
+__all__ += ["not_told", "true_values"]
 
 PARAMETERS = {
     "gaze_x": "fraction of the field",
@@ -144,7 +144,7 @@ def fisher(
     zoom's stop opens as its states say, or keeps its `f_number`; the object distance stays.
     """
     scene = as_scene(scene)
-    names = _checked(scene, parameters)
+    names = checked_parameters(scene, parameters)
     start = true_values(scene, names)
     if isinstance(scene.target.lens, PrescriptionLens):
         gaze = torch.tensor([list(true_values(scene, ("gaze_x", "gaze_y")).values())], dtype=torch.float64)
@@ -327,7 +327,8 @@ def not_told(scene: Scene, name: str) -> str | None:
     return None
 
 
-def _checked(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
+def checked_parameters(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
+    """Names of parameters as `fisher` takes them; what it would refuse in a scene is refused."""
     names = (parameters,) if isinstance(parameters, str) else tuple(parameters)
     for name in names:
         if name not in PARAMETERS:

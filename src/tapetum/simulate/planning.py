@@ -16,7 +16,7 @@ from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.budget import LinkBudget, link_budget
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, beam_of, eye_safety
 from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
-from tapetum.simulate.information import FisherInformation, fisher, not_told
+from tapetum.simulate.information import FisherInformation, checked_parameters, fisher, not_told
 from tapetum.simulate.phone import open_camera
 from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoice, in_si, row, wrapped
 from tapetum.simulate.radiometry import illumination_curvature
@@ -139,6 +139,9 @@ def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] 
         reasons = {name: not_told(scene, name) or _costly(scene, name) for name in PARAMETERS}
         left_out = {name: why for name, why in reasons.items() if why is not None}
         parameters = [name for name in PARAMETERS if name not in left_out]
+    else:
+        # A real lens takes long to plan: a name that is refused is refused before.
+        parameters = checked_parameters(scene, parameters)
     light = scene.illumination
     wavelengths = (light.wavelength, *(line.wavelength for line in light.lines))
     budgets = tuple(link_budget(scene, wavelength) for wavelength in wavelengths)
