@@ -21,9 +21,9 @@ _LAST_STEP = 1e-15
 _TURNING = 1e-4
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Lens:
-    """Surfaces one behind the other, as tensors in SI units (float64).
+    """Surfaces one behind the other, as tensors in SI units (float64). Two are equal when they are the same object.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.simulate.foreshortening import foreshortening
 
-__all__ = ["ExitPath", "ProbeAperture"]
+__all__ = ["ExitPath", "ProbeAperture", "missed_path"]
 
 
 @dataclass(frozen=True)
@@ -25,6 +25,25 @@ class ProbeAperture:
     distance: float
     radius: float
     samples: int
+
+
+def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float, wavelength: float) -> float:
+    """The most, in metres, that Fresnel's chirps miss of the way from the pupil to the probe's aperture.
+
+    Parameters
+    ----------
+    aperture
+        The probe's; light that spreads less than it does counts as far as it spreads.
+    reach, angle
+        Half width of the pupil and the largest angle of what leaves it.
+    sine
+        Of the tilt.
+    wavelength
+        In metres.
+    """
+    d = aperture.distance
+    wide = reach + min(aperture.radius, reach + angle * d + math.sqrt(wavelength * d))
+    return sine * reach * wide**2 / (2 * d**2) + wide**4 / (8 * d**3)
 
 
 class ExitPath:
@@ -55,7 +74,7 @@ class ExitPath:
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
     ) -> None:
-        self.dtype, self.device, self._aperture = dtype, torch.device(device), aperture
+        self.dtype, self.device, self.aperture = dtype, torch.device(device), aperture
         self._k = 2 * math.pi / wavelength
         self._to_pixels = self._k / probe_focal_length
         self._constant = 1 / (1j * wavelength * probe_focal_length)
@@ -103,7 +122,7 @@ class ExitPath:
         # What a tilted pupil sends spreads over a foreshortened picture.
         cosine = torch.sqrt(1 - (sines**2).sum(-1))
         pupil = pupil * (step * torch.sqrt(cosine) * self._constant)[:, None, None].to(self.dtype)
-        if self._aperture is not None:
+        if self.aperture is not None:
             pupil = pupil * self._shortened(x, y, sines)
         elif centres is not None:
             pupil = pupil * self._ramp(centres, x, y)
@@ -114,11 +133,11 @@ class ExitPath:
         mix = phasor(-kappa * t[:, 1, 0, None, None] * dy[:, :, None] * ux).to(self.dtype)
         rows = phasor(-kappa * t[:, 1, 1, None, None] * uy[:, None] * dy[:, None, :]).to(self.dtype)
         first = self._first.lift(rows @ ((pupil @ columns) * mix))
-        wide, high = self._pixels if self._aperture is None else (self._far_x, self._far_y)
+        wide, high = self._pixels if self.aperture is None else (self._far_x, self._far_y)
         across = phasor(-kappa * (t[:, 0, 0, None] * middle_x + t[:, 1, 0, None] * middle_y) * wide)
         down = phasor(-kappa * t[:, 1, 1, None] * middle_y * high)
         first = first * (down[:, :, None] * across[:, None, :]).to(self.dtype)
-        if self._aperture is None:
+        if self.aperture is None:
             return first
         passed = first * self._passed
         if centres is not None:

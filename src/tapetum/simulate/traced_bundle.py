@@ -12,8 +12,9 @@ departs from a point image is left to be sampled. The lens is rotationally symme
 
 from __future__ import annotations
 
+import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import torch
@@ -221,6 +222,16 @@ def _incoming(
 
 def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
     """Corners [F, 2] of the boxes that hold what passes of each field, smooth from field to field."""
+    # A sensor or a filter moved behind the same lens changes none of them.
+    anywhere = replace(focused, image=0.0)
+    return _searched_boxes(anywhere, tuple(float(one) for one in sines), curvature)
+
+
+@functools.lru_cache(maxsize=64)
+def _searched_boxes(
+    focused: FocusedLens, tilts: tuple[float, ...], curvature: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    sines = torch.tensor(tilts, dtype=torch.float64)
     reach = 2.2 * focused.entrance_radius
     lower = torch.full((len(sines), 2), -reach, dtype=torch.float64)
     upper = -lower

@@ -6,6 +6,7 @@ is computed at some tilts and compared with the next one's. What is left of the 
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
@@ -16,7 +17,7 @@ import torch
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
-from tapetum.simulate.exit_path import ExitPath, ProbeAperture
+from tapetum.simulate.exit_path import ExitPath, ProbeAperture, missed_path
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
@@ -44,13 +45,17 @@ _LADDER = (
     _Effort(80, 272, 1.8),
     _Effort(113, 338, 1.9),
     _Effort(160, 420, 2.0),
+    _Effort(226, 520, 2.1),
+    _Effort(320, 640, 2.2),
 )
 # The error measured between an effort and the second next, times this, is claimed of the lesser one: the rings that it
 # leaves out count for half or less in the other, which keeps twice as many.
 _SAFETY = 2.0
 # Tilts tried, in fractions of the steepest one. Head on a mirror's return is at its most sensitive: the edges of the
 # pupil that light comes by and of the one it leaves by coincide.
-_TRIED = ((0.0, 0.0), (0.0, 0.06), (0.18, 0.18), (0.65, 0.65))
+_TRIED = ((0.0, 0.0), (0.08, 0.1), (0.65, 0.65))
+# Times the accuracy asked for from which on planes that cancel each other are not planned again.
+_HOPELESS = 5.0
 # Fresnel zones of the cone of light on the plane from which on every place of the pupil is left by one ray.
 _GEOMETRIC = 2.5
 # More light cannot come back than went in: aliasing shows as that.
@@ -213,9 +218,11 @@ def traced_group(
         return TracedGroup(passes, worst)
 
     group = made(accuracy)
-    if accuracy < (error := group.plan.expected_error) < math.inf and len(surfaces) > 1:
-        # What each plane of several may take of it; steps of the ladder are coarse.
-        group = made(0.7 * accuracy * accuracy / error)
+    if accuracy < (error := group.plan.expected_error) < _HOPELESS * accuracy and len(surfaces) > 1:
+        # What each plane of several may take of it; steps of the ladder are coarse. Where planes cancel each other
+        # that may be more than can be had: then the error is stated as it is.
+        with contextlib.suppress(InputError):
+            group = made(0.7 * accuracy * accuracy / error)
     return group
 
 
@@ -273,6 +280,17 @@ def _planned(
             where="target",
             remedy=f"{coarser}focus nearer to the probe, or stop the lens down with f_number",
         )
+
+    if path.aperture is not None:
+        steepest = fits.nodes.steepest
+        missed = 2 * math.pi / wavelength * missed_path(path.aperture, fits.aperture[1], angle, steepest, wavelength)
+        if missed > accuracy:
+            raise InputError(
+                f"the probe is so near that the way to its aperture is known to {missed / 2 / math.pi:.2g} waves only",
+                where="distance",
+                remedy=f"ask for an accuracy of {missed:.1g}, move the probe away, or narrow its aperture",
+            )
+        unsure = max(unsure, missed)
 
     def made(effort: _Effort) -> TracedPass:
         grids = _grids(
