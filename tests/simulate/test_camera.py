@@ -235,6 +235,13 @@ def test_a_beam_narrower_than_the_aperture_is_its_own_aperture(narrower: int, va
     validated(SECTION, f"the same beam of 1/{narrower}, accuracy of 1e-2 asked for", error, 1e-2, "accuracy of 1e-4")
 
 
+def test_a_narrow_beam_has_a_cut_off_of_its_own() -> None:
+    """Turned so far that its middle lands beside the lens: the rest of the aperture would still return light."""
+    sine = math.sin(math.atan(1.2 * RADIUS / (2 * FOCAL)))
+    assert math.isfinite(Camera(scene(), sine).plan.expected_error)
+    assert math.isinf(Camera(scene(illumination__diameter=2e-4), sine).plan.expected_error)
+
+
 def test_diverging_light_fades_with_the_square_of_the_distance() -> None:
     light = {"mode": "diverging", "divergence": "0.5 deg", "vergence": 0.0}
     near, far = (image(scene(illumination=light, distance=d, sampling__propagation="far field")) for d in (2.0, 8.0))

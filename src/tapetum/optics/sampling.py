@@ -49,6 +49,8 @@ class DoublePassGeometry:
         Largest sine of the tilt.
     curvature
         1/R of the illuminating wave at the target, in 1/m: 0 for collimated light, 1/distance from a point.
+    lit_radius
+        Of a beam narrower than the lens.
     """
 
     wavelength: float
@@ -59,6 +61,7 @@ class DoublePassGeometry:
     window: float
     sine: float = 0.0
     curvature: float = 0.0
+    lit_radius: float = math.inf
 
     @property
     def tangent(self) -> float:
@@ -93,7 +96,8 @@ class DoublePassGeometry:
     @property
     def returning(self) -> float:
         """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
-        return disc_overlap(self.return_radius, self.radius, 2 * self.image_distance * self.tangent)
+        lit = min(1.0, self.lit_radius / self.radius) * self.return_radius
+        return disc_overlap(lit, self.radius, 2 * self.image_distance * self.tangent)
 
     @property
     def exit_angle(self) -> float:

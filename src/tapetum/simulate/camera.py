@@ -552,6 +552,7 @@ def scene_geometry(
         window=math.hypot(output.width, output.height) / 2 + probe_f * math.tan(offset + spread),
         sine=math.sin(math.asin(steepest) + offset + spread),
         curvature=illumination_curvature(scene),
+        lit_radius=beam_radius(scene),
     )
 
 
