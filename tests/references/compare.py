@@ -38,7 +38,7 @@ _SPREAD = np.array([[0.3, 0.3], [0.25, 0.7], [0.7, 0.35], [0.65, 0.65], [0.45, 0
 
 
 def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
-    """One scene's line: `outcome` is agrees, differs, refused or too large."""
+    """One scene's line: `outcome` is agrees, differs, unclaimed (it states no error), refused or too large."""
     line: dict[str, Any] = {"kind": kind, "scene": plain}
     started = time.perf_counter()
     try:
@@ -49,8 +49,10 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     found = image.numpy()[0]
     way = str(image.metadata["propagation"])
     claims = {"accuracy": scene.sampling.accuracy, "expected": float(image.metadata["expected_error"])}
-    # What it states of this picture; where it states nothing, as of one that hardly exists, what was asked for.
-    claim = claims["expected"] if math.isfinite(claims["expected"]) else claims["accuracy"]
+    # What it states of this picture; where it states nothing, as of one that hardly exists, what was asked for, and a
+    # difference is counted apart.
+    stated = math.isfinite(claims["expected"])
+    claim = claims["expected"] if stated else claims["accuracy"]
     line |= {"way": way, "claims": claims, "engine_seconds": time.perf_counter() - started}
     rows, columns = np.indices(found.shape)
     places = pixel_places(
@@ -83,7 +85,7 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
         return {**line, "seconds": time.perf_counter() - started}
     return {
         **line,
-        "outcome": "agrees" if error <= claim else "differs",
+        "outcome": "agrees" if error <= claim else "differs" if stated else "unclaimed",
         "error": error,
         "ratio": error / claim,
         "ratio_asked": error / claims["accuracy"],
@@ -122,7 +124,11 @@ def summary(lines: list[dict[str, Any]]) -> str:
         more = [line for line in judged if line["claims"]["expected"] > line["claims"]["accuracy"]]
         asked = sum(line["ratio_asked"] > 1 for line in more)
         text.append(f"{len(more)} state an error larger than the accuracy asked for; {asked} have one")
-    text += ["", "| kind | agree | differ | refused | too large | median | largest |", "|---|--:|--:|--:|--:|--:|--:|"]
+    text += [
+        "",
+        "| kind | agree | differ | nothing stated | refused | too large | median | largest |",
+        "|---|" + 7 * "--:|",
+    ]
     for kind in KINDS:
         own = [line for line in lines if line["kind"] == kind]
         if not own:
@@ -139,7 +145,7 @@ def summary(lines: list[dict[str, Any]]) -> str:
     return "\n".join(text + [""] + [f"{count} × {what}" for what, count in sorted(refusals.items())])
 
 
-_OUTCOMES = ("agrees", "differs", "refused", "too large")
+_OUTCOMES = ("agrees", "differs", "unclaimed", "refused", "too large")
 _QUANTILES = (("median", 0.5), ("90 %", 0.9), ("95 %", 0.95))
 
 

@@ -36,7 +36,7 @@ def test_metadata_says_how_it_was_made() -> None:
     told = retroreflect(scene()).metadata
     assert told["sampling"]["expected_error"] <= 1e-3
     # What the sensor's far edges may change of the outermost rings.
-    assert 0 <= told["expected_error"] - told["sampling"]["expected_error"] < 1e-5
+    assert 0 <= told["expected_error"] - told["sampling"]["expected_error"] < 3e-5
     assert told["wavelength"] == pytest.approx(640e-9)
     assert told["propagation"] == "far field"
     # Focused at 1 m the return, of curvature 2/(x_d + f), has crossed over long before the probe.

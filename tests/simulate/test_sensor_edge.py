@@ -44,7 +44,7 @@ def pictures(one: Scene, *gazes: tuple[float, float], **options: Any) -> torch.T
 
 
 def test_a_spot_beside_the_sensor_returns_nothing() -> None:
-    middle, beside = pictures(scene(), (0.0, 0.0), (0.62, 0.0))
+    middle, beside = pictures(scene(), (0.0, 0.0), (0.85, 0.0))
     assert float(middle.max()) > 0
     assert float(beside.max()) == 0
 
@@ -121,14 +121,14 @@ def test_the_return_fades_over_the_edge(validated: Validated) -> None:
     error = abs(float(cut / whole) - by_rays)
     validated(SECTION, "power of a defocused spot whose half the edge cuts", error, 0.03,
               "rays", "of the whole")  # fmt: skip
-    assert float(power[-1]) == 0
+    assert float(power[-1]) < 1e-3
 
 
 def test_layers_answer_beside_the_sensor() -> None:
     one = scene(**{"target.sensor.layers": [{"depth": 2e-4, "reflectance": 0.2}]})
     only = replace(one, target=replace(one.target, sensor=replace(one.target.sensor, reflectance=0.0)))
-    beside, cut = pictures(one, (0.7, 0.0), (0.5, 0.0))
-    want, _ = pictures(only, (0.7, 0.0), (0.5, 0.0))
+    beside, cut = pictures(one, (0.85, 0.0), (0.5, 0.0))
+    want, _ = pictures(only, (0.85, 0.0), (0.5, 0.0))
     assert float((beside - want).abs().max()) < 1e-6 * float(want.max())
     assert float((cut - want).abs().max()) > 0
 

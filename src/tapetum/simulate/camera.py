@@ -405,7 +405,13 @@ class Camera:
             for one, end in itertools.zip_longest(line.passes, line.ends):
                 given = sines, None if middle else centres
                 image = one(*given) if end is None or spots is None else end.seen(one, spots, self._edge_rule, *given)
+                if end is not None and spots is not None and end.open_beside is None and bool(spots.beside.any()):
+                    # A picture without light has no peak to be right to.
+                    self._edge_error = math.inf
                 part = weight.to(image.dtype) * image
+                if beam_radius(self.scene) < line.geometry.radius:
+                    # A beam within the lens is round across its own direction, and lights an ellipse of the lens.
+                    part = part / cosines(sines)[:, None, None].to(part) ** 2
                 total = part if total is None else total + part
             for scatterer in line.scatterers:
                 # The spot's light and what the lens sends of it go by the width that the tilted lens shows the probe.
@@ -421,6 +427,11 @@ class Camera:
         if total is None:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
         return total
+
+    def _narrow_error(self) -> float:
+        """What is left of a tilted beam's ellipse, which is taken for a disc: its rings are narrower along the tilt."""
+        narrow = beam_radius(self.scene) < self.geometry.radius
+        return 2 * self._steepest**2 if narrow and self._lens is None else 0.0
 
     def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
         """Where the gazes put their spots on the sensor, and how much of each it holds."""
@@ -506,8 +517,8 @@ class Camera:
             way += "; the return overfills the probe, which cuts off nothing here"
         return {
             "sampling": self.plan.as_dict(),
-            # What the sensor's edges change of spots that lie near them, of all gazes so far.
-            "expected_error": self.plan.expected_error + self._edge_error,
+            # With what the sensor's edges change of spots that lie near them, of all gazes so far.
+            "expected_error": self.plan.expected_error + self._edge_error + self._narrow_error(),
             "irradiance_at_target": irradiance_at_target(scene),
             "beam_radius_at_target": beam_radius(scene),
             "return_radius_at_probe": returning,

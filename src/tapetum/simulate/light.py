@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from tapetum.bench import Illumination
 from tapetum.errors import InputError
 
@@ -78,7 +80,7 @@ def directions(light: Illumination, airy_angle: float) -> list[tuple[float, floa
     light
         Its `source_size`.
     airy_angle
-        λ/2r of the target: directions nearer than half of it give the same picture, blurred by nothing.
+        λ/2r of the target, which the picture's finest fringes are wide.
 
     Raises
     ------
@@ -88,16 +90,23 @@ def directions(light: Illumination, airy_angle: float) -> list[tuple[float, floa
     if light.source_size == 0:
         return [(0.0, 0.0, 1.0)]
     radius = light.source_size / 2
-    # A disc of equal shares, on a square lattice.
-    side = max(3, math.ceil(light.source_size / (airy_angle / 2)))
-    step = light.source_size / side
-    places = [(i - (side - 1) / 2) * step for i in range(side)]
-    inside = [(x, y) for y in places for x in places if math.hypot(x, y) <= radius]
-    if len(inside) > _MOST_DIRECTIONS:
-        widest = airy_angle / 2 * math.sqrt(_MOST_DIRECTIONS / (math.pi / 4))
+    # The finest fringes of a picture, those between two ends of the pupil, turn by so much from the source's middle to
+    # its rim. A few circles of directions, at Gauss's nodes of the area, hold such a turn.
+    turn = 2 * math.pi * radius / airy_angle
+    circles, around = math.ceil(turn / math.pi) + 1, math.ceil(turn) + 5
+    if circles * around > _MOST_DIRECTIONS:
+        widest = airy_angle / math.pi * math.sqrt(_MOST_DIRECTIONS * math.pi)
         raise InputError(
-            f"{light.source_size:g} rad are {len(inside)} directions",
+            f"{light.source_size:g} rad are {circles * around} directions",
             where="illumination.source_size",
-            remedy=f"make it smaller than {widest:.2g} rad, or stop the target down",
+            remedy=f"make it smaller than {0.9 * widest:.2g} rad, or stop the target down",
         )
-    return [(x, y, 1 / len(inside)) for x, y in inside]
+    nodes, weights = np.polynomial.legendre.leggauss(circles)
+    found: list[tuple[float, float, float]] = []
+    for circle, (node, weight) in enumerate(zip(nodes, weights, strict=True)):
+        away = radius * math.sqrt((node + 1) / 2)
+        for i in range(around):
+            # Every second circle turned by half a step.
+            angle = 2 * math.pi * (i + circle % 2 / 2) / around
+            found.append((away * math.cos(angle), away * math.sin(angle), float(weight) / 2 / around))
+    return found

@@ -17,8 +17,9 @@ EdgeRule = Literal["exact", "dimmed"]
 # Share of the returning amplitude that an edge takes from a focused spot N rings λz/2r away, times N: the light of an
 # Airy pattern beyond a straight line, 2/(π³N). The irradiance changes by twice that at the most.
 _MISSED = 4 / math.pi**3
-# Rings from an edge up to which a spot counts as cut.
-_FEWEST_RINGS = 2.0
+# Rings from an edge up to which a spot on the sensor counts as cut, and one beside it: from there on less than 2e-3 of
+# the amplitude, 4e-6 of the irradiance, that a spot on the sensor returns comes back.
+_FEWEST_RINGS, _FAR_BESIDE = 2.0, 30.0
 
 
 @dataclass(frozen=True)
@@ -126,8 +127,7 @@ class Spots:
         nearest = edge.depths(places.detach()).amin(-1)
         lost, spot, ring = edge.missed(places.detach(), light), light.spot, light.ring
         whole = (nearest >= spot + _FEWEST_RINGS * ring) & (lost <= most)
-        # Light of so few rings comes back with less than 1e-3 of what a spot on the sensor returns.
-        beside = nearest <= -(spot + _FEWEST_RINGS * ring)
+        beside = nearest <= -(spot + _FAR_BESIDE * ring)
         missed = lost[whole]
         share = torch.where(whole, 1.0, torch.where(beside, 0.0, edge.share(places, spot + ring)))
         return cls(whole, beside, share, float(missed.max()) if len(missed) else 0.0)

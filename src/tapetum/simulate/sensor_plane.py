@@ -49,7 +49,7 @@ _FINE, _FINEST = 512, 1024
 # Lines across one of these samples along which the area under a round edge is summed.
 _LINES = 16
 # Power below which an order is left out, over the largest one's.
-_FAINT = 1e-6
+_FAINT = 1e-8
 _MOST_ORDERS = 20_000
 _MOST_SHIFTED = 2000
 # Fourier coefficients of a microlens to either side that a shift is carried out with: amplitudes then are within 1e-3
@@ -77,8 +77,8 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     -------
     tuple of Order
         From the axis outwards, amplitudes of the reflected field: sqrt(reflectance) times the cell's Fourier
-        coefficient, phases with respect to the optical axis. Orders of less than 1e-6 of the strongest one's power are
-        left out.
+        coefficient, phases with respect to the optical axis. Orders of less than 1e-8 of the strongest one's power are
+        left out: thousands of them add up where a pitch is many rings wide.
 
     Raises
     ------
