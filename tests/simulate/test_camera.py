@@ -15,6 +15,7 @@ from tapetum.errors import InputError
 from tapetum.optics.glass import refractive_index
 from tapetum.optics.grid import Grid
 from tapetum.simulate import Camera, retroreflect
+from tapetum.simulate.light import directions
 from tapetum.simulate.radiometry import photoelectrons
 
 FOCAL, RADIUS, WAVELENGTH, PROBE_FOCAL = 0.02, 1e-3, 640e-9, 0.1
@@ -137,6 +138,19 @@ def test_a_wide_source_blurs_and_keeps_the_power(validated: Any) -> None:
     # An even disc of four rings' width: its middle is flat.
     middle = blurred[29:35, 29:35]
     assert float(middle.min()) > 0.8 * float(middle.max())
+
+
+@pytest.mark.parametrize("wide", [0.3, 1.0, 6.0])
+def test_directions_of_a_source_are_those_of_a_disc(wide: float) -> None:
+    """Moments of an even disc, and what it makes of the finest fringes: 2 J1(t)/t for a turn of t at its rim."""
+    airy = WAVELENGTH / (2 * RADIUS)
+    x, y, share = np.array(directions(scene(illumination__source_size=wide * airy).illumination, airy)).T
+    radius, turn = wide * airy / 2, math.pi * wide
+    assert share.sum() == pytest.approx(1) and (share * x).sum() == pytest.approx(0, abs=1e-9 * radius)
+    assert (share * x**2).sum() == pytest.approx(radius**2 / 4) == pytest.approx((share * y**2).sum())
+    for angle in (0.0, 0.4, 1.3):
+        along = x * math.cos(angle) + y * math.sin(angle)
+        assert (share * np.cos(turn * along / radius)).sum() == pytest.approx(2 * j1(turn) / turn, abs=1e-3)
 
 
 def test_an_led_s_bandwidth_fills_dark_rings_and_keeps_the_power(validated: Any) -> None:
