@@ -88,7 +88,7 @@ def test_a_nearly_perfect_traced_lens_is_a_thin_one(validated) -> None:
     validated(SECTION, "a plano-convex lens at f/12 by rays, head on", error, 1e-3, "a thin lens, by the judge")
 
 
-@pytest.mark.parametrize("distance", [0.2, 0.08])
+@pytest.mark.parametrize("distance", [0.2, pytest.param(0.08, marks=pytest.mark.slow)])
 def test_edges_stand_in_the_image_of_the_stop(distance: float, validated) -> None:
     """Collins's integral from the pupil to the mirror and back by Gaussian numbers, of a lens next to telecentric.
 

@@ -12,6 +12,7 @@ BASE = ("object_distance=2.5", "sampling.accuracy=0.01", "probe.sensor.pixels=[6
 SINGLET = "target.lens={kind: prescription, name: la1509, f_number: 17, design_wavelength: 640 nm}"
 
 
+@pytest.mark.slow
 def test_a_slow_singlet_tells_what_a_thin_lens_does() -> None:
     real = load_scene("thin-lens", [*BASE, SINGLET])
     lens = real.target.lens

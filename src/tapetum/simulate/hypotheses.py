@@ -63,10 +63,11 @@ def sign_dprime(
     opposite = -gaze if centre is None else 2 * centre - gaze
     sines = torch.stack([tilt_of_gaze(scene, gaze), tilt_of_gaze(scene, opposite)], 1)
     steepest = largest_sine(sines.flatten(0, 1))
-    rough = Camera(scene, steepest, accuracy=accuracy)
+    # As films take the sensor's edge.
+    rough = Camera(scene, steepest, accuracy=accuracy, edge="dimmed")
     # Room for the second beam's RR beside the first one's.
     output = rough.window(margin=True)
-    camera = Camera(scene, steepest, accuracy=accuracy, output=output)
+    camera = Camera(scene, steepest, accuracy=accuracy, output=output, edge="dimmed")
     sensor, wavelength = scene.probe.sensor, scene.illumination.wavelength
     # A digital number's rounding adds a uniform error of one step.
     step = 1 / gain_of(sensor)
