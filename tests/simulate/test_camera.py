@@ -298,6 +298,16 @@ def test_light_that_a_narrow_beam_scatters_is_the_beam_s() -> None:
     assert watts(narrow) == pytest.approx(watts(broad), rel=0.1)
 
 
+@pytest.mark.parametrize(("beam", "power"), [(RADIUS, 1), (0.02, 2)])
+def test_scattered_light_goes_by_the_width_that_the_tilt_leaves(beam: float, power: int) -> None:
+    """The tilted lens looks narrower to the probe; what it takes in of a beam within it stays the whole beam."""
+    plane: dict[str, Any] = {"target__sensor__reflectance": 0.0, "target__sensor__diffuse": {"albedo": 0.5}}
+    one = scene(**plane, illumination__diameter=beam, target__sensor__pixels=[9000, 9000])
+    sines = torch.tensor([[0.0, 0.0], [0.0, 0.5]], dtype=torch.float64)
+    first, tilted = Camera(one, 0.5, dtype=torch.complex128, device="cpu")(sines).double().sum((1, 2))
+    assert float(tilted / first) == pytest.approx(0.75 ** (power / 2), rel=5e-3)
+
+
 def test_a_mask_lies_behind_the_layers(tmp_path: Any) -> None:
     path = tmp_path / "mask.npy"
     np.save(path, np.ones((16, 16), np.complex128))

@@ -201,12 +201,8 @@ def huygens(
     radial: int,
     around: int,
     curvature: float = 0.0,
-    exact: bool = True,
 ) -> Huygens:
-    """The double pass by rays to the exit pupil and waves from it to the sensor and back, summed one by one.
-
-    With `exact` left out the distances are those of second order, as `TracedPass` has them.
-    """
+    """The double pass by rays to the exit pupil and waves from it to the sensor and back, summed one by one."""
     sine = math.sin(math.radians(degrees))
     into = spokes(focused, sine, radial, around, curvature)
     forth, y0, p_forth = _kernel_parts(focused, into.e, sine, curvature)

@@ -399,6 +399,7 @@ class Camera:
         scale, total = self._scale() * share, None
         for line in self._lines:
             weight = scale * line.power
+            narrow = beam_radius(self.scene) < line.geometry.radius
             if equivalent:
                 weight = weight * (line.wavelength / self.scene.illumination.wavelength)
             spots = self._spots(line, sines) if line.ends or line.scatterers else None
@@ -409,13 +410,14 @@ class Camera:
                     # A picture without light has no peak to be right to.
                     self._edge_error = math.inf
                 part = weight.to(image.dtype) * image
-                if beam_radius(self.scene) < line.geometry.radius:
+                if narrow:
                     # A beam within the lens is round across its own direction, and lights an ellipse of the lens.
                     part = part / cosines(sines)[:, None, None].to(part) ** 2
                 total = part if total is None else total + part
             for scatterer in line.scatterers:
-                # The spot's light and what the lens sends of it go by the width that the tilted lens shows the probe.
-                seen = cosines(sines)[:, None, None].to(self._device) ** 2
+                # The spot's light and what the lens sends of it go by the width that the tilted lens shows the probe; a
+                # beam within the lens brings all of its light, whatever the tilt.
+                seen = cosines(sines)[:, None, None].to(self._device) ** (1 if narrow else 2)
                 if spots is not None and scatterer.image_distance == line.geometry.image_distance:
                     # The sensor's own: its layers scatter beside it, too.
                     seen = seen * spots.share[:, None, None].to(seen)

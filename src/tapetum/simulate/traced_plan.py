@@ -85,8 +85,8 @@ class TracedPlan:
     by_rays
         Whether they do.
     expected_error
-        Largest error of the irradiance, in fractions of the image's own peak, measured against the next finer
-        sampling. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the most light
+        Largest error of the irradiance, in fractions of the image's own peak, measured against the second next finer
+        sampling and doubled. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the most light
         the error there is stated, and may be larger than the accuracy asked for, which is that of brighter tilts.
     """
 
@@ -317,8 +317,9 @@ def _planned(
     error = math.inf
     for effort in _LADDER[2:]:
         best = made(effort)
-        steps.append((best, best.field(tried).abs() ** 2))
-        now, image = steps[-3]
+        # Three passes at a time: each holds its grids and kernels.
+        steps = [*steps[-2:], (best, best.field(tried).abs() ** 2)]
+        now, image = steps[0]
         error = _SAFETY * _apart(image, steps[-1][1])
         if error <= accuracy:
             _check_power(now, tried, limit)
@@ -329,7 +330,7 @@ def _planned(
             plan = TracedPlan(now.grids.pupil, now.grids.pupil, now.grids.sensor, departure, by_rays, claimed)
             return now, plan
     raise InputError(
-        f"{accuracy:g} of the peak is not reached with {steps[-3][0].grids.pupil} samples over the pupil",
+        f"{accuracy:g} of the peak is not reached with {steps[0][0].grids.pupil} samples over the pupil",
         where="sampling.accuracy",
         remedy=f"ask for {2 * error:.1g} or more, or stop the lens down with f_number",
     )
