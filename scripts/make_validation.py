@@ -23,7 +23,7 @@ the line gives the largest difference.
 
     make validation
 
-runs those tests and writes this page anew; `scripts/make_validation.py --slow` runs the slow ones as well{slow}.
+runs those tests and writes this page again; `scripts/make_validation.py --slow` runs the slow ones as well{slow}.
 Errors are largest differences, by default in fractions of the peak.
 All of it is simulation against closed forms, independent methods and other packages. None of it says how far scalar,
 paraxial light, and lenses as their prescriptions have them, are from a real camera.

@@ -115,7 +115,7 @@ def test_a_phone_of_ones_own(tmp_path: Path) -> None:
             lambda c: c["cameras"][0]["lens"].update(name="phone-q"),
             r"cameras\.0\.lens: phone-q: no such lens; did you mean",
         ),
-        (lambda c: c["cameras"][1].update(name="main"), r"two cameras share a name, main, main, tele; tell them apart"),
+        (lambda c: c["cameras"][1].update(name="main"), r"share a name, main, main, tele; give each its own"),
         (
             lambda c: c["cameras"][1].update(position=[0, 0]) or c["cameras"][0].update(position=[0, 0.002]),
             r"4 mm apart",

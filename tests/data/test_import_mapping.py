@@ -1,4 +1,4 @@
-"""Mapping files: what they may say, and how what they may not is told."""
+"""Mapping files: what they may say, and how what they may not is reported."""
 
 from __future__ import annotations
 

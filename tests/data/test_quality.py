@@ -14,7 +14,7 @@ ROWS, COLUMNS = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
 
 
 def pictures(seed: int = 0) -> np.ndarray:
-    """RRs of one scene, each exposed anew: alike, but no copies."""
+    """RRs of one scene, each exposed separately: alike, but no copies."""
     light = 15 + 150 * np.exp(-(ROWS**2 + COLUMNS**2) / 20)
     return np.clip(light + np.random.default_rng(seed).normal(0, 2, (COUNT, SIDE, SIDE)), 0, 254).astype(np.uint8)
 

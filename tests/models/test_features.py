@@ -85,7 +85,7 @@ def test_the_images_are_left_as_they_are():
         (np.zeros((1, 30, 20), np.uint8), {}, "square crops"),
         (np.zeros((1, 30, 30), np.uint8), {"scales": (40,)}, "does not fit crops of 30"),
         (np.zeros((1, 30, 30), np.uint8), {"scales": ()}, "scales"),
-        (np.zeros((1, 30, 30), np.uint8), {"scales": (6,)}, "cannot tell 91 modes apart"),
+        (np.zeros((1, 30, 30), np.uint8), {"scales": (6,)}, "cannot separate 91 modes"),
         (np.full((1, 30, 30), -1.0), {"full_scale": 1, "scales": (30,)}, "not negative"),
         (np.full((1, 30, 30), np.nan), {"full_scale": 1, "scales": (30,)}, "finite"),
         (np.zeros((1, 30, 30), bool), {}, "grey levels"),

@@ -94,7 +94,7 @@ def test_shared_noise_is_divided_by_as_its_whole_matrix():
     np.testing.assert_allclose(Noise(slope, variance, (0.0, 0.0))(one, other), (one / variance) @ other.T)
 
 
-def test_columns_and_rows_with_offsets_are_reckoned_with(scene: Scene):
+def test_columns_and_rows_with_offsets_are_taken_into_account(scene: Scene):
     gazes = np.random.default_rng(3).uniform(-0.25, 0.25, (24, 2))
     rng, pictures = np.random.default_rng(1), Pictures(scene, 150)
     frames = []
@@ -111,7 +111,7 @@ def test_columns_and_rows_with_offsets_are_reckoned_with(scene: Scene):
         held = ((found.lower <= gazes) & (gazes <= found.upper)).mean()
         told[offsets] = np.sqrt(((found.value - gazes) ** 2).mean()), held
     (blind, few), (aware, many) = told.values()
-    # Told of them it errs less and says how much; untold it is too sure.
+    # Given them it errs less and says how much; without them it is too sure.
     assert aware < 0.95 * blind and few < 0.8 and 0.82 <= many <= 0.97
 
 

@@ -25,7 +25,7 @@ VARIED = replace(PLAIN, epochs=4, augmentation=Augmentation())
 
 
 def tiny(*, normalised: bool = True) -> nn.Module:
-    """A network of a few hundred weights, some of them convolutions, whose memory training lays out anew."""
+    """A network of a few hundred weights, some of them convolutions, whose memory training rearranges."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(0)
         middle = [nn.BatchNorm2d(6)] if normalised else []

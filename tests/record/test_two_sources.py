@@ -295,7 +295,7 @@ def test_images_of_two_sizes_are_told(tmp_path: Path):
 
 
 class Quick:
-    """A live source faster than any disk, which tells of a lost frame itself."""
+    """A live source faster than any disk, which reports a lost frame itself."""
 
     name, live, info, hardware = "quick", True, StreamInfo(*SIZE), {}
     sent = 400

@@ -127,7 +127,7 @@ def test_reciprocity(validated) -> None:
         there = irradiance(plane, Beam(WAVELENGTH, tuple(tilt)), pixel[None])[0]
         back = irradiance(plane, Beam(WAVELENGTH, tuple(tilt - pixel / PROBE)), -pixel[None])[0]
         worst.append(abs(there / back - 1))
-    # Sines and tangents are told apart in one direction only; to this order the two pixels see the same.
+    # Sines and tangents are distinguished in one direction only; to this order the two pixels see the same.
     validated(SECTION, "I(q; s) = I(-q; s - q/f_p), sensor tilted", max(worst), 5e-3, "reciprocity", "of it")
 
 

@@ -405,7 +405,7 @@ def test_a_model_worse_than_the_mean_is_called_that() -> None:
     rng = np.random.default_rng(0)
     gaze = rng.uniform(-0.5, 0.5, (600, 2))
     truth = {"gaze_x": gaze[:, 0], "gaze_y": gaze[:, 1]}
-    # x is told well, y is off by more than the field; the intervals fit x alone.
+    # x is estimated well, y is off by more than the field; the intervals fit x alone.
     value = gaze + rng.normal(0, 1, gaze.shape) * np.array([0.02, 0.6])
     told = score(outcome_of(truth, value, 0.02 * norm.ppf(0.95)))
     x, y = told["targets"]["gaze_x"], told["targets"]["gaze_y"]
@@ -431,4 +431,4 @@ def test_the_map_says_where_the_error_is_largest() -> None:
     from tapetum.report.evaluation.pictures import pictures
 
     caption = next(one.caption for one in pictures(focus_outcome(), "M") if one.name == "error-map")
-    assert "told worst at focal length 50 mm, object distance 5 m: 0.5 m" in caption and "hardly" not in caption
+    assert "least accurate at focal length 50 mm, object distance 5 m: 0.5 m" in caption and "hardly" not in caption

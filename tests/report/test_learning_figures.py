@@ -149,7 +149,7 @@ def test_images_are_sorted_so_that_the_truth_makes_steps() -> None:
     lines = [ax.get_lines()[-1] for ax in figure.get_axes()]
     steps = [np.asarray(line.get_ydata(), dtype=float) for line in lines]
     assert steps[0].tolist() == sorted(d.tolist())
-    # In millimetres; for each distance the focal lengths rise anew.
+    # In millimetres; for each distance the focal lengths rise again.
     assert steps[2].tolist() == ([50.0] * 10 + [135.0] * 10) * 3
     with pytest.raises(InputError, match="one length"):
         fig_by_image({}, {"A": said})

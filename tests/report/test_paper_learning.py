@@ -134,7 +134,7 @@ def test_a_model_is_trained_once_and_kept(work, sets, monkeypatch):
     np.testing.assert_allclose(again, first, atol=1e-6)
 
 
-def test_a_model_of_another_set_or_recipe_is_made_anew(work, sets, tmp_path: Path, monkeypatch):
+def test_a_model_of_another_set_or_recipe_is_made_again(work, sets, tmp_path: Path, monkeypatch):
     own = Workshop(tmp_path, "small", sets=sets)
     own.model("rotation-zernike")
     other = sets["rotation"].isel(frame=slice(0, 200))

@@ -41,7 +41,7 @@ def test_every_size_has_its_column_and_what_is_missing_is_a_dash():
     lines = side_by_side([told("laptop", 0.03), large]).splitlines()
     assert lines[2] == "| rotation, x | ResNet-18 | 0.03 (0.25) | 0.01 (0.25) |"
     assert lines[3] == "| object distance | ridge | 0.123 (0.75) m | – |"
-    assert lines[4] == "| phones told apart, top-1 | ResNet-18 | 93.4 % of 321 | 93.4 % of 321 |"
+    assert lines[4] == "| phones identified, top-1 | ResNet-18 | 93.4 % of 321 | 93.4 % of 321 |"
     assert lines[-1] == "*`laptop`: Tapetum 9.9, 2030-01-02; `paper`: Tapetum 9.9, 2030-01-02.*"
 
 

@@ -112,7 +112,7 @@ def thin_lens(case: Case, degrees: float, output: Grid, grids: TracedGrids) -> t
 def test_la1509_is_a_thin_lens_with_its_aberration(
     f_number: float, distance: float, degrees: float, grids: TracedGrids, pixel: float, validated: Any
 ) -> None:
-    """At r = 3 mm and x_d = 1 m sine and tangent tell the two apart, by 5e-3: there the lens is stopped to 1.5 mm."""
+    """At r = 3 mm and x_d = 1 m sine and tangent make the two differ, by 5e-3: there the lens is stopped to 1.5 mm."""
     case = Case("la1509", 1.2, distance, f_number=f_number)
     output = Grid(51, 51, pixel)
     ours = bare(traced(case)[1], grids, output).field(along_y(degrees))[0]

@@ -46,7 +46,7 @@ def test_two_that_cross_keep_their_numbers():
             number = min(points, key=lambda point: point.x).track
         assert len(points) == 2
         mine = next(point for point in points if point.track == number)
-        # Within a pixel of each other nobody can tell them apart; before and after they are themselves.
+        # Within a pixel of each other nobody can distinguish them; before and after they are themselves.
         assert math.dist((mine.x, mine.y), places[0]) < (2 if n == 30 else 1e-9)
         velocity = mine.vx, mine.vy
     assert velocity == pytest.approx((75, 30), abs=6)

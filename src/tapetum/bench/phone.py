@@ -123,7 +123,7 @@ class Phone:
     def _has_room(self) -> Phone:
         names = [camera.name for camera in self.cameras]
         if len(set(names)) < len(names):
-            raise ValueError(f"two cameras share a name, {', '.join(names)}; tell them apart")
+            raise ValueError(f"two cameras share a name, {', '.join(names)}; give each its own")
         for one, other in itertools.combinations(self.cameras, 2):
             apart = math.dist(one.position, other.position)
             if apart < _NEAREST:

@@ -73,7 +73,7 @@ _COMMANDS = (
         fuse.fuse,
         "left.parquet right.parquet --place 0.24,0 --distance 5.5 --field 3.3,2.4 -o both.parquet",
     ),
-    ("paper", "The paper's figures and tables, made anew.", paper.paper, "fig4 fig5 -o figures"),
+    ("paper", "The paper's figures and tables, reproduced.", paper.paper, "fig4 fig5 -o figures"),
 )
 for _name, _short, _function, _example in _COMMANDS:
     app.command(_name, short_help=_short, epilog=f"Example: tapetum {_name} {_example}")(_function)

@@ -15,7 +15,7 @@ def demo(
     seconds: Annotated[float, typer.Option(help="Length of the recording.", min=8.0)] = 60.0,
     seed: Annotated[int, typer.Option(help="Of everything random in the recording.", min=0)] = 1,
     train: Annotated[
-        bool, typer.Option("--train", help="Train the ResNet-18 anew; about half an hour on 2 cores.")
+        bool, typer.Option("--train", help="Train the ResNet-18 here; about half an hour on 2 cores.")
     ] = False,
 ) -> None:
     """Film a target, label it, train, track a held-out part, and write report.html."""

@@ -66,8 +66,8 @@ def fuse(
 ) -> None:
     """Fuse the tracks of several probes that watch the same target, by their intervals.
 
-    The gaze is told as the first probe sees it. Where two probes contradict each other (chi-square test, 1 in 1000) the
-    interval spans both; of three or more the odd one is left out.
+    The gaze is given as the first probe sees it. Where two probes contradict each other (chi-square test, 1 in 1000)
+    the interval spans both; of three or more the odd one is left out.
     """
     if smooth is not None:
         one_of(smooth, WAYS, "--smooth")

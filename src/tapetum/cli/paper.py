@@ -1,4 +1,4 @@
-"""`tapetum paper`: the paper's figures and tables made anew, with what it reports and what differs."""
+"""`tapetum paper`: the paper's figures and tables reproduced, with what it reports and what differs."""
 
 from __future__ import annotations
 

@@ -117,7 +117,7 @@ def _write_smooth(tracks: Path | pa.Table, out: Path, way: str, systematic: floa
 
 
 def _again(table: Path, out: Path, smooth: str | None, systematic: float, *, given: bool) -> None:
-    """Make tracks anew of kept detections; their estimates come along."""
+    """Make tracks again from kept detections; their estimates come along."""
     if given:
         raise InputError(
             "holds detections, not frames", where=table, remedy="leave --model and --detections out, or give the video"

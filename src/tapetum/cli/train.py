@@ -104,7 +104,7 @@ def train(
     check_replaceable(out, overwrite, "model.json", "tapetum-model")
     checkpoint = out.with_name(f"{out.name}.checkpoint")
     if model == "resnet18" and checkpoint.exists() and not (resume or overwrite):
-        remedy = "go on with --resume, or begin anew with --overwrite"
+        remedy = "go on with --resume, or start over with --overwrite"
         raise InputError("an unfinished training is kept here", where=checkpoint, remedy=remedy)
     from tapetum.data import open_dataset
     from tapetum.models import ResNet18, ZernikeRidge, save_model

@@ -127,7 +127,7 @@ def make_array(
         dimension_names=dimensions,
         # Blosc alone does not notice a flipped bit; the checksum does.
         compressors=[BloscCodec(cname="zstd", clevel=3, shuffle=shuffle), Crc32cCodec()],
-        # A chunk of zeros is written too, so that a missing one can be told from it.
+        # A chunk of zeros is written too, so that a missing one can be distinguished from it.
         config={"write_empty_chunks": True},
     )
 

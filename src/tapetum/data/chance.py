@@ -61,7 +61,7 @@ def dealt_blocks(
     rng: np.random.Generator,
     blocks: int = 5,
 ) -> NDArray[np.int64]:
-    """Deal the labels anew to blocks of neighbouring frames, so many a recording and part; for constant labels."""
+    """Deal the labels again to blocks of neighbouring frames, so many a recording and part; for constant labels."""
     chance = np.tile(np.arange(len(recording)), (rounds, 1))
     for part in np.unique(split):
         pieces = [
@@ -77,7 +77,7 @@ def dealt_blocks(
 def dealt_recordings(
     recording: NDArray[np.integer], group: NDArray[np.integer], rounds: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Deal the labels anew to whole recordings within each group; for constant labels."""
+    """Deal the labels again to whole recordings within each group; for constant labels."""
     chance = np.tile(np.arange(len(recording)), (rounds, 1))
     for one in np.unique(group):
         _deal(chance, [np.flatnonzero(recording == r) for r in np.unique(recording[group == one])], rng)

@@ -313,7 +313,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     except (ValueError, OSError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
         raise InputError(f"damaged: {error}", where=address, remedy=remedy) from error
     dataset.encoding["source"] = address
-    # The labels are small, and a damaged one should be told here, not in the middle of training.
+    # The labels are small, and a damaged one should be reported here, not in the middle of training.
     for name, variable in dataset.data_vars.items():
         if variable.dims == ("frame",):
             dataset[name] = variable.copy(data=_read(variable, dataset))

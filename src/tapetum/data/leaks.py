@@ -28,10 +28,10 @@ Where the recordings are too few and short for 199 independent shifts, the verdi
 **Labels that are constant within a recording** (device, focal length, object distance in the paper's sets) are taken as
 classes. Time, order and the recording's number name the recording, hence the class, by construction, and no model sees
 them: they are not scored. What is left is judged twice. *Scope split*: learnt on the train frames, judged on the test
-frames of the same recordings; chance is what comes out when the classes are dealt anew to fifths of recordings. A find
-means that recordings can be told apart by it, and so the classes, in this set. *Scope recordings*, where every class
+frames of the same recordings; chance is what comes out when the classes are dealt again to fifths of recordings. A find
+means that recordings can be distinguished by it, and so the classes, in this set. *Scope recordings*, where every class
 has two recordings or more, and all together enough for 199 deals: learnt on half of each class's recordings, judged on
-the others; chance deals the classes anew to whole recordings. A find means that it goes with the class itself.
+the others; chance deals the classes again to whole recordings. A find means that it goes with the class itself.
 
 **Not leaks**: the RR's own brightness, saturation and width. They follow from gaze, focus and lens; they are the
 picture.

@@ -242,7 +242,7 @@ def _devices(train: xr.Dataset) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     names = train.tp.classes
     present, numbers = np.unique(np.asarray(train[DEVICE].values), return_inverse=True)
     if len(present) < 2:
-        what = f"all frames show one device, {names[int(present[0])]}: nothing to tell apart"
+        what = f"all frames show one device, {names[int(present[0])]}: nothing to distinguish"
         raise InputError(what, where="dataset", remedy="add recordings of other devices")
     return numbers.astype(np.int64), tuple(names[int(k)] for k in present)
 

@@ -1,4 +1,4 @@
-"""What a training is told, and what each of its epochs came to."""
+"""What a training is given, and what each of its epochs came to."""
 
 from __future__ import annotations
 

@@ -90,7 +90,7 @@ class FastResNet18:
         return tuple(self.card["classes"])
 
     def parameters(self) -> dict[str, Any]:
-        """Return what its card tells of the model that was exported."""
+        """Return what its card says about the model that was exported."""
         told = {name: self.card[name] for name in ("crop", "size") if name in self.card}
         return {"target": list(self.target_names), **told, "runtime": "ONNX"}
 

@@ -98,7 +98,7 @@ def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor
 
     The modes are not quite orthogonal on pixels, so the least-squares fit is a solve with their Gram matrix
     (condition about 1.03 at 400 pixels). Every mode is even or odd in x and in y: a quadrant tells the whole, and only
-    modes that are alike in both have to be told apart.
+    modes that are alike in both have to be separated.
 
     Returns
     -------
@@ -123,7 +123,7 @@ def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor
         gram = (own * weight) @ own.T
         if int(torch.linalg.matrix_rank(gram, hermitian=True)) < len(alike):
             raise InputError(
-                f"a crop of {side} pixels cannot tell {modes} modes apart",
+                f"a crop of {side} pixels cannot separate {modes} modes",
                 where="scales",
                 remedy="use larger crops or a lower order",
             )

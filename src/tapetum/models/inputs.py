@@ -43,8 +43,8 @@ def prepare(
     """Turn crops into what the network sees.
 
     The central `crop` x `crop` pixels, averaged over areas to `size` x `size`, less the image's median, and the square
-    root of the intensity (shot noise then has the same spread everywhere). The brightness of the RR, which tells of its
-    distance from the axis, stays.
+    root of the intensity (shot noise then has the same spread everywhere). The brightness of the RR, which depends on
+    its distance from the axis, stays.
 
     Parameters
     ----------

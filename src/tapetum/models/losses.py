@@ -1,4 +1,4 @@
-"""What training makes small, where a network tells quantities and a class at once."""
+"""What training makes small, where a network predicts quantities and a class at once."""
 
 from __future__ import annotations
 

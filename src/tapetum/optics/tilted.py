@@ -32,7 +32,7 @@ __all__ = ["TiltedPlane", "far_field_on_tilted", "tilt_directions"]
 
 # Samples a side of the padded spectrum beyond which a request is refused.
 MAX_SIDE = 8192
-# Kernels up to this size, in bytes, are kept; larger ones are formed anew at each use, a piece of this size at a time.
+# Kernels up to this size, in bytes, are kept; larger ones are recomputed at each use, a piece of this size at a time.
 KEPT_BYTES = 2**29
 # Least cosine to either plane's normal in a band that was not asked for: steeper rays would ask for a huge padding.
 GRAZING = 0.1

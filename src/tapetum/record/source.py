@@ -51,7 +51,7 @@ class Frame:
 
 @runtime_checkable
 class FrameSource(Protocol):
-    """Frames in order; iterating again starts anew.
+    """Frames in order; iterating again starts from the beginning.
 
     Attributes
     ----------

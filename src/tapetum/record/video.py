@@ -107,7 +107,7 @@ class VideoWriter:
         stream.options = FFV1
         self._stream = stream
         with told_when_full(self.path):
-            # Makes the file now: a place that cannot be written to is told before the first frame.
+            # Makes the file now: a place that cannot be written to is reported before the first frame.
             self._container.start_encoding()
 
     def write(self, image: np.ndarray, time: float | None = None) -> None:
@@ -271,7 +271,7 @@ def to_array(frame: Any) -> tuple[np.ndarray, int]:
 def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple[np.ndarray, int, float | None]]:
     """Yield image, full scale and seconds (None where the file has no stamp), checking for an early end.
 
-    What is told of an early end comes before the first frame where the file shows it, `late` only after the last.
+    What is reported of an early end comes before the first frame where the file shows it, `late` only after the last.
     """
     missing = matroska_missing(file)
     if missing and not tolerant and not late:
@@ -308,7 +308,7 @@ def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple
 def slices_whole(packet: bytes) -> bool:
     """Return whether the checksums of all slices of a frame that `VideoWriter` wrote hold (RFC 9043, §4.9).
 
-    FFmpeg's decoder covers a damaged slice up with what the frame before had there, and tells nobody.
+    FFmpeg's decoder covers a damaged slice up with what the frame before had there, and reports nothing.
     """
     # The checksum takes each byte's highest bit first, zlib's takes the lowest first.
     mirrored = packet.translate(MIRRORED)

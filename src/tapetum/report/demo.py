@@ -87,11 +87,11 @@ def run_demo(
     ----------
     out
         Folder for the recording, dataset, ridge model, tracks and report. A finished recording of the same seed and
-        length in it is used again; everything else is made anew.
+        length in it is used again; everything else is made again.
     seconds, seed
         Length and seed of the recording. The bundled model's own seeds are refused: it has seen them.
     train
-        Train the ResNet-18 anew instead of taking the bundled one. An interrupted training goes on where it stopped.
+        Train the ResNet-18 here instead of taking the bundled one. An interrupted training goes on where it stopped.
     progress, say
         Show how far it is.
 
@@ -189,7 +189,7 @@ def _track(recording: Recording, model: Estimator, file: Path, progress: Progres
 def _labels_of(recording: Recording, frames: NDArray[np.int_]) -> tuple[Array, NDArray[np.bool_]]:
     labels = recording.labels()
     if labels is None:
-        raise InputError("has no labels", where=recording.path, remedy="run the demo anew")
+        raise InputError("has no labels", where=recording.path, remedy="run the demo again")
     gaze = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("gaze_x", "gaze_y")], -1).astype(float)[frames]
     return gaze, np.asarray(np.isfinite(gaze).all(axis=1))
 
@@ -235,7 +235,7 @@ def _spots(recording: Recording) -> tuple[Array, Array, Array]:
     """Laser spots at the probe's frames, in target pixels: found, true, and what a perfect finder would have joined."""
     labels, truth = recording.labels(), recording.truth()
     if labels is None or truth is None:
-        raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo anew")
+        raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo again")
     found = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("spot_x", "spot_y")], -1).astype(float)
     info = recording.stream("target")
     size = np.array([info.width, info.height], dtype=float)

@@ -114,7 +114,7 @@ def sign(content: DemoReport, scores: DemoScores) -> Html | None:
         pieces.append(
             html.figure(
                 figures.fig_sign_rates(one.rates),
-                alt=f"Share of frames whose sign was told right. {said}.",
+                alt=f"Share of frames whose sign was predicted correctly. {said}.",
                 caption="What the models here make of it: both learned with the second beam and were then shown frames "
                 "without it. "
                 f"Measured over frames with |gaze| > {scores.baseline.sign_threshold:g} of the field. "

@@ -72,7 +72,7 @@ class SignEvidence:
     with_beam, without_beam
         [Y, X] d' of +gaze against -gaze in one frame, with and without the probe's second beam.
     rates
-        How often models told the sign right, where measured.
+        How often models got the sign right, where measured.
     beam
         The second beam in words: "10 % of the first, at 0.9 mrad".
     """

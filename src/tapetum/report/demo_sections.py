@@ -35,7 +35,7 @@ def opening(content: DemoReport, scores: DemoScores) -> Html:
     if first.sign_count[0] + first.sign_count[1]:
         pairs = [(right or 0.0) * n for right, n in zip(first.sign_right, first.sign_count, strict=True)]
         value = sum(pairs) / sum(first.sign_count)
-        numbers.append((share(value), f"{first_name}: left told from right and up from down"))
+        numbers.append((share(value), f"{first_name}: left distinguished from right and up from down"))
     numbers.append((f"{scores.labels.median:.2f} px", "median error of the labels, pixels of the target's video"))
     if content.timings:
         numbers.append((seconds(sum(value for _, value in content.timings)), "from an empty folder to this page"))

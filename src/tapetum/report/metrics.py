@@ -109,7 +109,7 @@ def predict_mean(train: ArrayLike, count: int) -> NDArray[np.float64]:
 
 
 def sign_right(truth: ArrayLike, predicted: ArrayLike, threshold: float = SIGN_THRESHOLD) -> tuple[int, int]:
-    """Count the frames whose sign is told right, and those that count: |truth| above `threshold`.
+    """Count the frames whose sign is predicted correctly, and those that count: |truth| above `threshold`.
 
     Parameters
     ----------

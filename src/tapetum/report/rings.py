@@ -56,7 +56,7 @@ def error_by_distance(
 ) -> ErrorByDistance:
     """Average the error in rings by the true distance from the field's centre, with bootstrap intervals.
 
-    Frames of a video resemble their neighbours, so whole blocks of them are drawn anew: bars from single
+    Frames of a video resemble their neighbours, so whole blocks of them are resampled: bars from single
     frames would be too short.
 
     Parameters

@@ -109,7 +109,7 @@ class LinkBudget:
     snr
         Electrons over noise electrons, of one frame.
     saturation
-        Brightest pixel's mean electrons, dark ones included, over the most that the sensor tells apart.
+        Brightest pixel's mean electrons, dark ones included, over the most that the sensor can distinguish.
     notes
         What the budget leaves out of this scene.
     """

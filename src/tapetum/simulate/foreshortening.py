@@ -18,7 +18,7 @@ class _Plan(Protocol):
 
 
 class Tilted(Protocol):
-    """What a pass tells of itself here."""
+    """What a pass reports about itself here."""
 
     @property
     def geometry(self) -> DoublePassGeometry: ...

@@ -38,7 +38,7 @@ PARAMETERS = {
 
 @dataclass(frozen=True)
 class FisherInformation:
-    """What one frame tells of some parameters.
+    """What one frame tells about some parameters.
 
     Parameters
     ----------
@@ -306,7 +306,7 @@ def _where_it_matters(scene: Scene) -> Grid | None:
 
 # Spacing of the table of a pixel's moments, in roots of electrons: a 25th of the shot noise's standard deviation.
 _STEP = 0.02
-# Information from which an inverse, or a share of one parameter's own, is told from rounding.
+# Information from which an inverse, or a share of one parameter's own, is distinguished from rounding.
 _ROUNDING = 1e-10
 # What may be zero is counted in units of its own.
 _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}

@@ -418,7 +418,7 @@ def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tenso
     weights = used[..., None].to(torch.float64)
     a = matrix * weights
     b = torch.where(used[..., None], values, torch.zeros_like(values))
-    # A touch of damping: where a field's pupil is small its rays do not tell the highest terms apart.
+    # A touch of damping: where a field's pupil is small its rays do not separate the highest terms.
     scale = 1e-9 * torch.sqrt((a**2).sum((-2, -1), keepdim=True) / a.shape[-1])
     eye = torch.eye(a.shape[-1], dtype=torch.float64).expand(len(a), -1, -1) * scale
     none = torch.zeros(len(b), a.shape[-1], b.shape[-1], dtype=torch.float64)

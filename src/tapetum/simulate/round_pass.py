@@ -35,7 +35,7 @@ __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
 # Samples of pupils looked up at a time: what they take stays in the processor's caches.
 _SAMPLES_AT_ONCE = 1 << 18
-# Samples up to which the lens's phase and weights are kept: those of larger pupils are made anew for each band.
+# Samples up to which the lens's phase and weights are kept: those of larger pupils are recomputed for each band.
 _SAMPLES_KEPT = 1 << 24
 # Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
 _END_ORDER = 3

@@ -95,7 +95,7 @@ class TracedSlopes:
 
     With `photosite_x` or `photosite_y` the gaze is stepped by a whole photosite, and what the array makes of its move
     is put back from the slope of the array's own: the two are alike to 1 part in some 300, which small steps of each
-    would not tell apart.
+    would not separate.
     """
 
     def __init__(

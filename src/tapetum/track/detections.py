@@ -154,5 +154,5 @@ class Detections:
         try:
             table = pq.read_table(path)
         except (pa.ArrowException, OSError) as error:
-            raise InputError("is not a readable Parquet file", where=path, remedy="write it anew") from error
+            raise InputError("is not a readable Parquet file", where=path, remedy="write it again") from error
         return cls.from_table(table)

@@ -36,7 +36,7 @@ class Fused:
     consistency
         [N] probability of so large a disagreement by chance (χ² over all quantities); NaN where a row has one probe.
     disagree
-        [N] whether probes contradict each other and it cannot be told which is right: the interval then spans them.
+        [N] whether probes contradict each other and it is unknown which is right: the interval then spans them.
     """
 
     value: Array

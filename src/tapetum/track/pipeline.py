@@ -143,7 +143,7 @@ def track(
     batch: int = 16,
     progress: Progress = quiet,
 ) -> Iterator[TrackedFrame]:
-    """Find the retro-reflections in frames, follow them, and let models say what each frame tells of the
+    """Find the retro-reflections in frames, follow them, and let models say what each frame tells about the
     camera.
 
     Models are shown the square around the brightest point of each smoothed spot, as the paper cuts it. A

@@ -1,4 +1,4 @@
-"""Rows of tracks: what a frame says of each track, and tracks made anew of detections that were kept."""
+"""Rows of tracks: what a frame says of each track, and tracks made again from detections that were kept."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def detection_records(one: TrackedFrame) -> Iterator[dict[str, Any]]:
 
 
 def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker | None = None) -> pa.Table:
-    """Make tracks anew of what was detected before, without the video: to try other options of the tracker.
+    """Make tracks again from what was detected before, without the video: to try other options of the tracker.
 
     Parameters
     ----------

@@ -68,7 +68,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
     motion
         How it moves: see `fit_motion`.
     causal
-        Use no row after the one that is told: what a live view can show. Else all rows, before and after.
+        Use no row after the one that is estimated: what a live view can show. Else all rows, before and after.
 
     Returns
     -------

@@ -298,7 +298,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     try:
         table = _read(place, suffix, {**_DEVICE, **_JUDGED, **{field.name: field.type for field in schema}})
     except (pa.ArrowException, OSError, ValueError) as error:
-        raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it anew") from error
+        raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it again") from error
     missing = [name for name in schema.names if name not in table.column_names]
     if missing:
         raise InputError(f"no column {', '.join(missing)}", where=place, remedy="give a table that Tapetum wrote")

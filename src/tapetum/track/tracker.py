@@ -1,4 +1,4 @@
-"""Following spots from frame to frame: a Kalman filter for each, the Hungarian method to tell them apart."""
+"""Following spots from frame to frame: a Kalman filter for each, the Hungarian method to match them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What lies in a folder: videos, arrays, tables and folders of images, with what can be told without reading them."""
+"""What lies in a folder: videos, arrays, tables and folders of images, with what is known without reading them."""
 
 from __future__ import annotations
 

@@ -256,7 +256,7 @@ def _sample(images: dict[str, Any], root: Path) -> list[NDArray[Any]]:
             last = few - 1 if Path(images.get("file", "")).suffix.lower() in VIDEO_SUFFIXES else pictures.count - 1
             return list(pictures.read(np.unique(np.linspace(0, last, few).astype(int)).tolist()))
     except InputError:
-        # What cannot be read is told when it is imported.
+        # What cannot be read is reported when it is imported.
         return []
 
 

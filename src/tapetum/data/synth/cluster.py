@@ -58,7 +58,7 @@ def parts_done(
                 part,
                 plan.rules,
                 plan.classes,
-                # Unlike any task of an earlier run: what is done is told by the store, not by the cluster's memory.
+                # Unlike any task of an earlier run: the store says what is done, not the cluster's memory.
                 key=f"tapetum-{plan.digest[:12]}-{id(client):x}-{part.number}",
                 pure=False,
                 workers=[names[part.video % len(names)]],

@@ -119,7 +119,7 @@ def _film(connection: Connection, path: Path, plan: Plan) -> None:
                 try:
                     if not staging.has(part):
                         staging.keep(part, make_part(plan.videos[part.video], part, plan.rules, plan.classes))
-                except Exception as error:  # It is told where it is waited for.
+                except Exception as error:  # It is reported where it is waited for.
                     connection.send(str(error) if isinstance(error, TapetumError) else repr(error))
                     return
                 connection.send(part.number)

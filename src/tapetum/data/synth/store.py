@@ -115,7 +115,7 @@ class Staging:
         found = [digest.tobytes().hex() for digest in image_digests(made.crops)]
         if made.digests is not None and found != made.digests:
             lost = sum(one != other for one, other in zip(found, made.digests, strict=False))
-            remedy = "remove this file and run the same command again: it makes the part anew"
+            remedy = "remove this file and run the same command again: it regenerates the part"
             raise InputError(f"{lost} of its {count} crops are lost or damaged", where=file, remedy=remedy)
         return made
 
@@ -155,7 +155,7 @@ class Staging:
 
 def _check_same(path: Path, plan: Plan) -> None:
     """Refuse to carry on what was begun with other arguments."""
-    remedy = "give the same arguments to carry on, or remove the folder to begin anew"
+    remedy = "give the same arguments to carry on, or remove the folder to start over"
     try:
         begun = json.loads((path / _PLAN).read_text(encoding="utf-8"))
         digest = begun["digest"]
@@ -168,7 +168,7 @@ def _check_same(path: Path, plan: Plan) -> None:
         raise InputError(f"was begun with {other}", where=path, remedy=remedy)
     if digest != plan.digest:
         what = "was begun with other scenes or another version of Tapetum"
-        raise InputError(what, where=path, remedy="remove the folder to begin anew")
+        raise InputError(what, where=path, remedy="remove the folder to start over")
 
 
 def _labels(plan: Plan) -> tuple[str, ...]:
@@ -186,7 +186,7 @@ def _heading(plan: Plan, number: int) -> dict[str, Any]:
 
 
 def _count(told: dict[str, Any], made: Made) -> None:
-    """Add what became of one part to what is told of its video."""
+    """Add what became of one part to what is reported of its video."""
     told["frames"] = made.told["frames"]
     told["used"] += made.told["used"]
     for why, count in made.told["left_out"].items():

@@ -61,7 +61,7 @@ class SimulationFit:
     starts
         How many places of the field the search begins at: those of a coarse bank of pictures that match best, the
         opposite of the best one's gaze among them. Where none of them explains the image (a misfit above 1.3) it
-        begins anew opposite to the best maximum, and then at the next best places, four times as many in all.
+        begins again opposite to the best maximum, and then at the next best places, four times as many in all.
     accuracy
         Of the simulation, in fractions of the peak; the scene's own when None.
     window

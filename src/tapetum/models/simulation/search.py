@@ -2,7 +2,7 @@
 
 Behind a fast lens the orders of the photosites make a picture repeat, nearly, with every period that the spot moves:
 some thousandth of the field. What changes from period to period is slow and smooth. The two are climbed together but
-told apart: the *slow* gaze is moved by whole periods, the *phase* within one. The likelihood of the two has one top
+kept separate: the *slow* gaze is moved by whole periods, the *phase* within one. The likelihood of the two has one top
 where that of the gaze has hundreds; which period is meant is asked at the end.
 """
 

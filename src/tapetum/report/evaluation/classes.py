@@ -1,4 +1,4 @@
-"""How well devices are told apart, and whether probabilities mean what they say."""
+"""How well devices are classified, and whether probabilities mean what they say."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 
 
 def top_1(truth: Sequence[str], predicted: Sequence[str]) -> float:
-    """Return the share of frames whose class is told right.
+    """Return the share of frames whose class is predicted correctly.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class Reliability:
     confidence
         [B] mean probability of the predicted class in each bin.
     accuracy
-        [B] share of frames told right.
+        [B] share of frames predicted correctly.
     count
         [B] frames.
     """

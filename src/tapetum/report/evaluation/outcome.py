@@ -182,7 +182,7 @@ def gather_parts(
             raise InputError(what, where=where, remedy="leave out frames without a label")
     device = _devices(test)
     if DEVICE in model.target_names and device is not None and len(set(device)) < 2:
-        what = f"all test frames show one class, {device[0]}: there is nothing to tell apart"
+        what = f"all test frames show one class, {device[0]}: there is nothing to distinguish"
         raise InputError(what, where=where, remedy="add recordings of other devices")
     entries = test.tp.recordings
     number = np.asarray(test["recording"].values, dtype=np.int64)
@@ -243,7 +243,7 @@ def _given(covariates: Mapping[str, ArrayLike] | None) -> dict[str, Array]:
 
 
 def _covariates(dataset: xr.Dataset, entries: list[dict[str, Any]], number: NDArray[np.int64]) -> dict[str, Array]:
-    """Return what is told of every frame: by a variable along the frames, or by its recording."""
+    """Return what is known of every frame: by a variable along the frames, or by its recording."""
     found: dict[str, Array] = {}
     for name, path in _IN_SCENE.items():
         if name in dataset and dataset[name].dims == ("frame",):

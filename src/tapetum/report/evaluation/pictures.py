@@ -182,10 +182,10 @@ def _map(outcome: Outcome, name: str) -> Picture:
 
 
 def _largest(found: ErrorMap) -> str:
-    """Say where the object distance is told worst."""
+    """Say where the object distance is least accurate."""
     row, column = np.unravel_index(int(np.nanargmax(found.mae)), found.mae.shape)
     at = f"focal length {1e3 * found.y[row]:.0f} mm, object distance {found.x[column]:g} m"
-    return f"The object distance is told worst at {at}: {found.mae[row, column]:.3g} m."
+    return f"The object distance is least accurate at {at}: {found.mae[row, column]:.3g} m."
 
 
 def _classes(outcome: Outcome, name: str) -> Iterator[Picture]:
@@ -204,7 +204,7 @@ def _classes(outcome: Outcome, name: str) -> Iterator[Picture]:
         "reliability",
         "Devices",
         fig_reliability({name: scores.reliability}),
-        f"Share told right against the probability given; expected calibration error {scores.reliability.error:.3f}.",
+        f"Share correct against the probability given; expected calibration error {scores.reliability.error:.3f}.",
         f"Frames are sorted by the probability of their likeliest device into {len(scores.reliability.count)} bins of "
         "equal numbers. On the dashed line a model is right as often as it says. The expected calibration error is the "
         "mean distance from that line. Bars: 95 % Wilson intervals that take frames for independent; neighbours in a "

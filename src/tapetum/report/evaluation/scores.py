@@ -89,7 +89,7 @@ def by_recording(outcome: Outcome) -> list[Group]:
 
 
 def by_device(outcome: Outcome) -> list[Group]:
-    """Score the frames of every device by themselves (the paper's Table 2); none where devices are not told."""
+    """Score the frames of every device by themselves (the paper's Table 2); none where devices are not known."""
     if outcome.device is None:
         return []
     told = np.array(outcome.device)
@@ -111,7 +111,7 @@ def by_snr(outcome: Outcome, parts: int = QUARTERS) -> list[Group]:
 
 @dataclass(frozen=True)
 class ClassScores:
-    """How well devices were told apart, among the frames of known ones.
+    """How well devices were classified, among the frames of known ones.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ class ClassScores:
     unknown_told_none
         Share of those taken for `NONE_OF_THESE`; None without any.
     auroc
-        How well novelty tells unknown from known; None without unknown ones.
+        How well novelty separates unknown from known; None without unknown ones.
     """
 
     names: tuple[str, ...]
@@ -153,7 +153,7 @@ class ClassScores:
 
     @property
     def recall(self) -> list[float | None]:
-        """Share told right of the frames of each class; None where a class has none."""
+        """Share predicted correctly of the frames of each class; None where a class has none."""
         frames, right = self.confusion.sum(axis=1), np.diag(self.confusion)
         return [float(r / n) if n else None for r, n in zip(right, frames, strict=True)]
 

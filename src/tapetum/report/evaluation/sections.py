@@ -57,7 +57,7 @@ def opening(scores: dict[str, Any], name: str) -> Html:
         )
         numbers.append((f"{one['expected_calibration_error']:.3f}", "expected calibration error of its probabilities"))
         if one["unknown"]["auroc"] is not None:
-            numbers.append((f"{one['unknown']['auroc']:.3f}", "AUROC: unknown devices told from known ones"))
+            numbers.append((f"{one['unknown']['auroc']:.3f}", "AUROC: unknown devices against known ones"))
     if any(one["interval"] is not None for one in targets.values()):
         numbers.append((_percent(scores["coverage"]["all"]), "of true values inside the 90 % intervals"))
     return html.join([html.headline(numbers), *_verdict(scores, name)])
@@ -149,7 +149,7 @@ def devices(outcome: Outcome) -> Html | None:
     names = sorted(set(outcome.device or ()))
     count = {name: (outcome.device or ()).count(name) for name in names}
     told = {one.name: one for one in groups}
-    columns = ["device", "frames", *(["told right"] if scores else [])]
+    columns = ["device", "frames", *(["correct"] if scores else [])]
     columns += [f"{_plain(q)}" for q in outcome.quantities]
     gaze = [outcome.quantities.index(axis) for axis in ("gaze_x", "gaze_y")] if outcome.has_gaze else []
     columns += ["gaze"] if gaze else []
@@ -170,7 +170,7 @@ def devices(outcome: Outcome) -> Html | None:
             rows,
             numeric=range(1, len(columns)),
             caption="By device, as the paper's Table 2. "
-            + ("Told right: share of its frames whose likeliest device is the true one. " if scores else "")
+            + ("Correct: share of its frames whose likeliest device is the true one. " if scores else "")
             + ("Errors are MAE / RMSE; “gaze” is over both axes, in fractions of the field." if gaze else ""),
         )
     )

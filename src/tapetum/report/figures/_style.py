@@ -1,4 +1,4 @@
-"""One look for every figure: colours that colour-blind readers tell apart, quiet axes, no global state.
+"""One look for every figure: colours that colour-blind readers can distinguish, quiet axes, no global state.
 
 Nothing here touches pyplot or rcParams, so figures may be drawn from any thread of any program.
 """

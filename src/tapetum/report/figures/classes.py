@@ -67,7 +67,7 @@ def fig_confusion(counts: ArrayLike, names: Sequence[str]) -> Figure:
     ax.set_yticks(np.arange(size) + 0.5, [f"{name}  ({n})" for name, n in zip(shown, total[:, 0], strict=True)])
     ax.tick_params(length=0)
     ax.set_ylim(size, 0)
-    ax.set_xlabel("told", fontsize=LABEL, color=INK)
+    ax.set_xlabel("predicted", fontsize=LABEL, color=INK)
     ax.set_ylabel("true (frames)", fontsize=LABEL, color=INK)
     dress_bar(figure.colorbar(drawn, ax=ax, pad=0.02, fraction=0.05), "share of the true class")
     return figure
@@ -110,7 +110,7 @@ def fig_reliability(models: dict[str, Reliability] | Reliability, *, name: str =
         least = min(least, float(one.confidence.min()), float(one.accuracy.min()), float(ends.min()))
     low = max(0.0, least - 0.06 * (1 - least) - 0.005)
     ax.plot([low, 1], [low, 1], color=QUIET, linewidth=1.1, linestyle=(0, (4, 2)), label="as sure as right")
-    dress(ax, x="probability it gave (mean of a bin)", y="share told right")
+    dress(ax, x="probability it gave (mean of a bin)", y="share predicted correctly")
     top = 1 + 0.03 * (1 - low)
     ax.set(xlim=(low, top), ylim=(low, top), aspect="equal")
     for axis in (ax.xaxis, ax.yaxis):

@@ -1,4 +1,4 @@
-"""What the sign of the gaze rests on: how well +gaze and -gaze can be told apart, and how often models do."""
+"""What the sign of the gaze rests on: how well +gaze and -gaze can be distinguished, and how often models do so."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["SignRate", "fig_sign_map", "fig_sign_rates"]
 
 @dataclass(frozen=True)
 class SignRate:
-    """How often a model told the sign of the gaze right.
+    """How often a model got the sign of the gaze right.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ def fig_sign_map(x: ArrayLike, y: ArrayLike, with_beam: ArrayLike, without_beam:
 
 
 def fig_sign_rates(rates: Sequence[SignRate]) -> Figure:
-    """Draw how often each model told the sign right, with and without the second beam, both axes.
+    """Draw how often each model got the sign right, with and without the second beam, both axes.
 
     Bars are 95 % Wilson intervals that take frames for independent; the true ones are wider.
     """
@@ -155,7 +155,7 @@ def fig_sign_rates(rates: Sequence[SignRate]) -> Figure:
         Line2D([], [], color=INK, marker="o", linestyle="", markersize=6, label="x"),
         Line2D([], [], color=INK, marker="s", linestyle="", markersize=6, markerfacecolor="white", label="y"),
     ]
-    dress(ax, x="frames whose sign is told right", grid="x")
+    dress(ax, x="frames whose sign is predicted correctly", grid="x")
     figure.legend(handles=handles, loc="outside upper left", ncols=4, frameon=False, fontsize=NOTE, labelcolor=INK)
     ax.set_yticks(range(len(names)), names)
     ax.set_ylim(len(names) - 0.4, -0.62)

@@ -1,4 +1,4 @@
-"""The paper's Figs. 4 to 12 and its tables made anew: simulate, learn, measure, draw, and say what differs."""
+"""The paper's Figs. 4 to 12 and its tables reproduced: simulate, learn, measure, draw, and say what differs."""
 
 from tapetum.report.paper.sizes import SIZES, SMOKE_TEST, is_smoke_test
 from tapetum.report.paper.workshop import RECIPES, Recipe, Workshop

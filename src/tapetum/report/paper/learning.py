@@ -115,7 +115,7 @@ def table1(work: Workshop) -> tuple[list[Row], dict[str, Any]]:
     for name in FOCUS_MODELS:
         rows += _rows(work.outcome(name), RECIPES[name].title, focus)
     phones = work.outcome(PHONES_MODEL)
-    printed = "MAE 0.095, the axes not told apart"
+    printed = "MAE 0.095, the axes not separated"
     tasks: list[tuple[str, str, str, str | None]] = [
         ("phones, x", "gaze_x", field, printed),
         ("phones, y", "gaze_y", field, printed),

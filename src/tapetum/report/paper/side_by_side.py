@@ -32,7 +32,7 @@ def side_by_side(tables: Sequence[Mapping[str, Any]]) -> str:
     classes = [one.get("classes") for one in tables]
     told = ["–" if one is None else f"{100 * one['top_1']:.1f} % of {one['frames']}" for one in classes]
     if any(classes):
-        lines.append(("phones told apart, top-1", "ResNet-18", *told))
+        lines.append(("phones identified, top-1", "ResNet-18", *told))
     heads = [f"`{one['size']}`: MAE (the mean's)" for one in tables]
     made = "; ".join(f"`{one['size']}`: Tapetum {one['version']}, {one['date']}" for one in tables)
     return f"{table_of(('task', 'model', *heads), lines)}\n\n*{made}.*"

@@ -32,7 +32,7 @@ __all__ = ["BEYOND", "FIGURES", "GROUPS", "LEARNED", "PRINTED", "Reproduction", 
 
 @dataclass(frozen=True)
 class Reproduction:
-    """One figure or table made anew: its name, the files written, and the numbers measured."""
+    """One figure or table reproduced: its name, the files written, and the numbers measured."""
 
     name: str
     files: tuple[Path, ...]
@@ -154,7 +154,7 @@ def reproduce(
     work: Workshop | None = None,
     progress: Progress = quiet,
 ) -> list[Reproduction]:
-    """Make figures and tables of the paper anew, each as NAME.png (not tables), NAME.md and NAME.json in a folder.
+    """Reproduce figures and tables of the paper, each as NAME.png (not tables), NAME.md and NAME.json in a folder.
 
     Parameters
     ----------
