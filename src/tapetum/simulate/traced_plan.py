@@ -86,8 +86,9 @@ class TracedPlan:
         Whether they do.
     expected_error
         Largest error of the irradiance, in fractions of the image's own peak, measured against the second next finer
-        sampling and doubled. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the most light
-        the error there is stated, and may be larger than the accuracy asked for, which is that of brighter tilts.
+        sampling and doubled. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the
+        most light the error there is stated, and may be larger than the accuracy asked for, which is that of brighter
+        tilts.
     """
 
     method: ClassVar[str] = "traced lens"
