@@ -48,7 +48,7 @@ def random_geometry(rng: np.random.Generator) -> tuple[DoublePassGeometry, Grid,
     return geometry, pixels, tilt
 
 
-def ratios(seed: int, count: int, largest: int = 8_000_000) -> np.ndarray:
+def ratios(seed: int, count: int, largest: int = 24_000_000) -> np.ndarray:
     """Measured over claimed error, [scenes, accuracies]; scenes whose reference is too large are passed over."""
     rng, found = np.random.default_rng(seed), []
     while len(found) < count:
@@ -69,16 +69,16 @@ def ratios(seed: int, count: int, largest: int = 8_000_000) -> np.ndarray:
 def _validate(found: np.ndarray, validated: Any) -> None:
     for accuracy, column in zip(ACCURACIES, found.T, strict=True):
         what = f"worst error over claim of {accuracy:g}, {len(found)} random scenes (median {np.median(column):.2g})"
-        validated("Sampling", what, column.max(), 2, "the same at many times the samples", "of the claim")
+        validated("Sampling", what, column.max(), 1, "the same at many times the samples", "of the claim")
 
 
-def test_error_stays_below_twice_the_claim_on_random_scenes(validated: Any) -> None:
+def test_error_stays_below_the_claim_on_random_scenes(validated: Any) -> None:
     _validate(ratios(11, 10), validated)
 
 
 @pytest.mark.slow
-def test_error_stays_below_twice_the_claim_on_many_random_scenes(validated: Any) -> None:
-    _validate(ratios(12, 400), validated)
+def test_error_stays_below_the_claim_on_many_random_scenes(validated: Any) -> None:
+    _validate(ratios(14, 200), validated)
 
 
 def test_finer_claims_cost_more_samples() -> None:

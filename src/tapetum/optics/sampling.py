@@ -113,7 +113,8 @@ class DoublePassGeometry:
 @dataclass(frozen=True)
 class RoundEffort:
     """How finely an accuracy is sampled: its error in fractions of the peak, Airy rings kept, radians between two
-    samples along the rays and along the faintest light kept, and the slopes kept over the rays' own."""
+    samples along the rays and along the faintest light kept, and the slopes kept over the rays' own, before
+    what the picture's width adds."""
 
     error: float
     rings: float
@@ -124,13 +125,19 @@ class RoundEffort:
 
 # Measured on random scenes against the same computation at the reference's effort: tests/optics/test_sampling.py.
 _LADDER = (
-    RoundEffort(1e-2, 60, 1.5, 4.5, 2.0),
-    RoundEffort(3e-3, 120, 1.3, 4.0, 2.0),
-    RoundEffort(1e-3, 240, 1.05, 4.0, 2.5),
-    RoundEffort(3e-4, 480, 0.9, 3.2, 3.0),
-    RoundEffort(1e-4, 800, 0.8, 3.0, 4.0),
+    RoundEffort(1e-2, 60, 1.5, 4.5, 3.0),
+    RoundEffort(3e-3, 120, 1.3, 4.0, 3.5),
+    RoundEffort(1e-3, 240, 1.05, 4.0, 4.5),
+    RoundEffort(3e-4, 480, 0.9, 3.2, 5.5),
+    RoundEffort(1e-4, 800, 0.8, 3.0, 7.0),
 )
-REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 4.0)
+REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 10.0)
+# Light that the rim sends straight on meets the sensor at r/z from the axis and comes straight back to the rim; head on
+# all of it meets in the middle of the picture. Its share of the peak is about so much of the spot's radius over the
+# lens's (measured). A fade that ends at so many times r/z holds it.
+_RIM, _HOLDS_RIM = 0.02, 1.4
+# Rings kept for it at most, over the effort's own; where that is too few, what is missing is stated.
+_MOST_FOR_RIM = 3
 # Of the light in the probe's aperture, where it is carried that far.
 _AT_APERTURE = RoundEffort(0.0, 0.0, 1.2, 4.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
@@ -256,8 +263,15 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
     g = geometry
     spot = g.spot_radius / g.image_distance
     rays = _ray_slope(g)
-    # A picture that shows a small part of a large RR shows its edges' waves beside a faint peak: more of them count.
-    tail = max(effort.rings * g.wavelength / (2 * g.radius), effort.spread * rays)
+    kept = effort.rings * g.wavelength / (2 * g.radius)
+    # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
+    tail = max(kept, effort.spread * _own_slope(g) + g.window / g.probe_focal_length)
+    error, missing = effort.error, _RIM * g.spot_radius / g.radius
+    if missing > error and spot + tail < (rim := _HOLDS_RIM * g.radius / g.image_distance):
+        if rim - spot <= _MOST_FOR_RIM * kept:
+            tail = rim - spot
+        else:
+            error = missing
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.tail_radians)
     columns = max(math.ceil(4 * math.pi * g.radius / g.wavelength * turns), _LEAST_COLUMNS)
     return RoundPlan(
@@ -266,8 +280,13 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
         flat_slope=spot + _FLAT * tail,
         end_slope=spot + tail,
         # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
-        expected_error=effort.error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
+        expected_error=error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
     )
+
+
+def _own_slope(g: DoublePassGeometry) -> float:
+    """The steepest slope that a ray has against the pupil, before or after it."""
+    return max(g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature), g.exit_angle)
 
 
 def _ray_slope(g: DoublePassGeometry) -> float:
