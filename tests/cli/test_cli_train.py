@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import threading
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import zarr
 
 from tapetum.data import open_dataset
+from tapetum.durable import sole_writer
 from tapetum.models import load_model
 
 TINY = ("--crop", 32, "--size", 16, "--epochs", 2, "--device", "cpu")
@@ -47,6 +49,27 @@ def test_an_error_of_the_program_in_the_evaluation_leaves_the_model(run, chain, 
     with pytest.raises(ZeroDivisionError):
         run("train", chain.dataset, "-o", tmp_path / "m")
     assert load_model(tmp_path / "m").target_names == ("gaze_x", "gaze_y")
+
+
+def test_of_two_trainings_of_one_model_one_is_refused(run, chain, tmp_path: Path) -> None:
+    """Both would write the checkpoint and the model: the second is stopped before it trains."""
+    held, over = threading.Event(), threading.Event()
+
+    def other() -> None:
+        with sole_writer(tmp_path / "m"):
+            held.set()
+            over.wait(60)
+
+    thread = threading.Thread(target=other)
+    thread.start()
+    try:
+        assert held.wait(60)
+        ran = run("train", chain.dataset, "-o", tmp_path / "m", "--model", "resnet18", *TINY)
+    finally:
+        over.set()
+        thread.join()
+    assert ran.code == 2 and "m: is being written by process" in ran.err and not list(tmp_path.iterdir())
+    assert run("train", chain.dataset, "-o", tmp_path / "deep" / "m").code == 0
 
 
 def test_ctrl_c_in_the_evaluation_leaves_the_model(run, chain, tmp_path: Path, monkeypatch) -> None:

@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from tapetum.data import dataset_from_arrays
+from tapetum.data.doubles import NEAR_BITS, near_pairs
 from tapetum.data.quality import DatasetQuality, inspect_dataset
 from tapetum.errors import InputError
+from tapetum.progress import quiet
 
 SIDE, COUNT = 40, 30
 ROWS, COLUMNS = np.mgrid[:SIDE, :SIDE] - (SIDE - 1) / 2
@@ -43,6 +45,23 @@ def test_copies_are_told_from_new_exposures():
     told = looked_at(images)
     assert told.exact.pairs == ((3, 7), (3, 25)) and told.exact.across_split == 1
     assert told.near.pairs == ((5, 12),) and told.near.across_split == 0
+
+
+@pytest.mark.parametrize("flipped", [0.5, 0.1, 0.02], ids=["noise", "alike", "nearly the same"])
+def test_near_copies_are_those_that_comparing_all_pairs_finds(flipped):
+    rng = np.random.default_rng(4)
+    prints = rng.integers(0, 2, 256).astype(bool) ^ (rng.random((300, 256)) < flipped)
+    for earlier, later, bits in ((3, 250, 16), (40, 41, 17), (7, 200, 1), (8, 200, 1)):
+        prints[later] = prints[earlier]
+        prints[later, rng.choice(256, bits, replace=False)] ^= True
+    wanted = np.arange(300) % 10 != 9
+    apart = (prints[:, None] != prints[None]).sum(2)
+    want = []
+    for n in np.flatnonzero(wanted):
+        others = [(apart[m, n], m) for m in np.flatnonzero(wanted[:n])]
+        if others and min(others)[0] <= NEAR_BITS:
+            want.append((min(others)[1], n))
+    assert list(near_pairs(prints, wanted, quiet)) == want and want
 
 
 def test_saturated_empty_and_off_centre_frames():

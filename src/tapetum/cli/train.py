@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tapetum.cli.inputs import check_replaceable
+from tapetum.durable import sole_writer
 from tapetum.errors import InputError, StoppedError, one_of
 from tapetum.progress import bar
 
@@ -111,27 +112,29 @@ def train(
     from tapetum.models.training import remove_checkpoint
 
     data = open_dataset(dataset)
-    fitted: ZernikeRidge | ResNet18
-    if model == "zernike":
-        chosen: dict[str, Any] = {"alpha": "cv", "standardise": True} if tuned else {}
-        chosen["scales"] = _fitting_scales(data.tp.side) if scales is None else _numbers(scales)
-        fitted = ZernikeRidge(target, **chosen, **aside).fit(data.tp.train, progress=bar)
-    else:
-        network = ResNet18(target, **_fitting_look(options, data.tp.side), **aside)
-        done: list[EpochReport] = []
+    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with sole_writer(out):
+        fitted: ZernikeRidge | ResNet18
+        if model == "zernike":
+            chosen: dict[str, Any] = {"alpha": "cv", "standardise": True} if tuned else {}
+            chosen["scales"] = _fitting_scales(data.tp.side) if scales is None else _numbers(scales)
+            fitted = ZernikeRidge(target, **chosen, **aside).fit(data.tp.train, progress=bar)
+        else:
+            network = ResNet18(target, **_fitting_look(options, data.tp.side), **aside)
+            done: list[EpochReport] = []
 
-        def told(report: EpochReport) -> None:
-            done.append(report)
-            _say_epoch(report)
+            def told(report: EpochReport) -> None:
+                done.append(report)
+                _say_epoch(report)
 
-        try:
-            fitted = network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told)
-        except KeyboardInterrupt as error:
-            if not checkpoint.exists():
-                raise
-            raise StoppedError(_kept(checkpoint, done)) from error
-    save_model(fitted, out, overwrite=overwrite)
-    remove_checkpoint(checkpoint)
+            try:
+                fitted = network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told)
+            except KeyboardInterrupt as error:
+                if not checkpoint.exists():
+                    raise
+                raise StoppedError(_kept(checkpoint, done)) from error
+        save_model(fitted, out, overwrite=overwrite)
+        remove_checkpoint(checkpoint)
     typer.echo(f"saved {out}")
     if not data.tp.test.sizes["frame"]:
         typer.echo("no test frames: not evaluated")
