@@ -25,8 +25,8 @@ __all__ = ["ACCURACIES", "REFERENCE", "Effort", "SamplingPlan", "plan_double_pas
 @dataclass(frozen=True)
 class Effort:
     """How finely an accuracy is sampled: its error in fractions of the peak, Airy rings in the window, radians a pupil
-    step for the rays and for rays and diffracted tail together, the period over the two pupils' width, and the sensor's
-    samples a detail of its mask."""
+    step for the rays and for rays and diffracted tail together, the period over the two pupils' width, the sensor's
+    samples a detail of its mask, and the slopes kept over the rays' own."""
 
     error: float
     rings: float
@@ -34,17 +34,18 @@ class Effort:
     radians: float
     widths: float
     details: float
+    spread: float
 
 
 # Measured on random scenes against the same computation at the reference's effort: tests/optics/test_grid_sampling.py.
 _LADDER = (
-    Effort(1e-2, 30, 1.6, 2.5, 1.3, 4.0),
-    Effort(3e-3, 46, 1.3, 2.2, 1.3, 5.0),
-    Effort(1e-3, 110, 1.0, 2.0, 1.5, 6.0),
-    Effort(6e-4, 150, 0.9, 1.8, 1.6, 7.0),
+    Effort(1e-2, 30, 1.6, 2.5, 1.3, 4.0, 3.0),
+    Effort(3e-3, 46, 1.3, 2.2, 1.3, 5.0, 3.5),
+    Effort(1e-3, 110, 1.0, 2.0, 1.5, 6.0, 4.5),
+    Effort(6e-4, 150, 0.9, 1.8, 1.6, 7.0, 5.0),
 )
-REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0, 9.0)
-_LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0, 2.0)
+REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0, 9.0, 7.0)
+_LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0, 2.0, 0.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
 # Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones; the field turns
 # fastest where they are dense, so fewer than π/2 times as many do (measured).
@@ -155,8 +156,9 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     """The grids that an effort makes of a scene and its mask's finest detail, unchecked."""
     g = geometry
     wavenumber = 2 * math.pi / g.wavelength
-    half = g.spot_radius + effort.rings * g.airy_step
-    flat = g.spot_radius + _FLAT * effort.rings * g.airy_step
+    # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
+    kept = max(effort.rings * g.airy_step, effort.spread * g.own_slope * g.image_distance)
+    half, flat = g.spot_radius + kept, g.spot_radius + _FLAT * kept
     # Light that meets the sensor at v returns at 2v - x. Beyond the pupil's own radius none finds the pupil again:
     # a window that comes near that bound is better taken beyond it, whole, and then cuts off nothing.
     # A mask's detail turns the light by `spread` at the lens.

@@ -109,6 +109,12 @@ class DoublePassGeometry:
         # all rays come back through the lens's middle, gain = 0, they keep that slope.
         return self.radius * abs(slope_in + gain / f) / max(1.0, abs(gain))
 
+    @property
+    def own_slope(self) -> float:
+        """The steepest slope that a ray has against the pupil, before or after it."""
+        bend = 1 / self.image_distance - 1 / self.focal_length + self.curvature
+        return max(self.radius * abs(bend), self.exit_angle)
+
 
 @dataclass(frozen=True)
 class RoundEffort:
@@ -265,7 +271,7 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
     rays = _ray_slope(g)
     kept = effort.rings * g.wavelength / (2 * g.radius)
     # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
-    tail = max(kept, effort.spread * _own_slope(g) + g.window / g.probe_focal_length)
+    tail = max(kept, effort.spread * g.own_slope + g.window / g.probe_focal_length)
     error, missing = effort.error, _RIM * g.spot_radius / g.radius
     if missing > error and spot + tail < (rim := _HOLDS_RIM * g.radius / g.image_distance):
         if rim - spot <= _MOST_FOR_RIM * kept:
@@ -282,11 +288,6 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
         # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
         expected_error=error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
     )
-
-
-def _own_slope(g: DoublePassGeometry) -> float:
-    """The steepest slope that a ray has against the pupil, before or after it."""
-    return max(g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature), g.exit_angle)
 
 
 def _ray_slope(g: DoublePassGeometry) -> float:

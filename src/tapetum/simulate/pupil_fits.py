@@ -23,6 +23,7 @@ __all__ = [
     "TiltNodes",
     "chebyshev",
     "fit_functions",
+    "fit_leaving",
     "fit_pupils",
     "on_grid",
     "on_tilt_grid",
@@ -170,29 +171,17 @@ def fit_pupils(
     nodes = nodes or TiltNodes.up_to(steepest)
     entering = trace_bundle(focused, nodes.sines, curvature=curvature)
     leaving = entering if curvature == 0 else trace_bundle(focused, nodes.sines, middle=entering.middle)
-    rims = limiting_surfaces(entering)
-
-    def heights(bundle: Bundle) -> list[tuple[torch.Tensor, int]]:
-        return [(bundle.height[..., i], SMOOTH_DEGREE) for i in rims]
-
     into, in_misfit = fit_functions(
         nodes,
         entering.s,
         entering,
-        [(entering.psi, PHASE_DEGREE), (1 / entering.jacobian, SMOOTH_DEGREE), *heights(entering)],
-    )
-    out, out_misfit = fit_functions(
-        nodes,
-        leaving.e,
-        leaving,
         [
-            (leaving.psi, PHASE_DEGREE),
-            (leaving.s[..., 1], MAP_DEGREE),
-            (leaving.jacobian, SMOOTH_DEGREE),
-            *heights(leaving),
+            (entering.psi, PHASE_DEGREE),
+            (1 / entering.jacobian, SMOOTH_DEGREE),
+            *((entering.height[..., i], SMOOTH_DEGREE) for i in limiting_surfaces(entering)),
         ],
-        [(leaving.s[..., 0], MAP_DEGREE)],
     )
+    out, out_misfit = fit_leaving(nodes, leaving)
     spread, defocus, aberration = _landings(entering)
     at_nodes = chebyshev(nodes.places, nodes.count)
     return PupilFits(
@@ -206,6 +195,28 @@ def fit_pupils(
         aberration,
         max(in_misfit, out_misfit),
         (float((at_nodes @ into.half).max()), float(((at_nodes @ out.centre).abs() + at_nodes @ out.half).max())),
+    )
+
+
+def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = None) -> tuple[Fit, float]:
+    """Fit what light leaves by, `PupilFits.leaving`, to a bundle; with the RMS misfit of the paths.
+
+    `more` [T, 1 + rims, N] is added to the bundle's paths, and to its heights at `limiting_surfaces`.
+    """
+    rims = limiting_surfaces(leaving)
+    if more is None:
+        more = torch.zeros(len(leaving.psi), 1 + len(rims), 1, dtype=torch.float64)
+    return fit_functions(
+        nodes,
+        leaving.e,
+        leaving,
+        [
+            (leaving.psi + more[:, 0], PHASE_DEGREE),
+            (leaving.s[..., 1], MAP_DEGREE),
+            (leaving.jacobian, SMOOTH_DEGREE),
+            *((leaving.height[..., i] + more[:, 1 + n], SMOOTH_DEGREE) for n, i in enumerate(rims)),
+        ],
+        [(leaving.s[..., 0], MAP_DEGREE)],
     )
 
 

@@ -22,6 +22,7 @@ from tapetum.simulate.pupil_fits import (
     PupilFits,
     TiltNodes,
     fit_functions,
+    fit_leaving,
     fit_pupils,
     values_at,
 )
@@ -190,9 +191,10 @@ def corrected(
     Returns
     -------
     PupilFits or None
-        `leaving` holds two more functions, the direction cosines at the end less those of retro-reflection (along the
-        tilt before the heights, across as the last odd one). Its tilts end where hardly any light returns. Its misfit
-        is large where rays cross on their way out, so that a place has no one path. None where too few rays return.
+        Given `accepted`, `leaving` is a part of the pupil and holds two more functions, the direction cosines at the
+        end less those of retro-reflection (along the tilt before the heights, across as the last odd one). Its tilts
+        end where hardly any light returns. Its misfit is large where rays cross on their way out, so that a place has
+        no one path. None where too few rays return.
     """
     nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
@@ -207,29 +209,56 @@ def corrected(
         passing = near & (length(back.turned) <= _KEPT * accepted)
     if not bool((passing.sum(-1) >= _FEWEST_RAYS).all()):
         return None
-    even, odd = values_at(fits.leaving, tilt, back.e)
-    path = even[:, 0] + back.path - _model_path(fits, tilt, back)
-    surfaces = len(focused.lens)
-    rims = limiting_surfaces(bundle)
+    # The way in is fitted again at the tilts that are left.
+    inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
+    more = back.path - _model_path(fits, tilt, back)
     rays = _Rays(passing, near)
-    leaving, misfit = fit_functions(
+    if accepted is None:
+        leaving, misfit = _whole_pupil(focused, nodes, middle, back, rays, more)
+        aperture = fits.aperture[1]
+    else:
+        leaving, misfit = _part(fits, nodes, back, rays, more)
+        aperture = float(torch.where(passing, length(back.e), torch.zeros_like(more)).max())
+    misfit = max(misfit, inwards.misfit, _between(focused, fits, leaving, nodes, curvature, accepted))
+    return replace(inwards, leaving=leaving, misfit=misfit, aperture=(inwards.aperture[0], aperture))
+
+
+def _whole_pupil(
+    focused: FocusedLens, nodes: TiltNodes, middle: torch.Tensor, back: Returned, rays: _Rays, more: torch.Tensor
+) -> tuple[Fit, float]:
+    """The pupil that light leaves by, with what real rays' paths [T, N] and heights have more than the model's.
+
+    Waves reach beyond the rays: where none returns, the nearest ones stand for them.
+    """
+    leaving, tilt = trace_bundle(focused, nodes.sines, middle=middle), nodes.terms(nodes.sines)
+    usual, _ = fit_leaving(nodes, leaving)
+    rims = [back.bundle.height.shape[-1] + i for i in limiting_surfaces(leaving)]
+    higher = back.height[..., rims].mT - values_at(usual, tilt, back.e)[0][:, 3:]
+    found, _ = fit_functions(
+        nodes, back.e, rays, [(more, PHASE_DEGREE), *((one, SMOOTH_DEGREE) for one in higher.unbind(1))]
+    )
+    centre, half = (tilt @ found.centre)[:, None], (tilt @ found.half)[:, None]
+    nearest = torch.minimum(torch.maximum(leaving.e, centre - half), centre + half)
+    return fit_leaving(nodes, leaving, values_at(found, tilt, nearest)[0])
+
+
+def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor) -> tuple[Fit, float]:
+    """The part of the pupil whose light reaches the picture, and the angles that it leaves under."""
+    even, odd = values_at(fits.leaving, fits.nodes.terms(nodes.sines), back.e)
+    surfaces = back.bundle.height.shape[-1]
+    return fit_functions(
         nodes,
         back.e,
         rays,
         [
-            (path, PHASE_DEGREE),
+            (even[:, 0] + more, PHASE_DEGREE),
             (even[:, 1], MAP_DEGREE),
             (even[:, 2], SMOOTH_DEGREE),
             (back.turned[..., 1], SMOOTH_DEGREE),
-            *((back.height[..., surfaces + i], SMOOTH_DEGREE) for i in rims),
+            *((back.height[..., surfaces + i], SMOOTH_DEGREE) for i in limiting_surfaces(back.bundle)),
         ],
         [(odd[:, 0], MAP_DEGREE), (back.turned[..., 0], SMOOTH_DEGREE)],
     )
-    reach = torch.where(passing, length(back.e), torch.zeros_like(path)).max()
-    # The way in is fitted again at the tilts that are left.
-    inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
-    misfit = max(misfit, inwards.misfit, _between(focused, fits, leaving, nodes, curvature, accepted))
-    return replace(inwards, leaving=leaving, misfit=misfit, aperture=(inwards.aperture[0], float(reach)))
 
 
 def _between(
