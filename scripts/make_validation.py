@@ -1,7 +1,11 @@
-"""Write docs/validation.md from the numbers that the tests themselves check: `make validation`."""
+"""Write docs/validation.md from the numbers that the tests themselves check: `make validation`.
+
+`--slow` runs the slow tests as well; `--from FILE` takes what a run with `--keep-validation FILE` has kept.
+"""
 
 from __future__ import annotations
 
+import argparse
 import datetime as dt
 import json
 import os
@@ -30,30 +34,38 @@ paraxial light, and lenses as their prescriptions have them, are from a real cam
 """
 
 
-def main() -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run the tests that validate something, and write the page; the tests' exit code."""
-    slow = "--slow" in sys.argv
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--slow", action="store_true")
+    parser.add_argument("--from", dest="kept", type=Path)
+    given = parser.parse_args(arguments)
     with tempfile.TemporaryDirectory() as folder:
-        kept = Path(folder) / "validation.json"
-        tests = sorted(
-            {str(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py") if "validated" in p.read_text()}
-        )
-        command = [sys.executable, "-m", "pytest", "-m", "slow or not slow", "--keep-validation", str(kept), *tests]
-        command += ["-n", "auto", "--dist", "loadfile"]
-        if not slow:
-            command[4] = "not slow"
-        code = subprocess.run(command, cwd=ROOT, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"}).returncode
-        if code:
+        kept = given.kept or Path(folder) / "validation.json"
+        if given.kept is None and (code := _run(kept, given.slow)):
             return code
-        files = sorted(Path(folder).glob("validation.json*"))
+        files = sorted(kept.parent.glob(f"{kept.name}*"))
         lines = [line for file in files for line in json.loads(file.read_text(encoding="utf-8"))]
+        if not lines:
+            print(f"{kept}: no numbers", file=sys.stderr)
+            return 2
         # In whatever order the processes came to them.
         lines.sort(key=lambda line: (line["test"], line["what"]))
     part = PAGE.with_suffix(".part")
-    part.write_text(page(lines, slow), encoding="utf-8")
+    part.write_text(page(lines, given.slow), encoding="utf-8")
     part.replace(PAGE)
     print(f"{PAGE.relative_to(ROOT)}: {len(lines)} comparisons")
     return 0
+
+
+def _run(kept: Path, slow: bool) -> int:
+    tests = sorted(
+        {str(p.relative_to(ROOT)) for p in (ROOT / "tests").rglob("test_*.py") if "validated" in p.read_text()}
+    )
+    chosen = "slow or not slow" if slow else "not slow"
+    command = [sys.executable, "-m", "pytest", "-m", chosen, "--keep-validation", str(kept), *tests]
+    command += ["-n", "auto", "--dist", "loadfile"]
+    return subprocess.run(command, cwd=ROOT, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"}).returncode
 
 
 def page(lines: list[dict], slow: bool) -> str:
