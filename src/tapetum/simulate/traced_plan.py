@@ -266,6 +266,9 @@ def _planned(
         # Of a return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where
         # rays turn by √(λ/L): light is faded out from twice that, the fourth zone, to four times, the sixteenth.
         accepted = max(accepted, math.sqrt(wavelength * angle / fits.aperture[1]))
+        if angle <= 2 * accepted:
+            # No ray leaves under an angle that is faded out: the whole pupil is followed, and waves beyond its rays.
+            accepted = None
     pupils, by_rays = fits, False
     if zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted)):
         found = corrected(focused, fits, curvature=curvature, accepted=accepted)
