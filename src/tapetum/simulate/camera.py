@@ -30,6 +30,7 @@ from tapetum.simulate.foreshortening import cosines, off_axis
 from tapetum.simulate.gaze import spot_places
 from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
+from tapetum.simulate.masked import MaskedPass
 from tapetum.simulate.radiometry import (
     beam_radius,
     illumination_curvature,
@@ -66,6 +67,8 @@ _EDGE_SHARE = 0.5
 # Share of what a tilted plane changes of the paths that rays, which end at the pupil's edge, do not tell: up to 0.093
 # against the judge's sums (spots of no to 10 dark rings).
 _EDGE_WAVES = 0.12
+# Effort that faint pictures of masks are computed at.
+_OF_FAINT = 1e-3
 # A mirror's one order.
 _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
 
@@ -130,6 +133,7 @@ class Camera:
     ) -> None:
         self.scene, self.output = scene, output or sensor_grid(scene)
         self._edge, self._edge_error = SensorEdge.of(scene.target.sensor), 0.0
+        self._masks: list[MaskedPass] = []
         self._edge_rule: EdgeRule = edge
         self._dtype, self._device = dtype, pick_device(device)
         self._accuracy = scene.sampling.accuracy if accuracy is None else accuracy
@@ -306,7 +310,7 @@ class Camera:
     def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
         sensor, sampling = self.scene.target.sensor, self.scene.sampling
         assert sensor.mask is not None
-        beam = beam_radius(self.scene)
+        finest, beam = sensor.mask.pitch, beam_radius(self.scene)
         if beam < geometry.radius:
             raise InputError(
                 f"a beam {2 * beam:.4g} m wide does not fill the target's aperture, which is sampled whole with a mask",
@@ -319,21 +323,30 @@ class Camera:
             pupil_samples=sampling.pupil,
             sensor_samples=sampling.sensor,
             pixels=self.output.rows * self.output.columns,
-            finest=sensor.mask.pitch,
+            finest=finest,
         )
         self._plans.append(plan)
         bare = reflectance_at(sensor, wavelength, self._edge.window)
         passed = math.sqrt(reaching_sensor(self.scene, wavelength))
-        return DoublePass(
-            geometry,
-            plan,
-            self.output,
-            focal,
-            self._z,
-            mask=lambda x, y: bare(x, y) * passed,
-            dtype=self._dtype,
-            device=self._device,
-        )
+
+        def made(plan: SamplingPlan, mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None) -> DoublePass:
+            return DoublePass(
+                geometry, plan, self.output, focal, self._z, mask=mask, dtype=self._dtype, device=self._device
+            )
+
+        def mask(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+            return bare(x, y) * passed
+
+        def finer() -> DoublePass:
+            pixels = self.output.rows * self.output.columns
+            return made(plan_double_pass(geometry, _OF_FAINT, pixels=pixels, finest=finest), mask)
+
+        def mirror(sines: torch.Tensor) -> torch.Tensor:
+            return sensor.reflectance * passed**2 * made(plan, None)(sines)
+
+        one = MaskedPass(made(plan, mask), mirror, finer)
+        self._masks.append(one)
+        return one
 
     def _curvature(self) -> torch.Tensor | float:
         """1/R of the light at the target: it follows the distance where that is a tensor."""
@@ -543,7 +556,14 @@ class Camera:
         return {
             "sampling": self.plan.as_dict(),
             # With what the sensor's edges change of spots that lie near them, of all gazes so far.
-            "expected_error": self.plan.expected_error + self._edge_error + self._narrow_error() + self._tilt_error(),
+            "expected_error": math.fsum(
+                (
+                    max(self.plan.expected_error, *(one.missed for one in self._masks), 0.0),
+                    self._edge_error,
+                    self._narrow_error(),
+                    self._tilt_error(),
+                )
+            ),
             "irradiance_at_target": irradiance_at_target(scene),
             "beam_radius_at_target": beam_radius(scene),
             "return_radius_at_probe": returning,
