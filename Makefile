@@ -24,12 +24,15 @@ $(VENV)/.peers: $(VENV)/.ready
 demo: setup
 	$(BIN)/tapetum demo --out $(DEMO_OUT)
 
-# One test file a process, one thread each: as many processes as there are cores.
+# One test file a process, one thread each: as many processes as there are cores, the longest files first
+# (tests/conftest.py).
+TESTS := -n auto --dist loadfile --no-loadscope-reorder
+
 test: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(TESTS)
 
 test-all: peers
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist loadfile -m 'slow or not slow'
+	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(TESTS) -m 'slow or not slow'
 
 lint: setup
 	$(BIN)/ruff check .

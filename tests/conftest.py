@@ -11,6 +11,22 @@ import pytest
 
 Validated = Callable[..., None]
 _KEPT = pytest.StashKey[list[dict[str, object]]]()
+_LONGEST = (
+    "test_compare.py",
+    "test_documents.py",
+    "test_synth_cluster.py",
+    "test_demo.py",
+    "test_planning.py",
+    "test_paper.py",
+    "test_traced_limits.py",
+    "test_traced_return.py",
+    "test_traced_pass.py",
+    "test_traced_plan.py",
+    "test_round_pass.py",
+    "test_examples.py",
+    "test_simulation_fit.py",
+    "test_mutations.py",
+)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -41,6 +57,11 @@ def validated(request: pytest.FixtureRequest) -> Validated:
         assert error <= tolerance, f"{what}: {error:.3g} {measure}, allowed {tolerance:.3g}, against {against}"
 
     return check
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Put the files that take longest first: a long one at the end would leave the other cores idle."""
+    items.sort(key=lambda item: _LONGEST.index(item.path.name) if item.path.name in _LONGEST else len(_LONGEST))
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:
