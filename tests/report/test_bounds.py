@@ -131,6 +131,12 @@ def test_focus_table_is_what_fisher_says_of_each_pair() -> None:
     assert found.mae == pytest.approx(found.deviation * math.sqrt(2 / math.pi))
 
 
+@pytest.mark.slow
+def test_processes_bound_what_one_does() -> None:
+    alone, shared = (focus_bounds(thin(), (2.0, 2.5), (0.1,), workers=n) for n in (1, 2))
+    assert shared.deviation == pytest.approx(alone.deviation, rel=1e-6)
+
+
 @pytest.mark.parametrize(
     ("gazes", "says"),
     [([0.1, 0.2, 0.3], "must be"), ([[0.1, math.nan]], "numbers"), ([[0.6, 0.0]], "fractions of the field")],

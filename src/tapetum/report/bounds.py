@@ -6,8 +6,12 @@ know): light, second beam, exposure, background, bits and noise are the scene's.
 
 from __future__ import annotations
 
+import contextlib
+import functools
 import math
+import multiprocessing
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -229,6 +233,7 @@ def focus_bounds(
     nuisances: Sequence[str] = (*_GAZE, *FRAME),
     *,
     accuracy: float | None = None,
+    workers: int = 1,
     progress: Progress = quiet,
 ) -> FocusBounds:
     """Limits of object distance and focal length, both unknown, from one frame of each pair.
@@ -245,6 +250,8 @@ def focus_bounds(
         What else is unknown.
     accuracy, progress
         As for `gaze_information`.
+    workers
+        Processes to share the pairs among.
 
     Raises
     ------
@@ -253,12 +260,20 @@ def focus_bounds(
     """
     at, names = _checked([gaze]), (*_FOCUS, *nuisances)
     pairs = [(distance, length) for distance in object_distances for length in focal_lengths]
-    found: list[torch.Tensor] = []
-    for distance, length in progress(pairs, "bounding the focus", total=len(pairs)):
-        values = {"target.object_distance": distance, "target.lens.focal_length": length}
-        found.append(_focus_information(with_values(scene, values), names, torch.from_numpy(at), accuracy))
+    scenes = [
+        with_values(scene, {"target.object_distance": distance, "target.lens.focal_length": length})
+        for distance, length in pairs
+    ]
+    one = functools.partial(_focus_information, names=names, at=torch.from_numpy(at), accuracy=accuracy)
+    with contextlib.ExitStack() as stack:
+        found = map(one, scenes)
+        if workers > 1:
+            spawned = multiprocessing.get_context("spawn")
+            pool = ProcessPoolExecutor(workers, mp_context=spawned, initializer=torch.set_num_threads, initargs=(1,))
+            found = stack.enter_context(pool).map(one, scenes)
+        matrices = torch.stack(list(progress(found, "bounding the focus", total=len(pairs)))).numpy()
     size = len(names)
-    matrices = torch.stack(found).numpy().reshape(len(object_distances), len(focal_lengths), size, size)
+    matrices = matrices.reshape(len(object_distances), len(focal_lengths), size, size)
     return FocusBounds(np.asarray(object_distances, float), np.asarray(focal_lengths, float), names, matrices)
 
 

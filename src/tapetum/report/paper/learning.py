@@ -291,7 +291,7 @@ def fig12(work: Workshop) -> tuple[Figure, Fig12]:
     outcome = work.outcome(FOCUS_MODELS[0])
     maps = {name: error_map(outcome, name) for name in outcome.quantities}
     scene = make_plan("focusing", "small", SET_SEED).videos[0].scene
-    limits = focus_bounds(scene, OBJECT_DISTANCES, FOCAL_LENGTHS, progress=work.progress)
+    limits = focus_bounds(scene, OBJECT_DISTANCES, FOCAL_LENGTHS, workers=work.workers or 1, progress=work.progress)
     bounds = {name: limits.mae[:, :, k].T for k, name in enumerate(("object_distance", "focal_length"))}
     figure = fig_error_map({RECIPES[FOCUS_MODELS[0]].title: maps}, bounds=bounds)
     one = next(iter(maps.values()))
