@@ -76,7 +76,7 @@ def paper(
 
     printed: all of the paper's own, fig4 to table2. learned: those of section 5. beyond: what the paper lacks.
 
-    --size laptop is meant to make those of section 5 within 45 minutes on two cores; paper takes hours there; small
+    --size laptop makes those of section 5 in about an hour on two cores; paper takes hours there; small
     takes minutes and is a smoke test: it shows that every step runs, and nothing about the method.
 
     sealed: films recordings that nobody looks at, scores the Rotation set's models on them, or those of --model,
