@@ -120,7 +120,7 @@ def test_the_guide_can_be_followed_in_an_empty_folder(reader: Path, brief, capsy
     assert names["mine"].target.object_distance == 5.0
     assert names["turned"].irradiance.shape == (3, 64, 64)
     # An open app makes the phone flash.
-    assert names["opened"].irradiance.max() > 1.2 * names["closed"].irradiance.max()
+    assert names["opened"].irradiance.max() > 10 * names["closed"].irradiance.max()
     assert names["prediction"].value.shape == (len(names["test"]), 2)
     assert "gaze_x" in capsys.readouterr().out
     made = ["my-bench.yaml", "rr.tif", "fig10.png", "my-model/model.json"]
