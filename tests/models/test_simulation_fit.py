@@ -100,10 +100,10 @@ def test_columns_and_rows_with_offsets_are_taken_into_account(scene: Scene):
     frames = []
     for gaze in gazes:
         light = pictures.render(pictures.start(), gaze[None])[0] + dark_electrons(scene.probe.sensor)
-        light = light + 6 * rng.standard_normal(150) + 3 * rng.standard_normal(150)[:, None]
+        light = light + 9 * rng.standard_normal(150) + 3 * rng.standard_normal(150)[:, None]
         frames.append(digitise(torch.from_numpy(light).clamp_min(0), scene.probe.sensor, rng))
     told = {}
-    for offsets in ((0.0, 0.0), (6.0, 3.0)):
+    for offsets in ((0.0, 0.0), (9.0, 3.0)):
         fit = SimulationFit(
             scene, nuisances=(*NUISANCES, "background"), nodes=13, starts=1, window=128, offsets=offsets
         )

@@ -10,6 +10,7 @@ import typer
 from tapetum.cli.inputs import check_replaceable
 from tapetum.durable import sole_writer
 from tapetum.errors import InputError, StoppedError, one_of
+from tapetum.files import told_when_full
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
@@ -112,7 +113,8 @@ def train(
     from tapetum.models.training import remove_checkpoint
 
     data = open_dataset(dataset)
-    out.absolute().parent.mkdir(parents=True, exist_ok=True)
+    with told_when_full(out):
+        out.absolute().parent.mkdir(parents=True, exist_ok=True)
     with sole_writer(out):
         fitted: ZernikeRidge | ResNet18
         if model == "zernike":
