@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -317,6 +318,21 @@ def test_a_mask_lies_behind_the_layers(tmp_path: Any) -> None:
     assert torch.allclose(dimmed, bare / 4, rtol=1e-9)
     with pytest.raises(InputError, match=r"illumination: a beam .* does not fill"):
         assert Camera(scene(**mask, illumination__diameter=RADIUS), 0.0).plan
+
+
+def test_a_spot_beside_a_mask_states_what_its_faint_picture_is_off_by(tmp_path: Path) -> None:
+    """Some rings beside it what returns is the spot's outer rings, of which the window cuts off its share."""
+    dice, path = np.random.default_rng(5), tmp_path / "mask.npy"
+    np.save(path, dice.random((45, 45)) * np.exp(2j * math.pi * dice.random((45, 45))))
+    one = scene(target__sensor__mask={"file": str(path), "pitch": 10e-6}, sampling__propagation="far field")
+    # The mask reaches 225 um from the axis, a dark ring takes 6.4 um.
+    sines = torch.tensor([[0.0, 0.0], [0.0, 270e-6 / FOCAL]], dtype=torch.float64)
+    rough, fine = (Camera(one, 0.02, accuracy=a, dtype=torch.complex128, device="cpu") for a in (3e-2, 6e-4))
+    middle, beside = rough(sines[:1])[0], rough(sines[1:])[0]
+    assert float(beside.max()) < 1e-4 * float(middle.max())
+    want = fine(sines[1:])[0]
+    error = float((beside - want).abs().max() / want.max())
+    assert error < rough.metadata()["expected_error"] and rough.metadata()["expected_error"] > rough.plan.expected_error
 
 
 def test_forced_samples_are_refused_behind_a_traced_lens() -> None:
