@@ -29,10 +29,16 @@ def test_the_engine_agrees_with_the_judge_or_refuses(number: int, tmp_path: Path
 # Scenes that found something wrong: an array's order that sends the faint light at a far edge back to the pupil's other
 # rim, photosites that the sensor's edge cuts, an array's faint orders, a spot some rings beside the sensor before
 # layers, a tilted beam narrower than the lens, in focus and out of it; the edge's waves along a tilted sensor, and on a
-# sampled plane far out of focus.
+# sampled plane far out of focus; a traced lens's waves beyond its rays, a mirror's and before layers.
 @pytest.mark.parametrize(
     ("seed", "number"),
-    [(8, 37), (8, 35), *((20261122, n) for n in (35, 57, 90)), *((20261201, n) for n in (90, 104, 128))],
+    [
+        (8, 37),
+        (8, 35),
+        *((20261122, n) for n in (35, 57, 90)),
+        *((20261201, n) for n in (90, 104, 128)),
+        *(pytest.param(20261201, n, marks=pytest.mark.slow) for n in (20, 70)),
+    ],
 )
 def test_what_differed_before(seed: int, number: int, tmp_path: Path) -> None:
     line = compared(*draw(seed, number, tmp_path))

@@ -332,7 +332,22 @@ def test_a_spot_beside_a_mask_states_what_its_faint_picture_is_off_by(tmp_path: 
     assert float(beside.max()) < 1e-4 * float(middle.max())
     want = fine(sines[1:])[0]
     error = float((beside - want).abs().max() / want.max())
-    assert error < rough.metadata()["expected_error"] and rough.metadata()["expected_error"] > rough.plan.expected_error
+    assert 0 < error < rough.metadata()["expected_error"]
+    assert rough.metadata()["expected_error"] > rough.plan.expected_error
+
+
+@pytest.mark.parametrize("rings", [pytest.param(16, marks=pytest.mark.slow), 25])
+def test_a_spot_beside_the_sensor_states_what_its_faint_picture_is_off_by(rings: int) -> None:
+    """The sampled plane's error is one of a mirror's picture: of this one's it is up to a quarter."""
+    one = scene(target__sensor__pixels=[100, 100], target__sensor__pitch=2e-6, sampling__propagation="far field")
+    across = 100e-6 + rings * WAVELENGTH * FOCAL / (2 * RADIUS)
+    sines = torch.tensor([[0.0, math.sin(math.atan(across / FOCAL))]], dtype=torch.float64)
+    rough, fine = (
+        Camera(one, float(sines.max()), accuracy=a, dtype=torch.complex128, device="cpu") for a in (1e-2, 1e-3)
+    )
+    found, want = rough(sines)[0], fine(sines)[0]
+    error, stated = float((found - want).abs().max() / want.max()), rough.metadata()["expected_error"]
+    assert 0 < error < stated < math.inf and stated > 2 * rough.plan.expected_error
 
 
 def test_forced_samples_are_refused_behind_a_traced_lens() -> None:

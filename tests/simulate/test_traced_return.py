@@ -28,6 +28,8 @@ NEAR = [
     Case("cmount-12mm-f1.4", 12.0, 1.0, focal_length=3.8e-3),
     Case("zoom-5-15mm", 8.0, 1.0, focal_length=5.2e-3),
 ]
+# RMS of a return's paths beyond which the planner claims no accuracy.
+MOST_ALLOWED = 0.05 * WAVELENGTH
 
 
 def tilts(case: Case) -> torch.Tensor:
@@ -143,8 +145,7 @@ def test_a_correction_that_is_right_at_its_nodes_alone_is_found_out():
     focused = lens.focused(640e-9, 3.0)
     fits = fit_pupils(focused, 0.030373151772768472, curvature=1 / 5.5)
     found = corrected(focused, fits, curvature=1 / 5.5)
-    # Many times what any accuracy allows.
-    assert found is None or found.misfit > 0.5 * 640e-9
+    assert found is None or found.misfit > 10 * MOST_ALLOWED
 
 
 def test_a_correction_keeps_the_waves_beyond_the_rays(monkeypatch: pytest.MonkeyPatch) -> None:

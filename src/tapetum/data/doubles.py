@@ -81,8 +81,8 @@ def near_pairs(prints: NDArray[np.bool_], wanted: NDArray[np.bool_], progress: P
     # Every 17th bit: neighbouring cells of the mosaic hang together, and would fall into one part.
     parts = [_numbered(bits[:, part :: NEAR_BITS + 1]) for part in range(NEAR_BITS + 1)]
     shared = sum(int((np.unique(part, return_counts=True)[1].astype(np.int64) ** 2).sum()) for part in parts)
-    way = _near_by_parts if _DEARER * shared < len(frames) ** 2 else _near_of_all
-    nearest = way(bits, parts, progress)
+    few = _DEARER * shared < len(frames) ** 2
+    nearest = _near_by_parts(bits, parts, progress) if few else _near_of_all(bits, progress)
     for n in np.flatnonzero(nearest < _FAR).tolist():
         yield int(frames[nearest[n] % _FRAMES]), int(frames[n])
 
@@ -110,7 +110,7 @@ def _near_by_parts(bits: NDArray[np.bool_], parts: list[NDArray[np.int64]], prog
     return nearest
 
 
-def _near_of_all(bits: NDArray[np.bool_], _: list[NDArray[np.int64]], progress: Progress) -> NDArray[np.int64]:
+def _near_of_all(bits: NDArray[np.bool_], progress: Progress) -> NDArray[np.int64]:
     """The same among all earlier frames, by matrix products."""
     signs = np.where(bits, np.float32(1), np.float32(-1))
     nearest = np.full(len(bits), _FAR, dtype=np.int64)

@@ -19,7 +19,16 @@ from dataclasses import asdict, dataclass, replace
 from tapetum.errors import InputError
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["ACCURACIES", "REFERENCE", "Effort", "SamplingPlan", "plan_double_pass", "plan_with"]
+__all__ = [
+    "ACCURACIES",
+    "REFERENCE",
+    "Effort",
+    "SamplingPlan",
+    "plan_double_pass",
+    "plan_finer",
+    "plan_with",
+    "sampled_error",
+]
 
 
 @dataclass(frozen=True)
@@ -45,6 +54,9 @@ _LADDER = (
     Effort(6e-4, 150, 0.9, 1.8, 1.6, 7.0, 1.5),
 )
 REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0, 9.0, 5.0)
+# What faint pictures are measured against: the next finer effort, of these or one beyond them, and none coarser than
+# the first of these.
+_FINER = (*_LADDER[2:], Effort(4e-4, 210, 0.8, 1.6, 1.8, 8.0, 1.5))
 _LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0, 2.0, 0.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
 # Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones; the field turns
@@ -138,6 +150,31 @@ def plan_double_pass(
         raise InputError(f"must be positive, is {finest} m", where="finest", remedy="give the mask's pitch in metres")
     plan = plan_with(geometry, next(step for step in _LADDER if step.error <= accuracy), finest)
     plan = _forced(plan, geometry, pupil_samples, sensor_samples, finest)
+    _check_memory(plan, pixels, finest)
+    return plan
+
+
+def sampled_error(accuracy: float) -> float:
+    """The error that a plane sampled for an accuracy has, where a finer one than the finest is asked for as well."""
+    return next(step.error for step in _LADDER if step.error <= max(accuracy, ACCURACIES[-1]))
+
+
+def plan_finer(geometry: DoublePassGeometry, accuracy: float, *, pixels: int = 1, finest: float) -> SamplingPlan:
+    """The grids to measure the error of an accuracy's against, for a mask; arguments as for `plan_double_pass`.
+
+    Raises
+    ------
+    InputError
+        For a scene too large for the memory allowed.
+    """
+    # A plane that is asked for less than the finest error is sampled for the finest.
+    used = sampled_error(accuracy)
+    plan = plan_with(geometry, next(step for step in _FINER if step.error < used), finest)
+    _check_memory(plan, pixels, finest)
+    return plan
+
+
+def _check_memory(plan: SamplingPlan, pixels: int, finest: float | None) -> None:
     needed = plan.bytes_needed(1, pixels, 16, masked=finest is not None)
     if needed > _MOST_BYTES:
         raise InputError(
@@ -149,7 +186,6 @@ def plan_double_pass(
             else f"give the mask a coarser pitch than {finest * 1e6:.3g} um, ask for less accuracy, "
             "or describe the sensor by an array, whose orders need no samples",
         )
-    return plan
 
 
 def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None = None) -> SamplingPlan:

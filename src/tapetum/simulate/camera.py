@@ -15,7 +15,7 @@ from tapetum.bench import PrescriptionLens, Scene
 from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
-from tapetum.optics.grid_sampling import SamplingPlan, plan_double_pass
+from tapetum.optics.grid_sampling import SamplingPlan, plan_double_pass, plan_finer
 from tapetum.optics.sampling import (
     DoublePassGeometry,
     RoundPlan,
@@ -26,11 +26,11 @@ from tapetum.optics.sampling import (
 )
 from tapetum.simulate.diffuse import DiffuseProfile, corner, diffuse_profile
 from tapetum.simulate.double_pass import DoublePass
+from tapetum.simulate.faint import FaintPass, Pass
 from tapetum.simulate.foreshortening import cosines, off_axis
 from tapetum.simulate.gaze import spot_places
 from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
-from tapetum.simulate.masked import MaskedPass
 from tapetum.simulate.radiometry import (
     beam_radius,
     illumination_curvature,
@@ -50,9 +50,10 @@ from tapetum.simulate.round_pass import RoundPass, Surface
 from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
+from tapetum.simulate.stated_error import of_narrow_beam, of_tilted_planes
 from tapetum.simulate.traced_lens import TracedLens
 from tapetum.simulate.traced_plan import TracedGroup, TracedPlan
-from tapetum.simulate.true_paths import check_squash, neglected_path
+from tapetum.simulate.true_paths import check_squash
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
 
@@ -64,15 +65,8 @@ _LEAST_WIDTH = 5
 # Share of the accuracy that the sensor's edges may take of a spot's outer rings before they are computed.
 _EDGE_SHARE = 0.5
 
-# Share of what a tilted plane changes of the paths that rays, which end at the pupil's edge, do not tell: up to 0.093
-# against the judge's sums (spots of no to 10 dark rings).
-_EDGE_WAVES = 0.12
-# Effort that faint pictures of masks are computed at.
-_OF_FAINT = 1e-3
 # A mirror's one order.
 _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
-
-Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 
 
 @dataclass(frozen=True)
@@ -133,7 +127,7 @@ class Camera:
     ) -> None:
         self.scene, self.output = scene, output or sensor_grid(scene)
         self._edge, self._edge_error = SensorEdge.of(scene.target.sensor), 0.0
-        self._masks: list[MaskedPass] = []
+        self._masks: list[FaintPass] = []
         self._edge_rule: EdgeRule = edge
         self._dtype, self._device = dtype, pick_device(device)
         self._accuracy = scene.sampling.accuracy if accuracy is None else accuracy
@@ -317,34 +311,34 @@ class Camera:
                 where="illumination",
                 remedy=f"widen it to {2 * geometry.radius:.4g} m, or use an array for a mask",
             )
+        pixels = self.output.rows * self.output.columns
         plan = plan_double_pass(
             geometry,
             max(self._accuracy, 6e-4),
             pupil_samples=sampling.pupil,
             sensor_samples=sampling.sensor,
-            pixels=self.output.rows * self.output.columns,
+            pixels=pixels,
             finest=finest,
         )
         self._plans.append(plan)
         bare = reflectance_at(sensor, wavelength, self._edge.window)
         passed = math.sqrt(reaching_sensor(self.scene, wavelength))
 
+        def mask(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
+            return bare(x, y) * passed
+
         def made(plan: SamplingPlan, mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None) -> DoublePass:
             return DoublePass(
                 geometry, plan, self.output, focal, self._z, mask=mask, dtype=self._dtype, device=self._device
             )
 
-        def mask(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-            return bare(x, y) * passed
+        def mirror(sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+            return sensor.reflectance * passed**2 * made(plan, None)(sines, centres)
 
         def finer() -> DoublePass:
-            pixels = self.output.rows * self.output.columns
-            return made(plan_double_pass(geometry, _OF_FAINT, pixels=pixels, finest=finest), mask)
+            return made(plan_finer(geometry, self._accuracy, pixels=pixels, finest=finest), mask)
 
-        def mirror(sines: torch.Tensor) -> torch.Tensor:
-            return sensor.reflectance * passed**2 * made(plan, None)(sines)
-
-        one = MaskedPass(made(plan, mask), mirror, finer)
+        one = FaintPass(made(plan, mask), mirror, finer)
         self._masks.append(one)
         return one
 
@@ -422,6 +416,8 @@ class Camera:
             for one, end in itertools.zip_longest(line.passes, line.ends):
                 given = sines, None if middle else centres
                 image = one(*given) if end is None or spots is None else end.seen(one, spots, self._edge_rule, *given)
+                if end is not None:
+                    self._edge_error = max(self._edge_error, end.missed)
                 if end is not None and spots is not None and end.open_beside is None and bool(spots.beside.any()):
                     # A picture without light has no peak to be right to.
                     self._edge_error = math.inf
@@ -446,30 +442,14 @@ class Camera:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
         return total
 
-    def _narrow_error(self) -> float:
-        """What is left of a tilted beam's ellipse, which is taken for a disc: its rings are narrower along the tilt.
-
-        The phase at its rim, π/2 for each ring in the spot's radius, moves by the square of the sine (measured against
-        sums by exact distances: up to twice that square in focus, and somewhat less than the phase's change out of it).
-        """
-        g, lit = self.geometry, beam_radius(self.scene)
-        if lit >= g.radius or self._lens is not None:
+    def _left_out(self) -> float:
+        """What the passes of a thin lens leave out whatever their sampling, over the peak."""
+        if self._lens is not None:
             return 0.0
-        rings = max(one.geometry.spot_radius / one.geometry.airy_step for one in self._lines) * (lit / g.radius) ** 2
-        return self._steepest**2 * (2 + math.pi / 2 * rings)
-
-    def _tilt_error(self) -> float:
-        """What rays miss of the focus along a tilted plane: light that the pupil's edge diffracts goes another way."""
-        sensor = self.scene.target.sensor
+        geometries, sensor = [line.geometry for line in self._lines], self.scene.target.sensor
         tilt = max(math.hypot(*one.tilt) for one in (sensor, *sensor.layers))
-        if tilt == 0 or self._lens is not None:
-            return 0.0
-        paths = (
-            2 * math.pi / one.geometry.wavelength * neglected_path(one.geometry, self._steepest, tilt=tilt)
-            - 2 * math.pi / one.geometry.wavelength * neglected_path(one.geometry, self._steepest)
-            for one in self._lines
-        )
-        return _EDGE_WAVES * max(paths)
+        narrow = of_narrow_beam(geometries, beam_radius(self.scene), self._steepest)
+        return narrow + of_tilted_planes(geometries, tilt, self._steepest)
 
     def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
         """Where the gazes put their spots on the sensor, and how much of each it holds."""
@@ -556,14 +536,9 @@ class Camera:
         return {
             "sampling": self.plan.as_dict(),
             # With what the sensor's edges change of spots that lie near them, of all gazes so far.
-            "expected_error": math.fsum(
-                (
-                    max(self.plan.expected_error, *(one.missed for one in self._masks), 0.0),
-                    self._edge_error,
-                    self._narrow_error(),
-                    self._tilt_error(),
-                )
-            ),
+            "expected_error": max([self.plan.expected_error, *(one.missed for one in self._masks)])
+            + self._edge_error
+            + self._left_out(),
             "irradiance_at_target": irradiance_at_target(scene),
             "beam_radius_at_target": beam_radius(scene),
             "return_radius_at_probe": returning,

@@ -12,7 +12,7 @@ import torch
 from tapetum.bench import TargetSensor
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
-from tapetum.optics.grid_sampling import ACCURACIES, plan_double_pass
+from tapetum.optics.grid_sampling import ACCURACIES, plan_double_pass, plan_finer
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan, through_aperture
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.foreshortening import tangents
@@ -41,6 +41,8 @@ class CutSensor:
         As for `RoundPass`.
     focal_length
         Of the lens.
+    finer
+        Whether to sample more finely than the accuracy asks for: to measure its error against.
     options
         Further ones of `RoundPass`.
     """
@@ -58,13 +60,14 @@ class CutSensor:
         distance: torch.Tensor | float | None,
         probe_radius: float | None,
         focal_length: torch.Tensor,
+        finer: bool = False,
         **options: Any,
     ) -> None:
         (self._sensor,) = (one for one in surfaces if one.depth == 0)
         self._geometry, self._output, self._edge, self._bare = geometry, output, edge, sensor
         self._accuracy, self._options = max(accuracy, ACCURACIES[-1]), options
         self._distance, self._probe_radius = distance, probe_radius
-        self._focal_length = focal_length
+        self._focal_length, self._finer = focal_length, finer
         layers = [one for one in surfaces if one.depth != 0]
         self._layers: RoundPass | None = None
         if layers:
@@ -110,38 +113,45 @@ class CutSensor:
             field = field * phasor(phase)[:, None, None].to(field.dtype) + self._layers.field(sines, centres)
         return field.real**2 + field.imag**2
 
+    def mirror(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+        """Irradiance [B, H, W] of a mirror in the sensor's place, endless, as bright as its strongest order."""
+        z = torch.as_tensor(self._sensor.image_distance, dtype=torch.float64)
+        brightest = max(abs(order.amplitude) for order in self._sensor.orders)
+        return brightest**2 * self._made(z, None)(sines, centres)
+
     def _sampled(self, z: torch.Tensor) -> Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]:
         """The sampled plane at a distance, made once for a sensor without a tilt."""
         key = float(z.detach())
         if z.requires_grad or key not in self._mirrors:
-            geometry = replace(self._geometry, image_distance=key)
-            planned, distance, radius = geometry, self._distance, self._probe_radius
-            if distance is not None and radius is not None:
-                planned = through_aperture(geometry, float(torch.as_tensor(distance).detach()), radius)
-            array = self._bare.array
-            # What a straight edge makes of light that comes back through the lens has no finer detail.
-            finest = geometry.airy_step / 2
-            if array is not None or self._bare.microlens is not None:
-                pitch = self._bare.pitch if array is None or array.pitch is None else array.pitch
-                finest = min(finest, pitch / _DETAILS)
-            plan = plan_double_pass(
-                planned, self._accuracy, pixels=self._output.rows * self._output.columns, finest=finest
-            )
-            options = {name: self._options[name] for name in ("dtype", "device") if name in self._options}
-            made = DoublePass(
-                geometry,
-                plan,
-                self._output,
-                self._focal_length,
-                z,
-                mask=self._plane(),
-                followed=True,
-                distance=distance,
-                probe_radius=radius,
-                **options,
-            )
-            self._mirrors = {key: made}
+            self._mirrors = {key: self._made(z, self._plane())}
         return self._mirrors[key].field
+
+    def _made(self, z: torch.Tensor, mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None) -> DoublePass:
+        geometry = replace(self._geometry, image_distance=float(z.detach()))
+        planned, distance, radius = geometry, self._distance, self._probe_radius
+        if distance is not None and radius is not None:
+            planned = through_aperture(geometry, float(torch.as_tensor(distance).detach()), radius)
+        array = self._bare.array
+        # What a straight edge makes of light that comes back through the lens has no finer detail.
+        finest = geometry.airy_step / 2
+        if array is not None or self._bare.microlens is not None:
+            pitch = self._bare.pitch if array is None or array.pitch is None else array.pitch
+            finest = min(finest, pitch / _DETAILS)
+        pixels = self._output.rows * self._output.columns
+        plan = (plan_finer if self._finer else plan_double_pass)(planned, self._accuracy, pixels=pixels, finest=finest)
+        options = {name: self._options[name] for name in ("dtype", "device") if name in self._options}
+        return DoublePass(
+            geometry,
+            plan,
+            self._output,
+            self._focal_length,
+            z,
+            mask=mask,
+            followed=True,
+            distance=distance,
+            probe_radius=radius,
+            **options,
+        )
 
     def _plane(self) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
         """The sensor's reflectance as its surface weighs it, up to its edge."""

@@ -12,15 +12,16 @@ import torch
 from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
+from tapetum.optics.grid_sampling import sampled_error
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.cut_sensor import CutSensor
+from tapetum.simulate.faint import FaintPass, Pass
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.sensor_edge import EdgeRule, Spots
 from tapetum.simulate.traced_plan import TracedGroup
 
 __all__ = ["SensorEnd", "thin_end", "traced_end"]
 
-Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 _REMEDY = "turn the target until its spot lies on the sensor or beside it, or film it: films dim such a return by rays"
 
 
@@ -36,18 +37,27 @@ class SensorEnd:
         Makes the pass of a spot that the edge cuts; None where there is no way to have it.
     output
         Pixels of the probe's sensor.
+    coarser
+        How much larger the error of a spot that the edge cuts is than that of one that it does not.
     """
 
     open_beside: Callable[[], Pass] | None
-    open_across: Callable[[], Pass] | None
+    open_across: Callable[[], FaintPass] | None
     output: Grid
+    coarser: float = 0.0
+
+    @property
+    def missed(self) -> float:
+        """What the error of pictures of cut spots has had above the planned one so far, over their peaks."""
+        across = vars(self).get("_across")
+        return 0.0 if across is None else max(across.missed, self.coarser)
 
     @cached_property
     def _beside(self) -> Pass | None:
         return None if self.open_beside is None else self.open_beside()
 
     @cached_property
-    def _across(self) -> Pass:
+    def _across(self) -> FaintPass:
         if self.open_across is None:
             what = "the spot lies across the edge of the target's sensor, which is not computed behind a traced lens"
             raise InputError(what, where="rotation", remedy=_REMEDY)
@@ -101,10 +111,10 @@ def thin_end(
     if all(one.depth != 0 for one in surfaces):
         return None
 
-    def cut() -> CutSensor:
-        return CutSensor(geometry, plan, output, surfaces, sensor=sensor, **options)
+    def cut(*, finer: bool = False) -> CutSensor:
+        return CutSensor(geometry, plan, output, surfaces, sensor=sensor, finer=finer, **options)
 
-    def across() -> Pass:
+    def across() -> FaintPass:
         lit = options["lit_radius"]
         if lit < geometry.radius:
             what = "the spot of a beam narrower than the lens lies across the edge of the target's sensor"
@@ -118,10 +128,11 @@ def thin_end(
                 what = f"the spot lies across the edge of the target's sensor, and there {error.what}"
                 raise InputError(what, where="rotation", remedy=_REMEDY) from error
 
-        return one
+        return FaintPass(one, made.mirror, lambda: cut(finer=True).across)
 
     layers = any(one.depth != 0 for one in surfaces)
-    return SensorEnd((lambda: cut().layers) if layers else None, across, output)
+    coarser = max(0.0, sampled_error(options["accuracy"]) - plan.expected_error)
+    return SensorEnd((lambda: cut().layers) if layers else None, across, output, coarser)
 
 
 def traced_end(
