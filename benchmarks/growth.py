@@ -10,6 +10,7 @@ import torch
 import tapetum as tp
 
 from .measure import Contender, Effort, Figure, Row, in_turns
+from .retroreflection import LARGE_SENSOR
 
 TITLE = "Growth with aperture and batch: f = 100 mm, x_d = 1 m, 256 × 256 pixels, far field, error ≤ 0.001"
 PEERS: tuple[str, ...] = ()
@@ -48,7 +49,7 @@ def run(effort: Effort) -> list[Row]:
 
 
 def _scene(radius: float) -> tp.Scene:
-    changes = ["target.object_distance=1 m", "sampling.propagation=far field"]
+    changes = ["target.object_distance=1 m", "sampling.propagation=far field", LARGE_SENSOR]
     # Half a millimetre returns nothing at 1°: half the cut-off at the most.
     degrees = min(1.0, 0.5 * math.degrees(math.atan(radius / 0.1)))
     return tp.load_scene("thin-lens", [*changes, f"target.lens.aperture_radius={radius}", f"target.rotation={degrees}"])
