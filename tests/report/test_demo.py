@@ -19,6 +19,8 @@ from tapetum.track import read_tracks
 
 def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
+    # Few gazes in the maps: each is an image in fine sampling.
+    monkeypatch.setattr(demo, "_MAP", (3, 3))
     outcome = run_demo(tmp_path / "out", seconds=8.0, seed=3, say=said.append)
     page = outcome.report.read_text(encoding="utf-8")
     # Self-contained: nothing is asked of any network.

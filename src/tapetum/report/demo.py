@@ -42,6 +42,8 @@ __all__ = ["DEMO_SEED", "DemoOutcome", "run_demo"]
 
 DEMO_SEED = 1
 SCENE = pretrain.SCENE
+# Gazes across and down, odd both, of the maps of what tells a gaze from its opposite.
+_MAP = (7, 5)
 _SIGN_FRAMES = 120
 _SAMPLES = 12
 Array = NDArray[np.float64]
@@ -199,7 +201,7 @@ def _sign(
 ) -> SignEvidence:
     """d' over the field with and without the second beam, and what the models make of held-out gazes without it."""
     ideal = without_second_beam(scene)
-    x, y = np.linspace(-0.45, 0.45, 7), np.linspace(-0.45, 0.45, 5)
+    x, y = (np.linspace(-0.45, 0.45, count) for count in _MAP)
     # A gaze and its opposite make the same test: half the field shows it all. The middle has no opposite.
     grid = torch.tensor([[a, b] for b in y for a in x], dtype=torch.float64)
     half = len(grid) // 2
