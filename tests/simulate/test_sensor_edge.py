@@ -16,7 +16,7 @@ from tapetum.bench import Scene, load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.record.returns import Returns
-from tapetum.simulate import Camera, tilt_of_gaze
+from tapetum.simulate import Camera, retroreflect, tilt_of_gaze
 from tapetum.simulate.sensor_edge import SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd
 
@@ -94,6 +94,18 @@ def _whole(spot: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> complex:
     x = (np.arange(count) - (count - 1) / 2) * step
     square = x[None, :] ** 2 + x[:, None] ** 2
     return complex((spot(x[None, :], x[:, None]) ** 2 * np.exp(1j * K * square / FOCAL)).sum())
+
+
+def test_a_sensor_that_scatters_too_ends_at_its_edge() -> None:
+    """Its mirror was taken for one of all light, which with the scattered share was more than all."""
+    values = {"target.sensor.reflectance": 0.5, "target.sensor.diffuse": {"albedo": 0.5}}
+    one = with_values(
+        load_scene("thin-lens"), {**values, "target.sensor.pixels": [60, 60], "probe.sensor.pixels": [32, 32]}
+    )
+    edge = 30 * one.target.sensor.pitch
+    y = math.degrees(math.atan(edge / one.target.lens.focal_length))
+    image = retroreflect(one, [[0.0, y]], accuracy=1e-2, device="cpu")
+    assert math.isfinite(image.metadata["expected_error"]) and float(image.irradiance.max()) > 0
 
 
 def test_the_return_fades_over_the_edge(validated: Validated) -> None:

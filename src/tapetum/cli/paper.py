@@ -116,7 +116,10 @@ def paper(
 def _sealed(out: Path, work: Workshop, models: list[str], as_json: bool) -> None:
     from tapetum.report.paper.sealed import run_sealed
 
-    given = {name: find_model(name) for name in models} or None
+    # The results are kept and shown: where a model lies on this machine does not belong there.
+    short = [Path(name).name for name in models]
+    names = short if len(set(short)) == len(short) else models
+    given = {name: find_model(model) for name, model in zip(names, models, strict=True)} or None
     rows = run_sealed(out, work, given)
     if as_json:
         typer.echo(json.dumps({"out": str(out), "sealed": rows}, allow_nan=False))

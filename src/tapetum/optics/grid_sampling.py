@@ -17,7 +17,7 @@ import math
 from dataclasses import asdict, dataclass, replace
 
 from tapetum.errors import InputError
-from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.optics.sampling import HOLDS_RIM, RIM, DoublePassGeometry
 
 __all__ = [
     "ACCURACIES",
@@ -27,7 +27,6 @@ __all__ = [
     "plan_double_pass",
     "plan_finer",
     "plan_with",
-    "sampled_error",
 ]
 
 
@@ -88,6 +87,8 @@ class SamplingPlan:
     expected_error
         Largest error of the irradiance, in fractions of the image's peak; infinite where no claim is made: for grids
         forced coarser than planned, and past the cut-off, where no ray returns.
+    missing
+        The part of it that the window's end leaves out, however fine the samples are.
     """
 
     columns: int
@@ -96,6 +97,7 @@ class SamplingPlan:
     sensor_half_width: float
     sensor_flat: float
     expected_error: float
+    missing: float = 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8, *, masked: bool = False) -> int:
         """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
@@ -154,7 +156,7 @@ def plan_double_pass(
     return plan
 
 
-def sampled_error(accuracy: float) -> float:
+def _sampled_error(accuracy: float) -> float:
     """The error that a plane sampled for an accuracy has, where a finer one than the finest is asked for as well."""
     return next(step.error for step in _LADDER if step.error <= max(accuracy, ACCURACIES[-1]))
 
@@ -168,7 +170,7 @@ def plan_finer(geometry: DoublePassGeometry, accuracy: float, *, pixels: int = 1
         For a scene too large for the memory allowed.
     """
     # A plane that is asked for less than the finest error is sampled for the finest.
-    used = sampled_error(accuracy)
+    used = _sampled_error(accuracy)
     plan = plan_with(geometry, next(step for step in _FINER if step.error < used), finest)
     _check_memory(plan, pixels, finest)
     return plan
@@ -217,15 +219,43 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
     if finest is not None:
         step = min(step, finest / effort.details)
+    # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
+    fading = max(1.0, _FADING / returning if (returning := g.returning) else math.inf)
+    missing = _lost_at_the_axis(g, half, flat)
+    if half < HOLDS_RIM * g.radius:
+        missing += RIM * g.spot_radius / g.radius * fading
     return SamplingPlan(
         columns=columns,
         rows=math.ceil(columns * _ROWS_A_COLUMN),
         sensor_count=max(2 * math.ceil(half / step), 16),
         sensor_half_width=half,
         sensor_flat=flat,
-        # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
-        expected_error=effort.error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
+        expected_error=effort.error * fading + missing,
+        missing=missing,
     )
+
+
+def _lost_at_the_axis(g: DoublePassGeometry, half: float, flat: float) -> float:
+    """Share of the peak that a window loses of the light that meets the sensor on the lens's axis.
+
+    There the diffracted light of all of the pupil's rim comes back through the opposite rim in step, whatever the tilt:
+    what the field's square and the sensor's distance to the lens make of it is stationary. n rings λz/2r from the spot
+    the square of its field is 8/π(πn)³ of the peak's, over an area λz/2 against 4/π rings² of the spot's: an amplitude
+    of 2N/(πn)³ of the peak's, N rings being the pupil's radius, and π/2 times the spot's radius in rings as much where
+    that dims the peak.
+    """
+    steepest, ring = g.image_distance * g.tangent, g.airy_step
+    # Of all tilts up to the steepest: the nearer to the window's end the spot has it, the more there is to lose.
+    feet = [flat + share / 8 * (min(steepest, half) - flat) for share in range(1, 9)] if steepest > flat else []
+
+    def missed(foot: float) -> float:
+        lost = math.sin(math.pi / 2 * min(1.0, (foot - flat) / (half - flat))) ** 2
+        dimmed = max(1.0, math.pi / 2 * g.spot_radius / ring)
+        amplitude = 2 * g.radius / ring / (math.pi * foot / ring) ** 3 * dimmed
+        returning = replace(g, sine=math.sin(math.atan(foot / g.image_distance))).returning
+        return 2 * amplitude * lost / returning if returning else math.inf
+
+    return max((missed(foot) for foot in [*feet, steepest] if foot > flat), default=0.0)
 
 
 def _width_on_return(g: DoublePassGeometry) -> float:

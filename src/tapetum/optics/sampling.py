@@ -19,7 +19,9 @@ from tapetum.errors import InputError
 
 __all__ = [
     "ACCURACIES",
+    "HOLDS_RIM",
     "REFERENCE",
+    "RIM",
     "DoublePassGeometry",
     "RoundEffort",
     "RoundPlan",
@@ -141,7 +143,7 @@ REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 10.0)
 # Light that the rim sends straight on meets the sensor at r/z from the axis and comes straight back to the rim; head on
 # all of it meets in the middle of the picture. Its share of the peak is about so much of the spot's radius over the
 # lens's (measured). A fade that ends at so many times r/z holds it.
-_RIM, _HOLDS_RIM = 0.02, 1.4
+RIM, HOLDS_RIM = 0.02, 1.4
 # Rings kept for it at most, over the effort's own; where that is too few, what is missing is stated.
 _MOST_FOR_RIM = 3
 # Of the light in the probe's aperture, where it is carried that far.
@@ -192,6 +194,11 @@ class RoundPlan:
     flat_slope: float
     end_slope: float
     expected_error: float
+
+    @property
+    def missing(self) -> float:
+        """The part of the error that does not come of the samples: it is not known apart."""
+        return 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
         """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
@@ -272,8 +279,8 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
     kept = effort.rings * g.wavelength / (2 * g.radius)
     # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
     tail = max(kept, effort.spread * g.own_slope + g.window / g.probe_focal_length)
-    error, missing = effort.error, _RIM * g.spot_radius / g.radius
-    if missing > error and spot + tail < (rim := _HOLDS_RIM * g.radius / g.image_distance):
+    error, missing = effort.error, RIM * g.spot_radius / g.radius
+    if missing > error and spot + tail < (rim := HOLDS_RIM * g.radius / g.image_distance):
         if rim - spot <= _MOST_FOR_RIM * kept:
             tail = rim - spot
         else:

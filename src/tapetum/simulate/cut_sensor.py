@@ -83,6 +83,8 @@ class CutSensor:
                 **options,
             )
         self._mirrors: dict[float, DoublePass] = {}
+        self.expected_error = 0.0
+        """Largest error of the planes sampled so far, over a mirror's peak."""
 
     @property
     def layers(self) -> RoundPass:
@@ -139,6 +141,7 @@ class CutSensor:
             finest = min(finest, pitch / _DETAILS)
         pixels = self._output.rows * self._output.columns
         plan = (plan_finer if self._finer else plan_double_pass)(planned, self._accuracy, pixels=pixels, finest=finest)
+        self.expected_error = max(self.expected_error, plan.expected_error)
         options = {name: self._options[name] for name in ("dtype", "device") if name in self._options}
         return DoublePass(
             geometry,
@@ -156,7 +159,7 @@ class CutSensor:
     def _plane(self) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
         """The sensor's reflectance as its surface weighs it, up to its edge."""
         k, (across, down) = 2 * math.pi / self._geometry.wavelength, self._sensor.tilt
-        plain = replace(self._bare, mask=None, reflectance=1.0)
+        plain = replace(self._bare, mask=None, diffuse=None, reflectance=1.0)
         bare = reflectance_at(plain, self._geometry.wavelength, self._edge.window)
         # What layers and coherence leave of it: the surface's first order is the sensor's own, scaled.
         share = _scale_of(self._sensor, plain, self._geometry.wavelength)

@@ -15,6 +15,8 @@ __all__ = ["Tilted", "cosines", "foreshortening", "foreshortens", "off_axis", "t
 class _Plan(Protocol):
     @property
     def expected_error(self) -> float: ...
+    @property
+    def missing(self) -> float: ...
 
 
 class Tilted(Protocol):
@@ -58,7 +60,8 @@ def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
     g = one.geometry
     reach = min(g.exit_angle + 2 * g.wavelength / g.radius, g.window / g.probe_focal_length)
     # The edge of the pupil sees the picture's edge move by this phase; its share in a picture's error is smaller.
-    return 2 * math.pi / g.wavelength * g.radius * reach * tilt / 2 > 2 * min(one.plan.expected_error, 1e-2)
+    allowed = one.plan.expected_error - (one.plan.missing if math.isfinite(one.plan.missing) else 0.0)
+    return 2 * math.pi / g.wavelength * g.radius * reach * tilt / 2 > 2 * min(allowed, 1e-2)
 
 
 def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

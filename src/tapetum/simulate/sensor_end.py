@@ -12,7 +12,6 @@ import torch
 from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
-from tapetum.optics.grid_sampling import sampled_error
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.cut_sensor import CutSensor
 from tapetum.simulate.faint import FaintPass, Pass
@@ -37,20 +36,17 @@ class SensorEnd:
         Makes the pass of a spot that the edge cuts; None where there is no way to have it.
     output
         Pixels of the probe's sensor.
-    coarser
-        How much larger the error of a spot that the edge cuts is than that of one that it does not.
     """
 
     open_beside: Callable[[], Pass] | None
     open_across: Callable[[], FaintPass] | None
     output: Grid
-    coarser: float = 0.0
 
     @property
     def missed(self) -> float:
         """What the error of pictures of cut spots has had above the planned one so far, over their peaks."""
         across = vars(self).get("_across")
-        return 0.0 if across is None else max(across.missed, self.coarser)
+        return 0.0 if across is None else across.missed
 
     @cached_property
     def _beside(self) -> Pass | None:
@@ -123,16 +119,19 @@ def thin_end(
 
         def one(sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
             try:
-                return made.across(sines, centres)
+                image = made.across(sines, centres)
             except InputError as error:
                 what = f"the spot lies across the edge of the target's sensor, and there {error.what}"
                 raise InputError(what, where="rotation", remedy=_REMEDY) from error
+            # The sampled plane's error may be larger than that of a spot that the sensor holds.
+            passed.missed = max(passed.missed, made.expected_error - plan.expected_error)
+            return image
 
-        return FaintPass(one, made.mirror, lambda: cut(finer=True).across)
+        passed = FaintPass(one, made.mirror, lambda: cut(finer=True).across)
+        return passed
 
     layers = any(one.depth != 0 for one in surfaces)
-    coarser = max(0.0, sampled_error(options["accuracy"]) - plan.expected_error)
-    return SensorEnd((lambda: cut().layers) if layers else None, across, output, coarser)
+    return SensorEnd((lambda: cut().layers) if layers else None, across, output)
 
 
 def traced_end(
