@@ -17,10 +17,12 @@ import pytest
 from tapetum.cli.app import main
 from tapetum.errors import InputError
 from tapetum.record import open_recording
-from tapetum.record.capture import WAITING, capture
+from tapetum.record.capture import capture
+from tapetum.record.frames import open_frames
 from tapetum.record.images import hushed
 from tapetum.record.layout import StreamInfo
-from tapetum.record.live_sources import Shot, open_source
+from tapetum.record.reader import WAITING
+from tapetum.record.source import Frame, Source
 from tapetum.record.video import VideoWriter, read_video
 from tapetum.record.writer import RecordingWriter
 
@@ -75,6 +77,11 @@ class Webcam:
         self.released = True
 
 
+def opened(rate: float | None = None, **sources: object) -> dict[str, Source]:
+    """The sources of a recording's streams."""
+    return {name: open_frames(str(one), name, rate=rate, late=True) for name, one in sources.items()}
+
+
 @pytest.fixture
 def webcams(monkeypatch: pytest.MonkeyPatch) -> type[Webcam]:
     Webcam.last, Webcam.opened = {0: 10**6, 1: 10**6}, []
@@ -89,7 +96,10 @@ def test_files_keep_their_pixels_and_their_own_times(tmp_path: Path):
     folder.mkdir()
     for n in range(6):
         cv2.imwrite(str(folder / f"{n}.png"), picture(100 + n))
-    sources = {"probe": open_source(str(probe), "probe"), "target": open_source(str(folder), "target", 20.0)}
+    sources = {
+        "probe": open_frames(str(probe), "probe", late=True),
+        "target": open_frames(str(folder), "target", rate=20.0, late=True),
+    }
     told = capture(sources, tmp_path / "a.rec")
     assert {name: (one.frames, one.lost, one.fault) for name, one in told.items()} == {
         "probe": (5, 0, None),
@@ -111,7 +121,10 @@ def test_files_keep_their_pixels_and_their_own_times(tmp_path: Path):
 
 def test_two_cameras_are_read_at_the_same_time(webcams: type[Webcam], tmp_path: Path):
     webcams.last = {0: 20, 1: 20}
-    sources = {"probe": open_source("camera:0", "probe", 60), "target": open_source("camera:1", "target", 60)}
+    sources = {
+        "probe": open_frames("camera:0", "probe", rate=60, late=True),
+        "target": open_frames("camera:1", "target", rate=60, late=True),
+    }
     told = capture(sources, tmp_path / "a.rec")
     recording = open_recording(tmp_path / "a.rec")
     spans = {}
@@ -130,7 +143,10 @@ def test_two_cameras_are_read_at_the_same_time(webcams: type[Webcam], tmp_path: 
 def test_an_unplugged_camera_ends_its_stream_only(webcams: type[Webcam], tmp_path: Path):
     webcams.last[1] = 4
     probe = video(tmp_path / "p.mkv", [n / 15 for n in range(30)])
-    sources = {"probe": open_source(str(probe), "probe"), "target": open_source("camera:1", "target")}
+    sources = {
+        "probe": open_frames(str(probe), "probe", late=True),
+        "target": open_frames("camera:1", "target", late=True),
+    }
     told = capture(sources, tmp_path / "a.rec")
     assert told["target"].frames == 4
     assert str(told["target"].fault) == "camera:1: gives no more pictures; is it still plugged in?"
@@ -141,7 +157,10 @@ def test_an_unplugged_camera_ends_its_stream_only(webcams: type[Webcam], tmp_pat
 
 def test_a_length_holds_for_both_streams(webcams: type[Webcam], tmp_path: Path):
     probe = video(tmp_path / "p.mkv", [n / 15 for n in range(30)])
-    sources = {"probe": open_source(str(probe), "probe"), "target": open_source("camera:0", "target")}
+    sources = {
+        "probe": open_frames(str(probe), "probe", late=True),
+        "target": open_frames("camera:0", "target", late=True),
+    }
     told = capture(sources, tmp_path / "a.rec", seconds=0.4)
     assert told["probe"].frames == 6
     recording = open_recording(tmp_path / "a.rec")
@@ -156,7 +175,8 @@ def test_a_damaged_image_ends_its_stream_only(tmp_path: Path):
     (folder / "3.png").write_bytes((folder / "3.png").read_bytes()[:-50])
     probe = video(tmp_path / "p.mkv", [n / 15 for n in range(8)])
     told = capture(
-        {"probe": open_source(str(probe), "probe"), "target": open_source(str(folder), "target")}, tmp_path / "a.rec"
+        opened(probe=probe, target=folder),
+        tmp_path / "a.rec",
     )
     assert (told["probe"].frames, told["target"].frames) == (8, 3)
     assert "3.png: the image is truncated" in str(told["target"].fault)
@@ -188,15 +208,21 @@ def test_a_video_that_was_cut_gives_all_that_can_be_read(tmp_path: Path, kind: s
 class Made:
     """A source of pictures of any size, and of no camera's habits."""
 
-    live, hardware = True, {}
+    live, hardware, count, full_scale, rate = True, {}, None, 255, None
 
     def __init__(self, name: str, sizes: list[tuple[int, int]]) -> None:
-        self.name, self.sizes, self.info = name, sizes, StreamInfo(*sizes[0])
+        self.name, self.sizes = name, sizes
 
-    def shots(self, start_monotonic_ns: int, start_utc_ns: int) -> Iterator[Shot]:
+    def first(self) -> Frame:
+        return Frame(0, 0.0, np.zeros(self.sizes[0], np.uint8))
+
+    def __len__(self) -> int:
+        return len(self.sizes)
+
+    def __iter__(self) -> Iterator[Frame]:
         for n, size in enumerate(self.sizes):
             time.sleep(0.002)
-            yield Shot(np.zeros(size, np.uint8), start_monotonic_ns + n, start_utc_ns + n)
+            yield Frame(n, n / 15, np.zeros(size, np.uint8), f"{self.name}[{n}]")
 
     def close(self) -> None:
         pass
@@ -207,7 +233,8 @@ def test_a_camera_that_changes_its_size_ends_its_own_stream(tmp_path: Path):
     told = capture(sources, tmp_path / "a.rec")
     assert (told["probe"].frames, told["target"].frames) == (60, 5)
     assert told["probe"].fault is None
-    assert "bad: gives frames of [16, 16] uint8 now, its first was [32, 40] uint8" in str(told["target"].fault)
+    said = "bad: bad[5] is 16 x 16 px of uint8, full scale 255; the first was 40 x 32 px of uint8, 255"
+    assert said in str(told["target"].fault)
     recording = open_recording(tmp_path / "a.rec")
     assert recording.finished and len(recording.frames("probe")) == 60
 
@@ -220,8 +247,8 @@ def test_no_camera_is_closed_while_it_is_read(tmp_path: Path, monkeypatch: pytes
     class Slow(Made):
         reading = False
 
-        def shots(self, start_monotonic_ns: int, start_utc_ns: int) -> Iterator[Shot]:
-            yield Shot(np.zeros(SIZE, np.uint8), start_monotonic_ns, start_utc_ns)
+        def __iter__(self) -> Iterator[Frame]:
+            yield self.first()
             self.reading = True
             back.wait(5)
             self.reading = False
@@ -257,7 +284,7 @@ def test_frames_that_waited_in_the_driver_are_not_called_new(
         return wait(self)
 
     monkeypatch.setattr(webcams, "grab", grab)
-    capture({"probe": open_source("camera:0", "probe")}, tmp_path / "a.rec", seconds=0.3)
+    capture(opened(probe="camera:0"), tmp_path / "a.rec", seconds=0.3)
     first = next(iter(open_recording(tmp_path / "a.rec").source("probe"))).image
     assert not any(np.array_equal(first, picture(n)) for n in range(5))
 
@@ -289,23 +316,22 @@ def test_threads_that_silence_opencv_leave_it_as_it_was():
 def test_images_of_two_sizes_are_told(tmp_path: Path):
     for n in range(3):
         cv2.imwrite(str(tmp_path / f"{n}.png"), picture(n)[: 32 - n])
-    told = capture({"probe": open_source(str(tmp_path), "probe")}, tmp_path / "a.rec")
+    told = capture(opened(probe=tmp_path), tmp_path / "a.rec")
     assert told["probe"].frames == 1
-    assert "1.png is 40 x 31 px, full scale 255, the first was 40 x 32 px" in str(told["probe"].fault)
+    assert "1.png is 40 x 31 px of uint8, full scale 255; the first was 40 x 32 px" in str(told["probe"].fault)
 
 
-class Quick:
+class Quick(Made):
     """A live source faster than any disk, which reports a lost frame itself."""
 
-    name, live, info, hardware = "quick", True, StreamInfo(*SIZE), {}
     sent = 400
 
-    def shots(self, start_monotonic_ns: int, start_utc_ns: int) -> Iterator[Shot]:
-        for n in range(self.sent):
-            yield Shot(picture(0), start_monotonic_ns + n, start_utc_ns + n, int(n == 3))
+    def __init__(self) -> None:
+        super().__init__("quick", [SIZE])
 
-    def close(self) -> None:
-        pass
+    def __iter__(self) -> Iterator[Frame]:
+        for n in range(self.sent):
+            yield Frame(n, n / 1000, picture(0), lost=int(n == 3))
 
 
 def test_frames_that_nobody_could_take_are_counted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
@@ -383,7 +409,7 @@ def test_misuse_is_one_line_and_nothing_is_left(
 
 
 def test_nothing_recorded_leaves_nothing(webcams: type[Webcam], tmp_path: Path):
-    sources = {"probe": open_source("camera:0", "probe")}
+    sources = opened(probe="camera:0")
     webcams.last[0] = 0
     with pytest.raises(InputError, match="camera:0: gives no more pictures"):
         capture(sources, tmp_path / "a.rec")

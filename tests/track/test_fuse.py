@@ -159,6 +159,26 @@ def test_tables_are_fused_on_one_clock_and_come_back(tmp_path, suffix):
     assert fuse_tracks([told, told], [(0, 0), (0, 0)]).table.num_rows == 60
 
 
+def test_tables_that_know_utc_need_no_starts():
+    tables, places, _, _ = pair()
+    begun = 1_780_000_000_000_000_001
+    dated = [
+        one.set_column(
+            one.column_names.index("utc_ns"),
+            "utc_ns",
+            pa.array([begun + round((time + later) * 1e9) for time in one["time"].to_pylist()], pa.int64()),
+        )
+        for one, later in zip(tables, (0.0, 5.0), strict=True)
+    ]
+    told, want = fuse_tracks(dated, places), fuse_tracks(tables, places, starts=[0.0, 5.0])
+    assert told.used == want.used
+    assert told.table["time"].to_numpy() == pytest.approx(want.table["time"].to_numpy(), abs=1e-6)
+    assert told.table["utc_ns"][0].as_py() == begun
+    # One that has none leaves all at the same time, as before.
+    with pytest.raises(InputError, match="do not overlap"):
+        fuse_tracks([dated[0], tables[1]], places)
+
+
 def test_an_unknown_roll_widens_what_stands_off():
     tables, places, _, _ = pair()
     rolled = Places(places.places, places.distance, places.field, roll_spread=0.05)

@@ -42,7 +42,9 @@ def fuse(
     ] = None,
     starts: Annotated[
         list[float] | None,
-        typer.Option("--start", metavar="SECONDS", help="How much later each further table's time 0 is."),
+        typer.Option(
+            "--start", metavar="SECONDS", help="How much later each further table's time 0 is; by UTC where left out."
+        ),
     ] = None,
     numbers: Annotated[
         list[int] | None,

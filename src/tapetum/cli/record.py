@@ -135,7 +135,7 @@ def record(
 
 def _is_real(source: str) -> bool:
     """Whether a source is a camera or frames on disk; anything else is a scene, or nothing."""
-    from tapetum.record.live_sources import is_camera
+    from tapetum.record.camera import is_camera
 
     if is_camera(source):
         return True
@@ -208,14 +208,13 @@ def _capture(
     if target is not None and _same(probe, target):
         raise InputError("is both probe and target", where=probe, remedy="give two sources")
     check_replaceable(out, overwrite, "recording.json", "tapetum-recording")
-    from tapetum.record import open_recording
+    from tapetum.record import open_frames, open_recording
     from tapetum.record.capture import capture
-    from tapetum.record.live_sources import open_source
 
-    sources = {"probe": open_source(probe, "probe", rate)}
+    sources = {"probe": open_frames(probe, "probe", rate=rate, late=True)}
     if target is not None:
         try:
-            sources["target"] = open_source(target, "target", rate)
+            sources["target"] = open_frames(target, "target", rate=rate, late=True)
         except InputError:
             sources["probe"].close()
             raise

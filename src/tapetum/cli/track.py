@@ -26,7 +26,7 @@ def track(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A video, a folder of images, an image, a recording, or a table of --detections.",
+            help="A camera:0, video, folder of images, image, recording, or a table of --detections.",
         ),
     ],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="TRACKS", help="The tracks: .parquet, .csv or .jsonl.")],
@@ -59,6 +59,10 @@ def track(
         float, typer.Option(metavar="SHARE", help="Of the intervals, what smoothing may not take away.", min=0.0)
     ] = 1.0,
     stream: Annotated[str, typer.Option(metavar="NAME", help="Which stream of a recording.")] = "probe",
+    seconds: Annotated[
+        float | None,
+        typer.Option(metavar="S", help="Track so long; else to the end, or of a camera to Ctrl-C.", min=0.01),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
 ) -> None:
     """Track every retro-reflection, and let models say where its camera looks."""
@@ -86,6 +90,7 @@ def track(
             detections=detections,
             detect_options={"min_snr": min_snr, "largest": largest},
             stream=stream,
+            seconds=seconds,
             progress=bar,
         )
     if smooth is not None:
@@ -100,7 +105,7 @@ def track(
         return
     counts = (("track", summary.tracks), ("frame", summary.frames), ("sighting", summary.seen))
     tracks, frames, seen = (f"{count} {word}{'' if count == 1 else 's'}" for word, count in counts)
-    typer.echo(f"{out}: {tracks} in {frames}, {seen}")
+    typer.echo(f"{out}: {tracks} in {frames}, {seen}{f', {summary.lost} frames lost' if summary.lost else ''}")
 
 
 def _write_smooth(tracks: Path | pa.Table, out: Path, way: str, systematic: float) -> None:

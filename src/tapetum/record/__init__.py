@@ -9,7 +9,7 @@ from tapetum.record.motion import HandMotion
 from tapetum.record.recording import Recording, open_recording
 from tapetum.record.session import Placed
 from tapetum.record.shot import Shot
-from tapetum.record.source import Frame, FrameSource
+from tapetum.record.source import Frame, FrameSource, Source
 from tapetum.record.spot import find_spot, label_recording
 from tapetum.record.stray import DimRoom, FixedPattern, Gradient, draw_stray
 from tapetum.record.writer import RecordingWriter
@@ -30,6 +30,7 @@ __all__ = [
     "RecordingWriter",
     "Session",
     "Shot",
+    "Source",
     "Tape",
     "draw_clutter",
     "draw_stray",

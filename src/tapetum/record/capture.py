@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import contextlib
 import os
-import queue
 import threading
 import time
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 from tapetum.errors import InputError
 from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
-from tapetum.record.live_sources import Shot, Source
+from tapetum.record.reader import PATIENCE, Reader, arriving
+from tapetum.record.source import Frame, Source
 from tapetum.record.writer import RecordingWriter
 
 __all__ = ["Captured", "capture"]
-
-WAITING = 24  # frames of a stream that may wait to be written
-PATIENCE = 5.0  # s for a camera's last read to come back
-IDLE = 0.002  # s
 
 
 @dataclass(frozen=True)
@@ -31,66 +26,6 @@ class Captured:
     frames: int
     lost: int
     fault: InputError | None
-
-
-class _Reader:
-    """Reads one source in a thread."""
-
-    def __init__(self, source: Source, seconds: float | None, stop: threading.Event) -> None:
-        self.source, self.seconds, self.stop = source, seconds, stop
-        self.waiting: queue.Queue[Shot] = queue.Queue(WAITING)
-        self.fault: InputError | None = None
-        self.missed = 0  # frames that found no room since the last that did
-        self.lost = 0
-        self.done = threading.Event()
-        self.ended = threading.Event()  # by what it gave, while the others go on
-        self.thread = threading.Thread(target=self._run, daemon=True)
-
-    def start(self, monotonic_ns: int, utc_ns: int) -> None:
-        self.begin = (monotonic_ns, utc_ns)
-        self.thread.start()
-
-    def _run(self) -> None:
-        try:
-            for shot in self.source.shots(*self.begin):
-                late = self.seconds is not None and shot.monotonic_ns - self.begin[0] >= self.seconds * 1e9
-                if self._over() or late or not self._offer(shot):
-                    break
-        except InputError as error:
-            if not self._over():
-                self.fault = error
-        except Exception as error:
-            # A driver may fail in any way; what was recorded until then must be kept.
-            self.fault = InputError(f"cannot be read any more ({error})", where=self.source.name)
-        finally:
-            self.done.set()
-            # Here and nowhere else: no other thread may close a camera while this one reads it.
-            with contextlib.suppress(Exception):
-                self.source.close()
-
-    def _over(self) -> bool:
-        return self.stop.is_set() or self.ended.is_set()
-
-    def end(self, fault: InputError) -> None:
-        """End this stream alone, for what it gave."""
-        self.fault = self.fault or fault
-        self.ended.set()
-
-    def _offer(self, shot: Shot) -> bool:
-        """Queue a frame; a live one is lost where there is no room. Return False when it is time to stop."""
-        shot = replace(shot, dropped_before=shot.dropped_before + self.missed)
-        while not self._over():
-            try:
-                self.waiting.put(shot, timeout=0 if self.source.live else 0.1)
-            except queue.Full:
-                if self.source.live:
-                    self.missed += 1
-                    return True
-                continue
-            self.lost += shot.dropped_before
-            self.missed = 0
-            return True
-        return False
 
 
 def capture(
@@ -130,14 +65,14 @@ def capture(
         When the disk is full, something stands at `out`, or not one source gave a frame.
     """
     stop = threading.Event()
-    readers = {name: _Reader(source, seconds, stop) for name, source in sources.items()}
+    readers = {name: Reader(source, seconds, stop) for name, source in sources.items()}
     monotonic, utc = time.monotonic_ns(), time.time_ns()
-    rates = [source.info.rate for source in sources.values() if source.info.rate]
+    rates = [source.rate for source in sources.values() if source.rate]
     counts = dict.fromkeys(sources, 0)
     try:
         with RecordingWriter(
             Path(out),
-            streams={name: source.info for name, source in sources.items()},
+            streams={name: reader.info for name, reader in readers.items()},
             rate=float(rates[0]) if rates else 15.0,
             hardware={name: source.hardware for name, source in sources.items()},
             start_utc_ns=utc,
@@ -146,16 +81,19 @@ def capture(
             with interruptible(stop):
                 for reader in readers.values():
                     reader.start(monotonic, utc)
-                for name, shot in progress(_arriving(readers, stop), "recording"):
-                    if (fault := _unfit(sources[name], shot)) is not None:
+                for name, frame in progress(arriving(readers, stop), "recording"):
+                    if (fault := _unfit(readers[name], frame)) is not None:
                         readers[name].end(fault)
                         continue
+                    assert frame.monotonic_ns is not None and frame.utc_ns is not None
                     writer.write(
                         name,
-                        shot.image,
-                        monotonic_ns=shot.monotonic_ns,
-                        utc_ns=shot.utc_ns,
-                        dropped_before=shot.dropped_before,
+                        frame.image,
+                        monotonic_ns=frame.monotonic_ns,
+                        utc_ns=frame.utc_ns,
+                        dropped_before=frame.lost,
+                        exposure=frame.exposure,
+                        lit=frame.lit,
                     )
                     counts[name] += 1
             if not any(counts.values()):
@@ -172,28 +110,13 @@ def capture(
     return {name: Captured(counts[name], one.lost + one.missed, one.fault) for name, one in readers.items()}
 
 
-def _arriving(readers: Mapping[str, _Reader], stop: threading.Event) -> Iterator[tuple[str, Shot]]:
-    """Yield the frames of all readers as they come, until each is done and nothing waits."""
-    while True:
-        # Asked before the queues are looked into: what came before it was done is then still found.
-        ended = all(reader.done.is_set() for reader in readers.values())
-        came = False
-        for name, reader in readers.items():
-            with contextlib.suppress(queue.Empty):
-                shot = reader.waiting.get_nowait()
-                came = True
-                if not reader.ended.is_set():
-                    yield name, shot
-        if not came:
-            if ended or (stop.is_set() and all(reader.waiting.empty() for reader in readers.values())):
-                return
-            time.sleep(IDLE)
-
-
-def _unfit(source: Source, shot: Shot) -> InputError | None:
+def _unfit(reader: Reader, frame: Frame) -> InputError | None:
     """Say why a frame does not belong to its source's stream; None where it does."""
-    info = source.info
-    if shot.image.shape == (info.height, info.width) and shot.image.dtype == info.dtype:
+    info, (height, width) = reader.info, frame.image.shape
+    given = (height, width, frame.image.dtype, frame.full_scale)
+    if given == (info.height, info.width, info.dtype, info.full_scale):
         return None
-    given, wanted = f"{list(shot.image.shape)} {shot.image.dtype}", f"{[info.height, info.width]} {info.dtype}"
-    return InputError(f"gives frames of {given} now, its first was {wanted}", where=source.name)
+    now = f"{frame.name or 'a frame'} is {width} x {height} px of {frame.image.dtype}, full scale {frame.full_scale}"
+    first = f"{info.width} x {info.height} px of {info.dtype}, {info.full_scale}"
+    remedy = "give frames of one size and depth"
+    return InputError(f"{now}; the first was {first}", where=reader.source.name, remedy=remedy)

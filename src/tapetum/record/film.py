@@ -75,6 +75,8 @@ def film(
                 monotonic_ns=round((t + 1e3) * (1 + clocks[name].drift) * 1e9),
                 utc_ns=start_ns + round(t * 1e9),
                 dropped_before=int(shot.beats[name].dropped_before[i]),
+                exposure=shot.exposure(name, i),
+                lit=shot.lit(name, i),
             )
     recording = open_recording(out)
     recording.write_truth(truth)

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 
 from tapetum.errors import InputError
-from tapetum.record.source import Frame, existing, full_scale_of
+from tapetum.record.source import Frame, Stored, existing, full_scale_of
 
 __all__ = ["IMAGE_SUFFIXES", "ImageSource", "read_image"]
 
@@ -142,7 +142,7 @@ def count_pages(file: Path) -> int:
 
 
 @dataclass(frozen=True)
-class ImageSource:
+class ImageSource(Stored):
     """Image files as a source of frames. It has no clock: frames are counted at `rate`.
 
     Attributes
@@ -199,9 +199,6 @@ class ImageSource:
     def full_scale(self) -> int:
         """Digital number at which the first frame saturates; `Frame.full_scale` is right for every one."""
         return read_image(*self._pages[0])[1]  # type: ignore[attr-defined]
-
-    def __len__(self) -> int:
-        return self.count
 
     def __iter__(self) -> Iterator[Frame]:
         for index, (file, page) in enumerate(self._pages):  # type: ignore[attr-defined]

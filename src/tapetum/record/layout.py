@@ -16,6 +16,7 @@ from pydantic import Field
 from tapetum.checked import Checked, check, read_json
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
+from tapetum.record.source import Source
 
 __all__ = [
     "FORMAT",
@@ -27,7 +28,9 @@ __all__ = [
     "TRUTH",
     "VERSION",
     "StreamInfo",
+    "clocks",
     "is_recording",
+    "journal_line",
     "read_journal",
     "read_meta",
     "read_table",
@@ -35,7 +38,8 @@ __all__ = [
     "write_table",
 ]
 
-FORMAT, VERSION = "tapetum-recording", 1
+# 2 knows exposure and laser of each frame.
+FORMAT, VERSION = "tapetum-recording", 2
 META, JOURNAL, FRAMES, LABELS, TRUTH = (
     "recording.json",
     "frames.journal",
@@ -50,8 +54,12 @@ SCHEMA = pa.schema(
         ("monotonic_ns", pa.int64()),
         ("utc", pa.timestamp("ns", "UTC")),
         ("dropped_before", pa.int64()),
+        ("exposure", pa.float64()),
+        ("lit", pa.bool_()),
     ]
 )
+# Columns that version 1 had.
+_FIRST = 5
 
 
 @dataclass(frozen=True)
@@ -83,6 +91,14 @@ class StreamInfo:
             raise InputError(f"must be 1 to 16, is {self.bits}", where="stream bits")
         if self.full_scale is None:
             object.__setattr__(self, "full_scale", 2**self.bits - 1)
+
+    @classmethod
+    def of(cls, source: Source) -> StreamInfo:
+        """Return what a recording of a source's frames would hold."""
+        first = source.first()
+        height, width = first.image.shape
+        scale = int(first.full_scale or 0)
+        return cls(height, width, scale.bit_length(), scale, source.rate)
 
     @property
     def dtype(self) -> np.dtype:
@@ -149,6 +165,35 @@ def read_table(path: Path) -> pa.Table:
         raise InputError("is damaged or not a Parquet file", where=path, remedy="make it again") from error
 
 
+_UNKNOWN = "-"
+_LIT = {"0": False, "1": True, _UNKNOWN: None}
+
+
+def journal_line(
+    stream: str, index: int, monotonic_ns: int, utc_ns: int, lost: int, exposure: float | None, lit: bool | None
+) -> bytes:
+    """Return the clocks of a frame, and what else is known of it, as a line of the journal."""
+    words = (stream, index, monotonic_ns, utc_ns, lost, _UNKNOWN if exposure is None else repr(float(exposure)))
+    mark = next(text for text, value in _LIT.items() if value is lit)
+    return (" ".join(str(one) for one in words) + f" {mark}\n").encode("ascii")
+
+
+def clocks(table: pa.Table, where: Path) -> pa.Table:
+    """Return a table of frames with today's columns; what an older version did not keep is null.
+
+    Raises
+    ------
+    InputError
+        When the columns are others.
+    """
+    if table.schema.equals(pa.schema(list(SCHEMA)[:_FIRST])):
+        for field in list(SCHEMA)[_FIRST:]:
+            table = table.append_column(field, pa.nulls(len(table), field.type))
+    if not table.schema.equals(SCHEMA):
+        raise InputError(f"columns are not {', '.join(SCHEMA.names)}", where=where, remedy="record again")
+    return table
+
+
 def read_journal(path: Path) -> pa.Table:
     """Read the clocks that an unfinished recording left, without a last line that was torn.
 
@@ -166,9 +211,11 @@ def read_journal(path: Path) -> pa.Table:
     rows = []
     for number, line in enumerate(text.split(b"\n")[:-1]):
         try:
-            stream, index, monotonic, utc, dropped = line.decode("ascii").split()
-            rows.append((stream, int(index), int(monotonic), int(utc), int(dropped)))
-        except ValueError as error:
+            stream, index, monotonic, utc, dropped, *more = line.decode("ascii").split()
+            exposure, lit = more or (_UNKNOWN, _UNKNOWN)
+            known = (None if exposure == _UNKNOWN else float(exposure), _LIT[lit])
+            rows.append((stream, int(index), int(monotonic), int(utc), int(dropped), *known))
+        except (ValueError, KeyError) as error:
             raise InputError(f"line {number + 1} is damaged", where=path, remedy="cut the journal before it") from error
     columns = list(zip(*rows, strict=True)) or [()] * len(SCHEMA)
     return pa.table(

@@ -24,16 +24,16 @@ from tapetum.record.layout import (
     FRAMES,
     JOURNAL,
     LABELS,
-    SCHEMA,
     TRUTH,
     StreamInfo,
+    clocks,
     is_recording,
     read_journal,
     read_meta,
     read_table,
     write_table,
 )
-from tapetum.record.source import Frame, existing
+from tapetum.record.source import Frame, Stored, existing
 from tapetum.record.video import count_frames, decoded, truncated
 from tapetum.record.writer import RecordingWriter
 
@@ -146,9 +146,9 @@ class Recording:
         Returns
         -------
         pyarrow.Table
-            A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC) and
-            `dropped_before` (frames lost since the one before). Of an unfinished recording, the frames that
-            are whole in its video.
+            A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before`
+            (frames lost since the one before), and where they are known `exposure` (s) and `lit` (whether the laser was
+            on). Of an unfinished recording, the frames that are whole in its video.
 
         Raises
         ------
@@ -159,10 +159,7 @@ class Recording:
         # The journal goes last on closing, so that one of the two is always whole.
         whole = (self.path / FRAMES).exists()
         table = read_table(self.path / FRAMES) if whole else read_journal(self.path / JOURNAL)
-        if not table.schema.equals(SCHEMA):
-            raise InputError(
-                f"columns are not {', '.join(SCHEMA.names)}", where=self.path / FRAMES, remedy="record again"
-            )
+        table = clocks(table, self.path / FRAMES)
         table = table.filter(pc.equal(table["stream"], stream))  # type: ignore[attr-defined]
         if not np.array_equal(table["index"].to_numpy(), np.arange(len(table))):
             raise InputError(f"frames of {stream} are not numbered 0, 1, 2 …", where=self.path, remedy="record again")
@@ -182,10 +179,14 @@ class Recording:
         InputError
             As `frames` does.
         """
-        info, utc = self.stream(stream), self.utc_ns(stream)
+        info, frames = self.stream(stream), self.frames(stream)
         existing(self.video(stream))
+        utc = frames["utc"].cast(pa.int64()).to_numpy()
         times = (utc - utc[0]) / 1e9 if len(utc) else np.empty(0)
-        return RecordingSource(self.video(stream), stream, int(info.full_scale or 0), times, self.finished)
+        full_scale = int(info.full_scale or 0)
+        return RecordingSource(
+            self.video(stream), stream, full_scale, times, self.finished, info.rate, tuple(_known_of(frames))
+        )
 
     def labels(self) -> pa.Table | None:
         """Return the labels, or None where none were made yet."""
@@ -216,7 +217,7 @@ class Recording:
 
 
 @dataclass(frozen=True, eq=False)
-class RecordingSource:
+class RecordingSource(Stored):
     """A stream of a recording as a source of frames; times count from its first frame by UTC.
 
     Attributes
@@ -231,6 +232,10 @@ class RecordingSource:
         Seconds of every frame from the first one, [N] float64.
     finished
         Whether the recording was closed: then a video with fewer frames than it says is an error.
+    rate
+        Nominal frames per second.
+    known
+        What is known of each frame beside its time: arguments of `Frame`.
     late
         Whether the readable frames come before that error.
     """
@@ -240,6 +245,8 @@ class RecordingSource:
     full_scale: int
     times: np.ndarray
     finished: bool
+    rate: float | None = None
+    known: tuple[dict[str, Any], ...] = ()
     late: bool = field(default=False, kw_only=True)
 
     @property
@@ -252,8 +259,10 @@ class RecordingSource:
         """Number of frames."""
         return len(self.times)
 
-    def __len__(self) -> int:
-        return self.count
+    def frame(self, number: int, image: np.ndarray) -> Frame:
+        """Return a frame with what is known of it."""
+        known = self.known[number] if self.known else {}
+        return Frame(number, float(self.times[number]), image, f"{self.stream}[{number}]", self.full_scale, **known)
 
     def __iter__(self) -> Iterator[Frame]:
         if not self.count:
@@ -262,10 +271,23 @@ class RecordingSource:
         for image, _, _ in decoded(self.video, tolerant=not self.finished, late=self.late):
             if number == self.count:
                 return
-            yield Frame(number, float(self.times[number]), image, f"{self.stream}[{number}]", self.full_scale)
+            yield self.frame(number, image)
             number += 1
         if number < self.count:
             raise truncated(self.video, number)
+
+
+def _known_of(frames: pa.Table) -> Iterator[dict[str, Any]]:
+    """Yield what a table of frames knows of each, as arguments of `Frame`."""
+    columns = {
+        "utc_ns": frames["utc"].cast(pa.int64()),
+        "monotonic_ns": frames["monotonic_ns"],
+        "lost": frames["dropped_before"],
+        "exposure": frames["exposure"],
+        "lit": frames["lit"],
+    }
+    for values in zip(*(column.to_pylist() for column in columns.values()), strict=True):
+        yield dict(zip(columns, values, strict=True))
 
 
 def open_recording(path: str | os.PathLike[str]) -> Recording:

@@ -92,6 +92,7 @@ class Shot:
             )
             for name, beat in self.beats.items()
         }
+        self._shares = {name: self._share(name) for name in self.beats}
         self._power = {name: self._powers(name) for name in self.beats}
 
     @property
@@ -112,6 +113,14 @@ class Shot:
     def gaze(self, frames: Sequence[int]) -> Array:
         """Return where the target that films really looked in frames of the probe, fractions of its field: [N, 2]."""
         return self._hands[0].gaze(self.beats["probe"].times)[np.asarray(frames, dtype=int)]
+
+    def exposure(self, stream: str, frame: int) -> float:
+        """Return a frame's exposure time, in seconds."""
+        return float(self._seconds(stream) * self._exposure[stream][frame])
+
+    def lit(self, stream: str, frame: int) -> bool:
+        """Return whether the laser was on for most of a frame's exposure."""
+        return bool(self._shares[stream][frame] > 0.5)
 
     def truth(self) -> pa.Table:
         """What was true of every frame: a row a stream, target and frame.
@@ -181,7 +190,12 @@ class Shot:
         if session.power_jitter:
             draws = [frame_rng(session.seed, _POWER[stream], i).standard_normal() for i in range(len(times))]
             power = np.maximum(0.0, power + session.power_jitter * np.array(draws))
-        return power if session.code is None else power * session.code.share(times, self._seconds(stream))
+        return power * self._shares[stream]
+
+    def _share(self, stream: str) -> Array:
+        """Share of each exposure in which the laser is on, [T]."""
+        times, code = self.beats[stream].times, self.session.code
+        return np.ones(len(times)) if code is None else code.share(times, self._seconds(stream))
 
     def _spread(self, distance: Array) -> Array:
         """Irradiance at the target over that at the scene's distance."""

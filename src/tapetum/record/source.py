@@ -1,18 +1,18 @@
-"""What every origin of frames looks like to the rooms above: grey images in order, again and again."""
+"""What every origin of frames looks like to the rooms above: grey images in order, with what is known of each."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Protocol, runtime_checkable
+from typing import Any, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from tapetum.errors import InputError
 
-__all__ = ["Frame", "FrameSource", "existing", "full_scale_of"]
+__all__ = ["Frame", "FrameSource", "Source", "Stored", "existing", "full_scale_of"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,16 @@ class Frame:
         What to call the frame in a message: a file name, or `probe[12]`.
     full_scale
         Digital number at which this frame saturates (255, 4095, 65535 …).
+    utc_ns
+        When it was taken, in nanoseconds since 1970; None where nobody knows.
+    monotonic_ns
+        The same by a clock of this machine that is never set; None for what was recorded elsewhere.
+    exposure
+        Exposure time in seconds; None where nobody knows.
+    lit
+        Whether the probe's laser was on; None where nobody knows.
+    lost
+        Frames known to be lost since the one before.
     """
 
     index: int
@@ -38,6 +48,11 @@ class Frame:
     image: np.ndarray
     name: str = ""
     full_scale: int | None = None
+    utc_ns: int | None = None
+    monotonic_ns: int | None = None
+    exposure: float | None = None
+    lit: bool | None = None
+    lost: int = 0
 
     def __post_init__(self) -> None:
         if self.image.ndim != 2 or self.image.dtype not in (np.uint8, np.uint16):
@@ -50,23 +65,32 @@ class Frame:
 
 
 @runtime_checkable
-class FrameSource(Protocol):
-    """Frames in order; iterating again starts from the beginning.
+class Source(Protocol):
+    """Frames in order. What is stored can be iterated again from its beginning; a camera goes on from now.
 
     Attributes
     ----------
     name
         What to call the source in a message.
+    live
+        Whether frames come at their own pace, and are lost where nobody takes them.
     count
         Number of frames, or None where only reading to the end would tell. `len(source)` gives the same and
         raises TypeError where it is None.
     full_scale
         Digital number at which the frames saturate; where the frames differ, that of the first one
         (`Frame.full_scale` is always right).
+    rate
+        Nominal frames per second; None where nobody knows.
+    hardware
+        What is known of the camera or the file, as JSON can hold it.
     """
 
     @property
     def name(self) -> str: ...
+
+    @property
+    def live(self) -> bool: ...
 
     @property
     def count(self) -> int | None: ...
@@ -74,9 +98,67 @@ class FrameSource(Protocol):
     @property
     def full_scale(self) -> int: ...
 
+    @property
+    def rate(self) -> float | None: ...
+
+    @property
+    def hardware(self) -> dict[str, Any]: ...
+
+    def first(self) -> Frame:
+        """Return a frame that shows the stream's size and depth; iterating still gives every frame."""
+        ...
+
     def __iter__(self) -> Iterator[Frame]: ...
 
     def __len__(self) -> int: ...
+
+    def close(self) -> None:
+        """Give the camera back; files close themselves."""
+        ...
+
+
+FrameSource = Source
+
+
+class Stored:
+    """What sources of frames on disk have in common."""
+
+    @property
+    def live(self) -> bool:
+        """Stored frames wait."""
+        return False
+
+    @property
+    def hardware(self) -> dict[str, Any]:
+        """The file's name, and that times are its own."""
+        return {"file": Path(cast(Source, self).name).name, "time": "the file's own"}
+
+    def first(self) -> Frame:
+        """Return the first frame.
+
+        Raises
+        ------
+        InputError
+            When there is none, or it cannot be read.
+        """
+        source = cast(Source, self)
+        frames = cast("Generator[Frame]", iter(source))
+        try:
+            found = next(frames, None)
+        finally:
+            frames.close()
+        if found is None:
+            raise InputError("holds no frame", where=source.name, remedy="give another file, or copy it again")
+        return found
+
+    def __len__(self) -> int:
+        source = cast(Source, self)
+        if source.count is None:
+            raise TypeError(f"{source.name} does not state its number of frames")
+        return source.count
+
+    def close(self) -> None:
+        """Do nothing: files close themselves."""
 
 
 def full_scale_of(dtype: np.dtype | type) -> int:

@@ -22,7 +22,7 @@ from av.error import FFmpegError
 
 from tapetum.errors import InputError
 from tapetum.files import told_when_full
-from tapetum.record.source import Frame, existing, full_scale_of
+from tapetum.record.source import Frame, Stored, existing, full_scale_of
 
 __all__ = ["VideoSource", "VideoWriter", "count_frames", "read_video"]
 
@@ -347,7 +347,7 @@ def read_video(path: str | os.PathLike[str], *, tolerant: bool = False) -> Itera
 
 
 @dataclass(frozen=True)
-class VideoSource:
+class VideoSource(Stored):
     """A video file as a source of frames; times are the file's own stamps.
 
     Attributes
@@ -395,11 +395,6 @@ class VideoSource:
     def name(self) -> str:
         """The file, for messages."""
         return str(self.path)
-
-    def __len__(self) -> int:
-        if self.count is None:
-            raise TypeError(f"{self.path} does not state its number of frames")
-        return self.count
 
     def __iter__(self) -> Iterator[Frame]:
         start: float | None = None

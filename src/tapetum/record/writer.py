@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import importlib.metadata
+import math
 import os
 import platform
 import re
@@ -29,6 +30,7 @@ from tapetum.record.layout import (
     META,
     VERSION,
     StreamInfo,
+    journal_line,
     read_journal,
     read_meta,
     write_json,
@@ -196,7 +198,17 @@ class RecordingWriter:
         """Frames written so far, by stream."""
         return {name: video.count for name, video in self._videos.items()}
 
-    def write(self, stream: str, image: np.ndarray, *, monotonic_ns: int, utc_ns: int, dropped_before: int = 0) -> None:
+    def write(
+        self,
+        stream: str,
+        image: np.ndarray,
+        *,
+        monotonic_ns: int,
+        utc_ns: int,
+        dropped_before: int = 0,
+        exposure: float | None = None,
+        lit: bool | None = None,
+    ) -> None:
         """Append one frame to a stream.
 
         Parameters
@@ -211,6 +223,8 @@ class RecordingWriter:
             The same moment in UTC, nanoseconds since 1970.
         dropped_before
             Frames known to be lost since the one before.
+        exposure, lit
+            Exposure time in seconds, and whether the probe's laser was on; None where nobody knows.
 
         Raises
         ------
@@ -229,10 +243,12 @@ class RecordingWriter:
             )
         if dropped_before < 0:
             raise InputError(f"dropped_before must not be negative, is {dropped_before}", where=here)
-        line = f"{stream} {video.count} {int(monotonic_ns)} {int(utc_ns)} {int(dropped_before)}\n"
+        if exposure is not None and not 0 <= exposure < math.inf:
+            raise InputError(f"exposure must not be negative, is {exposure}", where=here)
+        line = journal_line(stream, video.count, int(monotonic_ns), int(utc_ns), int(dropped_before), exposure, lit)
         video.write(image, (monotonic_ns - first) / 1e9)
         with told_when_full(self.path):
-            self._write_line(line.encode("ascii"))
+            self._write_line(line)
         self._last[stream] = monotonic_ns
 
     def _write_line(self, line: bytes) -> None:

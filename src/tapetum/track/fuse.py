@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import ArrayLike, NDArray
 from scipy.stats import chi2
 
@@ -15,7 +16,7 @@ from tapetum.errors import InputError
 from tapetum.track.kalman import NORMAL, Series
 from tapetum.track.places import Places
 from tapetum.track.smooth import quantities_in, series_of
-from tapetum.track.tables import finite, track_schema
+from tapetum.track.tables import MOMENT, finite, track_schema
 
 __all__ = ["Fused", "Fusion", "Places", "at_times", "combine", "fuse", "fuse_tracks"]
 
@@ -281,7 +282,8 @@ def fuse_tracks(
     tracks
         Which track of each table is the target. Not needed where no table has two at once.
     starts
-        When each table's time is 0, in seconds of one clock (UTC). All the same where left out.
+        When each table's time is 0, in seconds of one clock. Where left out, as the tables' UTC says; all the same
+        where one of them has none.
     correlation
         As of `combine`.
     max_gap
@@ -307,7 +309,7 @@ def fuse_tracks(
         remedy = "give the tables of two probes or more"
         raise InputError("a single probe cannot be fused", where=called[0] if called else "fuse", remedy=remedy)
     standing = _checked(places, len(tables))
-    begun = _each(starts, [0.0] * len(tables), "starts")
+    begun = _each(starts, _starts(tables), "starts")
     chosen = _each(tracks, [None] * len(tables), "tracks")
     told = [set(quantities_in(one, quantities, where=name)) for one, name in zip(tables, called, strict=True)]
     common = [name for name in quantities_in(tables[0], quantities, where=called[0]) if name in set.intersection(*told)]
@@ -332,6 +334,19 @@ def fuse_tracks(
         int((before & ~fused.used).any(axis=1).sum()),
         int(fused.disagree.sum()),
     )
+
+
+def _starts(tables: Sequence[pa.Table]) -> list[float]:
+    """Return when each table's time is 0, in seconds from the first one's, by UTC; zeros where one has none."""
+    known: list[tuple[int, float]] = []
+    for table in tables:
+        dated = table.filter(pc.is_valid(table["utc_ns"])) if "utc_ns" in table.column_names else table.slice(0, 0)  # type: ignore[attr-defined]
+        if not len(dated):
+            return [0.0] * len(tables)
+        known.append((dated["utc_ns"][0].as_py(), dated["time"][0].as_py()))
+    # Nanoseconds since 1970 are whole numbers: as one float they would lose some hundreds.
+    utc, time = known[0]
+    return [(other - utc) / 1e9 - (later - time) for other, later in known]
 
 
 def _checked(places: Places | Sequence[tuple[float, float]], count: int) -> Places | Array:
@@ -394,7 +409,7 @@ def _table(
         ({float(t): n for n, t in enumerate(clock)}, table.to_pylist())
         for clock, table in zip(clocks, rows, strict=True)
     ]
-    kept = ("x", "y", "snr", "peak_x", "peak_y", "diameter", "active", "name")
+    kept = ("x", "y", "snr", "peak_x", "peak_y", "diameter", "active", "name", *MOMENT)
     for n, time in enumerate(times):
         seen = next((table[index[float(time)]] for index, table in spots if float(time) in index), {})
         ends = {"": fused.value, "_low": fused.lower, "_high": fused.upper}

@@ -19,10 +19,11 @@ from tapetum.errors import InputError
 from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
 from tapetum.record.frames import open_frames
-from tapetum.record.source import Frame
+from tapetum.record.reader import taken
+from tapetum.record.source import Frame, Source
 from tapetum.track.detect import detect
 from tapetum.track.detections import Detections
-from tapetum.track.rows import TrackedFrame, detection_records, rows_of
+from tapetum.track.rows import TrackedFrame, detection_records, moment_of, rows_of
 from tapetum.track.tables import checked_suffix, detections_schema, table_writer, track_schema
 from tapetum.track.tracker import Tracker
 
@@ -34,7 +35,7 @@ __all__ = ["SIDE", "TrackSummary", "track", "track_to_file"]
 SIDE = 400
 """Side of the square that the models are shown, in pixels (the paper's largest crop)."""
 
-Source: TypeAlias = str | os.PathLike[str] | Iterable[Frame]
+Frames: TypeAlias = str | os.PathLike[str] | Source | Iterable[Frame]
 
 
 class Predictor(Protocol):
@@ -51,12 +52,13 @@ Models: TypeAlias = Predictor | str | os.PathLike[str] | Sequence[Predictor | st
 
 @dataclass(frozen=True)
 class TrackSummary:
-    """What was written: numbers of frames, of tracks, of rows, and of the rows in which the spot was seen."""
+    """What was written: numbers of frames, tracks, rows, rows in which the spot was seen, and frames that were lost."""
 
     frames: int
     tracks: int
     rows: int
     seen: int
+    lost: int = 0
 
 
 def _loaded(models: Models) -> list[Predictor]:
@@ -79,12 +81,15 @@ def _loaded(models: Models) -> list[Predictor]:
     return estimators
 
 
-def _frames(source: Source, stream: str) -> tuple[Iterable[Frame], int | None]:
+def _frames(
+    source: Frames, stream: str, stop: threading.Event, seconds: float | None = None
+) -> tuple[Iterable[Frame], int | None, bool]:
+    """Return the frames, their number where it is known, and whether they come at their own pace."""
     frames = open_frames(source, stream) if isinstance(source, (str, os.PathLike)) else source
-    count = getattr(frames, "count", None)
-    if isinstance(frames, Sequence):
-        count = len(frames)
-    return frames, count if isinstance(count, int) else None
+    if isinstance(frames, Source):
+        return taken(frames, stop, seconds), None if seconds is not None else frames.count, frames.live
+    count = len(frames) if isinstance(frames, Sequence) else None
+    return _until(stop, frames, seconds), count, False
 
 
 def _estimates(
@@ -133,7 +138,7 @@ def _merged(before: dict[str, Any], said: dict[str, Any], names: Sequence[str]) 
 
 
 def track(
-    source: Source,
+    source: Frames,
     *,
     model: Models = None,
     tracker: Tracker | None = None,
@@ -152,7 +157,7 @@ def track(
     Parameters
     ----------
     source
-        A folder of images, an image, a recording, a video, or frames.
+        A camera (`camera:0`), a folder of images, an image, a recording, a video, or frames.
     model
         A fitted estimator, the folder of a saved one, or several of them that estimate different quantities.
     tracker
@@ -193,7 +198,7 @@ def track(
     # What is wider than the crops no model could be shown whole.
     options = {"largest": float(side), **_detect_options(detect_options)}
     estimators = _loaded(model)
-    frames, count = _frames(source, stream)
+    frames, count, _ = _frames(source, stream, threading.Event())
     follower = Tracker() if tracker is None else tracker
     return _track(progress(frames, "tracking", total=count), estimators, follower, options, side, batch)
 
@@ -222,8 +227,9 @@ def _track(
 
     def finished() -> Iterator[TrackedFrame]:
         for (frame, found), answers in zip(waiting, _estimates(waiting, estimators, side), strict=True):
-            rows = rows_of(tracker, found, answers, frame.index, frame.time, frame.name)
-            yield TrackedFrame(frame.index, frame.time, frame.name, rows, found, tuple(answers))
+            moment = moment_of(frame)
+            rows = rows_of(tracker, found, answers, frame.index, frame.time, frame.name, moment)
+            yield TrackedFrame(frame.index, frame.time, frame.name, rows, found, tuple(answers), moment)
         waiting.clear()
 
     # Without models there is nothing to wait for.
@@ -240,15 +246,15 @@ def _track(
     yield from finished()
 
 
-def _until(stop: threading.Event, frames: Iterable[Frame]) -> Iterator[Frame]:
+def _until(stop: threading.Event, frames: Iterable[Frame], seconds: float | None) -> Iterator[Frame]:
     for frame in frames:
-        if stop.is_set():
+        if stop.is_set() or (seconds is not None and frame.time >= seconds):
             return
         yield frame
 
 
 def track_to_file(
-    source: Source,
+    source: Frames,
     out: str | os.PathLike[str],
     *,
     model: Models = None,
@@ -258,6 +264,7 @@ def track_to_file(
     stream: str = "probe",
     side: int = SIDE,
     batch: int = 16,
+    seconds: float | None = None,
     progress: Progress = quiet,
 ) -> TrackSummary:
     """Track, and write the table of tracks as it grows.
@@ -268,10 +275,13 @@ def track_to_file(
         As for `track`.
     out
         The table of tracks: .parquet, .csv or .jsonl. A file of this name is replaced once all went well. After Ctrl-C
-        or a frame that cannot be read the rows so far stay beside it, as `NAME.unfinished` with the same suffix.
+        or a frame that cannot be read the rows so far stay beside it, as `NAME.unfinished` with the same suffix. Ctrl-C
+        is how a camera's table ends: it is then whole.
     detections
         Where to keep what was detected, ghosts marked and included, with the models' estimates: `retrack`
         makes tracks of it without the video. A frame in which nothing was found has one row without a spot.
+    seconds
+        Length, from the first frame on; all of it where left out.
 
     Returns
     -------
@@ -282,7 +292,7 @@ def track_to_file(
     InputError
         As `track`; also when a file cannot be written. Notes on it say what is kept.
     KeyboardInterrupt
-        After Ctrl-C, once the frame under way is done; with the same notes.
+        After Ctrl-C on what is stored, once the frame under way is done; with the same notes.
     """
     checked_suffix(out)
     estimators = _loaded(model)
@@ -291,9 +301,10 @@ def track_to_file(
     if detections is not None:
         checked_suffix(detections)
         options["ghosts"] = "mark"
-    stop, (given, count) = threading.Event(), _frames(source, stream)
+    stop = threading.Event()
+    given, count, live = _frames(source, stream, stop, seconds)
     tracked = track(
-        _until(stop, progress(given, "tracking", total=count)),
+        progress(given, "tracking", total=count),
         model=estimators,
         tracker=tracker,
         detect_options=options,
@@ -301,14 +312,14 @@ def track_to_file(
         side=side,
         batch=batch,
     )
-    frames = rows = seen = 0
+    frames = rows = seen = lost = 0
     numbers: set[int] = set()
     with ExitStack() as stack:
         kept = None if detections is None else stack.enter_context(table_writer(detections, detections_schema(names)))
         table = stack.enter_context(table_writer(out, track_schema(names)))
         stack.enter_context(interruptible(stop))
         for one in tracked:
-            frames += 1
+            frames, lost = frames + 1, lost + one.moment["lost"]
             for row in one.rows:
                 table.write(row.record())
                 rows, seen = rows + 1, seen + row.seen
@@ -316,6 +327,6 @@ def track_to_file(
             if kept is not None:
                 for record in detection_records(one):
                     kept.write(record)
-        if stop.is_set():
+        if stop.is_set() and not live:
             raise KeyboardInterrupt
-    return TrackSummary(frames, len(numbers), rows, seen)
+    return TrackSummary(frames, len(numbers), rows, seen, lost)

@@ -12,8 +12,9 @@ from typing import Any
 import pyarrow as pa
 
 from tapetum.errors import InputError
+from tapetum.record.source import Frame
 from tapetum.track.detections import Detections
-from tapetum.track.tables import detections_schema, estimate_columns, finite, read_table, track_schema
+from tapetum.track.tables import MOMENT, detections_schema, estimate_columns, finite, read_table, track_schema
 from tapetum.track.tracker import Tracker
 
 __all__ = ["TrackRow", "TrackedFrame", "retrack"]
@@ -37,6 +38,8 @@ class TrackRow:
         Of the spot (see `Detections`); None while the track coasts.
     seen
         Whether the spot was detected in this frame.
+    moment
+        What else is known of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
         What the models say: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`; NaN or
         "none of these" where the model does not apply; `applies` (None where nobody knows) and `reason`. Empty while
@@ -54,6 +57,7 @@ class TrackRow:
     peak_y: float | None
     diameter: float | None
     seen: bool
+    moment: Mapping[str, Any] = field(default_factory=dict)
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
@@ -62,8 +66,8 @@ class TrackRow:
         `active` is left out, which makes it empty: whether a camera is recording shows in how its return changes with
         time, which nothing looks at yet. So are `device` and `device_probability` where no model tells devices.
         """
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name != "estimates"}
-        return {**own, **self.estimates}
+        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("moment", "estimates")}
+        return {**own, **self.moment, **self.estimates}
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,8 @@ class TrackedFrame:
         The spots found in it.
     estimates
         What the models say of each spot; nothing of ghosts.
+    moment
+        As of `TrackRow`.
     """
 
     frame: int
@@ -88,6 +94,12 @@ class TrackedFrame:
     rows: tuple[TrackRow, ...]
     detections: Detections
     estimates: tuple[Mapping[str, Any], ...]
+    moment: Mapping[str, Any] = field(default_factory=dict)
+
+
+def moment_of(frame: Frame) -> dict[str, Any]:
+    """Return what tables keep of a frame beside its number, time and name."""
+    return {name: getattr(frame, name) for name in MOMENT}
 
 
 def rows_of(
@@ -97,6 +109,7 @@ def rows_of(
     frame: int,
     time: float,
     name: str,
+    moment: Mapping[str, Any],
 ) -> tuple[TrackRow, ...]:
     rows: list[TrackRow] = []
     for point in tracker.update(found, time):
@@ -114,6 +127,7 @@ def rows_of(
                 peak_y=None if spot is None else float(spot.peak_y[0]),
                 diameter=None if spot is None else float(spot.diameter[0]),
                 seen=spot is not None,
+                moment=moment,
                 estimates={} if point.detection is None else answers[point.detection],
             )
         )
@@ -121,7 +135,7 @@ def rows_of(
 
 
 def detection_records(one: TrackedFrame) -> Iterator[dict[str, Any]]:
-    where = {"frame": one.frame, "time": one.time, "name": one.name}
+    where = {"frame": one.frame, "time": one.time, "name": one.name, **one.moment}
     if not len(one.detections):
         yield where
     for n, answers in enumerate(one.estimates):
@@ -153,7 +167,7 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         table = read_table(detections, schema)
     else:
         table = detections
-        if missing := [name for name in schema.names if name not in table.column_names]:
+        if missing := [name for name in schema.names if name not in table.column_names and name not in MOMENT]:
             raise InputError(
                 f"no column {', '.join(missing)}", where="detections", remedy="give a table of track_to_file"
             )
@@ -173,7 +187,8 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
         # Tables of older versions do not say whether the models apply.
         answers = [{c: _kept(row.get(c), kind) for c, kind in estimate_columns(names).items()} for row in spots]
-        new = rows_of(follower, found, answers, first["frame"], first["time"], first["name"] or "")
+        moment = {name: first.get(name) for name in MOMENT}
+        new = rows_of(follower, found, answers, first["frame"], first["time"], first["name"] or "", moment)
         records += [row.record() for row in new]
         if len(records) >= _BATCH:
             kept.append(_batch(records, whole))

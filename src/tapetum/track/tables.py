@@ -41,6 +41,8 @@ _SECONDS = 1.0
 
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
+# What is known of a frame beside its time. Tables of older versions lack it.
+MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
 _TRACK = {
     "frame": pa.int64(),
     "time": pa.float64(),
@@ -56,11 +58,13 @@ _TRACK = {
     "peak_y": pa.float64(),
     "diameter": pa.float64(),
     "name": pa.string(),
+    **MOMENT,
 }
 _DETECTION = {
     "frame": pa.int64(),
     "time": pa.float64(),
     "name": pa.string(),
+    **MOMENT,
     **{
         name: {"area": pa.int64(), "saturated": pa.int64(), "edge": pa.bool_(), "ghost": pa.bool_()}.get(
             name, pa.float64()
@@ -284,7 +288,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     path
         .parquet, .csv or .jsonl; or what a killed run left, `NAME.unfinished.arrow` among them.
     schema
-        Columns that must be there. Others are kept, behind them.
+        Columns that must be there, but for those of `MOMENT`, which are empty then. Others are kept, behind them.
 
     Raises
     ------
@@ -299,9 +303,11 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
         table = _read(place, suffix, {**_DEVICE, **_JUDGED, **{field.name: field.type for field in schema}})
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it again") from error
-    missing = [name for name in schema.names if name not in table.column_names]
+    missing = [name for name in schema.names if name not in table.column_names and name not in MOMENT]
     if missing:
         raise InputError(f"no column {', '.join(missing)}", where=place, remedy="give a table that Tapetum wrote")
+    for name in set(MOMENT) & set(schema.names) - set(table.column_names):
+        table = table.append_column(name, pa.nulls(len(table), MOMENT[name]))
     extra = [name for name in table.column_names if name not in schema.names]
     try:
         whole = pa.schema([*schema, *(table.schema.field(name) for name in extra)])
@@ -329,7 +335,7 @@ def write_tracks(table: pa.Table, path: str | os.PathLike[str]) -> None:
     InputError
         When the suffix is another one, or the table lacks a column of tracks.
     """
-    missing = [name for name in _TRACK if name not in table.column_names]
+    missing = [name for name in _TRACK if name not in table.column_names and name not in MOMENT]
     if missing:
         raise InputError(f"no column {', '.join(missing)}", where="tracks")
     with table_writer(path, table.schema) as writer:

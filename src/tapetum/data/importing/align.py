@@ -11,7 +11,7 @@ from scipy.signal import correlate
 
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
-from tapetum.record.source import FrameSource
+from tapetum.record.source import Source
 
 __all__ = ["Alignment", "align_blink", "brightness"]
 
@@ -53,7 +53,7 @@ class Alignment:
 
 
 def brightness(
-    source: FrameSource, progress: Progress = quiet, what: str = "looking for the blinking"
+    source: Source, progress: Progress = quiet, what: str = "looking for the blinking"
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Measure how bright each frame is, in two ways.
 

@@ -138,9 +138,7 @@ class _Frames:
 
 def _frames(file: Path, full_scale: int | None) -> Pictures:
     source = open_frames(file)
-    frames = iter(source)
-    first = next(frames)
-    frames.close()  # type: ignore[attr-defined]
+    first = source.first()
     height, width = first.image.shape
     scale = full_scale or source.full_scale
     count = len(source) if isinstance(source, ImageSource) else count_frames(file)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from tapetum.files import atomic_folder
 from tapetum.progress import Progress
 from tapetum.record import label_recording, open_frames, open_recording
 from tapetum.record.recording import RecordingWriter, StreamInfo, is_recording
-from tapetum.record.source import Frame, FrameSource
+from tapetum.record.source import Frame, Source
 from tapetum.record.video import VideoSource, count_frames
 
 __all__ = ["recordings_beside", "write_videos"]
@@ -32,7 +32,7 @@ __all__ = ["recordings_beside", "write_videos"]
 class _Stream:
     """One video of a pair: its frames, the first of them, and the second of every frame by its own clock."""
 
-    source: FrameSource
+    source: Source
     first: Frame
     times: NDArray[np.float64] | None
 
@@ -40,14 +40,9 @@ class _Stream:
     def where(self) -> str:
         return self.source.name
 
-    def info(self, rate: float) -> StreamInfo:
-        full_scale = int(self.first.full_scale or 0)
-        height, width = self.first.image.shape
-        return StreamInfo(height, width, full_scale.bit_length(), full_scale, rate)
-
     @property
     def rate(self) -> float:
-        return float(getattr(self.source, "rate", 15.0))
+        return float(self.source.rate or 15.0)
 
     def time(self, frame: Frame) -> float:
         if self.times is None:
@@ -73,11 +68,7 @@ def pair_name(pair: Pair) -> str:
 def _opened(name: str, column: Column | None, reader: Reader) -> _Stream:
     place = reader.root / name
     source = open_frames(place)
-    frames = iter(source)
-    first = next(frames, None)
-    if first is None:
-        raise InputError("holds no frame", where=place, remedy="copy it again")
-    frames.close()  # type: ignore[attr-defined]
+    first = source.first()
     times = None
     if column is not None:
         count = count_frames(place) if isinstance(source, VideoSource) else len(source)
@@ -120,7 +111,7 @@ def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, 
     rate = probe.rate
     with RecordingWriter(
         path,
-        streams={name: one.info(one.rate) for name, (one, _) in streams.items()},
+        streams={name: replace(StreamInfo.of(one.source), rate=one.rate) for name, (one, _) in streams.items()},
         rate=rate,
         hardware={"imported": {"probe": pair.probe, "target": pair.target}},
         extra={"imported": told},

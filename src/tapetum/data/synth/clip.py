@@ -44,20 +44,20 @@ class ClipSource(RecordingSource):
     ----------
     shot
         The whole video.
-    first
+    begin
         Number in it of the first frame here.
     """
 
     shot: Any = None
-    first: int = 0
+    begin: int = 0
 
     def __iter__(self) -> Iterator[Frame]:
         make = getattr(self.shot, self.stream)
         for start in range(0, self.count, _BATCH):
             stop = min(start + _BATCH, self.count)
-            images = make(self.first + start, self.first + stop)
+            images = make(self.begin + start, self.begin + stop)
             for n, image in enumerate(images, start):
-                index = self.first + n
+                index = self.begin + n
                 yield Frame(index, float(self.times[n]), image, f"{self.name}[{index}]", self.full_scale)
 
 
@@ -105,7 +105,7 @@ class Clip(Recording):
         # In whole nanoseconds, as a recording on disk would have them.
         since = (np.rint(times[first:last] * 1e9) - np.rint(times[:1] * 1e9)) / 1e9
         full_scale = int(self.streams[stream].full_scale or 0)
-        return ClipSource(self.video(stream), stream, full_scale, since, True, self.shot, first)
+        return ClipSource(self.video(stream), stream, full_scale, since, True, shot=self.shot, begin=first)
 
     def labels(self) -> pa.Table | None:
         """Return the labels, or None where none were made yet."""

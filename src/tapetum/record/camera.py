@@ -1,0 +1,133 @@
+"""Cameras of this machine as sources of frames."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import cv2
+import numpy as np
+
+from tapetum.errors import InputError
+from tapetum.record.images import hushed, to_grey
+from tapetum.record.source import Frame
+
+__all__ = ["Camera", "is_camera"]
+
+PREFIX = "camera:"
+STALE = 16  # frames that a driver may hold, at the most
+AT_ONCE = 0.002  # s; a frame that comes sooner was there already
+
+# What OpenCV may know of a camera; 0 and -1 stand for what it does not.
+TOLD = {
+    "exposure": cv2.CAP_PROP_EXPOSURE,
+    "automatic_exposure": cv2.CAP_PROP_AUTO_EXPOSURE,
+    "gain": cv2.CAP_PROP_GAIN,
+    "brightness": cv2.CAP_PROP_BRIGHTNESS,
+    "gamma": cv2.CAP_PROP_GAMMA,
+    "focus": cv2.CAP_PROP_FOCUS,
+    "automatic_focus": cv2.CAP_PROP_AUTOFOCUS,
+    "zoom": cv2.CAP_PROP_ZOOM,
+    "frames_a_second": cv2.CAP_PROP_FPS,
+}
+
+
+def is_camera(source: str) -> bool:
+    """Whether a text names a camera of this machine: `camera:0`."""
+    return source.startswith(PREFIX)
+
+
+class Camera:
+    """A camera that OpenCV can read, such as a webcam; colour becomes grey, 8 bit.
+
+    Its frames carry the moment at which they arrived here, some milliseconds after they were taken: OpenCV tells
+    nothing better on every system.
+
+    Parameters
+    ----------
+    source
+        `camera:` and its number from 0.
+    rate
+        Frames a second to ask it for; None leaves it as it is.
+
+    Raises
+    ------
+    InputError
+        When there is no such camera or it gives no picture.
+    """
+
+    live, count, full_scale = True, None, 255
+
+    def __init__(self, source: str, rate: float | None = None) -> None:
+        number = source.removeprefix(PREFIX)
+        if not number.isdecimal():
+            raise InputError("names no camera", where=source, remedy="write camera:0 for the first one")
+        self.name = source
+        with hushed():
+            self._capture = cv2.VideoCapture(int(number))
+            opened = self._capture.isOpened()
+        if not opened:
+            remedy = "plug it in, close what else uses it, or try another number"
+            raise InputError("no such camera, or it is in use", where=source, remedy=remedy)
+        if rate is not None:
+            self._capture.set(cv2.CAP_PROP_FPS, rate)
+        there, first = self._capture.read()
+        if not there:
+            self._capture.release()
+            raise InputError("the camera gives no picture", where=source, remedy="plug it in again")
+        self._seen = to_grey(first)
+        told = {name: self._capture.get(key) for name, key in TOLD.items()}
+        told = {name: value for name, value in told.items() if np.isfinite(value) and value not in (0, -1)}
+        self.hardware: dict[str, Any] = {
+            "camera": source,
+            "driver": self._capture.getBackendName(),
+            **told,
+            "time": "arrival of the frame",
+            "lost_frames": "only those that this program could not take are counted",
+        }
+        self.rate: float | None = told.get("frames_a_second", rate)
+
+    def first(self) -> Frame:
+        """Return the picture that the camera gave when it was opened."""
+        return Frame(0, 0.0, self._seen, self.name, self.full_scale)
+
+    def __len__(self) -> int:
+        raise TypeError(f"{self.name} is a camera: it has no number of frames")
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield frames from now on, until the camera gives no more."""
+        # UTC is read once and counted on by the clock that is never set.
+        start_utc, start = time.time_ns(), time.monotonic_ns()
+        grabbed, index, first = self._first_new(), 0, 0
+        while grabbed:
+            now = time.monotonic_ns()
+            first = now if index == 0 else first
+            there, image = self._capture.retrieve()
+            if not there:
+                break
+            yield Frame(
+                index,
+                (now - first) / 1e9,
+                to_grey(image),
+                f"{self.name}[{index}]",
+                self.full_scale,
+                utc_ns=start_utc + now - start,
+                monotonic_ns=now,
+            )
+            grabbed, index = self._capture.grab(), index + 1
+        raise InputError("gives no more pictures", where=self.name, remedy="is it still plugged in?")
+
+    def _first_new(self) -> bool:
+        """Grab the first frame that must be waited for: what comes at once stood in the driver since it was opened."""
+        for _ in range(STALE):
+            asked = time.monotonic()
+            if not self._capture.grab():
+                return False
+            if time.monotonic() - asked > AT_ONCE:
+                break
+        return True
+
+    def close(self) -> None:
+        """Give the camera back. Not while it is iterated: drivers crash when a camera goes in the middle of a read."""
+        self._capture.release()
