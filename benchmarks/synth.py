@@ -14,7 +14,7 @@ from typing import Any
 import distributed
 
 from tapetum.bench import load_scene, scene_names
-from tapetum.data.build import Kept, add_frames, labels_of
+from tapetum.data.build import add_frames, labels_of
 from tapetum.data.synth import Plan, make_plan, rotation_plan, synthesise
 from tapetum.data.synth.clip import MARGIN, Clip
 from tapetum.data.synth.cluster import joined
@@ -91,9 +91,7 @@ def _costs(name: str, plan: Plan, frames: int) -> tuple[list[Row], Cost]:
         clip, made = Clip.of(video, shot, 0, frames), Made()
         label_recording(clip)
         labels = labels_of(clip, plan.classes)
-        kept = Kept()
-        made.told, judged = _busy(lambda: add_frames(clip, 0, labels, made, kept, plan.rules, frames))
-        made.columns = kept.columns
+        made.told, judged = _busy(lambda: add_frames(clip, 0, labels, made.add, plan.rules, frames))
         whole = replace(plan, videos=(replace(video, session=replace(video.session, seconds=frames / 15)),))
         staging = Staging.begin(Path(folder) / "set.zarr", whole)
         _, stored = _busy(lambda: staging.keep(part, made))

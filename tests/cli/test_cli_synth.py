@@ -11,8 +11,8 @@ import pytest
 import tapetum.data.synth as synth
 from tapetum.bench import load_scene, with_values
 from tapetum.data import open_dataset
-from tapetum.data.build import Rules
 from tapetum.data.synth.plan import Plan
+from tapetum.data.write import Rules
 
 
 def little(kind: str, size: str, seed: int) -> Plan:

@@ -7,8 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from tapetum.bench import Scene, load_scene, with_values
-from tapetum.data.build import Rules
 from tapetum.data.synth import Plan, rotation_plan
+from tapetum.data.write import Rules
 from tapetum.record import Session
 
 

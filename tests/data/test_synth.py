@@ -14,13 +14,13 @@ import torch
 from synth_plans import digest, little_plan, little_scene
 
 from tapetum.data import build_dataset, content_hash, open_dataset
-from tapetum.data.build import CHUNK, Rules
 from tapetum.data.dataset import EMBARGO, TEST, TRAIN
 from tapetum.data.synth import Plan, focusing_plan, synthesise
 from tapetum.data.synth import work as working
 from tapetum.data.synth.plan import PIECE
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import Made, make_part, shot_of
+from tapetum.data.write import CHUNK, Rules
 from tapetum.durable import sole_writer
 from tapetum.errors import InputError
 from tapetum.record import film, label_recording

@@ -10,9 +10,9 @@ from synth_plans import little_scene, shortened
 
 from tapetum.bench import with_values
 from tapetum.data import open_dataset
-from tapetum.data.build import Rules
 from tapetum.data.leaks import find_leaks, score_leaks
 from tapetum.data.synth import Plan, make_plan, rotation_plan, synthesise
+from tapetum.data.write import Rules
 
 # Where a video lasts seconds only, test frames follow train frames at once: that is true of so short a set alone.
 OF_SHORT_VIDEOS = {"neighbours in time", "neighbours in store"}

@@ -83,7 +83,7 @@ def test_round_trip(tmp_path: Path) -> None:
     ]
     recording = open_recording(path)
     assert recording.finished and recording.name == "a" and len(recording.uuid) == 36
-    assert recording.meta["format"] == "tapetum-recording" and recording.meta["version"] == 1
+    assert recording.meta["format"] == "tapetum-recording" and recording.meta["version"] == 2
     assert recording.meta["start_utc"] == "2027-01-15T08:00:00.000000Z"
     assert recording.meta["seed"] == 7 and recording.meta["hardware"] == {"probe": "virtual"}
     assert recording.streams == {
@@ -92,7 +92,7 @@ def test_round_trip(tmp_path: Path) -> None:
     }
     assert check(recording, "probe") == check(recording, "target") == 9
     table = recording.frames("target")
-    assert table.column_names == ["stream", "index", "monotonic_ns", "utc", "dropped_before"]
+    assert table.column_names == ["stream", "index", "monotonic_ns", "utc", "dropped_before", "exposure", "lit"]
     assert table["dropped_before"].to_pylist() == [0, 0, 2, 0, 0, 0, 0, 0, 0]
     assert recording.utc_ns("target")[1] == START + SECOND // 15 + 5_000_000
     source = open_frames(path, "target")
@@ -385,7 +385,7 @@ def test_what_is_called_finished_is_on_the_disk(tmp_path: Path, monkeypatch: pyt
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 2}, "is of version 2, this Tapetum reads up to 1; update Tapetum"),
+        ({"version": 3}, "is of version 3, this Tapetum reads up to 2; update Tapetum"),
         ({"version": "1"}, "no usable version"),
         ({"format": "tapetum-dataset"}, "is not a tapetum-recording"),
         ({"streams": {"probe": {"height": 4}}}, "streams.probe.file: is missing"),

@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 import torch
 import xarray as xr
-import zarr
 from matplotlib.image import imread as read_png
 
 from tapetum.bench import load_scene
 from tapetum.data import dataset_from_arrays
-from tapetum.data.build import Images, Kept, Rules, finish
 from tapetum.data.synth import make_plan
+from tapetum.data.write import Rules, dataset_writer
 from tapetum.errors import InputError
 from tapetum.models import Prediction, ResNet18, ZernikeRidge
 from tapetum.record import FixedPattern
@@ -162,26 +161,13 @@ def test_a_set_of_another_plan_is_not_taken_for_the_one_wanted(tmp_path: Path, m
 
     def film(plan, path: Path, **_) -> None:
         filmed.append(path)
-        build = zarr.create_group(str(path), zarr_format=3)
-        kept = Kept()
-        for n in range(4):
-            columns = dict.fromkeys(("centre_x", "centre_y", "snr", "quality"), 1.0)
-            kept.add(
-                **columns,
-                time=float(n),
-                label_back=0.0,
-                label_ahead=0.0,
-                gaze_x=n / 9,
-                gaze_y=0.0,
-                recording=0,
-                frame_index=n,
-                split=n // 3,
-            )
-        images = Images(build, 8, np.dtype(np.uint8))
-        for n in range(4):
-            images.add(np.full((8, 8), n, np.uint8))
-        finish(build, images, kept, [], Rules(side=8), ("gaze_x", "gaze_y"), [], 255)
-        build.attrs["synth"] = {"plan": plan.digest}
+        with dataset_writer(path, Rules(side=8), ("gaze_x", "gaze_y"), [], 255) as writer:
+            for n in range(4):
+                same = dict.fromkeys(("centre_x", "centre_y", "snr", "quality"), 1.0)
+                reach = {"label_back": 0.0, "label_ahead": 0.0}
+                place = {"time": float(n), "recording": 0, "frame_index": n, "split": n // 3}
+                writer.add(np.full((8, 8), n, np.uint8), **same, **reach, **place, gaze_x=n / 9, gaze_y=0.0)
+            writer.attributes["synth"] = {"plan": plan.digest}
 
     monkeypatch.setattr(shop, "synthesise", film)
     first = Workshop(tmp_path, "small").dataset("rotation")

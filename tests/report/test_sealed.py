@@ -12,8 +12,8 @@ import pytest
 from tapetum.bench import load_scene, with_values
 from tapetum.cli.app import main
 from tapetum.data import open_dataset
-from tapetum.data.build import Rules
 from tapetum.data.synth import Plan, make_plan, synthesise
+from tapetum.data.write import Rules
 from tapetum.errors import InputError
 from tapetum.models import ZernikeRidge, load_model, save_model
 from tapetum.report.paper import Workshop, sealed

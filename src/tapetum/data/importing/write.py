@@ -11,22 +11,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import zarr
 from numpy.typing import NDArray
 
-from tapetum.data.build import Images, Kept, Rules, finish
+from tapetum.data.build import RING_SIGMA
 from tapetum.data.crop import crop, find_centre, find_peak
 from tapetum.data.dataset import DEVICE, QUANTITIES, TEST, TRAIN
 from tapetum.data.importing.columns import Reader, held_out, label_values, numbers, seconds, texts
 from tapetum.data.importing.mapping import ImportMapping, Stack
 from tapetum.data.importing.pictures import Pictures, open_pictures
+from tapetum.data.write import DatasetWriter, Rules, dataset_writer
 from tapetum.errors import InputError
-from tapetum.files import atomic_folder
 from tapetum.progress import Progress
 
 __all__ = ["write_stacks"]
-
-_RING_SIGMA = 4.0  # px, the smoothing that shows a faint RR best, as in `build_dataset`
 
 
 @dataclass(frozen=True)
@@ -142,15 +139,14 @@ def _opened(mapping: ImportMapping, root: Path) -> Iterator[list[_Part]]:
 
 def _keep(
     part: _Part,
-    first: int,
     mapping: ImportMapping,
     rules: Rules,
     classes: list[str],
-    images: Images,
-    kept: Kept,
+    writer: DatasetWriter,
     progress: Progress,
-) -> list[dict[str, Any]]:
-    """Add the pictures of one part; return what became of those of each video."""
+) -> None:
+    """Add the pictures of one part, and what became of those of each video."""
+    first = len(writer.told)
     told = [
         {"name": name, "uuid": "", "frames": 0, "used": 0, "left_out": {"no label": 0, "no visible RR": 0}}
         for name in part.names
@@ -172,7 +168,7 @@ def _keep(
         if picture.dtype != part.pictures.dtype:
             raise InputError(f"picture {n} holds {picture.dtype}, the first {part.pictures.dtype}", where=where)
         _check_size(picture.shape, mapping, f"{where} picture {n}")
-        snr = find_peak(picture, _RING_SIGMA).snr
+        snr = find_peak(picture, RING_SIGMA).snr
         if mapping.centred:
             centre = (picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2
         elif snr < rules.min_snr:
@@ -180,8 +176,8 @@ def _keep(
             continue
         else:
             centre = find_centre(picture, rules.sigma)
-        images.add(crop(picture, centre, mapping.side))
-        kept.add(
+        writer.add(
+            crop(picture, centre, mapping.side),
             **{name: float(values[n]) for name, values in labels.items()},
             centre_x=centre[0],
             centre_y=centre[1],
@@ -195,7 +191,7 @@ def _keep(
             label_ahead=rules.embargo / 2,
         )
         line["used"] += 1
-    return told
+    writer.told += told
 
 
 def _rules(parts: list[_Part], mapping: ImportMapping) -> Rules:
@@ -216,15 +212,12 @@ def write_stacks(
         names, dtype, full_scale = _checked(parts, mapping)
         classes = sorted({one for part in parts for one in part.classes})
         rules = _rules(parts, mapping)
-        with atomic_folder(out, overwrite=overwrite) as folder:
-            group = zarr.create_group(str(folder), zarr_format=3)
-            images, kept, told = Images(group, mapping.side, dtype), Kept(), []
+        with dataset_writer(out, rules, names, classes, full_scale, dtype=dtype, overwrite=overwrite) as writer:
             for part in parts:
-                told += _keep(part, len(told), mapping, rules, classes, images, kept, progress)
-            if not kept.columns:
+                _keep(part, mapping, rules, classes, writer, progress)
+            if writer.empty:
                 remedy = "set 'centred: true' if they are crops around the RR already, or check what they show"
-                left = "; ".join(f"{line['name']}: {line['left_out']}" for line in told)
+                left = "; ".join(f"{line['name']}: {line['left_out']}" for line in writer.told)
                 raise InputError(f"no picture has its labels and a visible RR ({left})", where=out, remedy=remedy)
-            finish(group, images, kept, told, rules, names, classes, full_scale)
-            group.attrs["imported"] = json.dumps(mapping.as_dict())
+            writer.attributes["imported"] = json.dumps(mapping.as_dict())
     return Path(out)

@@ -13,10 +13,10 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
-from tapetum.data.build import Rules
 from tapetum.data.synth.plan import Part, Plan, Video
 from tapetum.data.synth.store import Staging
 from tapetum.data.synth.work import MALLOC, make_part
+from tapetum.data.write import Rules
 from tapetum.errors import InputError, TapetumError, need
 
 __all__ = ["joined", "parts_done"]

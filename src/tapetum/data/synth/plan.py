@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from tapetum.bench import Scene, load_scene, scene_dict, with_values
-from tapetum.data.build import CHUNK, Rules
 from tapetum.data.dataset import DEVICE
+from tapetum.data.write import CHUNK, Rules
 from tapetum.errors import one_of
 from tapetum.record import HandMotion, Session
 from tapetum.record.stray import FixedPattern

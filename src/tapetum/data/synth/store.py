@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import zarr
 
-from tapetum.data.build import CHUNK, Images, Kept, finish, make_array
 from tapetum.data.content import image_digests
 from tapetum.data.dataset import DEVICE, QUANTITIES
 from tapetum.data.synth.plan import PIECE, Part, Plan
 from tapetum.data.synth.work import Made
+from tapetum.data.write import CHUNK, dataset_writer, make_array
 from tapetum.durable import sync
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder, told_when_full
@@ -137,20 +137,20 @@ class Staging:
         InputError
             When nothing, or nothing for one of the two splits, was kept, or a part is damaged.
         """
-        dtype: np.dtype[Any] = np.dtype(np.uint8 if plan.full_scale <= 255 else np.uint16)
-        kept, told = Kept(), [_heading(plan, number) for number in range(len(plan.videos))]
-        with atomic_folder(out, overwrite=overwrite) as folder:
-            group = zarr.create_group(str(folder), zarr_format=3)
-            images = Images(group, plan.rules.side, dtype)
+        names = _labels(plan)
+        with dataset_writer(out, plan.rules, names, plan.classes, plan.full_scale, overwrite=overwrite) as writer:
+            writer.told = [_heading(plan, number) for number in range(len(plan.videos))]
             for part in progress(plan.parts, "putting the set together", total=len(plan.parts)):
                 made = self.read(part)
-                for crop in made.crops:
-                    images.add(crop)
-                for name, values in made.columns.items():
-                    kept.columns.setdefault(name, []).extend(values)
-                _count(told[part.video], made)
-            finish(group, images, kept, told, plan.rules, _labels(plan), plan.classes, plan.full_scale)
-            group.attrs["synth"] = {"kind": plan.kind, "size": plan.size, "seed": plan.seed, "plan": plan.digest}
+                for n, crop in enumerate(made.crops):
+                    writer.add(crop, **{name: values[n] for name, values in made.columns.items()})
+                _count(writer.told[part.video], made)
+            writer.attributes["synth"] = {
+                "kind": plan.kind,
+                "size": plan.size,
+                "seed": plan.seed,
+                "plan": plan.digest,
+            }
 
 
 def _check_same(path: Path, plan: Plan) -> None:

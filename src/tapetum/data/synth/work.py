@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tapetum.bench import Scene
-from tapetum.data.build import Kept, Rules, add_frames, labels_of
+from tapetum.data.build import add_frames, labels_of
 from tapetum.data.dataset import TRUE_GAZE
 from tapetum.data.synth.clip import Clip, Filmed
 from tapetum.data.synth.plan import Part, Video
+from tapetum.data.write import Rules
 from tapetum.record import Session, label_recording
 from tapetum.record.spot import NoLaserError
 
@@ -58,9 +59,11 @@ class Made:
     parameters: dict[str, Any] | None = None
     digests: list[str] | None = None
 
-    def add(self, image: NDArray[np.generic], /) -> None:
-        """Keep a crop."""
+    def add(self, image: NDArray[np.generic], /, **values: float) -> None:
+        """Keep a crop, and what is known of it."""
         self.crops.append(image)
+        for name, value in values.items():
+            self.columns.setdefault(name, []).append(value)
 
 
 @contextlib.contextmanager
@@ -116,7 +119,7 @@ def make_part(
     with one_thread():
         shot = shoot(video.scene, video.session)
         clip = Clip.of(video, shot, part.first, part.last)
-        made, kept = Made(), Kept()
+        made = Made()
         total = len(shot.beats["probe"].times)
         first, last = clip.ranges["probe"]
         made.told = {"frames": total, "used": 0, "left_out": {"no label": last - first}}
@@ -124,10 +127,9 @@ def make_part(
             made.parameters = shot.parameters()
         if _labelled(clip):
             labels = labels_of(clip, classes)
-            made.told = add_frames(clip, part.video, labels, made, kept, rules, total)
-        made.columns = kept.columns
+            made.told = add_frames(clip, part.video, labels, made.add, rules, total)
         if made.crops:
-            true = shot.gaze([int(number) for number in kept.columns["frame_index"]])
+            true = shot.gaze([int(number) for number in made.columns["frame_index"]])
             made.columns |= {name: true[:, axis].tolist() for axis, name in enumerate(TRUE_GAZE)}
         return made
 
