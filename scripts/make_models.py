@@ -9,8 +9,8 @@ import argparse
 from pathlib import Path
 
 from tapetum.cli.memory import keep_big_blocks
+from tapetum.experiments.pretrain import EPOCHS, NAME, make_pretrained
 from tapetum.progress import bar
-from tapetum.report.pretrain import EPOCHS, NAME, make_pretrained
 
 
 def main() -> None:

@@ -17,9 +17,9 @@ import shutil
 import sys
 from pathlib import Path
 
+from tapetum.experiments.sealed import RESULTS, read_results
+from tapetum.experiments.templating import render, render_text
 from tapetum.files import atomic_file
-from tapetum.report.paper.sealed import RESULTS, read_results
-from tapetum.report.paper.templating import render, render_text
 
 ROOT = Path(__file__).parents[1]
 NUMBERS, INCLUDES, IMAGES = (ROOT / "docs" / name for name in ("numbers", "includes", "images"))

@@ -12,10 +12,10 @@ import sys
 from pathlib import Path
 
 from tapetum.bench import load_scene
+from tapetum.experiments.flash import fig_flash, flash, flash_table
+from tapetum.experiments.sign_causes import fig_sign_causes, markdown, phone_target, sign_causes, thin_target
 from tapetum.files import atomic_file
 from tapetum.report.figures import save_figure
-from tapetum.report.flash import fig_flash, flash, flash_table
-from tapetum.report.sign_causes import fig_sign_causes, markdown, phone_target, sign_causes, thin_target
 
 ROOT = Path(__file__).parents[1]
 SHOWN = ("nothing", "second beam", "array and microlenses", "sensor tilt")

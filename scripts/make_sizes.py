@@ -15,8 +15,8 @@ import sys
 from pathlib import Path
 
 from tapetum.errors import InputError
+from tapetum.experiments.side_by_side import between, side_by_side
 from tapetum.files import atomic_file
-from tapetum.report.paper.side_by_side import between, side_by_side
 
 ROOT = Path(__file__).parents[1]
 NUMBERS, PAGE = ROOT / "docs" / "numbers", ROOT / "docs" / "paper.md"

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from tapetum.cli import paper
+from tapetum.experiments import FIGURES, GROUPS, SIZES
+from tapetum.experiments import write as writing
 from tapetum.report.figures._style import new_figure
-from tapetum.report.paper import FIGURES, GROUPS, SIZES
-from tapetum.report.paper import write as writing
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
+from tapetum.experiments import pretrain
 from tapetum.models import ResNet18, model_card, pretrained, store
-from tapetum.report import pretrain
 
 FOLDER = Path(store.__file__).parent / "pretrained" / pretrain.NAME
 

@@ -23,7 +23,7 @@ def demo(
     typer.echo(
         "Tapetum films a hand-held camera on the virtual bench and reads its gaze from the light it throws back."
     )
-    from tapetum.report.demo import run_demo
+    from tapetum.experiments.demo import run_demo
 
     outcome = run_demo(
         out, seconds=seconds, seed=seed, train=train, progress=bar, say=lambda text: typer.echo(f"* {text}")

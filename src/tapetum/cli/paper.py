@@ -14,7 +14,7 @@ from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
-    from tapetum.report.paper import Workshop
+    from tapetum.experiments import Workshop
 
 # Known without torch, for the help: a test holds them to those of the report.
 FIGURES = ("fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "fig10", "fig11", "fig12", "table1", "table2")
@@ -94,7 +94,7 @@ def paper(
         raise InputError("has a meaning for sealed alone", where="--model", remedy="leave it out")
     one_of(size, SIZES, "--size")
     # Torch and Matplotlib take seconds to import.
-    from tapetum.report.paper import SMOKE_TEST, Workshop, is_smoke_test, reproduce
+    from tapetum.experiments import SMOKE_TEST, Workshop, is_smoke_test, reproduce
 
     if is_smoke_test(size):
         typer.echo(f"--size {size} is {SMOKE_TEST}", err=True)
@@ -114,7 +114,7 @@ def paper(
 
 
 def _sealed(out: Path, work: Workshop, models: list[str], as_json: bool) -> None:
-    from tapetum.report.paper.sealed import run_sealed
+    from tapetum.experiments.sealed import run_sealed
 
     # The results are kept and shown: where a model lies on this machine does not belong there.
     short = [Path(name).name for name in models]

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from scipy.signal import find_peaks
 
 from tapetum.bench import load_scene, with_values
+from tapetum.experiments.measure import holding_diameter, mirror_error, widths
 from tapetum.progress import Progress, quiet
-from tapetum.report.paper.measure import holding_diameter, mirror_error, widths
 from tapetum.simulate import retroreflect
 
 __all__ = ["DISTANCES", "FOCAL_LENGTHS", "ROTATIONS", "Fig4", "ring_centres", "simulate_fig4"]

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from tapetum.bench import Scene, load_scene, phone_names, with_values
 from tapetum.errors import InputError
+from tapetum.experiments.fig7 import Sample, measured
+from tapetum.experiments.measure import holding_diameter
 from tapetum.progress import Progress, quiet
-from tapetum.report.paper.fig7 import Sample, measured
-from tapetum.report.paper.measure import holding_diameter
 from tapetum.simulate import Camera, Image, expose
 from tapetum.simulate.camera import sensor_grid
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze

@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from sklearn.linear_model import Ridge
 
 from tapetum.bench import Scene
+from tapetum.experiments.learning import CENTRE, ROTATION_MODELS
+from tapetum.experiments.workshop import RECIPES, Workshop, plan_of
 from tapetum.models import SimulationFit, ZernikeRidge
 from tapetum.models.base import Data
 from tapetum.models.features import feature_names
 from tapetum.models.simulation.pictures import Pictures
 from tapetum.record import FixedPattern
-from tapetum.report.bounds import FRAME, gaze_information
 from tapetum.report.evaluation import ClassScores, Outcome, gather_parts, score_classes
-from tapetum.report.paper.learning import CENTRE, ROTATION_MODELS
-from tapetum.report.paper.workshop import RECIPES, Workshop, plan_of
+from tapetum.simulate.bounds import FRAME, gaze_information
 from tapetum.simulate.exposure import digitise
 from tapetum.simulate.radiometry import dark_electrons
 

@@ -15,13 +15,13 @@ import xarray as xr
 from tapetum.data import open_dataset
 from tapetum.data.synth import Plan, make_plan, synthesise
 from tapetum.errors import InputError
+from tapetum.experiments.recordings import development_plan, varied_plan
+from tapetum.experiments.sizes import DEFAULT
 from tapetum.models import EpochReport, ResNet18, ZernikeRidge, load_model, model_card, save_model
 from tapetum.models.base import json_safe
 from tapetum.models.training import remove_checkpoint
 from tapetum.progress import Progress, quiet
 from tapetum.report.evaluation import Outcome, gather
-from tapetum.report.paper.recordings import development_plan, varied_plan
-from tapetum.report.paper.sizes import DEFAULT
 
 __all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop", "plan_of"]
 

@@ -10,10 +10,10 @@ import pytest
 import torch
 
 from tapetum.errors import InputError
+from tapetum.experiments import demo
+from tapetum.experiments.demo import run_demo
+from tapetum.experiments.pretrain import TRAIN_SEEDS
 from tapetum.models import load_model
-from tapetum.report import demo
-from tapetum.report.demo import run_demo
-from tapetum.report.pretrain import TRAIN_SEEDS
 from tapetum.track import read_tracks
 
 

@@ -17,18 +17,18 @@ from tapetum.data import dataset_from_arrays
 from tapetum.data.synth import make_plan
 from tapetum.data.write import Rules, dataset_writer
 from tapetum.errors import InputError
+from tapetum.experiments import LEARNED, RECIPES, SIZES, Workshop, beyond, learning, reproduce
+from tapetum.experiments import workshop as shop
+from tapetum.experiments import write as writing
+from tapetum.experiments.beyond import ablations, development, unseen, untrained
+from tapetum.experiments.learning import fig10, fig12, table1, table2
+from tapetum.experiments.recordings import development_plan, varied_plan
+from tapetum.experiments.templating import render
+from tapetum.experiments.workshop import SET_SEED
 from tapetum.models import Prediction, ResNet18, ZernikeRidge
 from tapetum.record import FixedPattern
-from tapetum.report.bounds import FocusBounds, GazeInformation
 from tapetum.report.figures._style import new_figure
-from tapetum.report.paper import LEARNED, RECIPES, SIZES, Workshop, beyond, learning, reproduce
-from tapetum.report.paper import workshop as shop
-from tapetum.report.paper import write as writing
-from tapetum.report.paper.beyond import ablations, development, unseen, untrained
-from tapetum.report.paper.learning import fig10, fig12, table1, table2
-from tapetum.report.paper.recordings import development_plan, varied_plan
-from tapetum.report.paper.templating import render
-from tapetum.report.paper.workshop import SET_SEED
+from tapetum.simulate.bounds import FocusBounds, GazeInformation
 
 SIDE = 40
 OWN_RECIPES = dict(RECIPES)

@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from tapetum.bench import Scene, load_scene
 from tapetum.data import build_dataset, crop_batch, find_centre, open_dataset
 from tapetum.errors import InputError
+from tapetum.experiments import pretrain
 from tapetum.models import Estimator, ResNet18, ZernikeRidge, load_model, pretrained, save_model
 from tapetum.progress import Progress, quiet
 from tapetum.record import Recording, Session, join, open_recording
 from tapetum.record.film import probe_frames, without_second_beam
-from tapetum.report import pretrain
 from tapetum.report.demo_report import (
     DemoReport,
     DemoScores,

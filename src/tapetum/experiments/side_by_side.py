@@ -6,7 +6,7 @@ import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from tapetum.report.paper.page import table_of
+from tapetum.experiments.page import table_of
 
 __all__ = ["between", "side_by_side"]
 

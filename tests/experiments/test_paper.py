@@ -13,18 +13,18 @@ from PIL import Image
 
 from tapetum.bench import load_scene
 from tapetum.errors import InputError
+from tapetum.experiments import FIGURES, reproduce
+from tapetum.experiments import write as writing
+from tapetum.experiments.drawings import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
+from tapetum.experiments.fig4 import DISTANCES, ROTATIONS, Fig4, simulate_fig4
+from tapetum.experiments.fig5 import Fig5, simulate_fig5
+from tapetum.experiments.fig6 import Fig6, simulate_fig6
+from tapetum.experiments.fig7 import Fig7, Sample, sample
+from tapetum.experiments.fig8 import Fig8, simulate_fig8
+from tapetum.experiments.measure import holding_diameter, mirror_error, power_law, widths
+from tapetum.experiments.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
+from tapetum.experiments.workshop import Workshop
 from tapetum.report.figures import figure_png
-from tapetum.report.figures.paper import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
-from tapetum.report.paper import FIGURES, reproduce
-from tapetum.report.paper import write as writing
-from tapetum.report.paper.fig4 import DISTANCES, ROTATIONS, Fig4, simulate_fig4
-from tapetum.report.paper.fig5 import Fig5, simulate_fig5
-from tapetum.report.paper.fig6 import Fig6, simulate_fig6
-from tapetum.report.paper.fig7 import Fig7, Sample, sample
-from tapetum.report.paper.fig8 import Fig8, simulate_fig8
-from tapetum.report.paper.measure import holding_diameter, mirror_error, power_law, widths
-from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
-from tapetum.report.paper.workshop import Workshop
 
 SECTION = "The paper's figures"
 

@@ -188,7 +188,7 @@ def gaze_information(
         For gazes of another shape, no number, or outside the field, and as `fisher`.
     """
     at, names = _checked(gazes), (*_GAZE, *nuisances)
-    places = torch.from_numpy(at)
+    places = torch.as_tensor(at)
     if isinstance(scene.target.lens, PrescriptionLens):
         slopes = TracedSlopes(scene, names, places, accuracy=accuracy, dtype=torch.complex64)
         numbers = progress(range(len(at)), "bounding the gaze", total=len(at))
@@ -210,7 +210,7 @@ def gaze_bounds(
 ) -> Array:
     """Standard deviations [G, 2] of unbiased estimates of gaze_x and gaze_y from one frame, in fractions of the field.
 
-    Parameters as for [`gaze_information`][tapetum.report.bounds.gaze_information], `priors` as for its `bounds`.
+    Parameters as for [`gaze_information`][tapetum.simulate.bounds.gaze_information], `priors` as for its `bounds`.
     """
     return gaze_information(scene, gazes, nuisances, accuracy=accuracy, progress=progress).bounds(priors=priors)
 
@@ -264,7 +264,7 @@ def focus_bounds(
         with_values(scene, {"target.object_distance": distance, "target.lens.focal_length": length})
         for distance, length in pairs
     ]
-    one = functools.partial(_focus_information, names=names, at=torch.from_numpy(at), accuracy=accuracy)
+    one = functools.partial(_focus_information, names=names, at=torch.as_tensor(at), accuracy=accuracy)
     with contextlib.ExitStack() as stack:
         found = map(one, scenes)
         if workers > 1:
@@ -285,7 +285,7 @@ def _focus_information(scene: Scene, names: tuple[str, ...], at: torch.Tensor, a
 
 
 def _turned_to(scene: Scene, gaze: torch.Tensor) -> Scene:
-    return with_values(scene, {"target.rotation": torch.asin(tilt_of_gaze(scene, gaze)).tolist()})
+    return with_values(scene, {"target.rotation": [float(one) for one in torch.asin(tilt_of_gaze(scene, gaze))]})
 
 
 def _deviations(
@@ -296,7 +296,7 @@ def _deviations(
         if name not in names:
             raise InputError(f"{name!r} was not differentiated by", where="nuisances", remedy=f"use {', '.join(names)}")
     index = [names.index(name) for name in own]
-    part = torch.from_numpy(information[np.ix_(index, index)].copy())
+    part = torch.as_tensor(information[np.ix_(index, index)].copy())
     for name, deviation in (priors or {}).items():
         if name in own:
             part[own.index(name), own.index(name)] += deviation**-2

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import load_scene, with_values
+from tapetum.experiments.fig5 import LENS, LIGHT
+from tapetum.experiments.measure import PowerLaw, holding_diameter, power_law
 from tapetum.progress import Progress, quiet
-from tapetum.report.paper.fig5 import LENS, LIGHT
-from tapetum.report.paper.measure import PowerLaw, holding_diameter, power_law
 from tapetum.simulate import retroreflect
 
 __all__ = ["DISTANCES", "SURFACES", "Fig6", "Surface", "simulate_fig6"]

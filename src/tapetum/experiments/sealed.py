@@ -27,13 +27,13 @@ from tapetum.data import open_dataset
 from tapetum.data.synth import Plan, make_plan, rotation_plan, synthesise
 from tapetum.data.synth.plan import Video
 from tapetum.errors import InputError
+from tapetum.experiments.recordings import before_room
+from tapetum.experiments.templating import render
+from tapetum.experiments.workshop import RECIPES, Workshop
 from tapetum.files import atomic_file, told_when_full
 from tapetum.models import Predictor
 from tapetum.progress import Progress, quiet
 from tapetum.report.evaluation import by_recording, gather_parts, score
-from tapetum.report.paper.recordings import before_room
-from tapetum.report.paper.templating import render
-from tapetum.report.paper.workshop import RECIPES, Workshop
 from tapetum.report.verdicts import against_mean
 
 __all__ = ["RESULTS", "SALT", "append_results", "read_results", "run_sealed", "score_sealed", "sealed_plan"]

@@ -9,10 +9,10 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 
+from tapetum.experiments import pretrain
 from tapetum.models import load_model, model_card
 from tapetum.progress import quiet
 from tapetum.record import HandMotion, Session, open_recording
-from tapetum.report import pretrain
 
 
 @pytest.fixture

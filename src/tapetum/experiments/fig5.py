@@ -11,8 +11,8 @@ import torch
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, load_scene, with_values
+from tapetum.experiments.measure import PowerLaw, holding_diameter, power_law
 from tapetum.progress import Progress, quiet
-from tapetum.report.paper.measure import PowerLaw, holding_diameter, power_law
 from tapetum.simulate import Image, retroreflect
 from tapetum.simulate.exposure import count_moments, digitise, gain_of
 from tapetum.simulate.radiometry import beam_radius, dark_electrons, photoelectrons

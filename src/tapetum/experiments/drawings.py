@@ -1,4 +1,4 @@
-"""The paper's Figs. 4 to 8, drawn from what `tapetum.report.paper` simulated."""
+"""The paper's Figs. 4 to 8, drawn from what was simulated."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from tapetum.report.figures.retro import CMAP, stretched
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from tapetum.report.paper.fig4 import Fig4
-    from tapetum.report.paper.fig5 import Fig5
-    from tapetum.report.paper.fig6 import Fig6
-    from tapetum.report.paper.fig7 import Fig7, Sample
-    from tapetum.report.paper.fig8 import Fig8
+    from tapetum.experiments.fig4 import Fig4
+    from tapetum.experiments.fig5 import Fig5
+    from tapetum.experiments.fig6 import Fig6
+    from tapetum.experiments.fig7 import Fig7, Sample
+    from tapetum.experiments.fig8 import Fig8
 
 __all__ = ["draw_fig4", "draw_fig5", "draw_fig6", "draw_fig7", "draw_fig8"]
 

@@ -11,21 +11,21 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from tapetum.errors import InputError, one_of
+from tapetum.experiments.beyond import ablations, development, unseen, untrained
+from tapetum.experiments.drawings import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
+from tapetum.experiments.fig4 import DISTANCES, FOCAL_LENGTHS, ROTATIONS, simulate_fig4
+from tapetum.experiments.fig5 import simulate_fig5
+from tapetum.experiments.fig6 import simulate_fig6
+from tapetum.experiments.fig7 import simulate_fig7
+from tapetum.experiments.fig8 import simulate_fig8
+from tapetum.experiments.learning import fig9, fig10, fig11, fig12, table1, table2
+from tapetum.experiments.sizes import DEFAULT, SIZES, SMOKE_TEST, is_smoke_test, with_note
+from tapetum.experiments.templating import render
+from tapetum.experiments.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
+from tapetum.experiments.workshop import Workshop
 from tapetum.files import atomic_file, told_when_full
 from tapetum.progress import Progress, quiet
 from tapetum.report.figures import save_figure, stamp
-from tapetum.report.figures.paper import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
-from tapetum.report.paper.beyond import ablations, development, unseen, untrained
-from tapetum.report.paper.fig4 import DISTANCES, FOCAL_LENGTHS, ROTATIONS, simulate_fig4
-from tapetum.report.paper.fig5 import simulate_fig5
-from tapetum.report.paper.fig6 import simulate_fig6
-from tapetum.report.paper.fig7 import simulate_fig7
-from tapetum.report.paper.fig8 import simulate_fig8
-from tapetum.report.paper.learning import fig9, fig10, fig11, fig12, table1, table2
-from tapetum.report.paper.sizes import DEFAULT, SIZES, SMOKE_TEST, is_smoke_test, with_note
-from tapetum.report.paper.templating import render
-from tapetum.report.paper.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
-from tapetum.report.paper.workshop import Workshop
 
 __all__ = ["BEYOND", "FIGURES", "GROUPS", "LEARNED", "PRINTED", "Reproduction", "reproduce"]
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tapetum.report.paper.page import filled, table_of
+from tapetum.experiments.page import filled, table_of
 from tapetum.report.verdicts import MEAN, against_mean, intervals
 
 __all__ = ["render", "render_text"]
@@ -33,7 +33,7 @@ def _listed(words: Sequence[str]) -> str:
 @cache
 def _environment() -> Environment:
     made = Environment(
-        loader=PackageLoader("tapetum.report", "templates"),
+        loader=PackageLoader("tapetum.experiments", "templates"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,

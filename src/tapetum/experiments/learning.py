@@ -12,7 +12,16 @@ from numpy.typing import NDArray
 
 from tapetum.data.synth import make_plan
 from tapetum.data.synth.plan import FOCAL_LENGTHS, OBJECT_DISTANCES
-from tapetum.report.bounds import (
+from tapetum.experiments.workshop import RECIPES, SET_SEED, Workshop
+from tapetum.report.evaluation import Group, Outcome, by_device, error_map, score
+from tapetum.report.evaluation.pictures import path_section
+from tapetum.report.evaluation.write import samples
+from tapetum.report.figures.errors import fig_error_by_distance
+from tapetum.report.figures.learning import fig_by_image, fig_path
+from tapetum.report.figures.maps import fig_error_map
+from tapetum.report.rings import ErrorByDistance, error_by_distance
+from tapetum.report.verdicts import MEAN
+from tapetum.simulate.bounds import (
     ALL_UNKNOWN,
     FRAME,
     FocusBounds,
@@ -21,15 +30,6 @@ from tapetum.report.bounds import (
     gaze_information,
     rings_of_gazes,
 )
-from tapetum.report.evaluation import Group, Outcome, by_device, error_map, score
-from tapetum.report.evaluation.pictures import path_section
-from tapetum.report.evaluation.write import samples
-from tapetum.report.figures.errors import fig_error_by_distance
-from tapetum.report.figures.learning import fig_by_image, fig_path
-from tapetum.report.figures.maps import fig_error_map
-from tapetum.report.paper.workshop import RECIPES, SET_SEED, Workshop
-from tapetum.report.rings import ErrorByDistance, error_by_distance
-from tapetum.report.verdicts import MEAN
 
 __all__ = ["FOCUS_MODELS", "ROTATION_MODELS", "Fig10", "Fig12", "Row", "fig9", "fig10", "fig11", "fig12"]
 __all__ += ["table1", "table2"]

@@ -10,7 +10,8 @@ import pytest
 
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.errors import InputError
-from tapetum.report.bounds import (
+from tapetum.simulate import fisher, tilt_of_gaze
+from tapetum.simulate.bounds import (
     FRAME,
     FocusBounds,
     GazeInformation,
@@ -20,7 +21,6 @@ from tapetum.report.bounds import (
     gaze_prior,
     rings_of_gazes,
 )
-from tapetum.simulate import fisher, tilt_of_gaze
 
 BENCH = (
     "target.lens.aperture_radius=2 mm",

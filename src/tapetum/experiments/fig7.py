@@ -14,8 +14,8 @@ from tapetum.bench import Scene, load_scene, with_values
 from tapetum.data.crop import crop, find_centre
 from tapetum.data.synth.plan import FOCUSING_SAMPLING
 from tapetum.errors import InputError
+from tapetum.experiments.measure import holding_diameter, mirror_error, widths
 from tapetum.progress import Progress, quiet
-from tapetum.report.paper.measure import holding_diameter, mirror_error, widths
 from tapetum.simulate import Image, expose
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.phone import open_camera

@@ -15,10 +15,10 @@ from tapetum.data import open_dataset
 from tapetum.data.synth import Plan, make_plan, synthesise
 from tapetum.data.write import Rules
 from tapetum.errors import InputError
+from tapetum.experiments import Workshop, sealed
+from tapetum.experiments.recordings import development_plan, varied_plan
+from tapetum.experiments.sealed import read_results, run_sealed, score_sealed, sealed_plan
 from tapetum.models import ZernikeRidge, load_model, save_model
-from tapetum.report.paper import Workshop, sealed
-from tapetum.report.paper.recordings import development_plan, varied_plan
-from tapetum.report.paper.sealed import read_results, run_sealed, score_sealed, sealed_plan
 
 SALT = "a test's own salt"
 

@@ -12,9 +12,9 @@ import pytest
 
 from tapetum.data.synth import make_plan
 from tapetum.errors import InputError
+from tapetum.experiments import RECIPES
+from tapetum.experiments.side_by_side import between, side_by_side
 from tapetum.models import ResNet18
-from tapetum.report.paper import RECIPES
-from tapetum.report.paper.side_by_side import between, side_by_side
 
 ROOT = Path(__file__).parents[2]
 

@@ -8,14 +8,14 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.report.paper.fig4 import DISTANCES, ROTATIONS, Fig4
-from tapetum.report.paper.fig5 import LENS, Fig5
-from tapetum.report.paper.fig6 import Fig6
-from tapetum.report.paper.fig7 import AT, GAZE, Fig7, Sample
-from tapetum.report.paper.fig8 import GAZE as PHONE_GAZE
-from tapetum.report.paper.fig8 import Fig8
-from tapetum.report.paper.measure import PowerLaw
-from tapetum.report.paper.page import filled, table_of
+from tapetum.experiments.fig4 import DISTANCES, ROTATIONS, Fig4
+from tapetum.experiments.fig5 import LENS, Fig5
+from tapetum.experiments.fig6 import Fig6
+from tapetum.experiments.fig7 import AT, GAZE, Fig7, Sample
+from tapetum.experiments.fig8 import GAZE as PHONE_GAZE
+from tapetum.experiments.fig8 import Fig8
+from tapetum.experiments.measure import PowerLaw
+from tapetum.experiments.page import filled, table_of
 
 __all__ = ["text_fig4", "text_fig5", "text_fig6", "text_fig7", "text_fig8"]
 
