@@ -18,9 +18,9 @@ import torch
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError, MissingExtraError
 from tapetum.models import ResNet18, ZernikeRidge, pretrained, save_model
+from tapetum.models.architectures import ResNet18Network
 from tapetum.models.export import export_onnx, onnx_bytes, onnx_card
 from tapetum.models.fast import FastResNet18
-from tapetum.models.network import FEATURES, ResNet18Network
 
 DEVICES = ("a phone", "another", "a third")
 
@@ -59,8 +59,8 @@ def made(
         state["scaling.snr_edges"] = torch.tensor([300.0, 900.0], dtype=torch.float64)
     if classes:
         state["scaling.temperature"] = torch.tensor([1.7], dtype=torch.float64)
-        state["novelty.means"] = torch.randn(len(classes), FEATURES, generator=random, dtype=torch.float64)
-        state["novelty.whitening"] = torch.randn(FEATURES, FEATURES, generator=random) / 10
+        state["novelty.means"] = torch.randn(len(classes), ResNet18Network.width, generator=random, dtype=torch.float64)
+        state["novelty.whitening"] = torch.randn(ResNet18Network.width, ResNet18Network.width, generator=random) / 10
         state["novelty.unit"] = torch.tensor([20.0], dtype=torch.float64)
     return ResNet18.from_state(model.parameters(), state, classes)
 
@@ -168,7 +168,7 @@ def test_widths_that_are_not_known_stay_infinite():
 
 def test_what_cannot_be_exported(tmp_path: Path):
     ridge = ZernikeRidge("gaze")
-    with pytest.raises(InputError, match="only resnet18 models become ONNX, this one is zernike"):
+    with pytest.raises(InputError, match="only networks become ONNX, this one is zernike"):
         onnx_bytes(ridge)
     with pytest.raises(InputError, match="not fitted"):
         export_onnx(ResNet18(), tmp_path / "m.onnx")
@@ -183,7 +183,7 @@ def test_a_folder_is_as_good_as_a_file(small, tmp_path: Path):
     ours, wanted = (one.predict(crops(3), anyway=True).value for one in (FastResNet18(saved), model))
     np.testing.assert_allclose(ours, wanted, atol=1e-5)
     ridge = save_model(ZernikeRidge(scales=(20,), order=2).fit(small), tmp_path / "ridge")
-    with pytest.raises(InputError, match="ridge: only resnet18 models have a fast path, this one is zernike"):
+    with pytest.raises(InputError, match="ridge: only networks have a fast path, this one is zernike"):
         FastResNet18(ridge)
 
 

@@ -16,16 +16,17 @@ from tapetum.progress import bar
 if TYPE_CHECKING:
     import xarray as xr
 
-    from tapetum.models import ResNet18, ZernikeRidge
+    from tapetum.models import NetworkEstimator, ZernikeRidge
     from tapetum.models.epochs import EpochReport
 
+# The paper's. What other networks there are is known without torch only by name.
 KINDS = ("zernike", "resnet18")
 
 
 def train(
     dataset: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="The model's folder.")],
-    model: Annotated[str, typer.Option(metavar="KIND", help=f"{' or '.join(KINDS)}.")] = "zernike",
+    model: Annotated[str, typer.Option(metavar="KIND", help="zernike, resnet18 or convnext-pico.")] = "zernike",
     target: Annotated[
         str,
         typer.Option(metavar="NAME", help="What to predict: gaze, focus, device, phone (gaze and device), or a label."),
@@ -46,33 +47,33 @@ def train(
         typer.Option(
             "--intervals/--no-intervals",
             help="Keep the last tenth of each recording's training frames out of the fit, to set 90 % intervals. By "
-            "default zernike fits all training frames, as the paper does, and has no intervals; resnet18 keeps them.",
+            "default zernike fits all training frames, as the paper does, and has no intervals; networks keep them.",
             show_default=False,
         ),
     ] = None,
-    epochs: Annotated[int | None, typer.Option(metavar="N", help="resnet18: passes over the images.", min=1)] = None,
+    epochs: Annotated[int | None, typer.Option(metavar="N", help="networks: passes over the images.", min=1)] = None,
     patience: Annotated[
         int | None,
-        typer.Option(metavar="N", help="resnet18: stop after N epochs without a better held-out error.", min=1),
+        typer.Option(metavar="N", help="networks: stop after N epochs without a better held-out error.", min=1),
     ] = None,
-    crop: Annotated[int | None, typer.Option(metavar="PX", help="resnet18: side of what it looks at.", min=16)] = None,
-    size: Annotated[int | None, typer.Option(metavar="PX", help="resnet18: side it is reduced to.", min=16)] = None,
+    crop: Annotated[int | None, typer.Option(metavar="PX", help="networks: side of what it looks at.", min=16)] = None,
+    size: Annotated[int | None, typer.Option(metavar="PX", help="networks: side it is reduced to.", min=16)] = None,
     background: Annotated[
         str | None,
-        typer.Option(metavar="HOW", help="resnet18: take the background off before the root (level) or after (root)."),
+        typer.Option(metavar="HOW", help="networks: take the background off before the root (level) or after (root)."),
     ] = None,
     gain: Annotated[
-        float | None, typer.Option(metavar="X", help="resnet18: how far brightness is varied, in parts of e.", min=0)
+        float | None, typer.Option(metavar="X", help="networks: how far brightness is varied, in parts of e.", min=0)
     ] = None,
     seed: Annotated[
-        int | None, typer.Option(metavar="N", help="resnet18: of weights, order and augmentation.", min=0)
+        int | None, typer.Option(metavar="N", help="networks: of weights, order and augmentation.", min=0)
     ] = None,
-    device: Annotated[str | None, typer.Option(metavar="NAME", help="resnet18: auto, cpu, cuda or cuda:1.")] = None,
+    device: Annotated[str | None, typer.Option(metavar="NAME", help="networks: auto, cpu, cuda or cuda:1.")] = None,
     processes: Annotated[
-        str | None, typer.Option(metavar="N", help="resnet18: how many GPUs, or processes on a CPU; auto: all GPUs.")
+        str | None, typer.Option(metavar="N", help="networks: how many GPUs, or processes on a CPU; auto: all GPUs.")
     ] = None,
     resume: Annotated[
-        bool, typer.Option("--resume", help="resnet18: go on with an interrupted training from its last whole epoch.")
+        bool, typer.Option("--resume", help="networks: go on with an interrupted training from its last whole epoch.")
     ] = False,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Replace a model or a checkpoint of this name.")
@@ -80,11 +81,14 @@ def train(
 ) -> None:
     """Fit a model to the training part of a dataset, save it, and print its error on the test part.
 
-    ResNet-18 keeps a checkpoint beside the model, MODEL.checkpoint, until the model is saved. The model is saved before
+    A network keeps a checkpoint beside the model, MODEL.checkpoint, until the model is saved. The model is saved before
     it is evaluated: where the evaluation fails, the model stays.
     """
-    one_of(model, KINDS, "--model")
-    if model == "resnet18" and intervals is False and patience is not None:
+    if model not in KINDS:
+        from tapetum.models.architectures import ARCHITECTURES
+
+        one_of(model, ("zernike", *ARCHITECTURES), "--model")
+    if model != "zernike" and intervals is False and patience is not None:
         raise InputError("needs frames kept aside", where="--patience", remedy="leave out --no-intervals")
     aside: dict[str, Any] = {} if intervals is None else {"calibration_fraction": 0.1 if intervals else 0.0}
     given: dict[str, Any] = {
@@ -105,24 +109,25 @@ def train(
         raise InputError(f"has no meaning for {model}", where=f"--{foreign[0]}", remedy="leave it out")
     check_replaceable(out, overwrite, "model.json", "tapetum-model")
     checkpoint = out.with_name(f"{out.name}.checkpoint")
-    if model == "resnet18" and checkpoint.exists() and not (resume or overwrite):
+    if model != "zernike" and checkpoint.exists() and not (resume or overwrite):
         remedy = "go on with --resume, or start over with --overwrite"
         raise InputError("an unfinished training is kept here", where=checkpoint, remedy=remedy)
     from tapetum.data import open_dataset
-    from tapetum.models import ResNet18, ZernikeRidge, save_model
+    from tapetum.models import NetworkEstimator, ZernikeRidge, save_model
     from tapetum.models.training import remove_checkpoint
 
     data = open_dataset(dataset)
     with told_when_full(out):
         out.absolute().parent.mkdir(parents=True, exist_ok=True)
     with sole_writer(out):
-        fitted: ZernikeRidge | ResNet18
+        fitted: ZernikeRidge | NetworkEstimator
         if model == "zernike":
             chosen: dict[str, Any] = {"alpha": "cv", "standardise": True} if tuned else {}
             chosen["scales"] = _fitting_scales(data.tp.side) if scales is None else _numbers(scales)
             fitted = ZernikeRidge(target, **chosen, **aside).fit(data.tp.train, progress=bar)
         else:
-            network = ResNet18(target, **_fitting_look(options, data.tp.side), **aside)
+            look = _fitting_look(options, data.tp.side)
+            network = NetworkEstimator(target, architecture=model, **look, **aside)
             done: list[EpochReport] = []
 
             def told(report: EpochReport) -> None:
@@ -144,7 +149,7 @@ def train(
     _evaluate(fitted, data, dataset, out)
 
 
-def _evaluate(model: ZernikeRidge | ResNet18, data: xr.Dataset, dataset: Path, out: Path) -> None:
+def _evaluate(model: ZernikeRidge | NetworkEstimator, data: xr.Dataset, dataset: Path, out: Path) -> None:
     """Print the errors of a model that is saved, and put them on its card."""
     from tapetum.models.store import write_metrics
     from tapetum.report.evaluate import describe, evaluate_model
@@ -178,9 +183,9 @@ def _fitting_scales(side: int) -> tuple[int, ...]:
 
 def _fitting_look(options: dict[str, Any], side: int) -> dict[str, Any]:
     """The options of the network; where it is not said how much it looks at, no more than there is."""
-    from tapetum.models import ResNet18
+    from tapetum.models import NetworkEstimator
 
-    usual = ResNet18()
+    usual = NetworkEstimator()
     if "crop" in options or side >= usual.crop:
         return options
     size = options.get("size", min(usual.size, side))

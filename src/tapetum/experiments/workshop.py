@@ -17,7 +17,7 @@ from tapetum.data.synth import Plan, make_plan, synthesise
 from tapetum.errors import InputError
 from tapetum.experiments.recordings import development_plan, varied_plan
 from tapetum.experiments.sizes import DEFAULT
-from tapetum.models import EpochReport, ResNet18, ZernikeRidge, load_model, model_card, save_model
+from tapetum.models import EpochReport, NetworkEstimator, ResNet18, ZernikeRidge, load_model, model_card, save_model
 from tapetum.models.base import json_safe
 from tapetum.models.training import remove_checkpoint
 from tapetum.progress import Progress, quiet
@@ -28,7 +28,7 @@ __all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop", "plan_of"]
 SET_SEED = 1
 """Of the sets. Fixed before anything was measured; so are the seeds of the networks, 0."""
 
-Model = ZernikeRidge | ResNet18
+Model = ZernikeRidge | NetworkEstimator
 
 
 @dataclass(frozen=True)
@@ -242,7 +242,7 @@ class Workshop:
             return load_model(folder)
         checkpoint = folder.with_name(f"{folder.name}.checkpoint")
         start = time.monotonic()
-        if isinstance(wanted, ResNet18):
+        if isinstance(wanted, NetworkEstimator):
             wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, resume=True, on_epoch=self.on_epoch)
         else:
             wanted.fit(dataset, progress=self.progress)

@@ -1,10 +1,10 @@
 """Estimators: images of retro-reflections in; gaze, focus and device out, with intervals and probabilities."""
 
+from tapetum.models.architectures import ResNet18Network
 from tapetum.models.base import Data, Estimator, Predictor
 from tapetum.models.features import feature_names, zernike_features
-from tapetum.models.network import ResNet18Network
+from tapetum.models.network import NetworkEstimator, ResNet18
 from tapetum.models.prediction import COVERAGE, NONE_OF_THESE, Prediction
-from tapetum.models.resnet import ResNet18
 from tapetum.models.simulation import SimulationFit, SimulationFitResult
 from tapetum.models.snr import crop_snr
 from tapetum.models.store import load_model, load_predictor, model_card, pretrained, save_model
@@ -17,6 +17,7 @@ __all__ = [
     "Data",
     "EpochReport",
     "Estimator",
+    "NetworkEstimator",
     "Prediction",
     "Predictor",
     "ResNet18",

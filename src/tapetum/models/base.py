@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, ClassVar, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
 
 import numpy as np
 import torch
@@ -46,7 +46,9 @@ Data: TypeAlias = xr.Dataset | NDArray[np.generic]
 class Predictor(Protocol):
     """A fitted model, whatever it runs on."""
 
-    kind: ClassVar[str]
+    @property
+    def kind(self) -> str: ...
+
     target_names: tuple[str, ...]
     quantities: tuple[str, ...]
     data_hash_: str | None

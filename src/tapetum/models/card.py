@@ -8,6 +8,7 @@ from pydantic import Field
 
 from tapetum.checked import Checked, check
 from tapetum.errors import InputError
+from tapetum.models.architectures import ARCHITECTURES
 
 __all__ = ["checked_card"]
 
@@ -50,7 +51,7 @@ class _Network(_Parameters):
 
 
 class _NewNetwork(_Network):
-    """Cards of version 1 may lack these: what they then mean is in `ResNet18.from_state`."""
+    """Cards of version 1 may lack these: what they then mean is in `NetworkEstimator.from_state`."""
 
     hide: Count
     background: str
@@ -91,7 +92,7 @@ class _NewCard(_Card):
 
 _PARAMETERS: dict[str, tuple[type[_Parameters], type[_Parameters]]] = {
     "zernike": (_Zernike, _Zernike),
-    "resnet18": (_Network, _NewNetwork),
+    **dict.fromkeys(ARCHITECTURES, (_Network, _NewNetwork)),
 }
 
 

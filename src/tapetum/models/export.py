@@ -1,8 +1,7 @@
-"""ResNet-18 as one ONNX file: from counts to values, probabilities and novelty, for any program that reads ONNX."""
+"""A network as one ONNX file: from counts to values, probabilities and novelty, for any program that reads ONNX."""
 
 from __future__ import annotations
 
-import json
 import math
 from importlib import metadata
 from pathlib import Path
@@ -11,17 +10,17 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from torch import nn
 
 from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError, need
 from tapetum.files import atomic_file
+from tapetum.models.architectures import ARCHITECTURES
 from tapetum.models.base import Predictor
 from tapetum.models.domain import ORDER, Domain, groups, projection
 from tapetum.models.inputs import SOFTENING
-from tapetum.models.network import BasicBlock, ResNet18Network
+from tapetum.models.network import NetworkEstimator
 from tapetum.models.novelty import Novelty
-from tapetum.models.resnet import ResNet18
+from tapetum.models.onnx_graph import Graph, array
 
 __all__ = ["EXTRA", "FORMAT", "VERSION", "export_onnx", "onnx_bytes", "onnx_card"]
 
@@ -29,8 +28,6 @@ FORMAT, VERSION = "tapetum-onnx", 1
 EXTRA = "fast"
 """The extra of Tapetum that brings what is needed to write and run ONNX files."""
 
-# Read by every ONNX Runtime since 1.15 (2023); nothing newer is needed.
-_OPSET, _IR = 18, 9
 _SUFFIX = ".onnx"
 
 _PREPARATION = (
@@ -43,7 +40,7 @@ _PREPARATION = (
 )
 
 
-def onnx_card(model: ResNet18) -> dict[str, Any]:
+def onnx_card(model: NetworkEstimator) -> dict[str, Any]:
     """Return what an exported model says of itself; the file holds it as JSON in its metadata, under "tapetum".
 
     `half_width` [B, K] (None where unknown) and `snr_edges` [B - 1] are those of `tapetum.models.intervals.Intervals`.
@@ -68,12 +65,12 @@ def onnx_card(model: ResNet18) -> dict[str, Any]:
 
 
 def export_onnx(model: Predictor, path: str | Path) -> Path:
-    """Write a fitted ResNet-18 to an ONNX file; one that is there already is replaced.
+    """Write a fitted network to an ONNX file; one that is there already is replaced.
 
     Parameters
     ----------
     model
-        A fitted `tapetum.models.ResNet18`.
+        A fitted `tapetum.models.NetworkEstimator`.
     path
         NAME.onnx.
 
@@ -98,7 +95,7 @@ def export_onnx(model: Predictor, path: str | Path) -> Path:
 
 
 def onnx_bytes(model: Predictor) -> bytes:
-    """Return a fitted ResNet-18 as an ONNX model, preparation and scaling included.
+    """Return a fitted network as an ONNX model, preparation and scaling included.
 
     Inputs: `counts` [N, crop, crop] and `full_scale` [], float32. Outputs: `value` [N, K] in SI units where there are
     quantities; `probability` [N, C] and `novelty` [N] where there are classes; `distance` [N] of
@@ -116,70 +113,24 @@ def onnx_bytes(model: Predictor) -> bytes:
     -----
     Written node by node: torch's own exporter needs three more packages and ten seconds for the same graph.
     """
-    if not isinstance(model, ResNet18):
+    if not isinstance(model, NetworkEstimator):
         kind = getattr(model, "kind", type(model).__name__)
-        if kind == ResNet18.kind:
+        if kind in ARCHITECTURES:
             raise InputError("is exported already", where="model", remedy="give the model's folder")
-        raise InputError(f"only resnet18 models become ONNX, this one is {kind}", where="model", remedy="train one")
+        raise InputError(f"only networks become ONNX, this one is {kind}", where="model", remedy="train one")
     state = model.state()  # says so when the model is not fitted
     card = onnx_card(model)
-    graph = _Graph(need("onnx", EXTRA))
+    graph = Graph(need("onnx", EXTRA))
     unit = float(state["scaling.unit"][0])
     seen = _prepared(graph, model)
-    outputs = _outputs(graph, model, state, _features(graph, model.network_, unit, seen))
+    outputs = _outputs(graph, model, state, model.network_.to_onnx(graph, seen, unit))
     if model.domain_ is not None:
         _distance(graph, model.domain_, seen, model.size, unit)
         outputs["distance"] = ()
     return graph.finished(outputs, model.crop, card)
 
 
-class _Graph:
-    """Nodes and constants as they are added; every node gives one tensor, named as the node."""
-
-    def __init__(self, onnx: Any) -> None:
-        self._onnx = onnx
-        self._nodes: list[Any] = []
-        self._constants: list[Any] = []
-
-    def constant(self, name: str, values: Any, dtype: type[np.generic] = np.float32) -> str:
-        """Add a constant tensor; return its name."""
-        array = np.ascontiguousarray(values, dtype=dtype).reshape(np.shape(values))
-        self._constants.append(self._onnx.numpy_helper.from_array(array, name))
-        return name
-
-    def add(self, name: str, operator: str, *inputs: str, outputs: tuple[str, ...] = (), **attributes: Any) -> str:
-        """Add a node; return the name of what it gives."""
-        made = [*outputs] or [name]
-        self._nodes.append(self._onnx.helper.make_node(operator, inputs, made, name=name, **attributes))
-        return made[0]
-
-    def finished(self, outputs: dict[str, tuple[int, ...]], crop: int, card: dict[str, Any]) -> bytes:
-        """Return the whole model, checked."""
-        helper, float32 = self._onnx.helper, self._onnx.TensorProto.FLOAT
-        graph = helper.make_graph(
-            self._nodes,
-            "tapetum",
-            [
-                helper.make_tensor_value_info("counts", float32, ["N", crop, crop]),
-                helper.make_tensor_value_info("full_scale", float32, []),
-            ],
-            [helper.make_tensor_value_info(name, float32, ["N", *shape]) for name, shape in outputs.items()],
-            self._constants,
-            doc_string=card["use"],
-        )
-        made = helper.make_model(
-            graph,
-            producer_name="tapetum",
-            producer_version=card["versions"]["tapetum"],
-            ir_version=_IR,
-            opset_imports=[helper.make_opsetid("", _OPSET)],
-        )
-        helper.set_model_props(made, {"tapetum": json.dumps(card, allow_nan=False)})
-        self._onnx.checker.check_model(made, full_check=True)
-        return made.SerializeToString()
-
-
-def _prepared(graph: _Graph, model: ResNet18) -> str:
+def _prepared(graph: Graph, model: NetworkEstimator) -> str:
     """`tapetum.models.inputs.prepare`, [N, 1, size, size]."""
     crop, size = model.crop, model.size
     pictures = graph.add("picture", "Unsqueeze", "counts", graph.constant("channel", [1], np.int64))
@@ -221,66 +172,16 @@ def _area_average(crop: int, size: int) -> NDArray[np.float64]:
     return matrix
 
 
-def _features(graph: _Graph, network: ResNet18Network, unit: float, x: str) -> str:
-    """The network up to its last layer, [N, 512]."""
-    # The images' common unit goes into the first weights: the convolution has no bias.
-    x = _convolution(graph, "conv1", x, network.conv1, network.bn1, unit=unit)
-    x = graph.add("conv1_relu", "Relu", x)
-    x = graph.add("maxpool", "MaxPool", x, kernel_shape=[3, 3], strides=[2, 2], pads=[1, 1, 1, 1])
-    for k in range(1, 5):
-        for n, block in enumerate(getattr(network, f"layer{k}")):
-            x = _block(graph, f"layer{k}.{n}", x, block)
-    pooled = graph.add("avgpool", "GlobalAveragePool", x)
-    return graph.add("features", "Flatten", pooled)
-
-
-def _block(graph: _Graph, name: str, x: str, block: BasicBlock) -> str:
-    shortcut = x
-    if block.downsample is not None:
-        convolution, normalisation = block.downsample
-        shortcut = _convolution(graph, f"{name}.downsample", x, convolution, normalisation)
-    out = graph.add(f"{name}.relu1", "Relu", _convolution(graph, f"{name}.conv1", x, block.conv1, block.bn1))
-    out = _convolution(graph, f"{name}.conv2", out, block.conv2, block.bn2)
-    return graph.add(f"{name}.relu2", "Relu", graph.add(f"{name}.sum", "Add", out, shortcut))
-
-
-def _convolution(
-    graph: _Graph, name: str, x: str, convolution: nn.Module, normalisation: nn.Module, *, unit: float = 1.0
-) -> str:
-    """A convolution with the normalisation that follows folded in."""
-    assert isinstance(convolution, nn.Conv2d) and isinstance(normalisation, nn.BatchNorm2d)
-    mean, variance = _array(normalisation.running_mean), _array(normalisation.running_var)
-    gain = _array(normalisation.weight) / np.sqrt(variance + normalisation.eps)
-    weight = _array(convolution.weight) * (gain / unit)[:, None, None, None]
-    bias = _array(normalisation.bias) - mean * gain
-    (down, across), (high, wide) = convolution.stride, convolution.kernel_size
-    above, left = (int(p) for p in convolution.padding)
-    return graph.add(
-        name,
-        "Conv",
-        x,
-        graph.constant(f"{name}.weight", weight),
-        graph.constant(f"{name}.bias", bias),
-        kernel_shape=[high, wide],
-        strides=[down, across],
-        pads=[above, left, above, left],
-    )
-
-
-def _array(tensor: torch.Tensor | None) -> NDArray[np.float64]:
-    assert tensor is not None
-    return tensor.detach().cpu().double().numpy()
-
-
 def _outputs(
-    graph: _Graph, model: ResNet18, state: dict[str, torch.Tensor], features: str
+    graph: Graph, model: NetworkEstimator, state: dict[str, torch.Tensor], features: str
 ) -> dict[str, tuple[int, ...]]:
     """What the file answers, from the features: names, and shapes a frame."""
-    weight, bias = _array(state["fc.weight"]), _array(state["fc.bias"])
+    head = model.network_.head
+    weight, bias = array(head.weight), array(head.bias)
     k, classes = len(model.quantities), len(model.classes())
     shapes: dict[str, tuple[int, ...]] = {}
     if k:
-        spread, centre = _array(state["scaling.spread"]), _array(state["scaling.centre"])
+        spread, centre = array(state["scaling.spread"]), array(state["scaling.centre"])
         linear = graph.constant("value.weight", (weight[:k] * spread[:, None]).T)
         graph.add("value", "Gemm", features, linear, graph.constant("value.bias", bias[:k] * spread + centre))
         shapes["value"] = (k,)
@@ -296,7 +197,7 @@ def _outputs(
     return shapes
 
 
-def _novelty(graph: _Graph, novelty: Novelty, features: str) -> None:
+def _novelty(graph: Graph, novelty: Novelty, features: str) -> None:
     """`tapetum.models.novelty.Novelty`, [N]; distances from differences, which lose nothing in float32."""
     unit = novelty.unit
     white = graph.add("white", "MatMul", features, graph.constant("novelty.whitening", novelty.whitening / unit))
@@ -306,7 +207,7 @@ def _novelty(graph: _Graph, novelty: Novelty, features: str) -> None:
     graph.add("novelty", "ReduceMin", far, graph.constant("novelty.nearest", [1], np.int64), keepdims=0)
 
 
-def _distance(graph: _Graph, domain: Domain, seen: str, size: int, unit: float) -> None:
+def _distance(graph: Graph, domain: Domain, seen: str, size: int, unit: float) -> None:
     """`tapetum.models.domain.Domain` of `picture_features`, [N]."""
     flat = graph.add("look", "Reshape", seen, graph.constant("look_shape", [0, size * size], np.int64))
     modes = graph.add("modes", "MatMul", flat, graph.constant("modes.projection", projection(size) / unit))

@@ -1,11 +1,11 @@
-"""ResNet-18 on ONNX Runtime: the same numbers as `tapetum.models.ResNet18`, sooner on a CPU."""
+"""Networks on ONNX Runtime: the same numbers as `tapetum.models.NetworkEstimator`, sooner on a CPU."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,8 +17,8 @@ from tapetum.models.domain import judged
 from tapetum.models.export import EXTRA, FORMAT, VERSION, onnx_bytes
 from tapetum.models.inputs import central
 from tapetum.models.intervals import Intervals
+from tapetum.models.network import NetworkEstimator
 from tapetum.models.prediction import Prediction, joined
-from tapetum.models.resnet import ResNet18
 from tapetum.models.snr import crop_snr
 from tapetum.progress import Progress, quiet
 
@@ -30,13 +30,13 @@ _ERRORS_ONLY = 3
 
 
 class FastResNet18:
-    """A trained ResNet-18 that only predicts, on ONNX Runtime and the CPU.
+    """A trained network that only predicts, on ONNX Runtime and the CPU.
 
     Parameters
     ----------
     model
         A file of `tapetum.models.export.export_onnx` (NAME.onnx), a model's folder, or a fitted
-        `tapetum.models.ResNet18`.
+        `tapetum.models.NetworkEstimator`.
     threads
         Threads of ONNX Runtime; as many as torch uses where left out.
 
@@ -50,7 +50,7 @@ class FastResNet18:
     Raises
     ------
     InputError
-        When the model is no ResNet-18, or the file is missing, damaged, foreign or newer.
+        When the model is no network, or the file is missing, damaged, foreign or newer.
     MissingExtraError
         When the extra `fast` is not installed.
 
@@ -61,9 +61,7 @@ class FastResNet18:
     >>> model.predict(crops, full_scale=255)["gaze_x"]  # doctest: +SKIP
     """
 
-    kind: ClassVar[str] = ResNet18.kind
-
-    def __init__(self, model: str | Path | ResNet18, *, threads: int | None = None) -> None:
+    def __init__(self, model: str | Path | NetworkEstimator, *, threads: int | None = None) -> None:
         if threads is not None and threads < 1:
             raise InputError(f"must be at least 1, is {threads}", where="threads", remedy="leave it out")
         runtime = need("onnxruntime", EXTRA)
@@ -79,6 +77,7 @@ class FastResNet18:
             what = f"cannot be read as ONNX ({str(error).splitlines()[0]})"
             raise InputError(what, where=where, remedy="export it again with `tapetum export`") from error
         self.card = _card(self._session.get_modelmeta().custom_metadata_map, where)
+        self.kind: str = self.card.get("kind", "resnet18")
         self.target_names: tuple[str, ...] = tuple(self.card["targets"])
         self.quantities: tuple[str, ...] = tuple(self.card["quantities"])
         self.data_hash_: str | None = self.card["training_data"]
@@ -120,7 +119,7 @@ class FastResNet18:
             When the images do not fit the model.
         """
         total = -(-frame_count(data) // _BATCH)
-        parts = list(self._parts(progress(batches(data, full_scale, _BATCH), "ResNet-18, fast", total=total)))
+        parts = list(self._parts(progress(batches(data, full_scale, _BATCH), f"{self.kind}, fast", total=total)))
         found = joined(parts or [self._predicted(self._empty(), np.empty(0))])
         return found if anyway else found.withheld()
 
@@ -155,17 +154,17 @@ class FastResNet18:
         return judged(raw, found.get("distance"))
 
 
-def _content(model: str | Path | ResNet18) -> tuple[bytes | str, object]:
+def _content(model: str | Path | NetworkEstimator) -> tuple[bytes | str, object]:
     """Return an ONNX model, or the path of one, and how to call it in messages."""
-    if isinstance(model, ResNet18):
+    if isinstance(model, NetworkEstimator):
         return onnx_bytes(model), "model"
     path = Path(model)
     if path.is_dir():
         from tapetum.models.store import load_model
 
         loaded = load_model(path)
-        if not isinstance(loaded, ResNet18):
-            what = f"only resnet18 models have a fast path, this one is {loaded.kind}"
+        if not isinstance(loaded, NetworkEstimator):
+            what = f"only networks have a fast path, this one is {loaded.kind}"
             raise InputError(what, where=path, remedy="use it as it is")
         return onnx_bytes(loaded), path
     if not path.is_file():

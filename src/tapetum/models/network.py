@@ -1,93 +1,461 @@
-"""ResNet-18 (He et al., CVPR 2016) for grey images, with torchvision's parameter names."""
+"""Networks as estimators: from centred crops to gaze, focus and device, with intervals and probabilities."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
 import torch
+import xarray as xr
+from numpy.typing import NDArray
 from torch import Tensor, nn
 
-from tapetum.errors import InputError
+from tapetum.data.dataset import DEVICE
+from tapetum.errors import InputError, one_of
+from tapetum.models.architectures import ARCHITECTURES, Network
+from tapetum.models.augmentation import augment
+from tapetum.models.base import (
+    Data,
+    TrainingPart,
+    batches,
+    checked_state,
+    frame_count,
+    quantities_of,
+    target_names,
+    training_part,
+)
+from tapetum.models.calibration import fit_temperature, probabilities
+from tapetum.models.domain import Domain, fit_domain, judged, picture_features, picture_width
+from tapetum.models.inputs import BACKGROUNDS, prepare
+from tapetum.models.intervals import Intervals, fit_intervals
+from tapetum.models.losses import MixedLoss
+from tapetum.models.novelty import Novelty, fit_novelty
+from tapetum.models.prediction import Prediction, joined
+from tapetum.models.processes import training_device
+from tapetum.models.snr import crop_snr
+from tapetum.models.training import Augmentation, EpochReport, TrainingSettings, kept_epoch, train
+from tapetum.progress import Progress, quiet
 
-__all__ = ["FEATURES", "ResNet18Network"]
+__all__ = ["NetworkEstimator", "ResNet18"]
 
-FEATURES = 512
-"""Features of an image that the last layer weighs."""
-
-
-class BasicBlock(nn.Module):
-    """Two 3 x 3 convolutions beside a shortcut."""
-
-    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
-        super().__init__()
-        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
-        self.bn1 = nn.BatchNorm2d(outputs)
-        self.relu = nn.ReLU(inplace=True)
-        self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
-        self.bn2 = nn.BatchNorm2d(outputs)
-        self.downsample: nn.Sequential | None = None
-        if stride != 1 or inputs != outputs:
-            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
-
-    def forward(self, x: Tensor) -> Tensor:
-        """Map [N, inputs, H, W] to [N, outputs, H/stride, W/stride]."""
-        shortcut = x if self.downsample is None else self.downsample(x)
-        out = self.relu(self.bn1(self.conv1(x)))
-        return self.relu(self.bn2(self.conv2(out)) + shortcut)
+_BATCH = 64
+# Frames of each class that its place among the features is learned from, at the most.
+_FRAMES_A_CLASS = 500
 
 
-def _layer(inputs: int, outputs: int, stride: int) -> nn.Sequential:
-    return nn.Sequential(BasicBlock(inputs, outputs, stride), BasicBlock(outputs, outputs, 1))
-
-
-class ResNet18Network(nn.Module):
-    """ResNet-18 with one input channel and a linear head.
+class NetworkEstimator:
+    """A network on centred crops (paper, section 5), trained from scratch.
 
     Parameters
     ----------
-    outputs
-        Numbers an image is mapped to.
-    channels
-        Channels of an image.
+    target
+        "gaze", "focus", "device", "phone" (gaze and device), or names of labels.
+    architecture
+        One of `tapetum.models.architectures.ARCHITECTURES`; the paper's is "resnet18".
+    crop, size
+        The central `crop` x `crop` pixels of each image are reduced to `size` x `size` for the network.
+    hide
+        Radius in pixels of a disc about the centre that the network never sees (see `prepare`): what it can tell
+        without the brightest spot.
+    background
+        How the background is taken off, "root" or "level": see `prepare`.
+    epochs, batch, learning_rate, weight_decay, patience, precision
+        See `tapetum.models.training.TrainingSettings`.
+    gain, shift, noise
+        See `tapetum.models.training.Augmentation`.
     seed
-        Of the initial weights: He's normal distribution by fan-out; the last normalisation of every block
-        starts at 0, so that each block starts as its shortcut (Goyal et al., arXiv:1706.02677). torch's own
-        generator is not touched.
+        Of the initial weights, the order of the images and the augmentation. Equal seeds give equal weights
+        on the CPU of one machine with one number of threads and processes. On a GPU they do not to the last bit: its
+        libraries choose their algorithms by speed and add in no fixed order.
+    calibration_fraction
+        Share of the training frames, the last ones of each recording, that is kept out of the fit: it shows
+        the error after each epoch and sets the intervals. The weights kept are the last epoch's; with `patience`
+        they are the best on the first half of these frames, and the second half alone sets the intervals.
+    device
+        "auto" (CUDA where there is one), "cpu" or "cuda". Not part of a saved model.
+    processes
+        GPUs or processes that train: "auto" takes all GPUs. Not part of a saved model.
+
+    Attributes
+    ----------
+    network_
+        The trained `tapetum.models.architectures.Network`.
+    history_
+        List of `tapetum.models.training.EpochReport` (empty after loading).
+    intervals_
+        `tapetum.models.intervals.Intervals`, calibrated on the frames kept out of the fit.
+    classes_
+        Names of the devices learned, sorted.
+    temperature_
+        Of the classes' probabilities, set on the frames kept out of the fit: `tapetum.models.calibration`.
+    novelty_
+        `tapetum.models.novelty.Novelty`, or None without classes.
+    domain_
+        `tapetum.models.domain.Domain`: how the training frames look; None where there were fewer than 40, and in
+        models saved before there was one.
+    data_hash_
+        Hash of the content of the training frames fitted to, where known.
+    training_
+        How many frames were fitted and kept aside, and how crops were centred: `TrainingPart.summary`.
+
+    Examples
+    --------
+    >>> from tapetum.data import open_dataset
+    >>> dataset = open_dataset("rotation.zarr")  # doctest: +SKIP
+    >>> model = NetworkEstimator(epochs=8).fit(dataset.tp.train, checkpoint="run", resume=True)  # doctest: +SKIP
+    >>> model.predict(dataset.tp.test)["gaze_x"]  # doctest: +SKIP
     """
 
-    def __init__(self, outputs: int, *, channels: int = 1, seed: int = 0) -> None:
-        if outputs < 1 or channels < 1:
-            raise InputError(f"must be positive, are {outputs} and {channels}", where="outputs, channels")
-        super().__init__()
-        # torch draws first weights of its own when layers are made; they must not move the caller's random
-        # numbers.
-        with torch.random.fork_rng(devices=[]):
-            self.conv1 = nn.Conv2d(channels, 64, 7, 2, 3, bias=False)
-            self.bn1 = nn.BatchNorm2d(64)
-            self.relu = nn.ReLU(inplace=True)
-            self.maxpool = nn.MaxPool2d(3, 2, 1)
-            self.layer1 = _layer(64, 64, 1)
-            self.layer2 = _layer(64, 128, 2)
-            self.layer3 = _layer(128, 256, 2)
-            self.layer4 = _layer(256, 512, 2)
-            self.avgpool = nn.AdaptiveAvgPool2d(1)
-            self.fc = nn.Linear(FEATURES, outputs)
-        self._initialise(seed)
+    kind: str = "resnet18"
 
-    def _initialise(self, seed: int) -> None:
-        generator = torch.Generator().manual_seed(seed)
-        for module in self.modules():
-            if isinstance(module, nn.Conv2d):
-                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu", generator=generator)
-            elif isinstance(module, BasicBlock):
-                nn.init.zeros_(module.bn2.weight)
-        nn.init.normal_(self.fc.weight, std=0.01, generator=generator)
-        nn.init.zeros_(self.fc.bias)
+    network_: Network
+    history_: list[EpochReport]
+    intervals_: Intervals
+    classes_: tuple[str, ...]
+    temperature_: float
+    novelty_: Novelty | None
+    domain_: Domain | None
+    data_hash_: str | None
+    training_: dict[str, Any] | None
 
-    def features(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to the [N, 512] features that the last layer weighs."""
-        x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
-        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
-        return torch.flatten(self.avgpool(x), 1)
+    def __init__(
+        self,
+        target: str | Sequence[str] = "gaze",
+        *,
+        architecture: str = "resnet18",
+        crop: int = 288,
+        size: int = 96,
+        hide: int = 0,
+        background: str = "level",
+        epochs: int = 12,
+        batch: int = 32,
+        learning_rate: float = 2e-3,
+        weight_decay: float = 0.05,
+        patience: int | None = None,
+        precision: str = "float32",
+        gain: float = 0.1,
+        shift: float = 1.5,
+        noise: float = 0.03,
+        seed: int = 0,
+        calibration_fraction: float = 0.1,
+        device: str = "auto",
+        processes: int | str = 1,
+    ) -> None:
+        self.kind = one_of(architecture, tuple(ARCHITECTURES), "architecture")
+        self.target = target if isinstance(target, str) else tuple(target)
+        self.target_names = target_names(self.target)
+        self.quantities = quantities_of(self.target_names)
+        self.crop, self.size, self.hide, self.seed = int(crop), int(size), int(hide), int(seed)
+        if not 0 < self.size <= self.crop:
+            raise InputError(f"must lie in 1 ... crop = {crop}, is {size}", where="size", remedy="96 of 288 is usual")
+        if not 0 <= self.hide < self.crop / 2:
+            raise InputError(f"must lie in 0 ... {crop / 2:g}, is {hide}", where="hide", remedy="0 hides nothing")
+        self.background = one_of(background, BACKGROUNDS, "background")
+        self.settings = TrainingSettings(
+            int(epochs),
+            int(batch),
+            learning_rate,
+            weight_decay,
+            self.seed,
+            Augmentation(gain, shift, noise),
+            patience,
+            precision,
+        )
+        self.calibration_fraction = float(calibration_fraction)
+        self.data_hash_ = self.training_ = None
+        self.device, self.processes = device, processes
+        training_device(device)
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to [N, outputs]."""
-        return self.fc(self.features(x))
+    def fit(
+        self,
+        dataset: xr.Dataset,
+        *,
+        progress: Progress = quiet,
+        checkpoint: str | Path | None = None,
+        resume: bool = False,
+        on_epoch: Callable[[EpochReport], None] | None = None,
+    ) -> Self:
+        """Train on the training frames of a dataset; frames marked for testing are left alone.
+
+        Parameters
+        ----------
+        dataset
+            From `tapetum.data.open_dataset` or `tapetum.data.dataset_from_arrays`.
+        progress
+            Shown over the reading and over the steps of each epoch.
+        checkpoint
+            Folder for a checkpoint after every epoch. After Ctrl-C or a kill it holds the last whole epoch.
+        resume
+            Go on from the checkpoint, if there is one; the result is that of a run without a break.
+        on_epoch
+            Called with the report of every epoch.
+
+        Returns
+        -------
+        NetworkEstimator
+            Itself.
+
+        Raises
+        ------
+        InputError
+            When there is too little to train on, or the checkpoint is of another training.
+        """
+        if resume and checkpoint is None:
+            raise InputError(
+                "resume needs the folder of a checkpoint", where="checkpoint", remedy="pass checkpoint=FOLDER"
+            )
+        patience = self.settings.patience
+        part = training_part(dataset, self.target_names, self.calibration_fraction, select=patience is not None)
+        images, snr = self._inputs(part.dataset, None, progress)
+        self._centre, self._spread = part.targets[part.fit].mean(axis=0), part.targets[part.fit].std(axis=0)
+        self._unit = float(images[part.fit].std())
+        if not self._unit > 0:
+            raise InputError("all images are blank", where="dataset", remedy="check the exposure of the probe")
+        images /= self._unit
+        self.classes_ = part.classes
+        k, device = len(self.quantities), training_device(self.device)
+        network = ARCHITECTURES[self.kind](k + len(part.classes), seed=self.seed)
+        columns = [(part.targets - self._centre) / self._spread]
+        if part.device is not None:
+            columns.append(part.device[:, None].astype(np.float64))
+        wanted = torch.from_numpy(np.concatenate(columns, axis=1).astype(np.float32))
+        # Where nothing is chosen by it, the error is shown on the frames that calibrate.
+        aside = part.calibrate if patience is None else part.choose
+
+        def validate(trained: nn.Module) -> float:
+            found = self._run(trained, images[aside], device)
+            if k:
+                return float(np.abs(self._scaled(found) - part.targets[aside]).mean())
+            return float((found.argmax(axis=1) != _of(part.device, aside)).mean())
+
+        identity = {"kind": self.kind, **self.parameters(), "data": part.data_hash, "frames": len(part.targets)}
+        fit = torch.from_numpy(part.fit)
+        self.history_ = train(
+            network,
+            images[fit],
+            wanted[fit],
+            self.settings,
+            loss=MixedLoss(k),
+            validate=validate if len(aside) else None,
+            device=self.device,
+            processes=self.processes,
+            checkpoint=None if checkpoint is None else Path(checkpoint),
+            resume=resume,
+            identity=identity,
+            progress=progress,
+            on_epoch=on_epoch,
+        )
+        self.network_, self.data_hash_, self.training_ = network, part.data_hash, part.summary
+        if patience is not None:
+            kept = f"{kept_epoch(self.history_, patience)} of {len(self.history_)}"
+            why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
+            self.training_["chosen"]["epochs"] = f"{kept}: {why}"
+        self._calibrate(part, images, snr, device)
+        self.domain_ = self._described(images, np.asarray(part.dataset["recording"].values))
+        return self
+
+    def _described(self, images: Tensor, recording: NDArray[np.integer]) -> Domain | None:
+        """Describe the training frames, varied as the network saw them while training."""
+        # Not those of the training: what is drawn here must not hang on how long it took.
+        generator = torch.Generator().manual_seed(self.seed)
+        seen = [picture_features(augment(some, self.settings.augmentation, generator)) for some in images.split(_BATCH)]
+        return fit_domain(np.concatenate(seen), recording)
+
+    def _calibrate(self, part: TrainingPart, images: Tensor, snr: NDArray[np.float64], device: torch.device) -> None:
+        """Set intervals, temperature and what counts as none of the classes, by the frames kept out of the fit."""
+        aside, k = part.calibrate, len(self.quantities)
+        found = self._run(self.network_, images[aside], device)
+        self.intervals_ = fit_intervals(part.targets[aside] - self._scaled(found), snr[aside])
+        self.temperature_, self.novelty_ = 1.0, None
+        if part.device is None:
+            return
+        self.temperature_ = fit_temperature(found[:, k:], part.device[aside])
+        own = part.device[part.fit]
+        few = np.concatenate([_spread_over(part.fit[own == c], _FRAMES_A_CLASS) for c in range(len(part.classes))])
+        self.novelty_ = fit_novelty(
+            self._run(self.network_.features, images[few], device),
+            part.device[few],
+            len(part.classes),
+            self._run(self.network_.features, images[aside], device),
+        )
+
+    def _inputs(self, data: Data, full_scale: float | None, progress: Progress) -> tuple[Tensor, NDArray[np.float64]]:
+        """Return prepared images [N, 1, size, size] and their SNR [N]."""
+        total = -(-frame_count(data) // _BATCH)
+        parts, snr = [torch.empty(0, 1, self.size, self.size)], [np.empty(0)]
+        for images, depth in progress(batches(data, full_scale, _BATCH), "reading the images", total=total):
+            parts.append(prepare(images, self.crop, self.size, depth, self.hide, self.background))
+            snr.append(crop_snr(images, depth))
+        return torch.cat(parts), np.concatenate(snr)
+
+    def _run(self, network: Callable[[Tensor], Tensor], images: Tensor, device: torch.device) -> NDArray[np.float64]:
+        """Return what a network makes [N, ...] of prepared and scaled images."""
+        with torch.inference_mode():
+            found = [
+                network(batch.to(device).contiguous(memory_format=torch.channels_last)).double().cpu().numpy()
+                for batch in images.split(_BATCH)
+                if len(batch)
+            ]
+        return np.concatenate(found) if found else np.empty((0, len(self.quantities) + len(self.classes_)))
+
+    def _scaled(self, found: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the quantities [N, K] in their units."""
+        return found[:, : len(self.quantities)] * self._spread + self._centre
+
+    def predict(
+        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+    ) -> Prediction:
+        """Estimate the target for every image.
+
+        Parameters
+        ----------
+        data
+            A dataset or crops [N, side, side], centred as those of the training were.
+        full_scale
+            Largest count of the camera, for crops that are not uint8.
+        progress
+            Shown over the batches.
+        anyway
+            Answer also where the model does not apply; the prediction still says so.
+
+        Returns
+        -------
+        Prediction
+
+        Raises
+        ------
+        InputError
+            When the model is not fitted or the images do not fit it.
+        """
+        if not hasattr(self, "network_"):
+            raise InputError("the model is not fitted", where="ResNet18", remedy="call fit or load_model first")
+        device = training_device(self.device)
+        self.network_.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.network_.eval()
+        total, k = -(-frame_count(data) // _BATCH), len(self.quantities)
+        nothing = np.empty((0, k + len(self.classes_))), np.empty((0, self.network_.width)), np.empty(0)
+        parts = [judged(self._predicted(*nothing), None if self.domain_ is None else np.empty(0))]
+        for images, depth in progress(batches(data, full_scale, _BATCH), self.network_.title, total=total):
+            prepared = prepare(images, self.crop, self.size, depth, self.hide, self.background) / self._unit
+            features = self._run(self.network_.features, prepared, device)
+            snr = crop_snr(images, depth) if self.intervals_.conditional else np.zeros(len(images))
+            distance = None if self.domain_ is None else self.domain_(picture_features(prepared))
+            parts.append(judged(self._predicted(self._weighed(features), features, snr), distance))
+        found = joined(parts)
+        return found if anyway else found.withheld()
+
+    def _weighed(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the last layer's outputs [N, K + C], so that the network runs once for them and for the features."""
+        weight, bias = (one.detach().double().cpu().numpy() for one in self.network_.head.parameters())
+        return features @ weight.T + bias
+
+    def _predicted(
+        self, found: NDArray[np.float64], features: NDArray[np.float64], snr: NDArray[np.float64]
+    ) -> Prediction:
+        value, width = self._scaled(found), self.intervals_.at(snr)
+        if not self.classes_:
+            return Prediction(self.quantities, value, value - width, value + width)
+        shares = probabilities(found[:, len(self.quantities) :], self.temperature_)
+        novelty = None if self.novelty_ is None else self.novelty_(features)
+        return Prediction(self.quantities, value, value - width, value + width, self.classes_, shares, novelty)
+
+    def parameters(self) -> dict[str, Any]:
+        """Return the arguments of ``__init__``, fit for JSON, without device and architecture, which is the kind."""
+        settings, varied = self.settings, self.settings.augmentation
+        return {
+            "target": self.target if isinstance(self.target, str) else list(self.target),
+            "crop": self.crop,
+            "size": self.size,
+            "hide": self.hide,
+            "background": self.background,
+            "epochs": settings.epochs,
+            "batch": settings.batch,
+            "learning_rate": settings.learning_rate,
+            "weight_decay": settings.weight_decay,
+            "patience": settings.patience,
+            "precision": settings.precision,
+            "gain": varied.gain,
+            "shift": varied.shift,
+            "noise": varied.noise,
+            "seed": self.seed,
+            "calibration_fraction": self.calibration_fraction,
+        }
+
+    def state(self) -> dict[str, Tensor]:
+        """Return everything that was learned: weights under the architecture's usual names, and ``scaling.*``."""
+        if not hasattr(self, "network_"):
+            raise InputError("the model is not fitted", where=self.kind, remedy="call fit first")
+        learned = {name: tensor.detach().cpu().clone() for name, tensor in self.network_.state_dict().items()}
+        scaling = {
+            "centre": self._centre,
+            "spread": self._spread,
+            "unit": [self._unit],
+        }
+        if self.classes_:
+            scaling["temperature"] = [self.temperature_]
+        for name, values in scaling.items():
+            learned[f"scaling.{name}"] = torch.from_numpy(np.array(values, dtype=np.float64))
+        learned |= self.intervals_.state("scaling.")
+        for one in (self.novelty_, self.domain_):
+            learned |= {} if one is None else one.state()
+        return learned
+
+    def classes(self) -> tuple[str, ...]:
+        """Return the names of the devices learned; empty where that is no target."""
+        return self.classes_
+
+    @classmethod
+    def from_state(
+        cls,
+        parameters: Mapping[str, Any],
+        state: Mapping[str, Tensor],
+        classes: tuple[str, ...] = (),
+        *,
+        architecture: str = "resnet18",
+    ) -> Self:
+        """Make a fitted model of an architecture, of what `parameters`, `state` and `classes` returned."""
+        # Cards older than the choice do not name it.
+        model = cls(**{"background": "root", **parameters, "architecture": architecture})
+        k = len(model.quantities)
+        if (DEVICE in model.target_names) != bool(classes):
+            what = f"expected {'names' if not classes else 'no names'} of devices"
+            raise InputError(what, where="card", remedy="the model's card and its weights do not belong together")
+        shapes: dict[str, tuple[int, ...]] = {"scaling.centre": (k,), "scaling.spread": (k,), "scaling.unit": (1,)}
+        if classes:
+            shapes["scaling.temperature"] = (1,)
+        scaling = checked_state(state, shapes)
+        # Weights drawn at random only to be replaced would take most of the time.
+        with torch.device("meta"):
+            network = ARCHITECTURES[architecture](k + len(classes))
+        network.to_empty(device="cpu")
+        own = {name: state[name] for name in network.state_dict() if name in state}
+        try:
+            network.load_state_dict(own)
+        except RuntimeError as error:
+            remedy = "the model's card and its weights do not belong together"
+            raise InputError(
+                f"weights do not fit a {network.title} of this card", where="weights", remedy=remedy
+            ) from error
+        model.network_, model.history_, model.classes_ = network.eval(), [], classes
+        model._centre, model._spread = scaling["scaling.centre"], scaling["scaling.spread"]
+        model._unit = float(scaling["scaling.unit"][0])
+        model.temperature_ = float(scaling["scaling.temperature"][0]) if classes else 1.0
+        model.intervals_ = Intervals.from_state(state, k, "scaling.")
+        model.novelty_ = Novelty.from_state(state, len(classes), network.width) if classes else None
+        model.domain_ = Domain.from_state(state, picture_width())
+        return model
+
+
+class ResNet18(NetworkEstimator):
+    """The paper's architecture."""
+
+
+def _of(numbers: NDArray[np.int64] | None, chosen: NDArray[np.intp]) -> NDArray[np.int64]:
+    return np.empty(0, np.int64) if numbers is None else numbers[chosen]
+
+
+def _spread_over(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
+    """Return at most so many of some places, evenly spread."""
+    return places[:: -(-len(places) // most)]

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import platform
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from functools import partial
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,10 @@ from tapetum.checked import read_json
 from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder, sha256_file
+from tapetum.models.architectures import ARCHITECTURES
 from tapetum.models.base import Estimator, Predictor, json_safe
 from tapetum.models.card import checked_card
-from tapetum.models.resnet import ResNet18
+from tapetum.models.network import NetworkEstimator, ResNet18
 from tapetum.models.zernike_ridge import ZernikeRidge
 
 __all__ = [
@@ -38,9 +40,11 @@ __all__ = [
 
 FORMAT, VERSION = "tapetum-model", 2
 CARD, WEIGHTS = "model.json", "weights.safetensors"
-KINDS: dict[str, type[ZernikeRidge] | type[ResNet18]] = {
-    ZernikeRidge.kind: ZernikeRidge,
-    ResNet18.kind: ResNet18,
+# What makes a model of each kind of what its folder holds.
+KINDS: dict[str, Callable[..., ZernikeRidge | NetworkEstimator]] = {
+    ZernikeRidge.kind: ZernikeRidge.from_state,
+    **{name: partial(NetworkEstimator.from_state, architecture=name) for name in ARCHITECTURES},
+    ResNet18.kind: ResNet18.from_state,
 }
 
 _PRETRAINED = Path(__file__).parent / "pretrained"
@@ -199,7 +203,7 @@ def model_card(path: str | Path) -> dict[str, Any]:
     return checked_card(card, folder / CARD)
 
 
-def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
+def load_model(path: str | Path) -> ZernikeRidge | NetworkEstimator:
     """Load a model that `save_model` wrote, after checking that its weights are the ones its card speaks of.
 
     Parameters
@@ -233,7 +237,7 @@ def load_model(path: str | Path) -> ZernikeRidge | ResNet18:
     state = {name: tensor.float() if tensor.dtype == torch.float16 else tensor for name, tensor in state.items()}
     try:
         classes = tuple(str(name) for name in card.get("classes", ()))
-        model = KINDS[card["kind"]].from_state(card["parameters"], state, classes)
+        model = KINDS[card["kind"]](card["parameters"], state, classes)
     except InputError as error:
         raise InputError(str(error), where=folder) from error
     except (TypeError, ValueError) as error:  # an unknown argument, or one of another type
@@ -265,7 +269,7 @@ def load_predictor(path: str | Path) -> Predictor:
     return load_model(path)
 
 
-def pretrained(name: str = "thin-lens-gaze") -> ZernikeRidge | ResNet18:
+def pretrained(name: str = "thin-lens-gaze") -> ZernikeRidge | NetworkEstimator:
     """Load a model that comes with the package.
 
     Raises

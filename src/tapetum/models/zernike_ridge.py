@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar, Literal, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import torch
@@ -86,7 +86,7 @@ class ZernikeRidge:
     (12, 1)
     """
 
-    kind: ClassVar[str] = "zernike"
+    kind: str = "zernike"
 
     coef_: NDArray[np.float64]
     intercept_: NDArray[np.float64]

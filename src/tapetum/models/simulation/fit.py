@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -100,7 +100,7 @@ class SimulationFit:
     [0.09, 0.08]
     """
 
-    kind: ClassVar[str] = "simulation"
+    kind: str = "simulation"
 
     def __init__(
         self,

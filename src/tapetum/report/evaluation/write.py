@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from tapetum.data.crop import crop
 from tapetum.files import atomic_folder
 from tapetum.models import Predictor
+from tapetum.models.architectures import ARCHITECTURES
 from tapetum.progress import Progress, quiet
 from tapetum.report import html
 from tapetum.report.evaluation import sections as part
@@ -27,7 +28,8 @@ __all__ = ["FORMAT", "NUMBERS", "PAGE", "Subject", "samples", "subject_of", "wri
 
 FORMAT, VERSION = "tapetum-evaluation", 1
 PAGE, NUMBERS = "report.html", "numbers.json"
-_NAMES = {"zernike": "Zernike + ridge", "resnet18": "ResNet-18", "simulation": "Fit by simulation"}
+_NAMES = {"zernike": "Zernike + ridge", "simulation": "Fit by simulation"}
+_NAMES |= {name: network.title for name, network in ARCHITECTURES.items()}
 _SAMPLE_SIDE = 200
 _ORDER = (
     "Following the gaze",

@@ -1,0 +1,112 @@
+"""ResNet-18 (He et al., CVPR 2016) for grey images, with torchvision's parameter names."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from tapetum.models.architectures.base import Network
+from tapetum.models.onnx_graph import Graph
+
+__all__ = ["ResNet18Network"]
+
+
+class BasicBlock(nn.Module):
+    """Two 3 x 3 convolutions beside a shortcut."""
+
+    def __init__(self, inputs: int, outputs: int, stride: int) -> None:
+        super().__init__()
+        self.conv1 = nn.Conv2d(inputs, outputs, 3, stride, 1, bias=False)
+        self.bn1 = nn.BatchNorm2d(outputs)
+        self.relu = nn.ReLU(inplace=True)
+        self.conv2 = nn.Conv2d(outputs, outputs, 3, 1, 1, bias=False)
+        self.bn2 = nn.BatchNorm2d(outputs)
+        self.downsample: nn.Sequential | None = None
+        if stride != 1 or inputs != outputs:
+            self.downsample = nn.Sequential(nn.Conv2d(inputs, outputs, 1, stride, bias=False), nn.BatchNorm2d(outputs))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Map [N, inputs, H, W] to [N, outputs, H/stride, W/stride]."""
+        shortcut = x if self.downsample is None else self.downsample(x)
+        out = self.relu(self.bn1(self.conv1(x)))
+        return self.relu(self.bn2(self.conv2(out)) + shortcut)
+
+
+def _layer(inputs: int, outputs: int, stride: int) -> nn.Sequential:
+    return nn.Sequential(BasicBlock(inputs, outputs, stride), BasicBlock(outputs, outputs, 1))
+
+
+class ResNet18Network(Network):
+    """ResNet-18 with one input channel and a linear head.
+
+    Parameters
+    ----------
+    outputs
+        Numbers an image is mapped to.
+    channels
+        Channels of an image.
+    seed
+        Of the initial weights: He's normal distribution by fan-out; the last normalisation of every block
+        starts at 0, so that each block starts as its shortcut (Goyal et al., arXiv:1706.02677). torch's own
+        generator is not touched.
+    """
+
+    title, width = "ResNet-18", 512
+
+    def __init__(self, outputs: int, *, channels: int = 1, seed: int = 0) -> None:
+        super().__init__(outputs, channels)
+        # torch draws first weights of its own when layers are made; they must not move the caller's random
+        # numbers.
+        with torch.random.fork_rng(devices=[]):
+            self.conv1 = nn.Conv2d(channels, 64, 7, 2, 3, bias=False)
+            self.bn1 = nn.BatchNorm2d(64)
+            self.relu = nn.ReLU(inplace=True)
+            self.maxpool = nn.MaxPool2d(3, 2, 1)
+            self.layer1 = _layer(64, 64, 1)
+            self.layer2 = _layer(64, 128, 2)
+            self.layer3 = _layer(128, 256, 2)
+            self.layer4 = _layer(256, 512, 2)
+            self.avgpool = nn.AdaptiveAvgPool2d(1)
+            self.fc = nn.Linear(self.width, outputs)
+        self._initialise(seed)
+
+    def _initialise(self, seed: int) -> None:
+        generator = torch.Generator().manual_seed(seed)
+        for module in self.modules():
+            if isinstance(module, nn.Conv2d):
+                nn.init.kaiming_normal_(module.weight, mode="fan_out", nonlinearity="relu", generator=generator)
+            elif isinstance(module, BasicBlock):
+                nn.init.zeros_(module.bn2.weight)
+        nn.init.normal_(self.fc.weight, std=0.01, generator=generator)
+        nn.init.zeros_(self.fc.bias)
+
+    def features(self, x: Tensor) -> Tensor:
+        """Map images [N, channels, H, W] to the [N, 512] features that the last layer weighs."""
+        x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
+        x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
+        return torch.flatten(self.avgpool(x), 1)
+
+    @property
+    def head(self) -> nn.Linear:
+        """The last layer."""
+        return self.fc
+
+    def to_onnx(self, graph: Graph, x: str, unit: float) -> str:
+        """Add the network up to its last layer."""
+        # The images' common unit goes into the first weights: the convolution has no bias.
+        x = graph.add("conv1_relu", "Relu", graph.convolution("conv1", x, self.conv1, self.bn1, unit=unit))
+        x = graph.add("maxpool", "MaxPool", x, kernel_shape=[3, 3], strides=[2, 2], pads=[1, 1, 1, 1])
+        for k in range(1, 5):
+            for n, block in enumerate(getattr(self, f"layer{k}")):
+                x = _block_to_onnx(graph, f"layer{k}.{n}", x, block)
+        return graph.add("features", "Flatten", graph.add("avgpool", "GlobalAveragePool", x))
+
+
+def _block_to_onnx(graph: Graph, name: str, x: str, block: BasicBlock) -> str:
+    shortcut = x
+    if block.downsample is not None:
+        convolution, normalisation = block.downsample
+        shortcut = graph.convolution(f"{name}.downsample", x, convolution, normalisation)
+    out = graph.add(f"{name}.relu1", "Relu", graph.convolution(f"{name}.conv1", x, block.conv1, block.bn1))
+    out = graph.convolution(f"{name}.conv2", out, block.conv2, block.bn2)
+    return graph.add(f"{name}.relu2", "Relu", graph.add(f"{name}.sum", "Add", out, shortcut))
