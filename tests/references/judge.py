@@ -133,6 +133,7 @@ def _pattern(
     pitch = sensor.pitch if array is None or array.pitch is None else array.pitch
     side, radius, surround, tiles = pitch, None, 1.0 + 0j, np.ones((1, 1))
     if array is not None:
+        assert array.shape in ("square", "round"), array.shape
         round_sites = array.shape == "round"
         side = None if round_sites else pitch * math.sqrt(array.fill)
         radius = pitch * math.sqrt(array.fill / math.pi) if round_sites else None

@@ -76,6 +76,7 @@ def widest(g: DoublePassGeometry) -> float:
 AGREEING = {
     "square photosites": (PixelArray(fill=0.5), None, (649, 487), 0.05, 0.8e-3, math.inf, (0.0, 0.0)),
     "square, tilted, out of focus": (PixelArray(fill=0.5), None, (648, 486), 0.05, 0.8e-3, 3.0, (0.003, 0.006)),
+    "hexagons": (PixelArray(fill=0.6, shape="hexagon"), None, (648, 487), 0.05, 0.8e-3, 3.0, (0.003, 0.006)),
     "round, bright surround": (
         PixelArray(fill=0.6, shape="round", surround=0.3, phase=1.2),
         None,
@@ -127,6 +128,24 @@ def test_order_powers_of_square_photosites(validated: Validated) -> None:
     assert orders_of(sensor(PixelArray(), reflectance=0.0), WAVELENGTH, 0.5) == ()
 
 
+def test_hexagons_against_quadrature(validated: Validated) -> None:
+    """Row by row: of a row 2w wide ∫ cos(2πνx) dx is 2w sinc(2wν)."""
+    corner = math.sqrt(2 * 0.6 / math.sqrt(27))
+
+    def by_rows(across: int, down: int) -> float:
+        def row(y: float) -> float:
+            half = min(math.sqrt(3) / 2 * corner, math.sqrt(3) * (corner - y))
+            return 4 * half * float(np.sinc(2 * half * across)) * math.cos(2 * math.pi * down * y)
+
+        return quad(row, 0, corner, points=[corner / 2], limit=200)[0]
+
+    found = amplitudes(sensor(PixelArray(fill=0.6, shape="hexagon")))
+    error = max(abs(found[m] - by_rows(*m)) for m in ((0, 0), (1, 0), (0, 1), (2, 1), (1, -2), (3, 3)))
+    validated(SECTION, "Hexagonal photosites, fill 0.6: amplitudes", error, 1e-9, "quadrature", "of the amplitude")
+    with pytest.raises(ValueError, match=r"hexagon photosites fill at most 0\.65 of the plane"):
+        PixelArray(fill=0.7, shape="hexagon")
+
+
 def test_round_photosites_and_microlenses_against_radial_integrals(validated: Validated) -> None:
     a = math.sqrt(0.4 / math.pi)
 
@@ -153,6 +172,7 @@ CELLS = {
     "square": (PixelArray(fill=0.5), None),
     "square, bright surround": (PixelArray(fill=0.5, surround=0.3, phase=-2.0), None),
     "round": (PixelArray(fill=0.5, shape="round", surround=0.2), None),
+    "hexagons": (PixelArray(fill=0.6, shape="hexagon", surround=0.2), None),
     "Bayer": (PixelArray(fill=0.5, bayer=(1, 0.5, 0.4, 0.1), surround=0.1), None),
     "microlens": (None, Microlens(6e-6)),
     "all": (

@@ -5,13 +5,14 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import Annotated, Literal
+from typing import Annotated
 
 from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.quantity import Angle, Length, to_si
 from tapetum.bench.strict import STRICT, Positive, Share
+from tapetum.optics.photosites import SHAPES, Shape
 
 __all__ = ["Diffuse", "Layer", "Microlens", "PixelArray", "SensorMask", "SmallTilt", "Spectrum", "at_wavelength"]
 
@@ -99,7 +100,7 @@ class PixelArray:
     fill
         Area of the photosites over the whole.
     shape
-        `square` or `round` photosites.
+        `square`, `round` or `hexagon` photosites.
     surround
         Power reflectance of what lies between them, over that of a photosite.
     phase
@@ -110,15 +111,17 @@ class PixelArray:
 
     pitch: Positive | None = None
     fill: Annotated[float, Field(gt=0, le=1)] = 0.5
-    shape: Literal["square", "round"] = "square"
+    shape: Shape = "square"
     surround: Share = 0.0
     phase: Annotated[float, Field(ge=-math.pi, le=math.pi)] = 0.0
     bayer: Annotated[tuple[Share, Share, Share, Share] | None, Field(description="row by row")] = None
 
     @model_validator(mode="after")
     def _fits(self) -> PixelArray:
-        if self.shape == "round" and self.fill > math.pi / 4:
-            raise ValueError(f"round photosites fill at most 0.785 of the plane, fill is {self.fill:g}; use a square")
+        most = SHAPES[self.shape].largest
+        if self.fill > most:
+            what = f"{self.shape} photosites fill at most {most:.3g} of the plane, fill is {self.fill:g}"
+            raise ValueError(f"{what}; use a square")
         return self
 
 

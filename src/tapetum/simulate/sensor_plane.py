@@ -31,10 +31,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from scipy.special import fresnel, j1
+from scipy.special import fresnel
 
 from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
+from tapetum.optics.photosites import SHAPES, Photosite, Round, Square, covered
 from tapetum.simulate.round_pass import Order, PlaceSeries
 
 __all__ = ["Reflectance", "orders_of", "reflectance_at", "second_derivative", "widened"]
@@ -46,8 +47,6 @@ Real = npt.NDArray[np.float64]
 # Samples a pitch of a cell without a closed form. At 512 the amplitudes of the orders are within 2e-5 of
 # those at 2048 (tests/simulate/test_sensor_plane.py).
 _FINE, _FINEST = 512, 1024
-# Lines across one of these samples along which the area under a round edge is summed.
-_LINES = 16
 # Power below which an order is left out, over the largest one's.
 _FAINT = 1e-8
 _MOST_ORDERS = 20_000
@@ -89,7 +88,8 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     Notes
     -----
     Scalar diffraction at one plane: a photosite of side w = p sqrt(fill) has c_m = fill sinc(m_x w/p) sinc(m_y w/p), a
-    round one of radius a has c_m = (a/p) J1(2π a m/p)/m (Goodman, Introduction to Fourier Optics, chapters 2 and 4).
+    round one of radius a has c_m = (a/p) J1(2π a m/p)/m (Goodman, Introduction to Fourier Optics, chapters 2 and 4);
+    other shapes stand in `tapetum.optics.photosites`.
     A microlens is a thin lens passed twice, exp(-ik ρ²/f_m) inside its diameter; outside the flat continues its rim.
     """
     if sensor.mask is not None:
@@ -189,8 +189,7 @@ class _Cell:
     """One period of an array, its middle photosite's centre at the origin."""
 
     pitch: float
-    side: float | None
-    radius: float | None
+    site: Photosite
     surround: complex
     lens: tuple[float, float] | None
     wavelength: float
@@ -218,25 +217,14 @@ class _Cell:
             edges, values = self.fine()
             return _of_steps(edges / self.pitch, down) @ values @ _of_steps(edges / self.pitch, across).T
         all_of_it = np.outer(np.sinc(down), np.sinc(across))
-        if self.side is not None:
-            w = self.side / self.pitch
-            site = w**2 * np.outer(np.sinc(w * down), np.sinc(w * across))
-        else:
-            assert self.radius is not None
-            a = self.radius / self.pitch
-            nu = np.hypot(*np.meshgrid(across, down))
-            small = nu < 1e-9
-            safe = np.where(small, 1.0, nu)
-            site = np.where(small, math.pi * a**2, a * j1(2 * math.pi * a * safe) / safe)
-        return (1 - self.surround) * site + self.surround * all_of_it
+        return (1 - self.surround) * self.site.transform(across, down) + self.surround * all_of_it
 
     def steps(self) -> tuple[Real, Complex]:
         """Edges from one pitch's left to its right, and the cell's values between them, [rows, columns]: exact for
         square photosites without a lens."""
-        if self.lens is not None or self.side is None:
+        if self.lens is not None or self.site.breaks is None:
             return self.fine()
-        half, side = self.pitch / 2, self.side / 2
-        edges = np.array([-half, -side, side, half])
+        edges = self.pitch * np.array([-0.5, *self.site.breaks, 0.5])
         values = np.full((3, 3), self.surround, np.complex128)
         values[1, 1] = 1.0
         return edges, values
@@ -248,18 +236,14 @@ class _Cell:
             turns = 0.0 if self.lens is None else p**2 / (self.wavelength * self.lens[0])
             count = min(max(_FINE, 1 << math.ceil(math.log2(32 * max(turns, 1)))), _FINEST)
         edges = np.linspace(-p / 2, p / 2, count + 1)
-        if self.side is not None:
-            inside = np.diff(np.clip(edges, -self.side / 2, self.side / 2)) * count / p
-            site = np.outer(inside, inside)
-        else:
-            assert self.radius is not None
-            site = _disc_cover(edges, self.radius)
+        site = covered(edges / p, self.site)
         values = self.surround + (1 - self.surround) * site
         if self.lens is not None:
             focal, radius = self.lens
             bend = 2 * math.pi / (self.wavelength * focal)
             line = _chirp_means(edges, bend)
-            cover, rim = _disc_cover(edges, radius), cmath.exp(-1j * bend * radius**2)
+            disc = Round(math.pi * (radius / p) ** 2)
+            cover, rim = covered(edges / p, disc), cmath.exp(-1j * bend * radius**2)
             values = values * (cover * np.outer(line, line) + (1 - cover) * rim)
         return edges, values.astype(np.complex128)
 
@@ -270,14 +254,12 @@ def _cell_of(sensor: TargetSensor, wavelength: float) -> _Cell | None:
         return None
     pitch = sensor.pitch if array is None or array.pitch is None else array.pitch
     fill = 1.0 if array is None else array.fill
-    round_sites = array is not None and array.shape == "round"
     bayer = None if array is None else array.bayer
     tiles = np.ones((1, 1)) if bayer is None else np.sqrt(np.array(bayer, np.float64).reshape(2, 2))
     columns, rows = sensor.pixels
     return _Cell(
         pitch=pitch,
-        side=None if round_sites else pitch * math.sqrt(fill),
-        radius=pitch * math.sqrt(fill / math.pi) if round_sites else None,
+        site=Square(fill) if array is None else SHAPES[array.shape](fill),
         surround=1.0 if array is None else cmath.rect(math.sqrt(array.surround), array.phase),
         lens=None if lens is None else (lens.focal_length, lens.fill * pitch / 2),
         wavelength=wavelength,
@@ -327,19 +309,6 @@ def _of_steps(edges: Real, orders: Real) -> Complex:
     width, middle = np.diff(edges), (edges[1:] + edges[:-1]) / 2
     integrals = width * np.sinc(np.outer(orders, width)) * np.exp(-2j * np.pi * np.outer(orders, middle))
     return integrals.astype(np.complex128)
-
-
-def _disc_cover(edges: Real, radius: float) -> Real:
-    """Share of each square between the edges of an even number of steps about the origin that a disc there covers."""
-    step = edges[1] - edges[0]
-    # One quadrant stands for all.
-    edges = edges[len(edges) // 2 :]
-    y = (edges[:-1, None] + (np.arange(_LINES) + 0.5) / _LINES * step).ravel()
-    chord = np.sqrt(np.maximum(radius**2 - y**2, 0.0))
-    covered = np.diff(np.minimum(edges[None, :], chord[:, None]), axis=1) / step
-    quadrant = covered.reshape(len(edges) - 1, _LINES, -1).mean(1)
-    half = np.concatenate([quadrant[::-1], quadrant])
-    return np.concatenate([half[:, ::-1], half], axis=1)
 
 
 def _chirp_means(edges: Real, bend: float) -> Complex:
