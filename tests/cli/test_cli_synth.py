@@ -62,8 +62,8 @@ def test_an_interruption_says_how_to_go_on(run, tmp_path: Path, monkeypatch: pyt
     assert left.value.code == 130
     (line,) = capsys.readouterr().err.splitlines()
     assert line == "interrupted: what is done is kept, and the same command carries on"
-    other = run("dataset", "synth", "rotation", "-o", out, "--seed", 1)
-    assert other.code == 2 and "was begun with seed 0, not 1" in other.complaint
+    other = run("dataset", "synth", "rotation", "-o", out, "--seed", 2)
+    assert other.code == 2 and "was begun with seed 1, not 2" in other.complaint
     assert run("dataset", "synth", "rotation", "-o", out).code == 0
     assert [path.name for path in tmp_path.iterdir()] == ["set.zarr"]
 

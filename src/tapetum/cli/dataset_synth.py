@@ -19,7 +19,7 @@ def synth(
     kind: Annotated[str, typer.Argument(metavar="KIND", help="rotation, focusing or phones.")],
     out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
     size: Annotated[str, typer.Option(metavar="SIZE", help=_SIZES)] = "small",
-    seed: Annotated[int, typer.Option(metavar="N", help="Of everything random.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(metavar="N", help="Of everything random.", min=0)] = 1,
     workers: Annotated[
         int | None, typer.Option(metavar="N", help="Processes on this machine (extra: cluster).", min=1)
     ] = None,

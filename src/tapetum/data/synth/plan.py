@@ -23,6 +23,7 @@ __all__ = [
     "FOCUSING_SAMPLING",
     "KINDS",
     "PIECE",
+    "SEED",
     "SIZES",
     "Part",
     "Plan",
@@ -40,6 +41,8 @@ FOCUSING_SAMPLING = ("sampling.accuracy=0.3", "sampling.propagation=far field")
 KINDS = ("rotation", "focusing", "phones")
 SIZES = ("small", "laptop", "paper")
 RATE = 15.0
+SEED = 1
+"""Of everything random in the sets behind the paper's figures and tables, and where none is named."""
 
 PIECE = 2 * CHUNK
 """Frames that are made in one go: whole chunks of the store, so that no two pieces write the same one."""
@@ -182,7 +185,7 @@ class Plan:
         return hashlib.sha256(json.dumps(self.as_dict(), sort_keys=True).encode()).hexdigest()
 
 
-def make_plan(kind: str, size: str = "small", seed: int = 0) -> Plan:
+def make_plan(kind: str, size: str = "small", seed: int = SEED) -> Plan:
     """Return the plan of one of the three sets, from its bundled scene.
 
     Parameters
@@ -206,13 +209,13 @@ def make_plan(kind: str, size: str = "small", seed: int = 0) -> Plan:
     return plans[kind](load_scene(kind, FOCUSING_SAMPLING if kind == "focusing" else ()), size, seed)
 
 
-def rotation_plan(scene: Scene, size: str = "small", seed: int = 0) -> Plan:
+def rotation_plan(scene: Scene, size: str = "small", seed: int = SEED) -> Plan:
     """Seven videos of one hand-held camera (paper, §4.2)."""
     videos = tuple(_video("rotation", f"rotation-{n + 1}", scene, size, seed, n) for n in range(7))
     return Plan("rotation", size, seed, videos)
 
 
-def focusing_plan(scene: Scene, size: str = "small", seed: int = 0) -> Plan:
+def focusing_plan(scene: Scene, size: str = "small", seed: int = SEED) -> Plan:
     """One video for each of three focal lengths and six object distances (paper, §4.3)."""
     pairs = [(focal_length, distance) for focal_length in FOCAL_LENGTHS for distance in OBJECT_DISTANCES]
     videos = tuple(
@@ -230,7 +233,7 @@ def focusing_plan(scene: Scene, size: str = "small", seed: int = 0) -> Plan:
     return Plan("focusing", size, seed, videos)
 
 
-def phones_plan(scene: Scene, size: str = "small", seed: int = 0, names: tuple[str, ...] = PHONES) -> Plan:
+def phones_plan(scene: Scene, size: str = "small", seed: int = SEED, names: tuple[str, ...] = PHONES) -> Plan:
     """One video of each phone (paper, §4.5).
 
     A phone answers in the middle of its field only. Beyond, frames show the sensor's fixed pattern and nothing else,
