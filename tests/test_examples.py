@@ -80,6 +80,7 @@ def test_limits_fall_with_the_power(capsys: pytest.CaptureFixture[str]):
     assert "focus" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_fit_by_simulation_finds_the_gaze():
     true, value, half, _ = example("fit_by_simulation").main([])
     assert abs(value - true).max() < 1e-3

@@ -87,6 +87,7 @@ def test_a_real_lens_is_planned_by_what_its_rays_tell(run) -> None:
     assert refused.code == 2 and "distance: not differentiated through a traced lens" in refused.complaint
 
 
+@pytest.mark.slow
 def test_a_phone_is_planned_without_limits(run) -> None:
     asked = ("phones", "--set", "probe.sensor.pixels=[40, 32]", "--set", "target.name=phone-03", *ROUGH)
     told = planned(run, *asked)

@@ -31,6 +31,7 @@ def alone(tmp_path_factory) -> str:
     return digest(synthesise(little_plan(2, seed=SEED), tmp_path_factory.mktemp("alone") / "set.zarr"))
 
 
+@pytest.mark.slow
 def test_two_workers_one_killed_half_way_give_the_same_bytes(alone: str, tmp_path: Path):
     killed: list[psutil.Process] = []
     environment = dict(os.environ)

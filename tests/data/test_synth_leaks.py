@@ -24,6 +24,7 @@ def _longer(plan: Plan, seconds: float) -> Plan:
     )
 
 
+@pytest.mark.slow
 def test_nothing_but_the_picture_tells_the_gaze(tmp_path: Path):
     # Diverging light moves the RR with the gaze, more than so small a frame lets a hand sway.
     scene = with_values(little_scene(), {"illumination.mode": "collimated", "illumination.divergence": None})
