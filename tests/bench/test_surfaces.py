@@ -124,7 +124,7 @@ REFUSED: list[tuple[str, object, str]] = [
     (f"{SENSOR}.array", {"pitch": 0}, "target.sensor.array.pitch: 0 is out of range; give more than 0"),
     (f"{SENSOR}.array", {"fill": 0}, "array.fill: 0 is out of range; give more than 0"),
     (f"{SENSOR}.array", {"fill": 1.1}, "array.fill: 1.1 is out of range; give at most 1"),
-    (f"{SENSOR}.array", {"shape": "hexagon"}, "array.shape: unknown value 'hexagon'; use 'square' or 'round'"),
+    (f"{SENSOR}.array", {"shape": "star"}, "array.shape: unknown value 'star'; use 'square', 'round' or 'hexagon'"),
     (
         f"{SENSOR}.array",
         {"shape": "round", "fill": 0.9},

@@ -70,6 +70,7 @@ def test_bundled_scenes_as_json(run, scene: str) -> None:
     assert told["eye_safety"]["computed"] is True and told["eye_safety"]["notice"] == NOT_A_CERTIFICATE
 
 
+@pytest.mark.slow
 def test_a_real_lens_is_planned_by_what_its_rays_tell(run) -> None:
     asked = ("rotation", "--set", "probe.sensor.pixels=[40, 32]", *ROUGH, *PLAIN)
     told = planned(run, *asked)

@@ -100,10 +100,15 @@ def test_results_are_added_never_replaced(
     run_sealed(out, Workshop(tmp_path / "work", "small"), {"first": ridge})
     assert main(["paper", "sealed", "-o", str(out), "--model", str(kept), "--size", "small", "--workers", "1"]) == 0
     rows = read_results(out)
-    assert [row["model"] for row in rows] == ["first", str(kept)]
+    assert [row["model"] for row in rows] == ["first", kept.name]
     assert rows[0]["mae"] == pytest.approx(rows[1]["mae"]) and rows[0]["date"] <= rows[1]["date"]
     page = (out / "sealed.md").read_text()
-    assert page.count("| first |") == 1 and f"| {kept} |" in page and rows[0]["verdict"] in page
+    assert (
+        page.count("| first |") == 1
+        and f"| {kept.name} |" in page
+        and str(tmp_path) not in page
+        and rows[0]["verdict"] in page
+    )
     assert {path.name for path in out.iterdir()} <= {"sealed.jsonl", "sealed.md", "work"}
     assert not list(out.glob("work/*"))
     capsys.readouterr()

@@ -94,6 +94,7 @@ def test_shared_noise_is_divided_by_as_its_whole_matrix():
     np.testing.assert_allclose(Noise(slope, variance, (0.0, 0.0))(one, other), (one / variance) @ other.T)
 
 
+@pytest.mark.slow
 def test_columns_and_rows_with_offsets_are_taken_into_account(scene: Scene):
     gazes = np.random.default_rng(3).uniform(-0.25, 0.25, (24, 2))
     rng, pictures = np.random.default_rng(1), Pictures(scene, 150)

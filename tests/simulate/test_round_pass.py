@@ -374,6 +374,7 @@ def test_bands_of_rows_change_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     assert torch.allclose(one(at), whole, rtol=1e-3, atol=1e-5 * float(whole.max()))
 
 
+@pytest.mark.slow
 def test_the_full_aperture_of_the_papers_lens_fits_into_memory() -> None:
     """LA1509-B: r = 12.7 mm, focused at 1 m."""
     scene: Scene = with_values(

@@ -117,7 +117,8 @@ def test_a_camera_is_tracked_as_a_file_is(tmp_path: Path, monkeypatch: pytest.Mo
     assert table["lost"].to_pylist()[:5] == [0, 0, 0, 0, 1]
     assert abs(table["utc_ns"][0].as_py() - time.time_ns()) < 60e9
     assert np.diff(table["utc_ns"].to_numpy()).min() > 0
-    assert "1 frames lost" in capsys.readouterr().out
+    # More of them where this machine is slower than the camera.
+    assert f"{sum(table['lost'].to_pylist())} frames lost" in capsys.readouterr().out
     assert made[0].closed
 
 
