@@ -408,6 +408,16 @@ def test_misuse_is_one_line_and_nothing_is_left(
     assert all(one.released for one in webcams.opened if one.number in (0, 2))
 
 
+def test_a_source_without_a_frame_gives_the_others_back(webcams: type[Webcam], tmp_path: Path):
+    class Empty(Made):
+        def first(self) -> Frame:
+            raise InputError("holds no frame", where=self.name)
+
+    with pytest.raises(InputError, match="holds no frame"):
+        capture({**opened(probe="camera:0"), "target": Empty("empty", [SIZE])}, tmp_path / "a.rec")
+    assert all(one.released for one in webcams.opened) and not (tmp_path / "a.rec").exists()
+
+
 def test_nothing_recorded_leaves_nothing(webcams: type[Webcam], tmp_path: Path):
     sources = opened(probe="camera:0")
     webcams.last[0] = 0

@@ -330,7 +330,7 @@ class NetworkEstimator:
             When the model is not fitted or the images do not fit it.
         """
         if not hasattr(self, "network_"):
-            raise InputError("the model is not fitted", where="ResNet18", remedy="call fit or load_model first")
+            raise InputError("the model is not fitted", where=self.kind, remedy="call fit or load_model first")
         device = training_device(self.device)
         self.network_.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.network_.eval()

@@ -222,7 +222,8 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
     fading = max(1.0, _FADING / returning if (returning := g.returning) else math.inf)
     missing = _lost_at_the_axis(g, half, flat)
-    if half < HOLDS_RIM * g.radius:
+    # In focus there is none of it, past the cut-off no more than all of the error: 0 times infinity is neither.
+    if g.spot_radius > 0 and half < HOLDS_RIM * g.radius:
         missing += RIM * g.spot_radius / g.radius * fading
     return SamplingPlan(
         columns=columns,

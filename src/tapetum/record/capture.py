@@ -65,7 +65,13 @@ def capture(
         When the disk is full, something stands at `out`, or not one source gave a frame.
     """
     stop = threading.Event()
-    readers = {name: Reader(source, seconds, stop) for name, source in sources.items()}
+    try:
+        readers = {name: Reader(source, seconds, stop) for name, source in sources.items()}
+    except InputError:
+        # One that gives no first frame: no thread has the others yet.
+        for source in sources.values():
+            source.close()
+        raise
     monotonic, utc = time.monotonic_ns(), time.time_ns()
     rates = [source.rate for source in sources.values() if source.rate]
     counts = dict.fromkeys(sources, 0)
