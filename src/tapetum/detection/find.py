@@ -1,0 +1,199 @@
+"""From a frame, or a lit and a dark one, to the cameras in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.detection.candidates import SIGMAS, Octave, octaves, patches
+from tapetum.detection.found import Found
+from tapetum.detection.looks import OF_A_FRAME, looks
+from tapetum.detection.registration import Registered, local_mean, register
+from tapetum.detection.score import load_score
+from tapetum.errors import InputError, one_of
+
+__all__ = ["CHANNELS", "LARGEST_FRAME", "candidates_with_looks", "find_cameras"]
+
+CHANNELS = ("mean", "red", "green", "blue")
+"""What of a colour frame is searched: the mean of all three, or the one that the laser's wavelength falls into."""
+LARGEST_FRAME = 2**26
+"""Most pixels of a frame: the search keeps about a hundred bytes for each."""
+_OUTLIER = OF_A_FRAME.index("outlier")
+_SATURATED = OF_A_FRAME.index("saturated")
+_ELONGATION = OF_A_FRAME.index("elongation")
+_FULL = 255.0
+_SWAPPED = 4.0
+
+Array = NDArray[np.float64]
+
+
+def find_cameras(
+    lit: NDArray[np.generic],
+    dark: NDArray[np.generic] | None = None,
+    *,
+    false_alarms: float = 0.01,
+    largest: float = 60.0,
+    most: int = 200,
+    channel: str = "mean",
+) -> Found:
+    """Find cameras, and other optics that look at the probe, in one frame or in a lit and a dark one.
+
+    Parameters
+    ----------
+    lit
+        [H, W] grey or [H, W, 3] red, green, blue; uint8, uint16 or float, lit by the probe.
+    dark
+        The same without the probe's light, of the same size. Both may be taken by hand: they are registered.
+    false_alarms
+        Expected false alarms a frame: what scores lower is left out. `math.inf` returns every candidate.
+    largest
+        Largest diameter of a spot in pixels.
+    most
+        Most candidates that are looked at.
+    channel
+        Of a colour frame: mean, red, green or blue. The mean holds the glint of a white flash and, in all three,
+        of a near-infrared lamp; for a red laser "red" has less of the room's own light in it.
+
+    Returns
+    -------
+    Found
+        The likeliest camera first.
+
+    Raises
+    ------
+    InputError
+        When a frame is no picture, the two differ in size or show different scenes, or an option is out of range;
+        also when the two look swapped, for what is brighter in the dark frame then scores far higher.
+
+    Examples
+    --------
+    >>> rng = np.random.default_rng(0)
+    >>> dark = rng.normal(60, 2, (96, 128)).astype(np.float32) + 40 * (np.arange(128) // 8 % 2)
+    >>> lit = dark + rng.normal(0, 2, dark.shape).astype(np.float32)
+    >>> lit[40:43, 70:73] += 120
+    >>> found = find_cameras(lit, dark)
+    >>> len(found), round(float(found.x[0])), round(float(found.y[0]))
+    (1, 71, 41)
+    """
+    if not false_alarms > 0:
+        raise InputError(f"must be positive, is {false_alarms}", where="false_alarms", remedy="0.01 is usual")
+    if not largest > 0:
+        raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
+    if most < 1:
+        raise InputError(f"must be at least 1, is {most}", where="most")
+    one_of(channel, CHANNELS, "channel")
+    first = _levels(lit, channel, "lit")
+    second = None if dark is None else _levels(dark, channel, "dark")
+    score = load_score(pair=second is not None)
+    found, measured = candidates_with_looks(first, second, largest=largest, most=most)
+    log_odds = score.log_odds(measured)
+    if second is not None and not (log_odds > 0).any():
+        turned = score.log_odds(candidates_with_looks(second, first, largest=largest, most=most)[1])
+        if (turned > _SWAPPED).any():
+            what = "the glints are in the dark frame: the two look swapped"
+            raise InputError(what, where="lit, dark", remedy="give them the other way round")
+    alarms = score.false_alarms(log_odds)
+    order = np.argsort(-log_odds, kind="stable")
+    order = order[alarms[order] <= false_alarms]
+    probability = 1 / (1 + np.exp(-np.clip(log_odds, -500, 500)))
+    return Found(
+        x=found["x"][order],
+        y=found["y"][order],
+        probability=probability[order],
+        false_alarms=alarms[order],
+        snr=found["snr"][order],
+        flux=found["flux"][order],
+        diameter=found["diameter"][order],
+        elongation=np.exp(measured[order, _ELONGATION]),
+        peak=found["peak"][order],
+        saturated=measured[order, _SATURATED] > 0,
+    )
+
+
+def candidates_with_looks(
+    lit: NDArray[np.float32], dark: NDArray[np.float32] | None, *, largest: float = 60.0, most: int = 200
+) -> tuple[dict[str, Array], Array]:
+    """Return candidates by column, [N] each, and their looks, [N, features].
+
+    Parameters
+    ----------
+    lit, dark
+        [H, W] levels from 0 to 255 as float32; dark None for one frame alone.
+    largest, most
+        As for `find_cameras`.
+    """
+    registered: Registered | None = None
+    difference, matched = lit, None
+    if dark is not None:
+        registered = register(lit, dark)
+        matched = registered.dark
+        difference = np.asarray(cv2.subtract(lit, matched))
+    local = local_mean(lit)
+    seen, flow = (None, None) if registered is None else (registered.seen, registered.flow)
+    columns: list[Array] = []
+    measured: list[Array] = []
+    for octave in octaves(difference, lit, matched, seen, largest, most):
+        columns.append(_measured(octave))
+        measured.append(looks(octave, local, _FULL, flow))
+    names = ("x", "y", "snr", "flux", "diameter", "peak")
+    if not columns:
+        return {name: np.empty(0) for name in names}, np.empty((0, len(OF_A_FRAME) + (3 if dark is not None else 0)))
+    table, features = np.vstack(columns), np.vstack(measured)
+    kept = _one_a_place(table)[:most]
+    table, features = table[kept], features[kept]
+    middle, high = np.quantile(table[:, 2], [0.5, 0.8])
+    features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (high - middle + 0.3))
+    return dict(zip(names, table.T, strict=True)), features
+
+
+def _measured(octave: Octave) -> Array:
+    """Place, height, flux, diameter and peak of each candidate, [N, 6], in pixels of the frame."""
+    half = 6
+    sigma = np.array(SIGMAS)[octave.size]
+    patch = patches(octave.difference, octave.x, octave.y, half).astype(np.float64)
+    rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
+    radius = np.hypot(rows, columns)
+    rim = np.median(patch[:, radius > half - 1.5], axis=1)
+    spot = np.maximum(patch - rim[:, None, None], 0) * (radius[None] <= (2 * sigma + 1)[:, None, None])
+    light = np.maximum(spot.sum((1, 2)), 1e-9)
+    x, y = ((spot * axis).sum((1, 2)) / light for axis in (columns, rows))
+    step = octave.step
+    peak = patches(octave.lit, octave.x, octave.y, 1).max((1, 2))
+    places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((octave.x, x), (octave.y, y)))
+    # The filter of width s answers a Gaussian of sigma s most.
+    return np.stack([*places, octave.height, light * step**2, 4 * sigma * step, peak], 1)
+
+
+def _one_a_place(table: Array) -> NDArray[np.int64]:
+    """Numbers of the candidates, highest first, less those that lie within a higher one."""
+    order = np.argsort(-table[:, 2], kind="stable")
+    x, y, diameter = table[order, 0], table[order, 1], table[order, 4]
+    alone = np.ones(len(order), bool)
+    for n in range(len(order)):
+        if alone[n]:
+            reach = np.maximum(0.375 * np.maximum(diameter[n], diameter[n + 1 :]), 2)
+            alone[n + 1 :] &= np.hypot(x[n + 1 :] - x[n], y[n + 1 :] - y[n]) > reach
+    return order[alone]
+
+
+def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray[np.float32]:
+    """The frame as grey levels from 0 to 255, [H, W]."""
+    array: NDArray[Any] = np.asarray(image)
+    if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or min(array.shape[:2]) < 32:
+        what = f"expected [H, W] or [H, W, 3] of at least 32 x 32 pixels, got shape {array.shape}"
+        raise InputError(what, where=where, remedy="give a grey or an RGB picture")
+    if array.shape[0] * array.shape[1] > LARGEST_FRAME:
+        what = f"{array.shape[1]} x {array.shape[0]} pixels are more than can be searched at once"
+        raise InputError(what, where=where, remedy=f"cut it into parts of at most {LARGEST_FRAME // 10**6} megapixels")
+    if array.dtype.kind not in "uif":
+        raise InputError(f"pixels of type {array.dtype} are no levels", where=where, remedy="give uint8, uint16 or float")
+    if array.ndim == 3:
+        array = array.mean(2, dtype=np.float32) if channel == "mean" else array[..., CHANNELS.index(channel) - 1]
+    scale = 1.0 if array.dtype.kind == "f" or np.asarray(image).dtype == np.uint8 else _FULL / np.iinfo(image.dtype).max
+    grey = array.astype(np.float32) * np.float32(scale)
+    if not np.isfinite(grey).all():
+        raise InputError("holds pixels that are not finite", where=where, remedy="replace NaN and infinite pixels")
+    return grey
