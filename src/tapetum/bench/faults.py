@@ -1,17 +1,21 @@
-"""What pydantic finds wrong with a scene, said as Tapetum says it: the field, its value, the remedy."""
+"""The bench's dataclasses from plain values; what pydantic finds wrong is said with field, value and remedy."""
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Sequence
-from typing import Any
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
+from tapetum.bench.plain_yaml import field_paths
 from tapetum.errors import InputError
 
-__all__ = ["first_fault"]
+__all__ = ["adapter", "build", "first_fault"]
+
+T = TypeVar("T")
 
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
 # Where pydantic puts the kind that was meant into a path, and the kinds.
@@ -22,6 +26,26 @@ _BOUNDS = {
     "less_than": ("lt", "less than"),
     "less_than_equal": ("le", "at most"),
 }
+
+
+@functools.cache
+def adapter(kind: type[T]) -> TypeAdapter[T]:
+    """What reads, writes and describes a dataclass."""
+    return TypeAdapter(kind)
+
+
+def build(kind: type[T], content: Mapping[str, Any], where: str, *, unit: float = 1.0) -> T:
+    """Return a dataclass of nested plain values; `unit` is that of a lens file's bare numbers, in metres.
+
+    Raises
+    ------
+    InputError
+        Naming `where`, the field's path, its value and the remedy.
+    """
+    try:
+        return adapter(kind).validate_python(dict(content), context={"unit": unit})
+    except ValidationError as error:
+        raise first_fault(error, where, field_paths(kind)) from error
 
 
 def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, ...]]) -> InputError:

@@ -5,12 +5,12 @@ from __future__ import annotations
 import itertools
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.quantity import Angle, Length
+from tapetum.bench.quantity import Angle, Length, to_si
 from tapetum.bench.strict import STRICT, Positive
 from tapetum.optics.glass import index_from_abbe, refractive_index
 
@@ -19,10 +19,57 @@ if TYPE_CHECKING:
 
 __all__ = ["LensState", "Prescription", "Surface", "build_lens", "clearance", "with_moves"]
 
-_HIGHEST_POWER = 16
-Radius = Annotated[Length, Field(description="of curvature; positive with the centre behind the surface")]
+# Published semi-diameters reach a little beyond where two rims touch: by 0.35 % in the worst of the catalogue.
+_TOUCHING = 5e-3
+
+
+def _unit(info: ValidationInfo) -> float:
+    return (info.context or {}).get("unit", 1.0)
+
+
+def _in_metres(value: Any, info: ValidationInfo) -> Any:
+    """A bare number is in the file's unit; a text may carry its own."""
+    try:
+        return float(value) * _unit(info)
+    except (TypeError, ValueError):
+        return value
+    except OverflowError as error:
+        raise ValueError("is out of range; give a length") from error
+
+
+def _moves(value: Any, info: ValidationInfo) -> Any:
+    """A file gives moves as a mapping from a surface's number to its new length."""
+    if not isinstance(value, dict):
+        return value
+    moves: list[tuple[Any, float]] = []
+    for number, length in value.items():
+        try:
+            moves.append((number, to_si(_in_metres(length, info), "m")))
+        except ValueError as error:
+            raise ValueError(f"surface {number}: {error}") from error
+    return moves
+
+
+def _terms(value: Any, info: ValidationInfo) -> Any:
+    """A file gives an asphere as a mapping from powers to coefficients, in its unit^(1 - power)."""
+    if not isinstance(value, dict):
+        return value
+    terms: list[tuple[int, float]] = []
+    for power, coefficient in value.items():
+        if not str(power).isdigit() or isinstance(coefficient, bool):
+            raise ValueError(f"{power!r}: {coefficient!r} is no term; write it as {{4: -1.2e-3, 6: 3.4e-5}}")
+        try:
+            # YAML takes 1e-5, without a point, for text.
+            terms.append((int(power), float(coefficient) * _unit(info) ** (1 - int(power))))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"coefficient {coefficient!r} of r^{power} is no number; give one, as 1.2e-3") from error
+    return terms
+
+
+InFile = BeforeValidator(_in_metres)
+Opening = Annotated[Positive, InFile]
 Number = Annotated[int, Field(ge=0)]
-Power = Annotated[int, Field(ge=2, le=_HIGHEST_POWER)]
+Power = Annotated[int, Field(ge=2, le=16)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -51,15 +98,15 @@ class Surface:
         Whether it is the aperture stop.
     """
 
-    semi_diameter: Positive
-    radius: Radius | None = None
-    thickness: Length = 0.0
+    semi_diameter: Opening
+    radius: Annotated[Length | None, InFile] = None
+    thickness: Annotated[Length, InFile] = 0.0
     nd: Annotated[float, Field(gt=1, lt=5)] | None = None
     vd: Annotated[float, Field(ge=10, le=120)] | None = None
     index: Annotated[float, Field(ge=1, lt=5)] | None = None
     glass: str | None = None
     conic: float = 0.0
-    asphere: tuple[tuple[Power, float], ...] = ()
+    asphere: Annotated[tuple[tuple[Power, float], ...], BeforeValidator(_terms)] = ()
     stop: bool = False
 
     @model_validator(mode="after")
@@ -110,8 +157,8 @@ class LensState:
     name: str
     f_number: Annotated[float, Field(gt=0.3, lt=200)] | None = None
     half_field: Annotated[Angle, Field(gt=0, lt=math.pi / 2)] | None = None
-    thickness: tuple[tuple[Number, Length], ...] = ()
-    semi_diameter: tuple[tuple[Number, Positive], ...] = ()
+    thickness: Annotated[tuple[tuple[Number, Length], ...], BeforeValidator(_moves)] = ()
+    semi_diameter: Annotated[tuple[tuple[Number, Positive], ...], BeforeValidator(_moves)] = ()
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -179,23 +226,16 @@ class Prescription:
                 raise ValueError(f"state {name!r}: {what}; mend the thickness or the semi_diameter")
 
 
-# Published semi-diameters reach a little beyond where two rims touch: by 0.35 % in the worst of the catalogue.
-_TOUCHING = 5e-3
-
-
 def with_moves(
     surfaces: tuple[Surface, ...], thickness: dict[int, float], semi_diameter: dict[int, float]
 ) -> tuple[Surface, ...]:
     """The surfaces with other gaps behind some of them, and other openings."""
-    moved = list(surfaces)
-    for i in {*thickness, *semi_diameter}:
-        one = moved[i]
-        moved[i] = replace(
-            one,
-            thickness=thickness.get(i, one.thickness),
-            semi_diameter=semi_diameter.get(i, one.semi_diameter),
-        )
-    return tuple(moved)
+    return tuple(
+        replace(one, thickness=thickness.get(i, one.thickness), semi_diameter=semi_diameter.get(i, one.semi_diameter))
+        if i in thickness or i in semi_diameter
+        else one
+        for i, one in enumerate(surfaces)
+    )
 
 
 def build_lens(surfaces: tuple[Surface, ...], wavelength: float, scale: float = 1.0) -> Lens:

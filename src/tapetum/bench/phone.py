@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-import difflib
 import functools
 import itertools
 import math
-from importlib import resources
-from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.faults import first_fault
-from tapetum.bench.plain_yaml import field_paths, read_mapping
+from tapetum.bench.catalogue import Catalogue
+from tapetum.bench.faults import build
 from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, Length, Power, Time
 from tapetum.bench.sensors import TargetSensor
 from tapetum.bench.strict import STRICT
 from tapetum.bench.surfaces import SmallTilt
-from tapetum.errors import InputError
 
 __all__ = ["PHONE_SCHEMA", "CameraUnit", "Dots", "Phone", "load_phone", "phone_names"]
 
 PHONE_SCHEMA = "tapetum/phone/1"
+_PHONES = Catalogue("phone", PHONE_SCHEMA, "phones")
 Place = Annotated[Length, Field(gt=-0.1, lt=0.1)]
 Wide = Annotated[Angle, Field(gt=0, lt=math.pi)]
 # Two camera modules cannot stand nearer to each other, centre to centre, in metres.
@@ -133,8 +130,7 @@ class Phone:
 
 def phone_names() -> list[str]:
     """Names of the phones that come with the package."""
-    folder = resources.files("tapetum.bench") / "phones"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return list(_PHONES.names)
 
 
 def load_phone(source: str) -> Phone:
@@ -146,28 +142,9 @@ def load_phone(source: str) -> Phone:
         For an unknown name (with the nearest ones), a file that cannot be read, and a phone that cannot be: with the
         field's path and the remedy.
     """
-    if source in phone_names():
-        return _bundled(source)
-    path = Path(source)
-    if not path.is_file():
-        near = difflib.get_close_matches(source, phone_names(), n=3, cutoff=0.6)
-        remedy = f"did you mean {' or '.join(near)}?" if near else f"use a file, or one of {', '.join(phone_names())}"
-        raise InputError("no such phone", where=source, remedy=remedy)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=source, remedy="give a YAML file") from error
-    return _phone(text, source)
+    return _bundled(source) if source in _PHONES.names else build(Phone, _PHONES.read(source), source)
 
 
 @functools.cache
 def _bundled(name: str) -> Phone:
-    return _phone((resources.files("tapetum.bench") / "phones" / f"{name}.yaml").read_text(encoding="utf-8"), name)
-
-
-def _phone(text: str, where: str) -> Phone:
-    content = read_mapping(text, PHONE_SCHEMA, where)
-    try:
-        return TypeAdapter(Phone).validate_python(content)
-    except ValidationError as error:
-        raise first_fault(error, where, tuple(field_paths(Phone))) from error
+    return build(Phone, _PHONES.read(name), name)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import typing
 from collections.abc import Iterable
 from typing import Any
@@ -113,13 +114,16 @@ def read_mapping(text: str, schema: str, where: str) -> dict[str, Any]:
     return {key: value for key, value in content.items() if key != "schema"}
 
 
-def field_paths(kind: type, at: tuple[str, ...] = (), *, lists: bool = True) -> Iterable[tuple[str, ...]]:
-    """Every field of a dataclass and of those inside it, those of lists' members too where asked for."""
+@functools.cache
+def field_paths(kind: type, *, lists: bool = True) -> tuple[tuple[str, ...], ...]:
+    """Paths of all fields of a dataclass and of those inside it, once each; with those of lists' members by default."""
+    found: dict[tuple[str, ...], None] = {}
+    hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
-        here = (*at, field.name)
-        yield here
-        for one in _inner(typing.get_type_hints(kind)[field.name], lists):
-            yield from field_paths(one, here, lists=lists)
+        found[(field.name,)] = None
+        for one in _inner(hints[field.name], lists):
+            found |= {(field.name, *path): None for path in field_paths(one, lists=lists)}
+    return tuple(found)
 
 
 def _inner(hint: Any, lists: bool) -> Iterable[type]:

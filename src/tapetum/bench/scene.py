@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
 
+from tapetum.bench.modes import MODES, Collimated, ModeName
 from tapetum.bench.phone import CameraUnit, Phone, load_phone
 from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, FocusDistance, Length, Power, Vergence
@@ -124,7 +125,7 @@ class Illumination:
         distance R, negative for light that converges. Sweeping it scans a focus through the target (paper, section 6).
     """
 
-    mode: Literal["collimated", "diverging", "fixed_area"] = "collimated"
+    mode: ModeName = "collimated"
     wavelength: Wavelength = 640e-9
     power: Power = 1e-3
     divergence: Annotated[Angle, Field(gt=0, lt=math.pi / 2)] | None = None
@@ -138,19 +139,41 @@ class Illumination:
 
     @model_validator(mode="after")
     def _fits_its_mode(self) -> Illumination:
-        if self.mode == "diverging" and self.divergence is None:
-            raise ValueError("mode 'diverging' needs a divergence; add for example 'divergence: 0.5 deg'")
-        if self.mode == "fixed_area" and self.diameter is None:
-            raise ValueError("mode 'fixed_area' needs a diameter; add for example 'diameter: 50 mm'")
-        if self.mode != "diverging" and self.divergence is not None:
-            remedy = "leave it out or use mode 'diverging'"
-            raise ValueError(f"divergence has no meaning in mode '{self.mode}'; {remedy}")
-        if self.mode == "diverging" and self.diameter is not None:
-            raise ValueError("diameter has no meaning in mode 'diverging'; leave it out or use mode 'fixed_area'")
+        for name, given in (("divergence", self.divergence), ("diameter", self.diameter)):
+            example = self.way.needs.get(name)
+            if given is None and example is not None:
+                raise ValueError(f"mode '{self.mode}' needs a {name}; add for example '{name}: {example}'")
+            if given is not None and name not in self.way.takes:
+                other = next(word for word, way in MODES.items() if name in way.needs)
+                raise ValueError(f"{name} has no meaning in mode '{self.mode}'; leave it out or use mode '{other}'")
         shortest = min(self.wavelength, *(line.wavelength for line in self.lines), math.inf)
         if self.bandwidth >= 0.5 * shortest:
             raise ValueError(f"bandwidth {self.bandwidth:g} m is no line at {shortest:g} m; give a narrower one")
         return self
+
+    @property
+    def way(self) -> type[Collimated]:
+        """What the mode says of how the light spreads."""
+        return MODES[self.mode]
+
+    @property
+    def follows_distance(self) -> bool:
+        """Whether the curvature at the target changes with its distance."""
+        return self.vergence is None and self.way.spherical
+
+    def curvature(self, distance: float) -> float:
+        """1/R of the wave at a distance (metres) from the probe, in 1/m, positive from a source at R."""
+        if self.vergence is not None:
+            return self.vergence
+        return 1 / distance if self.way.spherical else 0.0
+
+    def radius(self, distance: float, aperture_radius: float) -> float:
+        """Radius of the lit disc at a distance from a probe of an aperture's radius, in metres (paper, figure 3)."""
+        return self.way.radius(self.divergence, self.diameter, distance, aperture_radius)
+
+    def spread(self, distance: Any, usual: Any) -> Any:
+        """Irradiance at a distance over that at the usual one; both in metres, numbers, arrays or tensors."""
+        return (usual / distance) ** (2 if self.way.spreads else 0)
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -181,14 +204,14 @@ class ThinLens:
         return self
 
 
-def _kind_of_lens(value: Any) -> str:
-    return str(value.get("kind", "thin") if isinstance(value, dict) else getattr(value, "kind", "thin"))
+def _by_kind(usual: str) -> Discriminator:
+    """What tells the kinds of a union apart: a file may leave out the usual one."""
+    return Discriminator(
+        lambda value: str(value.get("kind", usual) if isinstance(value, dict) else getattr(value, "kind", usual))
+    )
 
 
-# A lens is thin unless it says otherwise.
-Lens = Annotated[
-    Annotated[ThinLens, Tag("thin")] | Annotated[PrescriptionLens, Tag("prescription")], Discriminator(_kind_of_lens)
-]
+Lens = Annotated[Annotated[ThinLens, Tag("thin")] | Annotated[PrescriptionLens, Tag("prescription")], _by_kind("thin")]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -302,14 +325,7 @@ class PhoneTarget:
         return tuple(found)
 
 
-def _kind_of_target(value: Any) -> str:
-    return str(value.get("kind", "camera") if isinstance(value, dict) else getattr(value, "kind", "camera"))
-
-
-# A target is a single camera unless it says otherwise.
-AnyTarget = Annotated[
-    Annotated[Target, Tag("camera")] | Annotated[PhoneTarget, Tag("phone")], Discriminator(_kind_of_target)
-]
+AnyTarget = Annotated[Annotated[Target, Tag("camera")] | Annotated[PhoneTarget, Tag("phone")], _by_kind("camera")]
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -39,17 +39,10 @@ class Candidates:
 
     Attributes
     ----------
-    x, y
-        Centres in pixels, [K]; (0, 0) is the centre of the top left pixel.
+    x, y, peak, snr, sigma
+        [K] each, as of a `spot.Spot`.
     odds
-        Natural logarithm of the odds that it is the laser, [K].
-    peak
-        Height over the background in the picture's digital numbers, from the flanks where it is saturated,
-        [K].
-    snr
-        That height over the rms of what the fit leaves, [K].
-    sigma
-        Standard deviation of the Gaussian in pixels, [K].
+        [K] natural logarithm of the odds that it is the laser.
     """
 
     x: np.ndarray
@@ -69,11 +62,7 @@ class Candidates:
 
 
 def _templates() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return, for each of WIDTHS, its basis [P, 6], the pseudo-inverse [6, P] and the mask [P] on the patch.
-
-    The basis is a Gaussian, its two derivatives (which take up the part of a pixel that it is off), and a
-    plane.
-    """
+    """Return basis [P, 6] (Gaussian, its slopes, a plane), pseudo-inverse [6, P] and mask [P] of each of WIDTHS."""
     y, x = (axis.ravel().astype(float) for axis in np.mgrid[-SCREEN : SCREEN + 1, -SCREEN : SCREEN + 1])
     r2 = x * x + y * y
     out = []
@@ -148,12 +137,7 @@ def screen(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarra
 def fit(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit a Gaussian on a sloping background to each candidate (damped Gauss–Newton, all at once).
 
-    Returns
-    -------
-    parameters
-        [K, 4]: amplitude, x and y in the picture, sigma.
-    rms
-        What the fit leaves, [K].
+    Returns [K, 4] amplitude, x and y in the picture and sigma, and [K] the rms of what the fit leaves.
     """
     side = 2 * PATCH + 1
 
@@ -212,17 +196,9 @@ def features(field: np.ndarray, smooth: np.ndarray, found: np.ndarray, rms: np.n
     strength = np.log(amplitude) + contrast - 4 * (np.log(sigma) - np.log(1.5)) ** 2
     ranked = np.sort(np.where(np.eye(len(found), dtype=bool), -np.inf, strength), axis=1)[:, ::-1]
     rival = np.maximum(ranked[:, 2], 0) if len(found) > 3 else np.zeros(len(found))
-    return np.stack(
-        [
-            contrast,
-            np.log(sigma),
-            np.log(sigma) ** 2,
-            np.log(np.clip(amplitude / max(high - low, 1), 0.01, 10)),
-            (smooth[y, x] - middle) / (smooth.max() - middle + 1),
-            strength - rival,
-        ],
-        axis=1,
-    )
+    over_range = np.log(np.clip(amplitude / max(high - low, 1), 0.01, 10))
+    height = (smooth[y, x] - middle) / (smooth.max() - middle + 1)
+    return np.stack([contrast, np.log(sigma), np.log(sigma) ** 2, over_range, height, strength - rival], axis=1)
 
 
 def measured(
@@ -247,14 +223,11 @@ def measured(
     smooth = cv2.GaussianBlur(field, (0, 0), SCALE)
     x, y = blobs(field, smooth)
     if not len(x):
-        empty = np.empty(0)
-        return np.empty((0, 4)), empty, np.empty((0, 6)), unit
+        return np.empty((0, 4)), np.empty(0), np.empty((0, 6)), unit
     kept = screen(field, saturated, x, y)
     found, rms = fit(field, saturated, x[kept], y[kept])
     # What is centred outside the picture cannot be measured from the rest of it.
-    half = 0.5 + np.array([field.shape[1], field.shape[0]]) / 2
-    middle = (np.array([field.shape[1], field.shape[0]]) - 1) / 2
-    inside = (np.abs(found[:, 1:3] - middle) < half).all(axis=1)
+    inside = ((found[:, 1:3] > -1) & (found[:, 1:3] < field.shape[::-1])).all(axis=1)
     found, rms = found[inside], rms[inside]
     return found, rms, features(field, smooth, found, rms), unit
 
@@ -262,32 +235,10 @@ def measured(
 def find_candidates(
     image: np.ndarray, background: np.ndarray | None = None, *, full_scale: float | None = None
 ) -> Candidates:
-    """Find what may be the laser in a picture, the dozen most likely at most, most likely first.
-
-    Parameters
-    ----------
-    image
-        [H, W], of any real type.
-    background
-        The same scene without the laser, [H, W], where there is such a picture; it is subtracted.
-    full_scale
-        Digital number of saturation; by default the type's largest, for floats the picture's largest.
-
-    Raises
-    ------
-    InputError
-        When the image is not [H, W], smaller than 13 x 13, or holds NaN; when the background is of another
-        size.
-    """
+    """Find what may be the laser in a picture, a dozen at most, most likely first; all else as `spot.find_spot`."""
     found, rms, described, unit = measured(image, background, full_scale)
     odds = described @ WEIGHTS + BIAS
     order = np.argsort(-odds)
-    found, rms, odds = found[order], rms[order], odds[order]
-    return Candidates(
-        x=found[:, 1],
-        y=found[:, 2],
-        odds=odds,
-        peak=found[:, 0] * unit,
-        snr=found[:, 0] / np.maximum(rms, 1e-3),
-        sigma=found[:, 3],
-    )
+    (height, x, y, sigma), rms = found[order].T, rms[order]
+    snr = height / np.maximum(rms, 1e-3)
+    return Candidates(x=x, y=y, odds=odds[order], peak=height * unit, snr=snr, sigma=sigma)

@@ -46,10 +46,8 @@ class Camera:
 
     Parameters
     ----------
-    source
-        `camera:` and its number from 0.
-    rate
-        Frames a second to ask it for; None leaves it as it is.
+    source, rate
+        `camera:` and its number from 0, and frames a second to ask it for; None leaves them as they are.
 
     Raises
     ------

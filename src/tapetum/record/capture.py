@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from tapetum.errors import InputError
 from tapetum.interrupts import interruptible
@@ -36,28 +35,19 @@ def capture(
     progress: Progress = quiet,
     overwrite: bool = False,
 ) -> dict[str, Captured]:
-    """Record from several real sources at the same time, until all have ended, `seconds` are over, or Ctrl-C.
+    """Record from several sources at the same time, until all have ended, `seconds` are over, or Ctrl-C.
 
     A source that fails ends its own stream; the others go on, and everything is kept. All times count from one start,
-    by one clock.
+    by one clock. Returned is how each stream went.
 
     Parameters
     ----------
-    sources
-        What to record, by the stream's name (`probe`, `target`).
-    out
-        The recording's folder, by custom `NAME.rec`.
+    sources, out
+        What to record, by the stream's name (`probe`, `target`), and the recording's folder, usually `NAME.rec`.
     seconds
         Length; None records until the sources end or Ctrl-C is pressed.
-    progress
-        Shows the frames.
-    overwrite
-        Whether a recording at `out` may be replaced.
-
-    Returns
-    -------
-    dict
-        How each stream went.
+    progress, overwrite
+        What shows the frames, and whether a recording at `out` may be replaced.
 
     Raises
     ------
@@ -77,7 +67,7 @@ def capture(
     counts = dict.fromkeys(sources, 0)
     try:
         with RecordingWriter(
-            Path(out),
+            out,
             streams={name: reader.info for name, reader in readers.items()},
             rate=float(rates[0]) if rates else 15.0,
             hardware={name: source.hardware for name, source in sources.items()},
@@ -91,16 +81,7 @@ def capture(
                     if (fault := _unfit(readers[name], frame)) is not None:
                         readers[name].end(fault)
                         continue
-                    assert frame.monotonic_ns is not None and frame.utc_ns is not None
-                    writer.write(
-                        name,
-                        frame.image,
-                        monotonic_ns=frame.monotonic_ns,
-                        utc_ns=frame.utc_ns,
-                        dropped_before=frame.lost,
-                        exposure=frame.exposure,
-                        lit=frame.lit,
-                    )
+                    writer.add(name, frame)
                     counts[name] += 1
             if not any(counts.values()):
                 faults = [reader.fault for reader in readers.values() if reader.fault]

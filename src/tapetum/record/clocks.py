@@ -20,14 +20,13 @@ class Joined:
     Attributes
     ----------
     before, after
-        Index of the frame of the other stream at or before, and after, each frame; -1 where there is none
-        near enough. [N] int64.
+        [N] index of the frame of the other stream at or before, and after, each frame; -1 where none is near enough.
     weight
-        How far the frame lies from `before` (0) to `after` (1); 0 where there is none. [N] float64.
+        [N] how far the frame lies from `before` (0) to `after` (1); 0 where there is none.
     gap
-        Time to the nearer of the two in seconds; infinite where there is none. [N] float64.
+        [N] time to the nearer of the two in seconds; infinite where there is none.
     times
-        Of the other stream's frames, in seconds from the first. [M] float64.
+        [M] of the other stream's frames, in seconds from the first.
     """
 
     before: np.ndarray
@@ -45,65 +44,53 @@ class Joined:
         return len(self.before)
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
-        """Carry values of the other stream's frames over, along a smooth path in time.
+        """Interpolate values [M] or [M, K] of the other stream's frames at each frame of this one: [N] or [N, K].
 
-        The cubic through the two frames on either side, where there are four and no gap is more than twice the middle
-        one: a straight line would cut the corners of a hand's path, by an eighth of its acceleration times the square
-        of the frame interval. A straight line where there are not.
-
-        Parameters
-        ----------
-        values
-            [M] or [M, K], a value for every frame of the other stream.
-
-        Returns
-        -------
-        numpy.ndarray
-            [N] or [N, K] float64; NaN where a frame has no neighbours, or one that counts has NaN.
+        By the cubic through the two frames on either side, where there are four and no gap is more than twice the
+        middle one: a straight line would cut the corners of a hand's path, by an eighth of its acceleration times the
+        square of the frame interval. Elsewhere by a straight line; NaN without neighbours, or where one of them is NaN.
         """
         given = np.asarray(values, np.float64)
-        out = np.full((len(self), *given.shape[1:]), np.nan)
-        there = self.found
-        before, after, weight = self.before[there], self.after[there], self.weight[there]
-        wide = weight.reshape(-1, *[1] * (given.ndim - 1))
-        # A neighbour of weight 0 does not count: its NaN must not spread.
-        out[there] = np.where(wide > 0, (1 - wide) * given[before] + wide * given[after], given[before])
+        frames, straight, cubic, _ = self._shares()
 
-        inside = self._curved(before, after, weight)
-        four = np.stack([before - 1, before, after, after + 1])[:, inside]
-        times, place = self.times[four], weight[inside]
-        moment = times[1] + place * (times[2] - times[1])
-        shares = np.ones_like(times)
-        for k in range(4):
-            for other in range(4):
-                if other != k:
-                    shares[k] *= (moment - times[other]) / (times[k] - times[other])
-        curve = (shares.reshape(4, -1, *[1] * (given.ndim - 1)) * given[four]).sum(axis=0)
-        known = np.isfinite(curve).all(axis=tuple(range(1, curve.ndim)))
-        out[np.flatnonzero(there)[inside][known]] = curve[known]
+        def mixed(shares: np.ndarray) -> np.ndarray:
+            shares = shares.reshape(*shares.shape, *[1] * (given.ndim - 1))
+            # A frame without a share must not spread its NaN.
+            return np.where(shares != 0, shares * given[frames], 0).sum(axis=1)
+
+        out = np.full((len(self), *given.shape[1:]), np.nan)
+        curve = mixed(cubic)
+        known = np.isfinite(curve).all(axis=tuple(range(1, curve.ndim)), keepdims=True)
+        out[self.found] = np.where(known, curve, mixed(straight))
         return out
 
-    def _curved(self, before: np.ndarray, after: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Whether the two frames beyond the neighbours count too, [n] bool."""
-        inside = (weight > 0) & (before > 0) & (after < len(self.times) - 1)
-        four = np.stack([before - 1, before, after, after + 1])[:, inside]
-        gap = np.diff(self.times[four], axis=0)
-        inside[inside] = (gap[[0, 2]] <= 2 * gap[1]).all(axis=0)
-        return inside
+    def _shares(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """The four frames about each one that has neighbours, their shares in a line and in a cubic, and its time."""
+        before, after, weight = (one[self.found] for one in (self.before, self.after, self.weight))
+        frames = np.stack([before - 1, before, after, after + 1], axis=1).clip(0, len(self.times) - 1)
+        times = self.times[frames]
+        gap = np.diff(times, axis=1)
+        moment = times[:, 1] + weight * gap[:, 1]
+        straight = np.stack([0 * weight, 1 - weight, weight, 0 * weight], axis=1)
+        curved = (weight > 0) & (before > 0) & (after < len(self.times) - 1)
+        curved &= (gap[:, [0, 2]] <= 2 * gap[:, 1:2]).all(axis=1)
+        cubic, known = straight.copy(), times[curved]
+        for k in range(4):
+            others = np.delete(known, k, axis=1)
+            cubic[curved, k] = ((moment[curved, None] - others) / (known[:, k : k + 1] - others)).prod(axis=1)
+        return frames, straight, cubic, moment
 
     def reach(self) -> np.ndarray:
         """How far `interpolate` reaches back and ahead of each frame, [N, 2] in seconds; NaN without neighbours.
 
-        To the farthest frame of the other stream that has a say, and half a frame interval more for its exposure.
+        To the farthest frame of the other stream that has a share, and half a frame interval more for its exposure.
         """
         out = np.full((len(self), 2), np.nan)
-        there = self.found
-        before, after, weight = self.before[there], self.after[there], self.weight[there]
-        curved = self._curved(before, after, weight)
-        moment = self.times[before] + weight * (self.times[after] - self.times[before])
-        first, last = before - curved, np.where(weight > 0, after, before) + curved
+        frames, _, cubic, moment = self._shares()
+        used, times = cubic != 0, self.times[frames]
+        first, last = np.where(used, times, np.inf).min(axis=1), np.where(used, times, -np.inf).max(axis=1)
         half = np.median(np.diff(self.times)) / 2 if len(self.times) > 1 else 0.0
-        out[there] = np.stack([moment - self.times[first], self.times[last] - moment], axis=1) + half
+        out[self.found] = np.stack([moment - first, last - moment], axis=1) + half
         return out
 
 

@@ -19,7 +19,7 @@ _RATE = 15.0
 def open_frames(
     source: str | os.PathLike[str], stream: str = "probe", *, rate: float | None = None, late: bool = False
 ) -> Source:
-    """Open frames.
+    """Open frames; what is on disk can be iterated again.
 
     Parameters
     ----------
@@ -33,11 +33,6 @@ def open_frames(
     late
         Whether a video that was cut short gives its readable frames before it raises.
 
-    Returns
-    -------
-    Source
-        An iterable of `Frame`; what is on disk can be iterated again.
-
     Raises
     ------
     InputError
@@ -48,8 +43,7 @@ def open_frames(
         return Camera(str(source), rate)
     place = existing(source)
     if is_recording(place):
-        found = open_recording(place).source(stream)
-        return replace(found, late=late)
+        return replace(open_recording(place).source(stream), late=late)
     if place.is_dir() or place.suffix.lower() in IMAGE_SUFFIXES:
         return ImageSource.from_path(place, rate or _RATE)
     return VideoSource.from_path(place, late=late)

@@ -52,11 +52,7 @@ def hushed() -> Iterator[None]:
 
 
 def cut_short(data: bytes) -> bool:
-    """Return whether a PNG, JPEG or BMP lacks its end.
-
-    Looked at before decoding: libpng and libjpeg print about it, and some versions of OpenCV fill the rest
-    with grey.
-    """
+    """Return whether a PNG, JPEG or BMP lacks its end, on which some versions of OpenCV fill the rest with grey."""
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         return b"IEND" not in data[-64:]
     if data.startswith(b"\xff\xd8\xff"):
@@ -87,14 +83,7 @@ def to_grey(image: np.ndarray) -> np.ndarray:
 
 
 def read_image(path: str | os.PathLike[str], page: int = 0) -> tuple[np.ndarray, int]:
-    """Read one image file as grey.
-
-    Parameters
-    ----------
-    path
-        A file with one of `IMAGE_SUFFIXES`.
-    page
-        Which picture of a TIFF of several, from 0.
+    """Read one image file with one of `IMAGE_SUFFIXES` as grey; of a TIFF with several pictures the `page`, from 0.
 
     Returns
     -------
@@ -147,10 +136,8 @@ class ImageSource(Stored):
 
     Attributes
     ----------
-    files
-        The image files, in order.
-    name
-        What to call the source in a message.
+    files, name
+        The image files, in order, and what to call the source in a message.
     rate
         Frames per second that `Frame.time` is counted with.
     """
@@ -170,13 +157,7 @@ class ImageSource(Stored):
 
     @classmethod
     def from_path(cls, path: str | os.PathLike[str], rate: float = 15.0) -> ImageSource:
-        """Make a source of one image file, or of all those in a folder, in natural order.
-
-        Raises
-        ------
-        InputError
-            When nothing is there, or the folder holds no image.
-        """
+        """Make a source of one image file, or of all in a folder, in natural order; an InputError where none is."""
         place = existing(path)
         if not place.is_dir():
             return cls((place,), str(place), rate)

@@ -40,13 +40,8 @@ __all__ = [
 
 # 2 knows exposure and laser of each frame.
 FORMAT, VERSION = "tapetum-recording", 2
-META, JOURNAL, FRAMES, LABELS, TRUTH = (
-    "recording.json",
-    "frames.journal",
-    "frames.parquet",
-    "labels.parquet",
-    "truth.parquet",
-)
+META, JOURNAL = "recording.json", "frames.journal"
+FRAMES, LABELS, TRUTH = "frames.parquet", "labels.parquet", "truth.parquet"
 SCHEMA = pa.schema(
     [
         ("stream", pa.string()),
@@ -179,13 +174,7 @@ def journal_line(
 
 
 def clocks(table: pa.Table, where: Path) -> pa.Table:
-    """Return a table of frames with today's columns; what an older version did not keep is null.
-
-    Raises
-    ------
-    InputError
-        When the columns are others.
-    """
+    """Return a table of frames with today's columns, null where an older version kept none; refuse others."""
     if table.schema.equals(pa.schema(list(SCHEMA)[:_FIRST])):
         for field in list(SCHEMA)[_FIRST:]:
             table = table.append_column(field, pa.nulls(len(table), field.type))
@@ -195,19 +184,12 @@ def clocks(table: pa.Table, where: Path) -> pa.Table:
 
 
 def read_journal(path: Path) -> pa.Table:
-    """Read the clocks that an unfinished recording left, without a last line that was torn.
-
-    Raises
-    ------
-    InputError
-        When the journal is missing or a line in its middle is damaged.
-    """
+    """Read the clocks of an unfinished recording, without a torn last line; refuse a journal damaged in its middle."""
     try:
         text = path.read_bytes()
     except OSError as error:
-        raise InputError(
-            f"neither {FRAMES} nor {JOURNAL} can be read", where=path.parent, remedy="record again"
-        ) from error
+        what = f"neither {FRAMES} nor {JOURNAL} can be read"
+        raise InputError(what, where=path.parent, remedy="record again") from error
     rows = []
     for number, line in enumerate(text.split(b"\n")[:-1]):
         try:
@@ -218,9 +200,7 @@ def read_journal(path: Path) -> pa.Table:
         except (ValueError, KeyError) as error:
             raise InputError(f"line {number + 1} is damaged", where=path, remedy="cut the journal before it") from error
     columns = list(zip(*rows, strict=True)) or [()] * len(SCHEMA)
-    return pa.table(
-        [pa.array(column, field.type) for column, field in zip(columns, SCHEMA, strict=True)], schema=SCHEMA
-    )
+    return pa.table([pa.array(values, one.type) for values, one in zip(columns, SCHEMA, strict=True)], schema=SCHEMA)
 
 
 def read_meta(place: Path) -> dict[str, Any]:
@@ -238,11 +218,8 @@ def read_meta(place: Path) -> dict[str, Any]:
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise InputError(f"has no usable version ({version!r})", where=file, remedy="restore it from a copy")
     if version > VERSION:
-        raise InputError(
-            f"is of version {version}, this Tapetum reads up to {VERSION}",
-            where=file,
-            remedy="update Tapetum",
-        )
+        what = f"is of version {version}, this Tapetum reads up to {VERSION}"
+        raise InputError(what, where=file, remedy="update Tapetum")
     streams = check(_Meta, meta, file, "restore it from a copy").streams
     for name, one in streams.items():
         if one.file != f"{name}.mkv" or one.full_scale >= 2**one.bits:

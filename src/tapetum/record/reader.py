@@ -25,23 +25,17 @@ class Reader:
 
     Parameters
     ----------
-    source
-        What to read; it is closed when its frames have ended.
-    seconds
-        How long; None until it ends.
+    source, seconds
+        What to read, and how long, None until it ends; it is closed when its frames have ended.
     stop
         Set from outside to end all readers.
 
     Attributes
     ----------
-    info
-        What its frames are like.
-    fault
-        Why it ended before its time.
-    lost
-        Frames lost among those that were taken, by what the source says and for want of room.
-    missed
-        Frames that found no room since the last that did.
+    info, fault
+        What its frames are like, and why it ended before its time.
+    lost, missed
+        Frames lost among those that were taken, and those that found no room since the last that did.
     """
 
     def __init__(self, source: Source, seconds: float | None, stop: threading.Event) -> None:
@@ -49,8 +43,7 @@ class Reader:
         self.info = StreamInfo.of(source)
         self.waiting: queue.Queue[Frame] = queue.Queue(WAITING)
         self.fault: InputError | None = None
-        self.missed = 0
-        self.lost = 0
+        self.lost = self.missed = 0
         self.done = threading.Event()
         self.ended = threading.Event()  # by what it gave, while the others go on
         self.thread = threading.Thread(target=self._run, daemon=True)

@@ -67,7 +67,7 @@ class Recording:
     def _words(self) -> str:
         parts: list[str] = []
         for name, info in self.streams.items():
-            count = self.meta["streams"][name].get("frames")
+            count = self.meta["streams"].get(name, {}).get("frames")
             frames = "" if count is None else f"{count} frames of "
             parts.append(f"{name} {frames}{info.width} x {info.height}, {info.bits} bit")
         return "; ".join([*parts, "labelled" if (self.path / LABELS).exists() else "not labelled"])
@@ -80,10 +80,7 @@ class Recording:
     def plot(self) -> Figure:
         """Draw the first frame of every stream and, where there are labels, the gaze over the frames.
 
-        Returns
-        -------
-        matplotlib.figure.Figure
-            It belongs to no window: a notebook shows it, `savefig` writes it.
+        The figure belongs to no window: a notebook shows it, `savefig` writes it.
         """
         from matplotlib.figure import Figure
 
@@ -123,13 +120,7 @@ class Recording:
         return bool(self.meta["finished"])
 
     def stream(self, name: str) -> StreamInfo:
-        """Return what a stream holds.
-
-        Raises
-        ------
-        InputError
-            When the recording has no such stream.
-        """
+        """Return what a stream holds; an InputError where there is no such stream."""
         if name not in self.streams:
             has = ", ".join(self.streams)
             raise InputError(f"no stream {name!r}", where=self.path, remedy=f"the recording has {has}")
@@ -141,14 +132,10 @@ class Recording:
         return self.path / f"{stream}.mkv"
 
     def frames(self, stream: str) -> pa.Table:
-        """Return the clocks of a stream's frames.
+        """Return the clocks of a stream's frames; of an unfinished recording, those that are whole in its video.
 
-        Returns
-        -------
-        pyarrow.Table
-            A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before`
-            (frames lost since the one before), and where they are known `exposure` (s) and `lit` (whether the laser was
-            on). Of an unfinished recording, the frames that are whole in its video.
+        A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before`
+        (frames lost since the one before), and where known `exposure` (s) and `lit` (whether the laser was on).
 
         Raises
         ------
@@ -172,21 +159,14 @@ class Recording:
         return self.frames(stream)["utc"].cast(pa.int64()).to_numpy()
 
     def source(self, stream: str = "probe") -> RecordingSource:
-        """Return a stream as a source of frames.
-
-        Raises
-        ------
-        InputError
-            As `frames` does.
-        """
+        """Return a stream as a source of frames; errors as of `frames`."""
         info, frames = self.stream(stream), self.frames(stream)
-        existing(self.video(stream))
-        utc = frames["utc"].cast(pa.int64()).to_numpy()
-        times = (utc - utc[0]) / 1e9 if len(utc) else np.empty(0)
-        full_scale = int(info.full_scale or 0)
-        return RecordingSource(
-            self.video(stream), stream, full_scale, times, self.finished, info.rate, tuple(_known_of(frames))
-        )
+        utc = frames["utc"].cast(pa.int64())
+        times = (utc.to_numpy() - utc.to_numpy()[:1]) / 1e9
+        columns = {"utc_ns": utc, "monotonic_ns": frames["monotonic_ns"], "lost": frames["dropped_before"]}
+        known = pa.table({**columns, "exposure": frames["exposure"], "lit": frames["lit"]}).to_pylist()
+        video, full_scale = existing(self.video(stream)), int(info.full_scale or 0)
+        return RecordingSource(video, stream, full_scale, times, self.finished, info.rate, tuple(known))
 
     def labels(self) -> pa.Table | None:
         """Return the labels, or None where none were made yet."""
@@ -197,15 +177,8 @@ class Recording:
         return read_table(self.path / TRUTH) if (self.path / TRUTH).exists() else None
 
     def write_labels(self, table: pa.Table) -> None:
-        """Keep labels with the recording, in place of any before.
-
-        Parameters
-        ----------
-        table
-            A row a probe frame; must have the columns `frame`, `how` and `quality`.
-        """
-        missing = {"frame", "how", "quality"} - set(table.column_names)
-        if missing:
+        """Keep labels with the recording, in place of any before; `frame`, `how` and `quality` must be among them."""
+        if missing := {"frame", "how", "quality"} - set(table.column_names):
             raise InputError(f"labels lack the columns {', '.join(sorted(missing))}", where=self.path / LABELS)
         write_table(self.path / LABELS, table)
 
@@ -222,18 +195,14 @@ class RecordingSource(Stored):
 
     Attributes
     ----------
-    video
-        The stream's video file.
-    stream
-        The stream's name.
-    full_scale
-        Digital number of saturation.
+    video, stream
+        The stream's video file and name.
+    full_scale, rate
+        Digital number of saturation, and nominal frames per second.
     times
-        Seconds of every frame from the first one, [N] float64.
+        [N] seconds of every frame from the first one.
     finished
         Whether the recording was closed: then a video with fewer frames than it says is an error.
-    rate
-        Nominal frames per second.
     known
         What is known of each frame beside its time: arguments of `Frame`.
     late
@@ -265,38 +234,19 @@ class RecordingSource(Stored):
         return Frame(number, float(self.times[number]), image, f"{self.stream}[{number}]", self.full_scale, **known)
 
     def __iter__(self) -> Iterator[Frame]:
-        if not self.count:
-            return
         number = 0
-        for image, _, _ in decoded(self.video, tolerant=not self.finished, late=self.late):
-            if number == self.count:
-                return
-            yield self.frame(number, image)
-            number += 1
+        if self.count:
+            for image, _, _ in decoded(self.video, tolerant=not self.finished, late=self.late):
+                if number == self.count:
+                    return
+                yield self.frame(number, image)
+                number += 1
         if number < self.count:
             raise truncated(self.video, number)
 
 
-def _known_of(frames: pa.Table) -> Iterator[dict[str, Any]]:
-    """Yield what a table of frames knows of each, as arguments of `Frame`."""
-    columns = {
-        "utc_ns": frames["utc"].cast(pa.int64()),
-        "monotonic_ns": frames["monotonic_ns"],
-        "lost": frames["dropped_before"],
-        "exposure": frames["exposure"],
-        "lit": frames["lit"],
-    }
-    for values in zip(*(column.to_pylist() for column in columns.values()), strict=True):
-        yield dict(zip(columns, values, strict=True))
-
-
 def open_recording(path: str | os.PathLike[str]) -> Recording:
-    """Open a recording.
-
-    Parameters
-    ----------
-    path
-        The folder `NAME.rec`.
+    """Open a recording, a folder `NAME.rec`.
 
     Raises
     ------

@@ -71,7 +71,7 @@ class Shot:
         self.scene, self.session = scene, session
         clocks = {"probe": session.probe_clock, "target": session.target_clock}
         self.beats: dict[str, Beat] = {
-            name: clock.beat(session.frames, session.rate, np.random.default_rng([session.seed, _CLOCKS[name]]))
+            name: Beat(*clock.draw(session.frames, session.rate, np.random.default_rng([session.seed, _CLOCKS[name]])))
             for name, clock in clocks.items()
         }
         mine = Placed((0.0, 0.0), motion=session.motion)

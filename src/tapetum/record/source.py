@@ -17,28 +17,20 @@ __all__ = ["Frame", "FrameSource", "Source", "Stored", "existing", "full_scale_o
 
 @dataclass(frozen=True)
 class Frame:
-    """One grey image of a stream.
+    """One grey image of a stream; what nobody knows of it is None.
 
     Attributes
     ----------
-    index
-        Place of the frame in its source, from 0.
-    time
-        Seconds from the source's first frame, by the source's own clock.
-    image
-        Digital numbers, [H, W], uint8 or uint16.
+    index, time
+        Place of the frame in its source, from 0, and seconds from the first one by the source's own clock.
+    image, full_scale
+        Digital numbers, [H, W], uint8 or uint16, and the one at which this frame saturates (255, 4095, 65535 …).
     name
         What to call the frame in a message: a file name, or `probe[12]`.
-    full_scale
-        Digital number at which this frame saturates (255, 4095, 65535 …).
-    utc_ns
-        When it was taken, in nanoseconds since 1970; None where nobody knows.
-    monotonic_ns
-        The same by a clock of this machine that is never set; None for what was recorded elsewhere.
-    exposure
-        Exposure time in seconds; None where nobody knows.
-    lit
-        Whether the probe's laser was on; None where nobody knows.
+    utc_ns, monotonic_ns
+        When it was taken, in nanoseconds since 1970, and by a clock of this machine that is never set.
+    exposure, lit
+        Exposure time in seconds, and whether the probe's laser was on.
     lost
         Frames known to be lost since the one before.
     """
@@ -56,10 +48,8 @@ class Frame:
 
     def __post_init__(self) -> None:
         if self.image.ndim != 2 or self.image.dtype not in (np.uint8, np.uint16):
-            raise InputError(
-                f"must be [H, W] uint8 or uint16, is {list(self.image.shape)} {self.image.dtype}",
-                where=f"image of frame {self.name or self.index}",
-            )
+            what = f"must be [H, W] uint8 or uint16, is {list(self.image.shape)} {self.image.dtype}"
+            raise InputError(what, where=f"image of frame {self.name or self.index}")
         if self.full_scale is None:
             object.__setattr__(self, "full_scale", full_scale_of(self.image.dtype))
 
@@ -70,20 +60,16 @@ class Source(Protocol):
 
     Attributes
     ----------
-    name
-        What to call the source in a message.
+    name, hardware
+        What to call the source in a message, and what is known of the camera or the file, as JSON can hold it.
     live
         Whether frames come at their own pace, and are lost where nobody takes them.
     count
-        Number of frames, or None where only reading to the end would tell. `len(source)` gives the same and
-        raises TypeError where it is None.
+        Number of frames, or None where only reading to the end would tell; `len(source)` then raises TypeError.
     full_scale
-        Digital number at which the frames saturate; where the frames differ, that of the first one
-        (`Frame.full_scale` is always right).
+        Digital number at which the first frame saturates (`Frame.full_scale` is right for each).
     rate
         Nominal frames per second; None where nobody knows.
-    hardware
-        What is known of the camera or the file, as JSON can hold it.
     """
 
     @property
@@ -134,13 +120,7 @@ class Stored:
         return {"file": Path(cast(Source, self).name).name, "time": "the file's own"}
 
     def first(self) -> Frame:
-        """Return the first frame.
-
-        Raises
-        ------
-        InputError
-            When there is none, or it cannot be read.
-        """
+        """Return the first frame; an InputError where there is none, or it cannot be read."""
         source = cast(Source, self)
         frames = cast("Generator[Frame]", iter(source))
         try:
@@ -167,13 +147,7 @@ def full_scale_of(dtype: np.dtype | type) -> int:
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
-    """Return `path` as a Path.
-
-    Raises
-    ------
-    InputError
-        When nothing is there, or it may not be looked at.
-    """
+    """Return `path` as a Path; an InputError where nothing is there, or it may not be looked at."""
     found = Path(path)
     try:
         found.stat()

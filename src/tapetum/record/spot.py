@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pyarrow as pa
@@ -36,13 +36,11 @@ class Spot:
         Place of its centre in pixels; (0, 0) is the centre of the top left pixel.
     quality
         How likely it is the laser and not a part of the scene, 0 to 1. Below 0.5: take the laser as absent.
-    peak
-        Height over the background around it, in the picture's digital numbers; where it is saturated, what
-        the fit to its flanks says.
-    snr
-        That height over the rms of what the fit leaves.
+    peak, snr
+        Height over the background in digital numbers, by its flanks where it is saturated; and that over the rms of
+        what the fit leaves.
     sigma
-        Its width (standard deviation of the Gaussian) in pixels.
+        Standard deviation of the Gaussian in pixels.
     """
 
     x: float
@@ -69,25 +67,17 @@ def find_spot(image: np.ndarray, background: np.ndarray | None = None, *, full_s
     -------
     Spot
         The most likely spot; look at its `quality`. A picture without any blob gives quality 0 at its centre.
-        It is careful: a spot fainter than the scene's own contrast is called doubtful, however clean.
+        A spot fainter than the scene's own contrast is called doubtful, however clean.
 
     Raises
     ------
     InputError
-        When the image is not [H, W], smaller than 13 x 13, or holds NaN; when the background is of another
-        size.
+        When the image is not [H, W], smaller than 13 x 13, or holds NaN; when the background is of another size.
     """
     found = find_candidates(image, background, full_scale=full_scale)
     if not len(found):
         return Spot((image.shape[1] - 1) / 2, (image.shape[0] - 1) / 2, 0.0, 0.0, 0.0, 0.0)
-    return Spot(
-        x=float(found.x[0]),
-        y=float(found.y[0]),
-        quality=float(found.quality[0]),
-        peak=float(found.peak[0]),
-        snr=float(found.snr[0]),
-        sigma=float(found.sigma[0]),
-    )
+    return Spot(**{field.name: float(getattr(found, field.name)[0]) for field in fields(Spot)})
 
 
 @dataclass(frozen=True)
@@ -96,18 +86,14 @@ class LabelSummary:
 
     Attributes
     ----------
-    n
-        Number of probe frames.
-    labelled
-        How many of them got a gaze.
-    no_spot
-        How many did not because a target frame beside them shows no laser.
-    no_partner
-        How many did not because no target frames lie around them in time.
+    n, labelled
+        Number of probe frames, and of those that got a gaze.
+    no_spot, no_partner
+        How many did not because a target frame beside them shows no laser, or none lies around them in time.
     target_frames, spots
-        Number of target frames, and in how many the laser was found.
+        Number of target frames, and of those in which the laser was found.
     median_quality
-        Median quality of the labels.
+        Of the labels.
     """
 
     n: int
@@ -141,25 +127,10 @@ def strays(times: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.ndarray]:
-    """Choose one candidate a frame, with the help of the frames around it.
+    """Choose one candidate a frame at times [N] (s): places [N, 2] in pixels, NaN where there is none; qualities [N].
 
-    A good spot that jumps off the path of its neighbours loses its quality; a doubtful one between two good
-    ones, and where these say it should be, gains some. Frames around never raise a spot that none of them
-    vouches for.
-
-    Parameters
-    ----------
-    times
-        Seconds of the frames, [N].
-    found
-        Candidates of every frame.
-
-    Returns
-    -------
-    place
-        x and y in pixels, [N, 2]; NaN where a frame has no candidate.
-    quality
-        [N], 0 to 1.
+    A good spot that jumps off the path of its neighbours loses its quality; a doubtful one between two good ones, and
+    where these say it should be, gains some. Frames around never raise a spot that none of them vouches for.
     """
     place = np.array([(c.x[0], c.y[0]) if len(c) else (np.nan, np.nan) for c in found]).reshape(-1, 2)
     quality = np.array([c.quality[0] if len(c) else 0.0 for c in found])
@@ -195,12 +166,11 @@ def label_recording(
 ) -> LabelSummary:
     """Label every probe frame with the gaze, from the laser in the target's own video, and keep the labels.
 
-    The field of view is the whole target picture: gaze_x = (x - (W - 1) / 2) / W, and so for y with H.
-    Between target frames the spot's place is interpolated by `Joined.interpolate`. `labels.parquet` gets a row for
-    every probe frame: `frame`, `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how`
-    ("laser-spot"), `quality` (the lesser of both target frames'), and `reach_back` and `reach_ahead`, how far from the
-    frame the target frames lie that the label rests on (seconds); gaze and spot are null where there is no good spot or
-    no target frame near.
+    The field of view is the whole target picture: gaze_x = (x - (W - 1) / 2) / W, and so for y with H. Between target
+    frames the spot's place is interpolated by `Joined.interpolate`. `labels.parquet` gets a row a probe frame: `frame`,
+    `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how` ("laser-spot"), `quality` (the
+    lesser of both target frames'), `reach_back` and `reach_ahead` (seconds to the farthest target frames that the label
+    rests on); gaze, spot and reach are null where there is no good spot or no target frame near.
 
     Parameters
     ----------
@@ -208,10 +178,8 @@ def label_recording(
         A recording with both streams.
     progress
         Shows how far the target's frames are done.
-    probe, target
-        The streams' names.
-    offset
-        Seconds to add to the target's UTC, where its clock is known to be wrong.
+    probe, target, offset
+        The streams' names, and seconds to add to the target's UTC, where its clock is known to be wrong.
 
     Raises
     ------
@@ -239,32 +207,26 @@ def label_recording(
     info = recording.stream(target)
     size = np.array([info.width, info.height], float)
     gaze = (spot - (size - 1) / 2) / size
+    there, labelled = joined.found, np.isfinite(gaze[:, 0])
     both = np.zeros(len(joined))
-    there, sides = joined.found, joined.weight[joined.found] > 0
-    first, second = quality[joined.before[there]], quality[joined.after[there]]
-    both[there] = np.where(sides, np.minimum(first, second), first)
-    labelled = np.isfinite(gaze[:, 0])
+    # At a target frame's own time `after` may be worse, and has no share.
+    after = np.where(joined.weight > 0, joined.after, joined.before)
+    both[there] = np.minimum(quality[joined.before[there]], quality[after[there]])
 
-    reach = joined.reach()
+    def columns(names: str, values: np.ndarray) -> dict[str, pa.Array]:
+        return {
+            name: pa.array(column, pa.float64(), mask=~labelled)
+            for name, column in zip(names.split(), values.T, strict=True)
+        }
 
-    def column(values: np.ndarray) -> pa.Array:
-        return pa.array(values, pa.float64(), mask=~labelled)
-
-    recording.write_labels(
-        pa.table(
-            {
-                "frame": pa.array(np.arange(len(joined)), pa.int64()),
-                "gaze_x": column(gaze[:, 0]),
-                "gaze_y": column(gaze[:, 1]),
-                "spot_x": column(spot[:, 0]),
-                "spot_y": column(spot[:, 1]),
-                "how": pa.array(["laser-spot"] * len(joined), pa.string()),
-                "quality": pa.array(both, pa.float64()),
-                "reach_back": column(reach[:, 0]),
-                "reach_ahead": column(reach[:, 1]),
-            }
-        )
-    )
+    table = {
+        "frame": pa.array(np.arange(len(joined)), pa.int64()),
+        **columns("gaze_x gaze_y spot_x spot_y", np.hstack([gaze, spot])),
+        "how": pa.array(["laser-spot"] * len(joined), pa.string()),
+        "quality": pa.array(both, pa.float64()),
+        **columns("reach_back reach_ahead", joined.reach()),
+    }
+    recording.write_labels(pa.table(table))
     return LabelSummary(
         n=len(joined),
         labelled=int(labelled.sum()),

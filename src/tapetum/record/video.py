@@ -7,6 +7,7 @@ what FFV1 offers (the range coder takes twice the time to save no byte on noisy 
 
 from __future__ import annotations
 
+import contextlib
 import os
 import zlib
 from collections.abc import Iterator
@@ -73,12 +74,8 @@ class VideoWriter:
         dtype: np.dtype | type = np.uint8,
         full_scale: int | None = None,
     ) -> None:
-        self.path, self.size, self.dtype, self.count = (
-            Path(path),
-            (int(size[0]), int(size[1])),
-            np.dtype(dtype),
-            0,
-        )
+        self.path, self.size, self.dtype = Path(path), (int(size[0]), int(size[1])), np.dtype(dtype)
+        self.count = 0
         if self.dtype not in PIXEL_FORMATS:
             raise InputError(f"cannot hold {self.dtype} samples", where=self.path, remedy="give uint8 or uint16")
         if min(self.size) < 1:
@@ -98,27 +95,20 @@ class VideoWriter:
             options = {"flush_packets": "1", "cluster_size_limit": "1"}
             self._container = av.open(f"file:{self.path}", "w", format="matroska", options=options)
         self._container.metadata[FULL_SCALE_TAG] = str(full_scale)
-        stream: Any = self._container.add_stream("ffv1", rate=Fraction(rate).limit_denominator(10_000))
-        stream.height, stream.width = self.size
-        stream.pix_fmt = self._format
-        stream.time_base = stream.codec_context.time_base = MILLISECOND
-        stream.codec_context.thread_type = "SLICE"
-        stream.codec_context.thread_count = THREADS
-        stream.options = FFV1
-        self._stream = stream
+        self._stream: Any = self._container.add_stream("ffv1", rate=Fraction(rate).limit_denominator(10_000))
+        self._stream.height, self._stream.width = self.size
+        self._stream.pix_fmt, self._stream.options = self._format, FFV1
+        context = self._stream.codec_context
+        self._stream.time_base = context.time_base = MILLISECOND
+        context.thread_type, context.thread_count = "SLICE", THREADS
         with told_when_full(self.path):
             # Makes the file now: a place that cannot be written to is reported before the first frame.
             self._container.start_encoding()
 
     def write(self, image: np.ndarray, time: float | None = None) -> None:
-        """Append one image.
+        """Append one image [H, W] of the writer's size and type.
 
-        Parameters
-        ----------
-        image
-            [H, W] of the writer's size and type.
-        time
-            Seconds from the first frame, kept to the millisecond; by default the frame's number over `rate`.
+        `time` is in seconds from the first frame, kept to the millisecond; by default the frame's number over `rate`.
 
         Raises
         ------
@@ -140,10 +130,7 @@ class VideoWriter:
         self.count += 1
 
     def flush(self) -> None:
-        """Do nothing more: every frame but the newest has reached the operating system when `write` returns.
-
-        Those frames survive the death of the program (`kill -9`); a loss of power is not covered.
-        """
+        """Do nothing: every frame but the newest has reached the operating system when `write` returns."""
 
     def close(self) -> None:
         """Write what is left and the index. Closing twice is harmless.
@@ -168,14 +155,9 @@ class VideoWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:
+        # An error on closing would hide the one that ended the block.
+        with contextlib.nullcontext() if error is None else contextlib.suppress(OSError, InputError):
             self.close()
-            return
-        # The first error is the one to tell: one on closing would only hide it.
-        try:
-            self.close()
-        except (OSError, InputError):
-            return
 
 
 def open_container(file: Path) -> tuple[Any, Any]:
@@ -203,10 +185,9 @@ def open_container(file: Path) -> tuple[Any, Any]:
 
 
 def matroska_missing(file: Path) -> int | None:
-    """Return how many bytes a finished Matroska file lacks of the size it states.
+    """Return how many bytes a Matroska file lacks of the size it states (RFC 8794, §6); None where it states none.
 
-    FFmpeg drops a torn last frame without a word, so the size is the only trace of a file that was cut. None
-    for a file that is no Matroska or that states no size, as one does whose writer was killed (RFC 8794, §6).
+    FFmpeg drops a torn last frame and reports nothing, so that only the size shows that a file was cut.
     """
     with file.open("rb") as stream:
         head = stream.read(4096)
@@ -215,10 +196,10 @@ def matroska_missing(file: Path) -> int | None:
 
     def size_at(place: int) -> tuple[int, int]:
         """Return an element's size and where its data begin; -1 for the size that means unknown."""
-        first = head[place]
-        width = 9 - first.bit_length()
-        value = int.from_bytes(head[place : place + width], "big") & ((1 << 7 * width) - 1)
-        return (-1 if value == (1 << 7 * width) - 1 else value), place + width
+        width = 9 - head[place].bit_length()
+        unknown = (1 << 7 * width) - 1
+        value = int.from_bytes(head[place : place + width], "big") & unknown
+        return (-1 if value == unknown else value), place + width
 
     try:
         header, start = size_at(4)
@@ -233,19 +214,16 @@ def matroska_missing(file: Path) -> int | None:
 
 def count_frames(path: str | os.PathLike[str]) -> int:
     """Return how many whole frames a video holds, without decoding them (some GB a second)."""
-    number = 0
     try:
         container, stream = open_container(existing(path))
     except InputError as error:
         if isinstance(error.__cause__, EOFError):
-            return number
+            return 0
         raise
-    with container:
-        try:
-            for packet in container.demux(stream):
-                number += packet.size > 0 and not packet.is_corrupt
-        except (FFmpegError, OSError):
-            return number
+    number = 0
+    with container, contextlib.suppress(FFmpegError, OSError):
+        for packet in container.demux(stream):
+            number += packet.size > 0 and not packet.is_corrupt
     return number
 
 
@@ -291,11 +269,8 @@ def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple
                     if frame.is_corrupt:
                         raise truncated(file, number)
                     image, full_scale = to_array(frame)
-                    yield (
-                        image,
-                        stated or full_scale,
-                        None if frame.pts is None else float(frame.pts * frame.time_base),
-                    )
+                    time = None if frame.pts is None else float(frame.pts * frame.time_base)
+                    yield image, stated or full_scale, time
                     number += 1
         except (FFmpegError, OSError, InputError) as error:
             if not tolerant:
@@ -323,7 +298,7 @@ def slices_whole(packet: bytes) -> bool:
 
 
 def read_video(path: str | os.PathLike[str], *, tolerant: bool = False) -> Iterator[np.ndarray]:
-    """Yield the frames of a video as grey arrays, exactly as written where the video is lossless grey.
+    """Yield the frames of a video as grey arrays [H, W], uint8 or uint16; exactly as written where it is lossless grey.
 
     Parameters
     ----------
@@ -331,11 +306,6 @@ def read_video(path: str | os.PathLike[str], *, tolerant: bool = False) -> Itera
         A video file of any kind that FFmpeg reads.
     tolerant
         Whether to stop quietly at the last whole frame of a truncated or damaged file.
-
-    Yields
-    ------
-    image
-        [H, W], uint8 or uint16.
 
     Raises
     ------
@@ -354,10 +324,8 @@ class VideoSource(Stored):
     ----------
     path
         The video file.
-    full_scale
-        Digital number of saturation.
-    count
-        Number of frames where the file states it, else None.
+    full_scale, count
+        Digital number of saturation, and number of frames where the file states it, else None.
     rate
         Frames per second for a file without stamps.
     late

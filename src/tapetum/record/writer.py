@@ -11,7 +11,7 @@ import re
 import shutil
 import uuid
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -23,19 +23,9 @@ import numpy as np
 from tapetum.durable import clean_leftovers, sole_writer, sync
 from tapetum.errors import InputError
 from tapetum.files import free_name, replace_folder, told_when_full
-from tapetum.record.layout import (
-    FORMAT,
-    FRAMES,
-    JOURNAL,
-    META,
-    VERSION,
-    StreamInfo,
-    journal_line,
-    read_journal,
-    read_meta,
-    write_json,
-    write_table,
-)
+from tapetum.record import layout
+from tapetum.record.layout import FRAMES, JOURNAL, META, StreamInfo, write_table
+from tapetum.record.source import Frame
 from tapetum.record.video import VideoWriter
 
 __all__ = ["RecordingWriter"]
@@ -71,15 +61,12 @@ class RecordingWriter:
     Parameters
     ----------
     path
-        The folder to make, by custom `NAME.rec`.
-    streams
-        What is recorded, by name (`probe`, `target`).
-    rate
-        Nominal frames per second.
-    hardware
-        What recorded: cameras, lenses, serial numbers; whatever JSON can say.
-    extra
-        More fields for recording.json (a scene, seeds); they may not take the names of its own.
+        The folder to make, usually `NAME.rec`.
+    streams, rate
+        What is recorded, by name (`probe`, `target`), and nominal frames per second.
+    hardware, extra
+        What recorded (cameras, lenses, serial numbers), and more fields for recording.json (a scene, seeds), which may
+        not take the names of its own; whatever JSON can say.
     start_utc_ns
         UTC of the recording's start, nanoseconds since 1970.
     overwrite
@@ -114,13 +101,12 @@ class RecordingWriter:
         for name in streams:
             # The name becomes a file's and a word of the journal.
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
-                raise InputError(
-                    f"cannot name a stream {name!r}", where=self.path, remedy="use letters, digits, - and _"
-                )
+                what = f"cannot name a stream {name!r}"
+                raise InputError(what, where=self.path, remedy="use letters, digits, - and _")
         self.streams = {name: replace(info, rate=info.rate or rate) for name, info in streams.items()}
         self.meta: dict[str, Any] = {
-            "format": FORMAT,
-            "version": VERSION,
+            "format": layout.FORMAT,
+            "version": layout.VERSION,
             "uuid": str(uuid.uuid4()),
             "start_utc": iso(start_utc_ns),
             "start_utc_ns": int(start_utc_ns),
@@ -128,16 +114,7 @@ class RecordingWriter:
             "finished": False,
             "hardware": dict(hardware or {}),
             "streams": {
-                name: {
-                    "file": f"{name}.mkv",
-                    "codec": "ffv1",
-                    "height": info.height,
-                    "width": info.width,
-                    "bits": info.bits,
-                    "full_scale": info.full_scale,
-                    "rate": info.rate,
-                }
-                for name, info in self.streams.items()
+                name: {"file": f"{name}.mkv", "codec": "ffv1", **asdict(info)} for name, info in self.streams.items()
             },
             "clock": {
                 "utc": "nanoseconds since 1970-01-01, at mid-exposure where the source knows it",
@@ -181,13 +158,13 @@ class RecordingWriter:
         if not overwrite:
             raise InputError("exists already", where=self.path, remedy="choose another name or remove it first")
         # Only what shows that it is a recording may be replaced.
-        read_meta(self.path)
+        layout.read_meta(self.path)
         return free_name(self.path, "unfinished")
 
     def _write_meta(self) -> None:
         """Write recording.json as things stand."""
         try:
-            write_json(self.place / META, self.meta)
+            layout.write_json(self.place / META, self.meta)
         except (TypeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
@@ -213,14 +190,10 @@ class RecordingWriter:
 
         Parameters
         ----------
-        stream
-            One of the streams the writer was made with.
-        image
-            [H, W] of the stream's size; uint8 up to 8 bit, uint16 above.
-        monotonic_ns
-            The frame's moment by a clock that is never set; must rise within a stream.
-        utc_ns
-            The same moment in UTC, nanoseconds since 1970.
+        stream, image
+            One of the streams the writer was made with, and [H, W] of its size; uint8 up to 8 bit, uint16 above.
+        monotonic_ns, utc_ns
+            The frame's moment by a clock that is never set and rises, and in UTC since 1970, in nanoseconds.
         dropped_before
             Frames known to be lost since the one before.
         exposure, lit
@@ -238,23 +211,26 @@ class RecordingWriter:
         video, here = self._videos[stream], f"{self.path} {stream}[{self._videos[stream].count}]"
         first = self._last.setdefault(f"{stream} first", monotonic_ns)
         if video.count and monotonic_ns <= self._last[stream]:
-            raise InputError(
-                f"the monotonic clock does not rise ({self._last[stream]} then {monotonic_ns} ns)", where=here
-            )
+            what = f"the monotonic clock does not rise ({self._last[stream]} then {monotonic_ns} ns)"
+            raise InputError(what, where=here)
         if dropped_before < 0:
             raise InputError(f"dropped_before must not be negative, is {dropped_before}", where=here)
         if exposure is not None and not 0 <= exposure < math.inf:
             raise InputError(f"exposure must not be negative, is {exposure}", where=here)
-        line = journal_line(stream, video.count, int(monotonic_ns), int(utc_ns), int(dropped_before), exposure, lit)
+        times = (int(monotonic_ns), int(utc_ns), int(dropped_before))
+        line = layout.journal_line(stream, video.count, *times, exposure, lit)
         video.write(image, (monotonic_ns - first) / 1e9)
         with told_when_full(self.path):
-            self._write_line(line)
+            # A nearly full disk may take only a part at first.
+            while line:
+                line = line[self._journal.write(line) or 0 :]
         self._last[stream] = monotonic_ns
 
-    def _write_line(self, line: bytes) -> None:
-        """Write a line of the journal whole; a nearly full disk may take only a part at first."""
-        while line:
-            line = line[self._journal.write(line) or 0 :]
+    def add(self, stream: str, frame: Frame) -> None:
+        """Append a frame whose moment is known to a stream, with all else that is known of it: see `write`."""
+        assert frame.monotonic_ns is not None and frame.utc_ns is not None
+        times = {"monotonic_ns": frame.monotonic_ns, "utc_ns": frame.utc_ns, "dropped_before": frame.lost}
+        self.write(stream, frame.image, **times, exposure=frame.exposure, lit=frame.lit)
 
     def close(self) -> None:
         """Finish the recording: the videos' indexes, frames.parquet, and `"finished": true` last of all.
@@ -273,7 +249,7 @@ class RecordingWriter:
                 # "finished" is a promise: nothing that it is about may still be on its way to the disk.
                 sync(self.place / f"{name}.mkv")
             self._journal.close()
-            write_table(self.place / FRAMES, read_journal(self.place / JOURNAL))
+            write_table(self.place / FRAMES, layout.read_journal(self.place / JOURNAL))
             for name, count in self.counts.items():
                 self.meta["streams"][name]["frames"] = count
             self.meta["finished"] = True

@@ -134,7 +134,7 @@ def beam_of(scene: Scene) -> Beam:
     radius = beam_radius(scene)
     if light.vergence:
         return Beam(wavelength, power, 0.0)
-    if light.mode == "collimated" or light.vergence == 0:
+    if light.curvature(scene.distance) == 0:
         return Beam(wavelength, power, 2 * radius)
     return Beam(wavelength, power, 0.0, 2 * math.atan(radius / scene.distance))
 

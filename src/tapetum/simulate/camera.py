@@ -344,16 +344,14 @@ class Camera:
 
     def _curvature(self) -> torch.Tensor | float:
         """1/R of the light at the target: it follows the distance where that is a tensor."""
-        light = self.scene.illumination
-        if light.vergence is not None or light.mode == "collimated":
-            return illumination_curvature(self.scene)
-        return 1 / self._distance
+        follows = self.scene.illumination.follows_distance
+        return 1 / self._distance if follows else illumination_curvature(self.scene)
 
     def _scale(self) -> torch.Tensor:
         """Irradiance of the first line at the target, times what the way back keeps; it follows power and distance."""
         scene, light = self.scene, self.scene.illumination
         at_target = irradiance_at_target(scene) * self._power / light.power
-        if light.mode == "diverging":
+        if light.way.spreads:
             at_target = at_target * (scene.distance / self._distance) ** 2
         return at_target * scene.probe.transmission
 

@@ -45,12 +45,7 @@ def beam_radius(scene: Scene) -> float:
 
     Collimated: half the diameter, the probe's own aperture where none is given. Diverging: from a point at the probe.
     """
-    light = scene.illumination
-    if light.divergence is not None:
-        return scene.distance * math.tan(light.divergence / 2)
-    if light.diameter is not None:
-        return light.diameter / 2
-    return scene.probe.lens.aperture_radius
+    return scene.illumination.radius(scene.distance, scene.probe.lens.aperture_radius)
 
 
 def irradiance_at_target(scene: Scene) -> float:
@@ -63,10 +58,7 @@ def illumination_curvature(scene: Scene) -> float:
 
     Else 0 for collimated light and 1/distance from a source at the probe.
     """
-    light = scene.illumination
-    if light.vergence is not None:
-        return light.vergence
-    return 0.0 if light.mode == "collimated" else 1 / scene.distance
+    return scene.illumination.curvature(scene.distance)
 
 
 def return_radius_by_rays(

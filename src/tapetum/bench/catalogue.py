@@ -1,0 +1,76 @@
+"""Files of the bench: those that come with the package by name, anyone's by path."""
+
+from __future__ import annotations
+
+import difflib
+import functools
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from tapetum.bench.plain_yaml import read_mapping
+from tapetum.errors import InputError
+
+__all__ = ["Catalogue"]
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """The files of one kind that come with the package.
+
+    Parameters
+    ----------
+    kind, schema
+        What a file describes (`lens`), and what its `schema` must say.
+    folder
+        Where the package has them.
+    suffixes
+        What else than YAML a file may be, for messages.
+    likeness
+        From which likeness on, 0 to 1, a name is proposed in place of an unknown one; else all names are listed.
+    """
+
+    kind: str
+    schema: str
+    folder: str
+    suffixes: str = "YAML"
+    likeness: float = 0.6
+
+    @functools.cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names of the files that come with the package, in order."""
+        files = (resources.files("tapetum.bench") / self.folder).iterdir()
+        return tuple(sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml")))
+
+    def path(self, source: str) -> Path:
+        """Return the file that a name or a path means.
+
+        Raises
+        ------
+        InputError
+            Where there is none, with the names that come nearest.
+        """
+        if source in self.names:
+            return Path(str(resources.files("tapetum.bench") / self.folder / f"{source}.yaml"))
+        if Path(source).is_file():
+            return Path(source)
+        near = difflib.get_close_matches(source, self.names, n=3, cutoff=self.likeness)
+        listed = f"give the path of a {self.suffixes} file, or one of {', '.join(self.names)}"
+        remedy = f"did you mean {' or '.join(near)}?" if near else listed
+        raise InputError(f"no such {self.kind}", where=source, remedy=remedy)
+
+    def read(self, source: str) -> dict[str, Any]:
+        """Return what a YAML file holds, by its name or path, without its `schema`.
+
+        Raises
+        ------
+        InputError
+            As `path`, and for a file that is no text, no YAML, no mapping or of another schema.
+        """
+        try:
+            text = self.path(source).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError) as error:
+            remedy = f"give a {self.suffixes} file"
+            raise InputError(f"cannot be read as text ({error})", where=source, remedy=remedy) from error
+        return read_mapping(text, self.schema, source)
