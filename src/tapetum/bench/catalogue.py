@@ -21,14 +21,10 @@ class Catalogue:
 
     Parameters
     ----------
-    kind, schema
-        What a file describes (`lens`), and what its `schema` must say.
-    folder
-        Where the package has them.
-    suffixes
-        What else than YAML a file may be, for messages.
-    likeness
-        From which likeness on, 0 to 1, a name is proposed in place of an unknown one; else all names are listed.
+    kind, schema, folder
+        What a file describes (`lens`), what its `schema` must say, and where the package has them.
+    suffixes, likeness
+        For messages: what a file may be, and the likeness (0 to 1) from which a name is proposed for an unknown one.
     """
 
     kind: str
@@ -44,13 +40,7 @@ class Catalogue:
         return tuple(sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml")))
 
     def path(self, source: str) -> Path:
-        """Return the file that a name or a path means.
-
-        Raises
-        ------
-        InputError
-            Where there is none, with the names that come nearest.
-        """
+        """Return the file that a name or a path means; an InputError with the nearest names where there is none."""
         if source in self.names:
             return Path(str(resources.files("tapetum.bench") / self.folder / f"{source}.yaml"))
         if Path(source).is_file():
@@ -61,13 +51,7 @@ class Catalogue:
         raise InputError(f"no such {self.kind}", where=source, remedy=remedy)
 
     def read(self, source: str) -> dict[str, Any]:
-        """Return what a YAML file holds, by its name or path, without its `schema`.
-
-        Raises
-        ------
-        InputError
-            As `path`, and for a file that is no text, no YAML, no mapping or of another schema.
-        """
+        """Return what a YAML file holds, by its name or path, without its `schema`; errors as of `read_mapping`."""
         try:
             text = self.path(source).read_text(encoding="utf-8")
         except (OSError, UnicodeDecodeError) as error:

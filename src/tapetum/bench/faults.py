@@ -20,11 +20,23 @@ T = TypeVar("T")
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
 # Where pydantic puts the kind that was meant into a path, and the kinds.
 _TAGS = {("target",): ("camera", "phone"), ("target", "lens"): ("thin", "prescription")}
-_BOUNDS = {
-    "greater_than": ("gt", "more than"),
-    "greater_than_equal": ("ge", "at least"),
-    "less_than": ("lt", "less than"),
-    "less_than_equal": ("le", "at most"),
+_RANGE = "{given!r} is out of range"
+_WHOLE = ("must be a whole number{shown}", "give it without a fraction or a unit")
+_NUMBER = ("must be a number{shown}", "give it without a unit")
+_PAIR = ("must be a list of two values{shown}", "write it in brackets, for example [1, 2]")
+# What is wrong and the remedy, by pydantic's name of the fault.
+_SAID = {
+    "greater_than": (_RANGE, "give more than {gt:g}"),
+    "greater_than_equal": (_RANGE, "give at least {ge:g}"),
+    "less_than": (_RANGE, "give less than {lt:g}"),
+    "less_than_equal": (_RANGE, "give at most {le:g}"),
+    "union_tag_invalid": ("unknown value {tag!r}", "use {expected_tags}"),
+    "literal_error": ("unknown value {given!r}", "use {expected}"),
+    "dataclass_type": ("must be a mapping of fields{shown}", ""),
+    "finite_number": ("must be finite{shown}", "give a finite number"),
+    **dict.fromkeys(("tuple_type", "too_long"), _PAIR),
+    **dict.fromkeys(("int_from_float", "int_type", "int_parsing"), _WHOLE),
+    **dict.fromkeys(("float_type", "float_parsing"), _NUMBER),
 }
 
 
@@ -37,10 +49,7 @@ def adapter(kind: type[T]) -> TypeAdapter[T]:
 def build(kind: type[T], content: Mapping[str, Any], where: str, *, unit: float = 1.0) -> T:
     """Return a dataclass of nested plain values; `unit` is that of a lens file's bare numbers, in metres.
 
-    Raises
-    ------
-    InputError
-        Naming `where`, the field's path, its value and the remedy.
+    Raises an InputError that names `where`, the field's path, its value and the remedy.
     """
     try:
         return adapter(kind).validate_python(dict(content), context={"unit": unit})
@@ -51,14 +60,7 @@ def build(kind: type[T], content: Mapping[str, Any], where: str, *, unit: float 
 def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, ...]]) -> InputError:
     """Return the first of pydantic's findings, an unknown key before all others, as an InputError.
 
-    Parameters
-    ----------
-    error
-        What pydantic raised.
-    where
-        The file or argument that the scene came from.
-    paths
-        Every field of a scene, to guess what an unknown key meant.
+    `where` is the file or argument that the values came from, `paths` are all fields that an unknown key may mean.
     """
     found = error.errors(include_url=False)
     # A misspelt key makes its field missing as well: the key is what to mend.
@@ -106,25 +108,10 @@ def _value_fault(kind: str, message: str, given: object, context: dict[str, Any]
         what, _, remedy = message.removeprefix("Value error, ").partition("; ")
         return what, remedy or "correct it"
     shown = "" if isinstance(given, dict) or dataclasses.is_dataclass(given) else f", is {given!r}"
-    if kind in _BOUNDS:
-        key, words = _BOUNDS[kind]
-        bound = f"{words} {context[key]:g}"
-        return f"{given!r} is out of range", f"give {bound}"
-    if kind == "union_tag_invalid":
-        return f"unknown value {context['tag']!r}", f"use {context['expected_tags'].replace(',', ' or')}"
-    if kind == "literal_error":
-        return f"unknown value {given!r}", f"use {context['expected']}"
-    if kind == "dataclass_type":
-        return f"must be a mapping of fields{shown}", ""
-    if kind in ("tuple_type", "too_long"):
-        return f"must be a list of two values{shown}", "write it in brackets, for example [1, 2]"
-    if kind in ("int_from_float", "int_type", "int_parsing"):
-        return f"must be a whole number{shown}", "give it without a fraction or a unit"
-    if kind in ("float_type", "float_parsing"):
-        return f"must be a number{shown}", "give it without a unit"
-    if kind == "finite_number":
-        return f"must be finite{shown}", "give a finite number"
-    return message.replace("Input should", "must").replace("must be a valid", "must be a") + shown, "correct it"
+    if kind not in _SAID:
+        return message.replace("Input should", "must").replace("must be a valid", "must be a") + shown, "correct it"
+    what, remedy = (words.format(given=given, shown=shown, **context) for words in _SAID[kind])
+    return what, remedy.replace(",", " or") if kind == "union_tag_invalid" else remedy
 
 
 def _at(path: tuple[str, ...], steps: Sequence[object]) -> bool:

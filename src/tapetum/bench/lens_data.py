@@ -78,24 +78,16 @@ class Surface:
 
     Parameters
     ----------
-    semi_diameter
-        Beyond which it stops a ray, in metres.
+    semi_diameter, stop
+        Beyond which it stops a ray, in metres; and whether it is the aperture stop.
     radius
-        Of curvature, in metres; None for a flat.
+        Of curvature, in metres, positive with the centre behind the surface; None for a flat.
     thickness
         To the next surface along the axis, in metres. The last one runs to the image: the lens is focused anyway.
-    nd, vd
-        Index and Abbe number of the medium behind.
-    index
-        In their place, the index at all wavelengths, where only that is known.
-    glass
-        In their place, one of the bench's glasses.
-    conic
-        Conic constant.
-    asphere
-        Pairs (power, coefficient) of Σ a r^power, in m^(1 - power); powers from 2 to 16, odd ones too.
-    stop
-        Whether it is the aperture stop.
+    nd, vd, index, glass
+        Index and Abbe number of the medium behind, or its index at all wavelengths, or one of the bench's glasses.
+    conic, asphere
+        Conic constant, and pairs (power, coefficient) of Σ a r^power, in m^(1 - power); powers from 2 to 16.
     """
 
     semi_diameter: Opening
@@ -146,10 +138,8 @@ class LensState:
     ----------
     name
         `prime`, or for example `wide`.
-    f_number
-        As its source states it, where it does.
-    half_field
-        Half of the field of view that it covers, in radians, where it is known.
+    f_number, half_field
+        As its source states them, where it does: F-number, and half of the field of view in radians.
     thickness, semi_diameter
         Pairs (number of a surface, value in metres): the gaps that move, and the opening of the stop.
     """
@@ -169,10 +159,8 @@ class Prescription:
     ----------
     name, patent, source, use
         What it is called here, where its numbers come from, and what it stands in for.
-    surfaces
-        In the order in which light meets them.
-    states
-        One, or those of a zoom by rising focal length.
+    surfaces, states
+        In the order in which light meets them; one state, or those of a zoom by rising focal length.
     assumed
         What its sources do not say.
     focus
@@ -245,9 +233,7 @@ def build_lens(surfaces: tuple[Surface, ...], wavelength: float, scale: float = 
 
     from tapetum.optics.rays import Lens
 
-    places = [0.0]
-    for surface in surfaces[:-1]:
-        places.append(places[-1] + surface.thickness)
+    places = [0.0, *itertools.accumulate(one.thickness for one in surfaces[:-1])]
     highest = max((power for surface in surfaces for power, _ in surface.asphere), default=2)
     asphere = torch.zeros(len(surfaces), highest - 1, dtype=torch.float64)
     for i, surface in enumerate(surfaces):

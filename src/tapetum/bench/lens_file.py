@@ -43,12 +43,8 @@ def load_lens(source: str) -> Prescription:
 def prescription_from_dict(content: Mapping[str, Any], where: str = "lens") -> Prescription:
     """A prescription from nested mappings, as its YAML holds them.
 
-    Numbers without a unit are in the content's `unit`; coefficients of r^p are in unit^(1 - p).
-
-    Raises
-    ------
-    InputError
-        As `load_lens`.
+    Numbers without a unit are in the content's `unit`; coefficients of r^p are in unit^(1 - p). Raises an InputError as
+    `load_lens`.
     """
     plain = dict(content)
     unit = plain.pop("unit", "m")

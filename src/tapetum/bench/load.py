@@ -47,10 +47,8 @@ def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> S
 
     Parameters
     ----------
-    source
-        `"thin-lens"`, or a path.
-    changes
-        Texts `key=value` as for `tapetum simulate --set`.
+    source, changes
+        `"thin-lens"`, or a path; and texts `key=value` as for `tapetum simulate --set`.
 
     Raises
     ------
@@ -103,13 +101,11 @@ def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -
 
     Parameters
     ----------
-    scene
-        Stays as it is.
+    scene, where
+        Stays as it is; what an error names as its origin.
     values
         By field path, or the path's last words where they are unambiguous (`rotation`, `object_distance`). A single
         angle for `target.rotation` tilts about x, as the paper does; its numbers without a unit are degrees.
-    where
-        What an error names as the scene's origin.
 
     Raises
     ------
@@ -136,10 +132,7 @@ def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -
 def field_path(key: str) -> tuple[str, ...]:
     """Resolve a key to the path of a scene's field: `object_distance` to ("target", "object_distance").
 
-    Raises
-    ------
-    InputError
-        For an unknown key (with the nearest ones) or an ambiguous one (with its candidates).
+    Raises an InputError for an unknown key (with the nearest ones) or an ambiguous one (with its candidates).
     """
     words, paths = tuple(key.strip().split(".")), field_paths(Scene, lists=False)
     if words in paths:

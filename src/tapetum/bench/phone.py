@@ -34,10 +34,9 @@ class CameraUnit:
 
     Parameters
     ----------
-    name
-        Its purpose: `main`, `wide`, `tele`, `macro`.
-    position
-        Of its optical axis on the back plate, (x, y) in metres: x right and y down as the probe sees it.
+    name, position
+        Its purpose (`main`, `wide`, `tele`, `macro`), and where its optical axis is on the back plate, (x, y) in
+        metres: x right and y down as the probe sees it.
     lens, sensor
         Its optics. The filter is the first of the sensor's layers.
     axis
@@ -62,20 +61,13 @@ class Dots:
 
     Parameters
     ----------
-    position
-        On the back plate, as a camera's.
-    wavelength
-        In metres.
-    power
-        Of all beams together while a pulse lasts, in watts.
-    period, pulse
-        From one pulse to the next, and how long one lasts, in seconds.
-    columns, rows
-        Of the grid.
-    field
-        Full angles that the grid spans, in radians.
-    tilt
-        Of the grid's rows against the plate's x, in radians.
+    position, wavelength
+        On the back plate, as a camera's; in metres.
+    power, period, pulse
+        Of all beams together while a pulse lasts, in watts; from one pulse to the next, and how long one lasts, in
+        seconds.
+    columns, rows, field, tilt
+        Of the grid, the full angles that it spans, and that of its rows against the plate's x, in radians.
     """
 
     position: tuple[Place, Place]
@@ -101,14 +93,10 @@ class Phone:
 
     Parameters
     ----------
-    name
-        A neutral one.
-    cameras
-        One to six; positions count from wherever their file says, the plate's x right and y down.
-    dots
-        Its dot projector, if it has one.
-    assumed
-        What no source says, and what kind of source the rest has.
+    name, assumed
+        A neutral one; what no source says, and what kind of source the rest has.
+    cameras, dots
+        One to six, whose positions count from wherever their file says; and the dot projector, if there is one.
     """
 
     name: str

@@ -43,10 +43,8 @@ def parse(text: str, where: str, *, what: str | None = None, remedy: str = "mend
 
     Parameters
     ----------
-    text
-        Of a file or an option.
-    where, what, remedy
-        Of the error; without `what` it says what the parser met.
+    text, where, what, remedy
+        Of a file or an option; of the error, which says what the parser met where `what` is left out.
 
     Raises
     ------
@@ -102,10 +100,7 @@ def _written_out(node: yaml.Node) -> int:
 def read_mapping(text: str, schema: str, where: str) -> dict[str, Any]:
     """The mapping that a YAML text of a given schema holds, without its `schema`.
 
-    Raises
-    ------
-    InputError
-        For text that is no YAML, no mapping, or of another schema.
+    Raises an InputError for text that is no YAML, no mapping, or of another schema.
     """
     content = parse(text, where)
     if not isinstance(content, dict) or content.get("schema") != schema:

@@ -28,6 +28,8 @@ __all__ = ["LensState", "Prescription", "PrescriptionLens", "Surface", "lens_nam
 FocalLength = Annotated[Positive, WrapValidator(lambda value, handler: None if value is None else handler(value))]
 # F-numbers are stated with two digits.
 _ROUNDED = 5e-3
+# Places at which a group is tried before it is focused.
+_STEPS = 40
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -119,10 +121,7 @@ class PrescriptionLens:
 def check_layers(lens: PrescriptionLens, layers: tuple[Layer, ...], object_distance: float) -> None:
     """Refuse layers that would lie inside of a lens focused at a distance (metres): they need room before the sensor.
 
-    Raises
-    ------
-    ValueError
-        Naming the layer.
+    Raises a ValueError that names the layer.
     """
     if not layers:
         return
@@ -208,27 +207,22 @@ def _with_group(lens: Lens, group: tuple[int, int], sensor: float, distance: flo
 
     if math.isinf(distance):
         return lens, sensor
+    from scipy.optimize import newton
+
     first, last = group
     low, high = -clearance(lens, first - 1, first)[0], clearance(lens, last, last + 1)[0]
     places = [low + (high - low) * i / _STEPS for i in range(_STEPS + 1)]
     misses = [paraxial_image(moved_group(lens, group, at), distance) - paraxial(lens).focus for at in places]
     found = [i for i in range(_STEPS) if math.isfinite(misses[i] + misses[i + 1]) and misses[i] * misses[i + 1] <= 0]
-    if not found:
-        what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
-        raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")
-    # The way from infinity's place is the shortest one.
-    i = min(found, key=lambda i: abs(places[i] + places[i + 1]))
-    shift, other = places[i], places[i + 1]
-    value = best_focus(moved_group(lens, group, shift), distance) - sensor
-    for _ in range(30):
-        behind = best_focus(moved_group(lens, group, other), distance) - sensor
-        if behind == value or abs(behind) < 1e-12:
-            break
-        shift, other, value = other, other - behind * (other - shift) / (behind - value), behind
-    if not low <= other <= high:
-        what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
-        raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")
-    return moved_group(lens, group, other), sensor
+    if found:
+        # The way from infinity's place is the shortest one.
+        i = min(found, key=lambda i: abs(places[i] + places[i + 1]))
 
+        def miss(at: float) -> float:
+            return best_focus(moved_group(lens, group, at), distance) - sensor
 
-_STEPS = 40
+        shift = float(newton(miss, places[i], x1=places[i + 1], tol=1e-13, maxiter=30, disp=False))
+        if low <= shift <= high:
+            return moved_group(lens, group, shift), sensor
+    what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
+    raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")

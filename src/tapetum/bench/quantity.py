@@ -32,10 +32,8 @@ def to_si(value: object, unit: str) -> float:
 
     Parameters
     ----------
-    value
-        `0.1`, `"0.1"` or `"100 mm"`.
-    unit
-        The SI unit of the wanted dimension: "m", "rad", "W", "s", "1/s", "1/m".
+    value, unit
+        `0.1`, `"0.1"` or `"100 mm"`, and the SI unit of the wanted dimension: "m", "rad", "W", "s", "1/s", "1/m".
 
     Raises
     ------
@@ -57,7 +55,8 @@ def to_si(value: object, unit: str) -> float:
 
 def _with_unit(text: str, unit: str) -> float:
     if len(text) > _LONGEST or _QUANTITY.fullmatch(text) is None:
-        raise ValueError(f"{_short(text)} is no quantity; write, for example, '{_example(unit)}'")
+        short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+        raise ValueError(f"{short!r} is no quantity; write, for example, '{_example(unit)}'")
     registry = _registry()
     import pint
 
@@ -68,19 +67,13 @@ def _with_unit(text: str, unit: str) -> float:
     try:
         return float(quantity.to(unit).magnitude)
     except (pint.PintError, AttributeError, TypeError, ValueError, ArithmeticError) as error:
-        raise ValueError(
-            f"{text!r} has the wrong dimension; give it in {unit}, for example '{_example(unit)}'"
-        ) from error
-
-
-def _short(text: str) -> str:
-    return repr(text if len(text) <= _LONGEST else f"{text[:_LONGEST]}...")
+        what = f"{text!r} has the wrong dimension"
+        raise ValueError(f"{what}; give it in {unit}, for example '{_example(unit)}'") from error
 
 
 def _example(unit: str) -> str:
-    return {"m": "5 mm", "rad": "0.5 deg", "W": "1 mW", "s": "10 us", "1/s": "100 1/s", "1/m": "0.2 1/m"}.get(
-        unit, f"1 {unit}"
-    )
+    usual = {"m": "5 mm", "rad": "0.5 deg", "W": "1 mW", "s": "10 us", "1/s": "100 1/s", "1/m": "0.2 1/m"}
+    return usual.get(unit, f"1 {unit}")
 
 
 def _quantity(unit: str) -> Any:

@@ -5,15 +5,15 @@ from __future__ import annotations
 import html
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.modes import MODES, Collimated, ModeName
+from tapetum.bench.illumination import Illumination, Line, SecondBeam, Wavelength
 from tapetum.bench.phone import CameraUnit, Phone, load_phone
 from tapetum.bench.prescription import PrescriptionLens, check_layers
-from tapetum.bench.quantity import Angle, FocusDistance, Length, Power, Vergence
+from tapetum.bench.quantity import Angle, FocusDistance
 from tapetum.bench.sensors import ProbeSensor, TargetSensor
 from tapetum.bench.shown import in_words, sketch
 from tapetum.bench.strict import STRICT, Positive
@@ -58,122 +58,6 @@ def outside_of_model(rotation: tuple[float, float], kind: str) -> str | None:
     turned = ", ".join(f"{math.degrees(one):.4g}" for one in rotation)
     met = "90 deg or more" if quarter else f"{math.degrees(angle):.4g} deg"
     return f"a rotation of ({turned}) deg meets the light under {met}, outside {model}; stay below {most:.0f} deg"
-
-
-Wavelength = Annotated[Length, Field(ge=200e-9, le=2e-6)]
-SmallAngle = Annotated[Angle, Field(gt=-0.2, lt=0.2)]
-
-
-@dataclass(frozen=True, config=STRICT)
-class SecondBeam:
-    """The probe's dim second beam, from an imperfect beam splitter (paper, section 5).
-
-    Parameters
-    ----------
-    ratio
-        Its power over the first beam's, as seen in the RR.
-    angle
-        Its direction against the first beam's, along x and y, in radians.
-    """
-
-    ratio: Annotated[float, Field(ge=0, le=1)]
-    angle: tuple[SmallAngle, SmallAngle]
-
-
-@dataclass(frozen=True, config=STRICT)
-class Line:
-    """Light of a further wavelength from the same probe.
-
-    Parameters
-    ----------
-    wavelength, power
-        In metres and watts.
-    """
-
-    wavelength: Wavelength
-    power: Power
-
-
-@dataclass(frozen=True, config=STRICT)
-class Illumination:
-    """The probe's laser (paper, section 3).
-
-    Parameters
-    ----------
-    mode
-        `collimated`: a plane wave of `diameter`. `diverging`: a spherical wave from the probe with a full angle
-        `divergence`. `fixed_area`: a spherical wave from the probe that fills `diameter` at any distance.
-    wavelength, power
-        In metres and watts; the power leaves the probe.
-    divergence
-        Full angle in radians.
-    diameter
-        Of the lit disc at the target, in metres.
-    second_beam
-        None for an ideal beam splitter.
-    lines
-        Light of further wavelengths, laid over the first.
-    bandwidth
-        Full width at half maximum of each line, in metres: 0 for a laser, some 20 nm for an LED.
-    coherence_length
-        Difference of paths from which two reflections no longer interfere, in metres; their degree of coherence falls
-        to it in proportion. Left out, the bandwidth alone decides.
-    source_size
-        Full angle of the source as the target sees it, in radians: 0 for a laser, an even disc for an LED.
-    vergence
-        1/R of the wave that reaches the target, in 1/m, in place of the mode's own: positive from a source at the
-        distance R, negative for light that converges. Sweeping it scans a focus through the target (paper, section 6).
-    """
-
-    mode: ModeName = "collimated"
-    wavelength: Wavelength = 640e-9
-    power: Power = 1e-3
-    divergence: Annotated[Angle, Field(gt=0, lt=math.pi / 2)] | None = None
-    diameter: Positive | None = None
-    second_beam: SecondBeam | None = None
-    lines: tuple[Line, ...] = ()
-    bandwidth: Annotated[Length, Field(ge=0, le=200e-9)] = 0.0
-    coherence_length: Positive | None = None
-    source_size: Annotated[Angle, Field(ge=0, lt=0.2)] = 0.0
-    vergence: Vergence | None = None
-
-    @model_validator(mode="after")
-    def _fits_its_mode(self) -> Illumination:
-        for name, given in (("divergence", self.divergence), ("diameter", self.diameter)):
-            example = self.way.needs.get(name)
-            if given is None and example is not None:
-                raise ValueError(f"mode '{self.mode}' needs a {name}; add for example '{name}: {example}'")
-            if given is not None and name not in self.way.takes:
-                other = next(word for word, way in MODES.items() if name in way.needs)
-                raise ValueError(f"{name} has no meaning in mode '{self.mode}'; leave it out or use mode '{other}'")
-        shortest = min(self.wavelength, *(line.wavelength for line in self.lines), math.inf)
-        if self.bandwidth >= 0.5 * shortest:
-            raise ValueError(f"bandwidth {self.bandwidth:g} m is no line at {shortest:g} m; give a narrower one")
-        return self
-
-    @property
-    def way(self) -> type[Collimated]:
-        """What the mode says of how the light spreads."""
-        return MODES[self.mode]
-
-    @property
-    def follows_distance(self) -> bool:
-        """Whether the curvature at the target changes with its distance."""
-        return self.vergence is None and self.way.spherical
-
-    def curvature(self, distance: float) -> float:
-        """1/R of the wave at a distance (metres) from the probe, in 1/m, positive from a source at R."""
-        if self.vergence is not None:
-            return self.vergence
-        return 1 / distance if self.way.spherical else 0.0
-
-    def radius(self, distance: float, aperture_radius: float) -> float:
-        """Radius of the lit disc at a distance from a probe of an aperture's radius, in metres (paper, figure 3)."""
-        return self.way.radius(self.divergence, self.diameter, distance, aperture_radius)
-
-    def spread(self, distance: Any, usual: Any) -> Any:
-        """Irradiance at a distance over that at the usual one; both in metres, numbers, arrays or tensors."""
-        return (usual / distance) ** (2 if self.way.spreads else 0)
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeVar
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.quantity import Current, Length, Time
@@ -13,8 +13,14 @@ from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, Sensor
 
 __all__ = ["ProbeSensor", "TargetSensor"]
 
-S = TypeVar("S", "TargetSensor", "ProbeSensor")
-Pixels = Annotated[tuple[int, int], Field(description="columns, rows")]
+
+def _in_range(pixels: tuple[int, int]) -> tuple[int, int]:
+    if min(pixels) < 1 or max(pixels) > 16384:
+        raise ValueError(f"pixels {list(pixels)} are out of range; give 1 to 16384 a side")
+    return pixels
+
+
+Pixels = Annotated[tuple[int, int], Field(description="columns, rows"), AfterValidator(_in_range)]
 Offset = Annotated[Length, Field(ge=-0.01, le=0.01)]
 
 
@@ -57,7 +63,7 @@ class TargetSensor:
     decentre: tuple[Offset, Offset] = (0.0, 0.0)
 
     @model_validator(mode="after")
-    def _has_pixels(self) -> TargetSensor:
+    def _can_be_built(self) -> TargetSensor:
         if self.mask is not None and (self.array is not None or self.microlens is not None):
             raise ValueError("a mask takes the place of array and microlens; leave one of them out")
         if self.mask is not None and self.tilt != (0.0, 0.0):
@@ -68,7 +74,7 @@ class TargetSensor:
         if self.diffuse is not None and self.reflectance + self.diffuse.albedo > 1:
             total = self.reflectance + self.diffuse.albedo
             raise ValueError(f"reflectance and diffuse.albedo add up to {total:g}; keep them below 1")
-        return _with_pixels(self)
+        return self
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -118,13 +124,3 @@ class ProbeSensor:
     hot_pixels: Share = 0.0
     hot_current: Current = 0.0
     serial: Annotated[int, Field(ge=0, lt=2**63)] = 0
-
-    @model_validator(mode="after")
-    def _has_pixels(self) -> ProbeSensor:
-        return _with_pixels(self)
-
-
-def _with_pixels(sensor: S) -> S:
-    if min(sensor.pixels) < 1 or max(sensor.pixels) > 16384:
-        raise ValueError(f"pixels {list(sensor.pixels)} are out of range; give 1 to 16384 a side")
-    return sensor

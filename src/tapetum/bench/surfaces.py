@@ -4,14 +4,18 @@ from __future__ import annotations
 
 import itertools
 import math
+import zipfile
 from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.quantity import Angle, Length, to_si
 from tapetum.bench.strict import STRICT, Positive, Share
+from tapetum.errors import InputError
 from tapetum.optics.photosites import SHAPES, Shape
 
 __all__ = ["Diffuse", "Layer", "Microlens", "PixelArray", "SensorMask", "SmallTilt", "Spectrum", "at_wavelength"]
@@ -63,13 +67,7 @@ def at_wavelength(spectrum: float | Sequence[tuple[float, float]], wavelength: f
     """The share at a wavelength in metres: linear between the pairs, constant beyond the outer ones."""
     if isinstance(spectrum, int | float):
         return float(spectrum)
-    first, last = spectrum[0], spectrum[-1]
-    if wavelength <= first[0]:
-        return first[1]
-    for (a, low), (b, high) in itertools.pairwise(spectrum):
-        if wavelength <= b:
-            return low + (high - low) * (wavelength - a) / (b - a)
-    return last[1]
+    return float(np.interp(wavelength, *np.transpose(spectrum)))
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -161,6 +159,34 @@ class SensorMask:
 
     file: str
     pitch: Positive
+
+    def amplitudes(self, reflectance: float) -> npt.NDArray[np.complex128]:
+        """Complex amplitudes [rows, columns] over the square root of the sensor's power reflectance.
+
+        Raises an InputError for what is no such file, and where the mask would reflect more than all light.
+        """
+        where, path = "target.sensor.mask.file", self.file
+        try:
+            values = np.load(path, allow_pickle=False)
+        except FileNotFoundError as error:
+            raise InputError(f"there is no file {path}", where=where, remedy="give the path of a .npy file") from error
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            remedy = "write it with numpy.save, as complex numbers"
+            raise InputError(f"{path} is no .npy of plain numbers", where=where, remedy=remedy) from error
+        if not isinstance(values, np.ndarray):
+            raise InputError(f"{path} holds several arrays", where=where, remedy="write one with numpy.save")
+        if values.dtype.kind not in "fciu" or values.ndim != 2 or values.size == 0:
+            what = f"{path} holds {values.dtype} of shape {values.shape}"
+            raise InputError(what, where=where, remedy="give complex amplitudes [rows, columns]")
+        values = values.astype(np.complex128)
+        if not np.isfinite(values).all():
+            what = f"{path} holds values that are not finite"
+            raise InputError(what, where=where, remedy="replace them, by 0 for example")
+        largest = float(np.abs(values).max())
+        if reflectance * largest**2 > 1 + 1e-6:
+            what = f"{path} reflects {reflectance * largest**2:.3g} of the light at its brightest"
+            raise InputError(what, where=where, remedy="scale its amplitudes, or lower the sensor's reflectance")
+        return values
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -20,10 +20,7 @@ _SLACK = 1e-3
 def focal_range(prescription: Prescription, wavelength: float) -> tuple[float, ...]:
     """Paraxial focal length of every state, in metres, at a wavelength.
 
-    Raises
-    ------
-    InputError
-        For a lens without a positive focal length, and for states that are not in the order of theirs.
+    Raises an InputError for a lens without a positive focal length, and for states that are not in the order of theirs.
     """
     from tapetum.optics.paraxial import paraxial
 
@@ -44,13 +41,9 @@ def surfaces_at(
 ) -> tuple[tuple[Surface, ...], float]:
     """The surfaces for a focal length, and the factor on all of their lengths.
 
-    A prime lens is scaled. In a zoom the gaps that move, and the stop's opening, run smoothly with the logarithm of
-    the focal length through the states (monotone cubics, so that no two groups meet between them).
-
-    Raises
-    ------
-    InputError
-        For a zoom without a focal length, or one beyond its range.
+    A prime lens is scaled. In a zoom the gaps that move, and the stop's opening, run smoothly with the logarithm of the
+    focal length through the states (monotone cubics, so that no two groups meet between them). Raises an InputError for
+    a zoom without a focal length, or one beyond its range.
     """
     own = focal_range(prescription, wavelength)
     if len(own) == 1:
@@ -69,18 +62,20 @@ def surfaces_at(
 
     logs = [math.log(one) for one in own]
     states = [prescription.state(k) for k in range(len(own))]
-    moving = [i for i in range(len(states[0])) if len({one[i].thickness for one in states}) > 1]
-    opening = [i for i in range(len(states[0])) if len({one[i].semi_diameter for one in states}) > 1]
-    gaps = {i: PchipInterpolator(logs, [one[i].thickness for one in states]) for i in moving}
-    openings = {i: PchipInterpolator(logs, [one[i].semi_diameter for one in states]) for i in opening}
-
     base = build_lens(states[0], wavelength)
 
-    def gaps_at(t: float) -> dict[int, float]:
-        return {i: float(curve(t)) for i, curve in gaps.items()}
+    def curves(length: str) -> dict[int, PchipInterpolator]:
+        """Of the surfaces whose length differs from state to state."""
+        values = [[getattr(one[i], length) for one in states] for i in range(len(states[0]))]
+        return {i: PchipInterpolator(logs, one) for i, one in enumerate(values) if len(set(one)) > 1}
+
+    gaps, openings = curves("thickness"), curves("semi_diameter")
+
+    def at(t: float, curves: dict[int, PchipInterpolator]) -> dict[int, float]:
+        return {i: float(curve(t)) for i, curve in curves.items()}
 
     def miss(t: float) -> float:
-        moved = gaps_at(t)
+        moved = at(t, gaps)
         steps = [moved.get(i, one.thickness) for i, one in enumerate(states[0][:-1])]
         lens = replace(base, z=torch.tensor([0.0, *itertools.accumulate(steps)], dtype=torch.float64))
         return math.log(paraxial(lens).focal_length) - wanted
@@ -91,4 +86,4 @@ def surfaces_at(
     if ends[0] >= 0 or ends[1] <= 0:
         return states[0 if ends[0] >= 0 else -1], 1.0
     t = float(brentq(miss, logs[0], logs[-1], xtol=1e-14, rtol=1e-14))  # pyright: ignore[reportArgumentType]
-    return with_moves(states[0], gaps_at(t), {i: float(curve(t)) for i, curve in openings.items()}), 1.0
+    return with_moves(states[0], at(t, gaps), at(t, openings)), 1.0

@@ -13,15 +13,7 @@ __all__ = ["Beat", "CameraClock"]
 
 @dataclass(frozen=True)
 class Beat:
-    """The frames that a camera kept.
-
-    Parameters
-    ----------
-    times
-        [T] seconds from the recording's start.
-    dropped_before
-        [T] frames lost since the one before.
-    """
+    """The frames that a camera kept: `times` [T] in seconds from the start, and how many were lost before each."""
 
     times: npt.NDArray[np.float64]
     dropped_before: npt.NDArray[np.int64]
@@ -36,14 +28,10 @@ class CameraClock:
 
     Parameters
     ----------
-    offset
-        Of the first frame after the recording's start, in seconds.
-    jitter
-        Root mean square of a frame's time about its even beat, in seconds.
-    drift
-        Of its monotonic clock, in parts of one.
-    loss
-        Probability that a frame is lost.
+    offset, jitter
+        Of the first frame after the recording's start, and RMS of a frame's time about its even beat, in seconds.
+    drift, loss
+        Of its monotonic clock, in parts of one, and probability that a frame is lost.
     """
 
     offset: float = 0.0

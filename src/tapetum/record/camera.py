@@ -47,7 +47,7 @@ class Camera:
     Parameters
     ----------
     source, rate
-        `camera:` and its number from 0, and frames a second to ask it for; None leaves them as they are.
+        `camera:` and its number from 0, and frames a second to ask it for; None leaves its own.
 
     Raises
     ------

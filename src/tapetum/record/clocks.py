@@ -105,13 +105,9 @@ def rising(recording: Recording, stream: str) -> np.ndarray:
     times = recording.utc_ns(stream)
     if not len(times):
         raise InputError(f"stream {stream} holds no frames", where=recording.path, remedy="record again")
-    back = np.flatnonzero(np.diff(times) <= 0)
-    if len(back):
-        raise InputError(
-            f"UTC of stream {stream} does not rise at frame {back[0] + 1} (its clock was set meanwhile)",
-            where=recording.path,
-            remedy="record again with the clock left alone",
-        )
+    if len(back := np.flatnonzero(np.diff(times) <= 0)):
+        what = f"UTC of stream {stream} does not rise at frame {back[0] + 1} (its clock was set meanwhile)"
+        raise InputError(what, where=recording.path, remedy="record again with the clock left alone")
     return times
 
 
@@ -127,15 +123,11 @@ def join(
 
     Parameters
     ----------
-    recording
-        The recording with both streams.
-    onto
-        The stream whose every frame gets an answer.
-    other
-        The stream in which to look.
+    recording, onto, other
+        The recording with both streams, the one whose every frame gets an answer, and the one in which to look.
     tolerance
-        Farthest that the nearer neighbour may be, in seconds; by default 0.75 of the other stream's median
-        frame interval, so that a lone lost frame is bridged except in the middle of its gap.
+        Farthest that the nearer neighbour may be, in seconds; by default 0.75 of the other stream's median frame
+        interval, so that a lone lost frame is bridged except in the middle of its gap.
     offset
         Seconds to add to the other stream's UTC, where its clock is known to be wrong.
 
@@ -147,11 +139,9 @@ def join(
     wanted = rising(recording, onto)
     there = rising(recording, other) + round(offset * 1e9)
     if there[-1] < wanted[0] or there[0] > wanted[-1]:
-        raise InputError(
-            f"the clocks of {onto} and {other} do not overlap: {span(wanted)} and {span(there)}",
-            where=recording.path,
-            remedy="set both cameras by one clock and record again, or give the offset between them",
-        )
+        what = f"the clocks of {onto} and {other} do not overlap: {span(wanted)} and {span(there)}"
+        remedy = "set both cameras by one clock and record again, or give the offset between them"
+        raise InputError(what, where=recording.path, remedy=remedy)
     period = float(np.median(np.diff(there))) if len(there) > 1 else 1e9 / float(recording.streams[other].rate or 15)
     limit = 0.75 * period if tolerance is None else tolerance * 1e9
     after = np.searchsorted(there, wanted, side="right")
@@ -163,10 +153,5 @@ def join(
     gap = np.where(inside, np.minimum(wanted - low, high - wanted), np.inf)
     inside &= gap <= limit
     weight = np.where(inside, (wanted - low) / np.maximum(high - low, 1), 0.0)
-    return Joined(
-        before=np.where(inside, before, -1),
-        after=np.where(inside, after, -1),
-        weight=weight,
-        gap=np.where(inside, gap, np.inf) / 1e9,
-        times=(there - there[0]) / 1e9,
-    )
+    before, after = np.where(inside, before, -1), np.where(inside, after, -1)
+    return Joined(before, after, weight, np.where(inside, gap, np.inf) / 1e9, (there - there[0]) / 1e9)

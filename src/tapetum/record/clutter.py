@@ -19,12 +19,26 @@ import numpy.typing as npt
 from tapetum.bench import Scene
 from tapetum.errors import InputError
 from tapetum.record.motion import Waves
-from tapetum.record.patch import Patch
+from tapetum.record.patch import Patch, bell
 
-__all__ = ["Clutter", "Glint", "Lamp", "Painter", "Stage", "Tape", "draw_clutter"]
+__all__ = ["Clutter", "Glint", "Lamp", "Painter", "Stage", "Tape", "Thing", "draw_clutter"]
 
 Array = npt.NDArray[np.float64]
 Painter = Callable[[int], Patch]
+
+
+class Thing:
+    """What adds light to a probe's frames; `positive` names its numbers that must be positive, where they are given."""
+
+    positive: ClassVar[tuple[str, ...]] = ("electrons", "size", "distance")
+
+    def __post_init__(self) -> None:
+        for name in self.positive:
+            given = getattr(self, name)
+            for value in given if isinstance(given, tuple) else (given,):
+                if value is not None and not (math.isfinite(value) and value > 0):
+                    where = f"{type(self).__name__.lower()}.{name}"
+                    raise InputError(f"must be positive, is {value}", where=where, remedy="give electrons or metres")
 
 
 @dataclass(frozen=True)
@@ -51,26 +65,21 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Glint:
+class Glint(Thing):
     """The laser in a small flat facet, as of a screw or a ring: a blob that moves by itself and twinkles.
 
     Parameters
     ----------
-    at
-        Its mean place in the probe's picture, in fractions of the frame from the middle.
-    electrons
-        At its middle when it is brightest, in the scene's exposure.
+    at, electrons
+        Its mean place in the probe's picture, in fractions of the frame from the middle, and electrons at the blob's
+        middle when it is brightest, in the scene's exposure.
     facet
         Diameter of the facet, in metres. Its beam comes back about as wide: the blob is a normal distribution as wide
         as the beam's spread f_p facet/d and its diffraction λ f_p/facet together (assumed; full width at half maximum).
-    distance
-        From the probe, in metres; None for the target's.
-    parallax
-        How much of the target's sideways motion it shares.
-    sway
-        Root mean square of a motion of its own, in metres.
-    sway_band
-        Its frequencies, in Hz, and those of the twinkling.
+    distance, parallax
+        From the probe, in metres, None for the target's; and how much of the target's sideways motion it shares.
+    sway, sway_band
+        RMS of a motion of its own, in metres, and the frequencies of that and of the twinkling, in Hz.
     twinkle
         How far its facet turns, in widths of its beam at the probe (root mean square): 0 for a steady one.
     """
@@ -84,9 +93,7 @@ class Glint:
     sway_band: tuple[float, float] = (0.05, 0.6)
     twinkle: float = 0.7
     of_laser: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        _check(self, electrons=self.electrons, facet=self.facet, distance=self.distance)
+    positive: ClassVar[tuple[str, ...]] = ("electrons", "facet", "distance")
 
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
         """What it adds to each frame."""
@@ -98,36 +105,22 @@ class Glint:
         places = stage.where(self.at) + stage.pixels(1.0, distance) * moved
         bright = np.exp(-((self.twinkle * Waves.draw(rng, self.sway_band)(stage.times)) ** 2).sum(axis=1) / 2)
         reach = math.ceil(4.5 * sigma)
-
-        def paint(i: int) -> Patch:
-            left, top = (int(one) - reach for one in np.rint(places[i]))
-            x, y = (np.arange(2 * reach + 1) + c - p for c, p in zip((left, top), places[i], strict=True))
-            across, down = (np.exp(-(v**2) / (2 * sigma**2)) for v in (x, y))
-            light = self.electrons * bright[i] * down[:, None] * across
-            return Patch(left, top, light.astype(np.float32))
-
-        return paint
+        return lambda i: bell(places[i], self.electrons * bright[i], sigma, reach)
 
 
 @dataclass(frozen=True)
-class Lamp:
+class Lamp(Thing):
     """A lamp far behind the target: a large soft disc that knows nothing of the laser.
 
     Parameters
     ----------
-    at
-        Its place in the probe's picture, in fractions of the frame from the middle.
-    electrons
-        On the disc, in the scene's exposure: above the full well it saturates.
-    size
-        Its diameter, in metres.
-    distance
-        From the probe, in metres. The disc is the probe's blur, its edge as soft as the lamp is large (by rays, the
-        edge taken as straight).
-    flicker
-        Relative amplitude of its light at twice the mains' frequency: some 0.1 for a filament, up to 1 for a poor LED.
-    mains
-        Frequency of the mains, in Hz.
+    at, electrons
+        Its place, as of a `Glint`, and electrons on the disc in the scene's exposure: above the full well it saturates.
+    size, distance
+        Its diameter and how far it is from the probe, in metres. The disc is the probe's blur, its edge as soft as the
+        lamp is large (by rays, the edge taken as straight).
+    flicker, mains
+        Relative amplitude of its light at twice the mains' frequency (Hz): some 0.1 for a filament, up to 1 for an LED.
     """
 
     at: tuple[float, float]
@@ -137,9 +130,6 @@ class Lamp:
     flicker: float = 0.1
     mains: float = 50.0
     of_laser: ClassVar[bool] = False
-
-    def __post_init__(self) -> None:
-        _check(self, electrons=self.electrons, size=self.size, distance=self.distance)
 
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
         """What it adds to each frame."""
@@ -156,24 +146,20 @@ class Lamp:
 
 
 @dataclass(frozen=True)
-class Tape:
+class Tape(Thing):
     """Retro-reflective tape, as on a safety vest: a speckled patch that follows the laser.
 
     Parameters
     ----------
-    at
-        Its mean place in the probe's picture, in fractions of the frame from the middle.
-    electrons
-        Mean on the patch, in the scene's exposure.
-    size
-        Width and height, in metres.
-    angle
-        By which it is turned, in radians from x to y.
+    at, electrons
+        Its mean place, as of a `Glint`, and mean electrons on the patch in the scene's exposure.
+    size, angle
+        Width and height in metres, and by how many radians it is turned from x to y.
     distance
         From the probe, in metres. The patch is its image, blurred by the probe's disc: the return of beads or prisms is
         wider than the probe's aperture (assumed).
     sway, sway_band
-        Root mean square of its motion, in metres, and its frequencies in Hz. Its speckle moves along (assumed).
+        RMS of its motion, in metres, and its frequencies in Hz. Its speckle moves along (assumed).
     """
 
     at: tuple[float, float]
@@ -184,9 +170,6 @@ class Tape:
     sway: float = 1e-3
     sway_band: tuple[float, float] = (0.05, 0.6)
     of_laser: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        _check(self, electrons=self.electrons, width=self.size[0], height=self.size[1], distance=self.distance)
 
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
         """What it adds to each frame."""
@@ -200,12 +183,8 @@ class Tape:
         patch = blurred(patch, blur)
         probe = stage.scene.probe
         grain = stage.scene.illumination.wavelength * probe.lens.focal_length / (2 * probe.lens.aperture_radius)
-        light = (
-            self.electrons
-            * patch
-            / max(float(patch.max()), 1e-9)
-            * _speckle(patch.shape, grain / probe.sensor.pitch, rng)
-        )
+        shape = self.electrons * patch / max(float(patch.max()), 1e-9)
+        light = shape * _speckle(patch.shape, grain / probe.sensor.pitch, rng)
         moved = self.sway * Waves.draw(rng, self.sway_band)(stage.times)
         # Whole pixels: a speckle is about as large as one.
         corner = np.rint(stage.where(self.at) + stage.pixels(1.0, self.distance) * moved).astype(int) - reach
@@ -224,10 +203,8 @@ def draw_clutter(scene: Scene, seed: int, count: int = 3) -> tuple[Clutter, ...]
         Whose probe decides how bright and how far away they are: glints up to some half of its full well, tape up to a
         seventh, lamps from a third of it up to four times; lamps and tape so far that each takes a tenth to some half
         of the frame's height (assumed).
-    seed
-        The same one gives the same things; a larger `count` adds to them.
-    count
-        How many.
+    seed, count
+        The same seed gives the same things; a larger count adds to them.
     """
     return tuple(_draw_one(scene, np.random.default_rng([seed, 0xC1, number])) for number in range(count))
 
@@ -271,10 +248,3 @@ def _speckle(shape: tuple[int, ...], grain: float, rng: np.random.Generator) -> 
     light = parts[0] ** 2 + parts[1] ** 2
     light = light.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))
     return (light / light.mean()).astype(np.float32)
-
-
-def _check(piece: object, **values: float | None) -> None:
-    for name, value in values.items():
-        if value is not None and not (math.isfinite(value) and value > 0):
-            where = f"{type(piece).__name__.lower()}.{name}"
-            raise InputError(f"must be positive, is {value}", where=where, remedy="give electrons or metres")

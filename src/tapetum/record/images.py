@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import re
 import threading
@@ -146,14 +147,11 @@ class ImageSource(Stored):
     name: str
     rate: float = 15.0
 
-    def __post_init__(self) -> None:
-        pages = [
-            (file, page)
-            for file in self.files
-            for page in range(count_pages(file) if file.suffix.lower() in TIFF_SUFFIXES else 1)
-        ]
-        object.__setattr__(self, "_pages", pages)
-        object.__setattr__(self, "_full_scale", None)
+    @functools.cached_property
+    def _pages(self) -> list[tuple[Path, int]]:
+        """Every picture: its file, and which of a TIFF's pictures it is."""
+        pages = [(file, count_pages(file) if file.suffix.lower() in TIFF_SUFFIXES else 1) for file in self.files]
+        return [(file, page) for file, count in pages for page in range(count)]
 
     @classmethod
     def from_path(cls, path: str | os.PathLike[str], rate: float = 15.0) -> ImageSource:
@@ -174,15 +172,15 @@ class ImageSource(Stored):
     @property
     def count(self) -> int:
         """Number of frames."""
-        return len(self._pages)  # type: ignore[attr-defined]
+        return len(self._pages)
 
     @property
     def full_scale(self) -> int:
         """Digital number at which the first frame saturates; `Frame.full_scale` is right for every one."""
-        return read_image(*self._pages[0])[1]  # type: ignore[attr-defined]
+        return read_image(*self._pages[0])[1]
 
     def __iter__(self) -> Iterator[Frame]:
-        for index, (file, page) in enumerate(self._pages):  # type: ignore[attr-defined]
+        for index, (file, page) in enumerate(self._pages):
             image, full_scale = read_image(file, page)
             name = f"{file.name}[{page}]" if page else file.name
             yield Frame(index, index / self.rate, image, name, full_scale)

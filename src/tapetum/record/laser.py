@@ -23,16 +23,13 @@ class BlinkCode:
     ----------
     bit
         How long a bit lasts, in seconds: two frames or more, so that each bit is seen whole.
-    bits
-        Length of the word, if it is drawn.
-    seed
-        Of the drawn word, which has no structure for other light to follow.
+    bits, seed
+        Length and seed of a drawn word, which has no structure for other light to follow.
     word
         The word itself, 1 for on, in place of a drawn one: (1, 0) blinks evenly.
-    start
-        When the first word begins, in seconds from the start.
-    every
-        From one word's start to the next one's, in seconds; None for a single word. Between words the laser is on.
+    start, every
+        When the first word begins and the time from each to the next one, in seconds; None for a single word. Between
+        words the laser is on.
     """
 
     bit: float = 0.2
@@ -91,13 +88,10 @@ class Exposure:
     ----------
     factor
         Of the scene's exposure time, for the whole recording.
-    drift
-        Root mean square of its logarithm about that, as an automatic exposure makes it.
-    band
-        Frequencies of the drift, in Hz.
+    drift, band
+        RMS of its logarithm about that, as an automatic exposure makes it, and its frequencies in Hz.
     follow
-        How far an automatic exposure makes good what the target's distance does to diverging light: 0 not at all, 1
-        wholly.
+        How far an automatic exposure compensates what the target's distance does to diverging light, 0 to 1.
     """
 
     factor: float = 1.0

@@ -65,10 +65,9 @@ class StreamInfo:
     ----------
     height, width
         Size of a frame in pixels.
-    bits
-        Depth of the sensor's numbers, 1 to 16; up to 8 are kept as uint8, more as uint16.
-    full_scale
-        Digital number of saturation; by default 2^bits - 1.
+    bits, full_scale
+        Depth of the sensor's numbers, 1 to 16; up to 8 are kept as uint8, more as uint16. Digital number of saturation;
+        by default 2^bits - 1.
     rate
         Nominal frames per second; by default the recording's.
     """

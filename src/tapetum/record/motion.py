@@ -18,31 +18,21 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Spectrum and extent of a hand-held camera's motion. Its parts are independent of each other.
+    """Spectrum and extent of a hand-held camera's motion. Its parts are independent of each other; bands are in Hz.
 
     Parameters
     ----------
-    extent
-        Largest gaze, in fractions of the field.
-    sweep_band
-        Frequencies of the deliberate sweep over the field, in Hz.
-    tremor_band
-        Frequencies of the physiological tremor, in Hz: 8 to 12 (Elble and Koller, Tremor, 1990).
-    tremor
-        Its root mean square, in fractions of the field.
-    sway
-        Root mean square of the camera's sideways position, in metres.
-    sway_band
-        Its frequencies, in Hz. Those of quiet standing: nearly all power of the centre of pressure lies below 1 Hz
-        (Prieto et al., IEEE Trans. Biomed. Eng. 43, 956 (1996)).
-    roll
-        Root mean square of the turn about the target's optical axis, in radians. Some 0.02 for a camera held with care.
-    roll_band
-        Its frequencies, in Hz: assumed those of the sway.
-    reach
-        Root mean square of the position along the line of sight, in metres. Some 0.01 for a hand.
-    reach_band
-        Its frequencies, in Hz: assumed those of the sway.
+    extent, sweep_band
+        Largest gaze, in fractions of the field, and band of the deliberate sweep over it.
+    tremor, tremor_band
+        Physiological tremor, RMS in fractions of the field: at 8 to 12 Hz (Elble and Koller, Tremor, 1990).
+    sway, sway_band
+        Sideways position, RMS in metres. The band is that of quiet standing: nearly all power of the centre of pressure
+        lies below 1 Hz (Prieto et al., IEEE Trans. Biomed. Eng. 43, 956 (1996)).
+    roll, roll_band
+        Turn about the target's optical axis, RMS in radians, some 0.02 for a camera held with care; the sway's band.
+    reach, reach_band
+        Position along the line of sight, RMS in metres, some 0.01 for a hand; the sway's band (assumed, both).
     walk
         Distances from the probe between which the target is carried during the recording, in metres; None where it
         stays at the scene's. It starts and stops gently (a raised cosine of time).
@@ -75,23 +65,13 @@ class HandMotion:
             raise InputError(f"must be positive, is {self.walk}", where="motion.walk", remedy="give two distances")
 
     def draw(self, seed: int, distance: float = 1.0, seconds: float = 60.0) -> Hand:
-        """One such motion.
+        """One such motion, the same for the same seed.
 
-        Parameters
-        ----------
-        seed
-            The same one gives the same motion.
-        distance
-            Of the target from the probe where it does not walk, in metres.
-        seconds
-            What a walk takes.
+        Without a walk, which takes so many `seconds`, it stays at a `distance` (metres) from the probe.
         """
         rng = np.random.default_rng([seed, 1])
-        sweep = Waves.draw(rng, self.sweep_band)
-        tremor = Waves.draw(rng, self.tremor_band)
-        sway = Waves.draw(rng, self.sway_band)
-        roll, reach = Waves.draw(rng, self.roll_band), Waves.draw(rng, self.reach_band)
-        return Hand(self, sweep, tremor, sway, roll, reach, self.walk or (distance, distance), seconds)
+        bands = (self.sweep_band, self.tremor_band, self.sway_band, self.roll_band, self.reach_band)
+        return Hand(self, *(Waves.draw(rng, band) for band in bands), self.walk or (distance, distance), seconds)
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for a recording."""

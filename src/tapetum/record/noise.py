@@ -27,19 +27,8 @@ _AT_ONCE = 1 << 14
 def counts(mean: Frame, sensor: ProbeSensor, rng: np.random.Generator) -> npt.NDArray[Any]:
     """Draw digital numbers: Poisson electrons, read noise, full well, gain, rounding.
 
-    Parameters
-    ----------
-    mean
-        [H, W] electrons of light and dark current, those of hot pixels included (`stray.Ground` has them).
-    sensor
-        Its noise, full well, gain, offset and bits.
-    rng
-        Of the noise.
-
-    Returns
-    -------
-    numpy.ndarray
-        [H, W], uint8 up to 8 bits, uint16 above.
+    `mean` is [H, W] electrons of light and dark current, those of hot pixels included (`stray.Ground` has them); the
+    numbers are uint8 up to 8 bits, uint16 above.
     """
     gain, top = np.float32(gain_of(sensor)), np.float32(2**sensor.bits - 1)
     numbers = np.empty(mean.shape, np.uint8 if sensor.bits <= 8 else np.uint16)
@@ -64,22 +53,20 @@ def counts(mean: Frame, sensor: ProbeSensor, rng: np.random.Generator) -> npt.ND
 def poisson(mean: Frame, rng: np.random.Generator) -> Frame:
     """Poisson numbers for means [N], as float32: one normal number each, put through the Poisson quantile.
 
-    Notes
-    -----
     Means of 12 and more: the quantile's series about the normal one, to the order 1/mean (M. B. Giles, ACM Trans. Math.
     Softw. 42, 7 (2016), section 2), whose cumulative probability errs by less than 1e-4. Smaller means: by summing the
     distribution.
     """
     w = rng.standard_normal(mean.shape, dtype=np.float32)
     few = mean < _MANY
-    if not few.any():
-        return _many(mean, w)
+    # Whole arrays where one kind is all there is: that is twice as fast.
     if few.all():
         return _few(mean, w)
+    if not few.any():
+        return _many(mean, w)
     drawn = np.empty_like(w)
-    drawn[few] = _few(mean[few], w[few])
-    many = ~few
-    drawn[many] = _many(mean[many], w[many])
+    for these, draw in ((few, _few), (~few, _many)):
+        drawn[these] = draw(mean[these], w[these])
     return drawn
 
 

@@ -45,16 +45,12 @@ __all__ = ["Recording", "RecordingSource", "RecordingWriter", "StreamInfo", "is_
 
 @dataclass(frozen=True, repr=False)
 class Recording:
-    """A recording on disk, opened for reading (see `open_recording`).
+    """A recording on disk, opened for reading by `open_recording`.
 
     Attributes
     ----------
-    path
-        The folder.
-    meta
-        What recording.json says, whole.
-    streams
-        The streams by name.
+    path, meta, streams
+        The folder, all that recording.json says, and the streams by name.
     """
 
     path: Path
@@ -135,12 +131,8 @@ class Recording:
         """Return the clocks of a stream's frames; of an unfinished recording, those that are whole in its video.
 
         A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before`
-        (frames lost since the one before), and where known `exposure` (s) and `lit` (whether the laser was on).
-
-        Raises
-        ------
-        InputError
-            When there is no such stream, or a file is missing or damaged.
+        (frames lost since the one before), and where known `exposure` (s) and `lit` (whether the laser was on). Raises
+        an InputError when there is no such stream, or a file is missing or damaged.
         """
         self.stream(stream)
         # The journal goes last on closing, so that one of the two is always whole.

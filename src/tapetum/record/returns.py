@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import functools
 import math
-from collections import OrderedDict
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -45,10 +45,8 @@ class Returns:
     ----------
     scene
         What stands on the bench; its own rotation is not used.
-    tilts
-        [T, 2] of the target against the light, as sines, before it rolls.
-    place
-        [T, 2] of the target sideways, in metres.
+    tilts, place
+        [T, 2] of the target against the light, as sines, before it rolls; and [T, 2] of it sideways, in metres.
     roll
         [T] turn of the target about its optical axis, in radians from x to y. Everything turns with it; light of the
         second beam does not.
@@ -71,9 +69,8 @@ class Returns:
         self._centres = torch.from_numpy(place * (scene.probe.lens.focal_length / distance)[:, None])
         columns, rows = sensor.pixels
         self.pixels = (np.array([columns, rows]) - 1) / 2 + self._centres.numpy() / sensor.pitch
-        self._electrons = float(
-            photoelectrons(torch.ones((), dtype=torch.float64), sensor, scene.illumination.wavelength)
-        )
+        one = torch.ones((), dtype=torch.float64)
+        self._electrons = float(photoelectrons(one, sensor, scene.illumination.wavelength))
         if distance.min() < 4 * scene.target.lens.focal_length:
             what = f"the target comes as near as {distance.min():.3g} m, which its lens cannot be simulated at"
             raise InputError(what, where="motion", remedy="walk less far, or reach out less")
@@ -81,18 +78,19 @@ class Returns:
         self._window, finite = self._widest()
         self._node = self._nodes(finite)
         # Cubic splines err by less than 1e-3 of the peak where the finest fringes are 7 pixels wide, quintic ones 4.
-        fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * _radius(scene))
+        fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * scene.target.lens.aperture_radius)
         self._order = 3 if fringe >= 7 * sensor.pitch else 5
         # OpenCV turns ten times as fast, but reads between pixels at steps of 1/32 only: up to 1e-2 of the peak.
         if scene.sampling.accuracy >= _COARSE and fringe >= 7 * sensor.pitch:
             self._order = 0
-        self._cameras: OrderedDict[float, Camera] = OrderedDict()
-        self._batches: OrderedDict[int, list[list[Patch]]] = OrderedDict()
+        self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
+            lambda node: _camera(replace(scene, distance=node), self._steepest, self._window)
+        )
+        self._batch = functools.lru_cache(_BATCHES_KEPT)(self._render)
 
     def patches(self, frame: int) -> list[Patch]:
         """What every beam makes of a frame at the scene's power and exposure."""
-        number, inside = divmod(frame, _BATCH)
-        return _kept(self._batches, number, lambda: self._render(number), _BATCHES_KEPT)[inside]
+        return self._batch(frame // _BATCH)[frame % _BATCH]
 
     def _widest(self) -> tuple[Grid, bool]:
         """Pixels that hold the RR at every distance, and whether the probe's aperture cuts it at any."""
@@ -106,11 +104,11 @@ class Returns:
     def _nodes(self, finite: bool) -> Array:
         """Distance that each frame is simulated at, [T] in metres."""
         light, d = self.scene.illumination, self._distance
-        if light.mode == "collimated" and not finite:
+        if not light.wave.spherical and not finite:
             return np.full_like(d, self.scene.distance)
         if np.ptp(d) == 0:
             return d
-        radius, aperture = _radius(self.scene), self.scene.probe.lens.aperture_radius
+        radius, aperture = self.scene.target.lens.aperture_radius, self.scene.probe.lens.aperture_radius
         area = radius**2 + (2 * radius * aperture if finite else 0.0)
         # Half a step off at the most: (2π/λ) area/2 · step/2 radians.
         step = 2 * self.scene.sampling.accuracy * light.wavelength / (math.pi * area)
@@ -128,16 +126,8 @@ class Returns:
         return found
 
     def _render_at(self, node: float, frames: npt.NDArray[np.int64]) -> Iterator[tuple[int, Patch]]:
-        camera = _kept(
-            self._cameras,
-            node,
-            lambda: _camera(replace(self.scene, distance=node), self._steepest, self._window),
-            _CAMERAS_KEPT,
-        )
-        sensor = self.scene.probe.sensor
-        gain = np.full(len(frames), self._electrons)
-        if self.scene.illumination.mode == "diverging":
-            gain *= (node / self._distance[frames]) ** 2
+        camera, sensor = self._camera_at(node), self.scene.probe.sensor
+        gain = self._electrons * self.scene.illumination.spread(self._distance[frames], node)
         turned = not self._round and bool(self._roll[frames].any())
         middle = (np.array(sensor.pixels) - 1) / 2
         half = (np.array([self._window.columns, self._window.rows]) - 1) / 2
@@ -160,12 +150,7 @@ class Returns:
 def returns_of(scene: Scene, gaze: Array, place: Array, roll: Array, distance: Array) -> list[Returns]:
     """The returns of a target, of a phone those of all its cameras: first that of the one whose gaze is given.
 
-    Parameters
-    ----------
-    scene, place, roll, distance
-        As for `Returns`.
-    gaze
-        [T, 2] where the laser falls in the target's field, in fractions of it.
+    `gaze` [T, 2] is where the laser falls in the target's field, in fractions of it; all else as for `Returns`.
     """
     tilts = tilt_of_gaze(scene, torch.from_numpy(gaze))
     turned = _turned(tilts, roll)
@@ -182,10 +167,8 @@ class Flashes:
 
     Parameters
     ----------
-    scene
-        Of the phone.
-    seconds
-        [T] that the projector shines during each frame.
+    scene, seconds
+        Of the phone, and [T] how long the projector shines during each frame.
     tilts, place, roll, distance
         As for `Returns`, of the camera that gazes.
     """
@@ -232,24 +215,12 @@ class Flashes:
 
 
 def flashes_of(
-    scene: Scene,
-    times: Array,
-    exposure: Array,
-    phase: float,
-    held: tuple[Array, Array, Array, Array],
+    scene: Scene, times: Array, exposure: Array, phase: float, held: tuple[Array, Array, Array, Array]
 ) -> Flashes | None:
     """The flashes of a phone with a dot projector, while its camera app is open; None for any other target.
 
-    Parameters
-    ----------
-    scene
-        What stands on the bench.
-    times, exposure
-        [T] middle and length of the probe's exposures, in seconds.
-    phase
-        Of the pulses, from 0 to 1 of their period.
-    held
-        Gaze, place, roll and distance, as for `returns_of`.
+    The probe's exposures have their middle at `times` [T] and last `exposure` [T], in seconds; `phase` is that of the
+    pulses, 0 to 1 of their period; `held` is gaze, place, roll and distance, as for `returns_of`.
     """
     target = scene.target
     if not isinstance(target, PhoneTarget) or target.phone.dots is None or not target.imaging:
@@ -263,11 +234,6 @@ def _camera(scene: Scene, steepest: float, window: Grid | None = None) -> Camera
     # A frame is to be the same wherever it is made: a GPU would round its light differently.
     # A spot that crosses the sensor's edge fades as it goes: no frame is refused.
     return Camera(scene, steepest, output=window, edge="dimmed", device="cpu")
-
-
-def _radius(scene: Scene) -> float:
-    """Of the light that the target sends back, in metres."""
-    return scene.target.lens.aperture_radius
 
 
 def _is_round(scene: Scene) -> bool:
@@ -313,14 +279,3 @@ def _one_thread() -> Iterator[None]:
         yield
     finally:
         torch.set_num_threads(threads)
-
-
-def _kept(cache: OrderedDict[Any, Any], key: Any, make: Any, most: int) -> Any:
-    """A value of a cache, made where it is missing; the oldest goes."""
-    if key not in cache:
-        cache[key] = make()
-        if len(cache) > most:
-            cache.popitem(last=False)
-    else:
-        cache.move_to_end(key)
-    return cache[key]

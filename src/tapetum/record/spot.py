@@ -56,10 +56,8 @@ def find_spot(image: np.ndarray, background: np.ndarray | None = None, *, full_s
 
     Parameters
     ----------
-    image
-        [H, W], of any real type.
-    background
-        The same scene without the laser, [H, W], where there is such a picture; it is subtracted.
+    image, background
+        [H, W], of any real type, and the same scene without the laser, where there is one, which is subtracted.
     full_scale
         Digital number of saturation; by default the type's largest, for floats the picture's largest.
 
@@ -106,10 +104,9 @@ class LabelSummary:
 
 
 def strays(times: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return which places ([K, 2] px, at times [K]) leave the path that their neighbours draw, [K] bool.
+    """Return which places ([K, 2] px, at times [K]) are 20 px, and five times as far as their neighbours, off a path.
 
-    Each is compared with a straight line through its neighbours, fitted by medians so that one stray among
-    them does not bend it (Theil and Sen); it strays where it is off by 20 px and by five times what they are.
+    The path is a straight line through those neighbours by medians, which one stray does not bend (Theil and Sen).
     """
     out = np.zeros(len(times), bool)
     for i in range(len(times)):
@@ -174,12 +171,12 @@ def label_recording(
 
     Parameters
     ----------
-    recording
-        A recording with both streams.
+    recording, probe, target
+        A recording with both streams, and their names.
     progress
         Shows how far the target's frames are done.
-    probe, target, offset
-        The streams' names, and seconds to add to the target's UTC, where its clock is known to be wrong.
+    offset
+        Seconds to add to the target's UTC, where its clock is known to be wrong.
 
     Raises
     ------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -11,7 +12,7 @@ import numpy.typing as npt
 
 from tapetum.bench import Scene
 from tapetum.errors import InputError
-from tapetum.record.clutter import blurred
+from tapetum.record.clutter import Thing, blurred
 from tapetum.simulate.exposure import hot_currents
 from tapetum.simulate.radiometry import dark_electrons
 
@@ -23,22 +24,20 @@ _CELLS = 24
 
 
 @dataclass(frozen=True)
-class Gradient:
+class Gradient(Thing):
     """Stray light that grows evenly across the frame, as from a window beside the probe.
 
     Parameters
     ----------
-    electrons
-        At the bright corner, in the scene's exposure; none at the opposite one.
-    angle
-        Of the direction in which it grows, in radians from x to y.
+    electrons, angle
+        At the bright corner, in the scene's exposure, with none at the opposite one; and the direction in which it
+        grows, in radians from x to y.
     """
 
     electrons: float
     angle: float = 0.0
 
-    def __post_init__(self) -> None:
-        _check("gradient.electrons", self.electrons)
+    positive: ClassVar[tuple[str, ...]] = ("electrons",)
 
     def light(self, scene: Scene, rng: np.random.Generator) -> Frame:
         """Electrons, [H, W]."""
@@ -51,15 +50,14 @@ class Gradient:
 
 
 @dataclass(frozen=True)
-class DimRoom:
+class DimRoom(Thing):
     """A furnished room behind the target, out of focus: the probe sees it blurred by a disc of D f_p/d.
 
     Parameters
     ----------
-    electrons
-        Mean over the frame, in the scene's exposure.
-    distance
-        Of the room's wall from the probe, in metres; None for 2 m behind the target.
+    electrons, distance
+        Mean over the frame in the scene's exposure, and how far its wall is from the probe, in metres; None for 2 m
+        behind the target.
     contrast
         Standard deviation of the logarithm of what the furniture sends back: assumed 0.8.
     """
@@ -68,9 +66,7 @@ class DimRoom:
     distance: float | None = None
     contrast: float = 0.8
 
-    def __post_init__(self) -> None:
-        _check("dimroom.electrons", self.electrons)
-        _check("dimroom.distance", 1.0 if self.distance is None else self.distance)
+    positive: ClassVar[tuple[str, ...]] = ("electrons", "distance")
 
     def light(self, scene: Scene, rng: np.random.Generator) -> Frame:
         """Electrons, [H, W]."""
@@ -108,10 +104,10 @@ class FixedPattern:
     Parameters
     ----------
     columns, rows, pixels
-        Root mean square of the offsets of columns, rows and single pixels, in electrons. They count as light: a dark
-        place cannot lie below none, and each has its shot noise (which is small beside the read noise).
+        RMS of the offsets of columns, rows and single pixels, in electrons. They count as light: a dark place cannot
+        lie below none, and each has its shot noise (which is small beside the read noise).
     gain
-        Root mean square of the pixels' sensitivity, in parts of one.
+        RMS of the pixels' sensitivity, in parts of one.
     """
 
     columns: float = 0.5
@@ -122,9 +118,8 @@ class FixedPattern:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not (math.isfinite(value) and value >= 0):
-                raise InputError(
-                    f"must not be negative, is {value}", where=f"fixedpattern.{name}", remedy="give 0 or more"
-                )
+                where = f"fixedpattern.{name}"
+                raise InputError(f"must not be negative, is {value}", where=where, remedy="give 0 or more")
 
     def draw(self, scene: Scene) -> tuple[Frame, Frame]:
         """Offsets in electrons and sensitivities, [H, W] each."""
@@ -145,10 +140,8 @@ class Ground:
 
     Parameters
     ----------
-    light
-        [H, W] electrons in the scene's exposure.
-    offset, gain
-        The sensor's pattern, [H, W]; None where it has none.
+    light, offset, gain
+        [H, W] electrons in the scene's exposure, and the sensor's pattern; None where it has none.
     """
 
     light: Frame
@@ -162,8 +155,7 @@ class Ground:
         light = np.full(sensor.pixels[::-1], dark_electrons(sensor), np.float32)
         if sensor.hot_pixels and sensor.hot_current:
             light += (hot_currents(sensor) * sensor.exposure).numpy()
-        offset: Frame | None = None
-        gain: Frame | None = None
+        offset = gain = None
         for number, one in enumerate(stray):
             if isinstance(one, FixedPattern):
                 offset, gain = one.draw(scene)
@@ -190,8 +182,3 @@ def draw_stray(scene: Scene, seed: int) -> tuple[Stray, ...]:
     usual = max(10.0, scene.probe.sensor.background)
     room, ramp = usual * rng.uniform(0.2, 1.0, 2)
     return DimRoom(float(room)), Gradient(float(ramp), float(rng.uniform(0, 2 * math.pi))), FixedPattern()
-
-
-def _check(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"must be positive, is {value}", where=name, remedy="give a positive number")

@@ -49,14 +49,10 @@ class VideoWriter:
 
     Parameters
     ----------
-    path
-        The file, by custom `.mkv`.
-    size
-        Height and width in pixels.
+    path, size, dtype
+        The file, usually `.mkv`; height and width in pixels; and numpy.uint8 or numpy.uint16.
     rate
         Nominal frames per second, used for the time stamps where `write` is given none.
-    dtype
-        numpy.uint8 or numpy.uint16.
     full_scale
         Digital number of saturation, kept as a tag (`TAPETUM_FULL_SCALE`); by default the type's largest.
 
@@ -109,11 +105,7 @@ class VideoWriter:
         """Append one image [H, W] of the writer's size and type.
 
         `time` is in seconds from the first frame, kept to the millisecond; by default the frame's number over `rate`.
-
-        Raises
-        ------
-        InputError
-            When the image is of another size or type, or the disk is full.
+        Raises an InputError when the image is of another size or type, or the disk is full.
         """
         if self._closed:
             raise InputError("the video is closed already", where=self.path)
@@ -135,10 +127,7 @@ class VideoWriter:
     def close(self) -> None:
         """Write what is left and the index. Closing twice is harmless.
 
-        Raises
-        ------
-        InputError
-            When the disk is full; the frames before stay readable.
+        Raises an InputError when the disk is full; the frames before stay readable.
         """
         if self._closed:
             return
@@ -283,7 +272,7 @@ def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple
 def slices_whole(packet: bytes) -> bool:
     """Return whether the checksums of all slices of a frame that `VideoWriter` wrote hold (RFC 9043, §4.9).
 
-    FFmpeg's decoder covers a damaged slice up with what the frame before had there, and reports nothing.
+    FFmpeg's decoder fills a damaged slice with that of the frame before, and reports nothing.
     """
     # The checksum takes each byte's highest bit first, zlib's takes the lowest first.
     mirrored = packet.translate(MIRRORED)
@@ -300,17 +289,8 @@ def slices_whole(packet: bytes) -> bool:
 def read_video(path: str | os.PathLike[str], *, tolerant: bool = False) -> Iterator[np.ndarray]:
     """Yield the frames of a video as grey arrays [H, W], uint8 or uint16; exactly as written where it is lossless grey.
 
-    Parameters
-    ----------
-    path
-        A video file of any kind that FFmpeg reads.
-    tolerant
-        Whether to stop quietly at the last whole frame of a truncated or damaged file.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, and, unless `tolerant`, when it is truncated or damaged.
+    It may be of any kind that FFmpeg reads. Raises an InputError when it cannot be read, and, unless `tolerant`, which
+    stops quietly at the last whole frame, when it is truncated or damaged.
     """
     for image, _, _ in decoded(existing(path), tolerant=tolerant):
         yield image
@@ -322,10 +302,8 @@ class VideoSource(Stored):
 
     Attributes
     ----------
-    path
-        The video file.
-    full_scale, count
-        Digital number of saturation, and number of frames where the file states it, else None.
+    path, full_scale, count
+        The video file, digital number of saturation, and number of frames where the file states it, else None.
     rate
         Frames per second for a file without stamps.
     late
@@ -342,10 +320,7 @@ class VideoSource(Stored):
     def from_path(cls, path: str | os.PathLike[str], *, late: bool = False) -> VideoSource:
         """Open a video file far enough to know that it can be read.
 
-        Raises
-        ------
-        InputError
-            When it is no video, holds no frame that can be decoded, or is seen to be truncated.
+        Raises an InputError when it is no video, holds no frame that can be decoded, or is seen to be truncated.
         """
         file = existing(path)
         first = decoded(file, tolerant=False, late=late)

@@ -51,12 +51,10 @@ def software() -> dict[str, str]:
 class RecordingWriter:
     """Writes a recording; use it in a `with` block.
 
-    Each frame goes to its video and its clocks to the journal at once, so that a killed program loses at most
-    the newest frame of every stream. Leaving the block by an exception keeps what was written, marked as
-    unfinished; if that was nothing at all, the folder goes. Once it is closed all of it is on the disk.
-
-    A recording that is replaced stands until the new one is whole: that one grows as `NAME.unfinished.rec` beside it,
-    and stays there if it ends unfinished.
+    Each frame goes to its video and its clocks to the journal at once, so that a killed program loses at most the
+    newest frame of every stream. Leaving the block by an exception keeps what was written, marked as unfinished, or
+    removes an empty folder. Once it is closed all of it is on the disk. A recording that is replaced stands until the
+    new one is whole, which grows beside it as `NAME.unfinished.rec` and stays there if it ends unfinished.
 
     Parameters
     ----------
@@ -122,8 +120,7 @@ class RecordingWriter:
             },
             "software": software(),
         }
-        taken = sorted(set(extra or {}) & set(self.meta))
-        if taken:
+        if taken := sorted(set(extra or {}) & set(self.meta)):
             raise InputError(f"{', '.join(taken)} is a name of {META}'s own", where=f"{self.path} extra")
         self.meta.update(extra or {})
         self._closed = False
@@ -235,10 +232,7 @@ class RecordingWriter:
     def close(self) -> None:
         """Finish the recording: the videos' indexes, frames.parquet, and `"finished": true` last of all.
 
-        Raises
-        ------
-        InputError
-            When the disk is full; the recording then stays readable, marked as unfinished.
+        Raises an InputError when the disk is full; it then stays readable, marked as unfinished.
         """
         if self._closed:
             return
@@ -286,6 +280,5 @@ class RecordingWriter:
         if error is None:
             self.close()
             return
-        kept = self._abandon()
-        if kept:
+        if kept := self._abandon():
             error.add_note(kept)

@@ -351,7 +351,7 @@ class Camera:
         """Irradiance of the first line at the target, times what the way back keeps; it follows power and distance."""
         scene, light = self.scene, self.scene.illumination
         at_target = irradiance_at_target(scene) * self._power / light.power
-        if light.way.spreads:
+        if light.wave.spreads:
             at_target = at_target * (scene.distance / self._distance) ** 2
         return at_target * scene.probe.transmission
 

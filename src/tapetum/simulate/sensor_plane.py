@@ -22,10 +22,8 @@ from __future__ import annotations
 
 import cmath
 import math
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -164,7 +162,7 @@ def reflectance_at(
     """
     amplitude = math.sqrt(sensor.reflectance)
     if sensor.mask is not None:
-        plane = _Sampled(_read(Path(sensor.mask.file), sensor.reflectance) * amplitude, sensor.mask.pitch)
+        plane = _Sampled(sensor.mask.amplitudes(sensor.reflectance) * amplitude, sensor.mask.pitch)
         bounds = _bounds(window)
         across, down = sensor.decentre
         moved = bounds[0] + across, bounds[1] + across, bounds[2] + down, bounds[3] + down
@@ -423,29 +421,3 @@ def second_derivative(values: torch.Tensor, step: float) -> torch.Tensor:
 
 def _woven(down: torch.Tensor, values: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
     return (down.to(values.dtype) @ values) @ across.to(values.dtype).mT
-
-
-def _read(path: Path, reflectance: float) -> Complex:
-    where = "target.sensor.mask.file"
-    try:
-        values = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError(f"there is no file {path}", where=where, remedy="give the path of a .npy file") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        remedy = "write it with numpy.save, as complex numbers"
-        raise InputError(f"{path} is no .npy of plain numbers", where=where, remedy=remedy) from error
-    if not isinstance(values, np.ndarray):
-        raise InputError(f"{path} holds several arrays", where=where, remedy="write one with numpy.save")
-    if values.dtype.kind not in "fciu" or values.ndim != 2 or values.size == 0:
-        what = f"{path} holds {values.dtype} of shape {values.shape}"
-        raise InputError(what, where=where, remedy="give complex amplitudes [rows, columns]")
-    values = values.astype(np.complex128)
-    if not np.isfinite(values).all():
-        raise InputError(
-            f"{path} holds values that are not finite", where=where, remedy="replace them, by 0 for example"
-        )
-    largest = float(np.abs(values).max())
-    if reflectance * largest**2 > 1 + 1e-6:
-        what = f"{path} reflects {reflectance * largest**2:.3g} of the light at its brightest"
-        raise InputError(what, where=where, remedy="scale its amplitudes, or lower the sensor's reflectance")
-    return values
