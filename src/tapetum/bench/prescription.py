@@ -131,10 +131,8 @@ def check_layers(lens: PrescriptionLens, layers: tuple[Layer, ...], object_dista
     room = focused.image - float(focused.lens.z[bends].max())
     for number, layer in enumerate(layers):
         if layer.depth >= room:
-            raise ValueError(
-                f"sensor.layers.{number}: a layer {layer.depth:g} m before the sensor lies in the lens, "
-                f"which ends {room:.3g} m before it; move it nearer"
-            )
+            what = f"sensor.layers.{number}: a layer {layer.depth:g} m before the sensor lies in the lens"
+            raise ValueError(f"{what}, which ends {room:.3g} m before it; move it nearer")
 
 
 # The prescription stands beside the lens in what follows: a file may change under its name.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import html
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
@@ -15,7 +15,6 @@ from tapetum.bench.phone import CameraUnit, Phone, load_phone
 from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, FocusDistance
 from tapetum.bench.sensors import ProbeSensor, TargetSensor
-from tapetum.bench.shown import in_words, sketch
 from tapetum.bench.strict import STRICT, Positive
 
 if TYPE_CHECKING:
@@ -121,10 +120,8 @@ class Target:
     @model_validator(mode="after")
     def _can_focus_and_look(self) -> Target:
         if self.object_distance <= self.lens.focal_length:
-            raise ValueError(
-                f"object_distance {self.object_distance:g} m is not beyond the focal length "
-                f"{self.lens.focal_length:g} m; focus farther away or shorten the focal length"
-            )
+            what = f"object_distance {self.object_distance:g} m is not beyond the focal length"
+            raise ValueError(f"{what} {self.lens.focal_length:g} m; focus farther away or shorten the focal length")
         if too_steep := outside_of_model(self.rotation, self.lens.kind):
             raise ValueError(too_steep)
         if isinstance(self.lens, PrescriptionLens):
@@ -270,15 +267,55 @@ class Scene:
     schema: Literal["tapetum/scene/1"] = SCHEMA
 
     def __repr__(self) -> str:
-        return f"<Scene: {in_words(self)}>"
+        return f"<Scene: {self._words()}>"
+
+    def _words(self) -> str:
+        light, target = self.illumination, self.target
+        return (
+            f"{_named(target)}, {self.distance:g} m from the probe, focused at {target.object_distance:g} m;"
+            f" {light.mode} light of {light.wavelength * 1e9:g} nm, {light.power * 1e3:g} mW"
+        )
 
     def _repr_html_(self) -> str:
         """What a notebook shows: the scene in a line, and all its values folded up."""
         from tapetum.bench.load import scene_yaml
 
-        words, values = html.escape(in_words(self)), html.escape(scene_yaml(self))
+        words, values = html.escape(self._words()), html.escape(scene_yaml(self))
         return f"<details><summary>Scene: {words}</summary><pre>{values}</pre></details>"
 
     def plot(self) -> Figure:
-        """Draw the bench from the side: see `tapetum.bench.shown.sketch`."""
-        return sketch(self)
+        """Draw the bench from the side, heights not to scale: probe, target, and where the target is focused.
+
+        The figure belongs to no window: a notebook shows it, `savefig` writes it.
+        """
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(7, 2.2), layout="constrained")
+        axis = figure.add_subplot()
+        place, focus = self.distance, self.distance - self.target.object_distance
+        axis.plot([0, 0], [-1, 1], color="C0", linewidth=4, solid_capstyle="butt")
+        axis.plot([place, place], [-0.5, 0.5], color="C1", linewidth=4, solid_capstyle="butt")
+        axis.plot([0, place], [0, 0], color="0.6", linewidth=1)
+        style: Any = {"textcoords": "offset points", "ha": "center"}
+        diameter = 2e3 * self.probe.lens.aperture_radius
+        axis.annotate(f"probe\n{diameter:g} mm wide", (0, 1), (0, 3), **style)
+        axis.annotate(_named(self.target), (place, 0.5), (0, 3), **style)
+        if math.isfinite(focus) and focus != 0:
+            axis.plot([focus], [0], "x", color="C1")
+            axis.annotate("its focus", (focus, 0), (0, -14), **style)
+        axis.set_ylim(-1.6, 2.2)
+        axis.margins(x=0.2)
+        axis.set_yticks([])
+        axis.set_xlabel("distance from the probe, m")
+        axis.spines[["left", "right", "top"]].set_visible(False)
+        return figure
+
+
+def _named(target: Target | PhoneTarget) -> str:
+    if isinstance(target, PhoneTarget):
+        return f"{target.name}{', ' + target.camera if target.camera else ''}"
+    lens = target.lens
+    if isinstance(lens, PrescriptionLens):
+        return f"lens {lens.name} at {lens.focal_length * 1e3:g} mm"
+    stop = lens.focal_length / (2 * lens.aperture_radius)
+    return f"thin lens f = {lens.focal_length * 1e3:g} mm, f/{stop:.3g}"

@@ -92,9 +92,8 @@ def _medium(raw: dict[str, Any], where: str) -> dict[str, float]:
         raise InputError("is a mirror", where=where, remedy="use a lens of refracting surfaces")
     if type(material).__name__ == "AbbeMaterial":
         if raw.get("index") is None or raw.get("abbe") is None:
-            raise InputError(
-                "names an unknown glass", where=where, remedy="write its index and Abbe number in the file"
-            )
+            remedy = "write its index and Abbe number in the file"
+            raise InputError("names an unknown glass", where=where, remedy=remedy)
         return {"nd": float(raw["index"]), "vd": float(raw["abbe"])}
     n = {line: float(material.n(wavelength).item()) for line, wavelength in _LINES.items()}
     return {"nd": n["d"], "vd": (n["d"] - 1) / (n["F"] - n["C"])}

@@ -54,6 +54,7 @@ def surfaces_at(
     if not own[0] * (1 - _SLACK) <= focal_length <= own[-1] * (1 + _SLACK):
         what = f"focal_length {focal_length * 1e3:.4g} mm is beyond this zoom"
         raise InputError(what, where=prescription.name, remedy=f"give one of {spoken}")
+    import numpy as np
     import torch
     from scipy.interpolate import PchipInterpolator
     from scipy.optimize import brentq
@@ -62,22 +63,14 @@ def surfaces_at(
 
     logs = [math.log(one) for one in own]
     states = [prescription.state(k) for k in range(len(own))]
+    gaps, openings = (
+        PchipInterpolator(logs, [[getattr(surface, length) for surface in state] for state in states])
+        for length in ("thickness", "semi_diameter")
+    )
     base = build_lens(states[0], wavelength)
 
-    def curves(length: str) -> dict[int, PchipInterpolator]:
-        """Of the surfaces whose length differs from state to state."""
-        values = [[getattr(one[i], length) for one in states] for i in range(len(states[0]))]
-        return {i: PchipInterpolator(logs, one) for i, one in enumerate(values) if len(set(one)) > 1}
-
-    gaps, openings = curves("thickness"), curves("semi_diameter")
-
-    def at(t: float, curves: dict[int, PchipInterpolator]) -> dict[int, float]:
-        return {i: float(curve(t)) for i, curve in curves.items()}
-
     def miss(t: float) -> float:
-        moved = at(t, gaps)
-        steps = [moved.get(i, one.thickness) for i, one in enumerate(states[0][:-1])]
-        lens = replace(base, z=torch.tensor([0.0, *itertools.accumulate(steps)], dtype=torch.float64))
+        lens = replace(base, z=torch.from_numpy(np.cumsum([0.0, *gaps(t)[:-1]])))
         return math.log(paraxial(lens).focal_length) - wanted
 
     wanted = min(max(math.log(focal_length), logs[0]), logs[-1])
@@ -86,4 +79,4 @@ def surfaces_at(
     if ends[0] >= 0 or ends[1] <= 0:
         return states[0 if ends[0] >= 0 else -1], 1.0
     t = float(brentq(miss, logs[0], logs[-1], xtol=1e-14, rtol=1e-14))  # pyright: ignore[reportArgumentType]
-    return with_moves(states[0], at(t, gaps), at(t, openings)), 1.0
+    return with_moves(states[0], *(dict(enumerate(curve(t).tolist())) for curve in (gaps, openings))), 1.0

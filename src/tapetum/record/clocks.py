@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 
 from tapetum.errors import InputError
+from tapetum.record.layout import iso
 from tapetum.record.recording import Recording
 
 __all__ = ["Joined", "join"]
@@ -94,12 +94,6 @@ class Joined:
         return out
 
 
-def span(times: np.ndarray) -> str:
-    """Return first and last moment (ns UTC) for a message."""
-    ends = (datetime.fromtimestamp(int(value) / 1e9, UTC) for value in (times[0], times[-1]))
-    return " to ".join(moment.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z" for moment in ends)
-
-
 def rising(recording: Recording, stream: str) -> np.ndarray:
     """Return a stream's UTC in ns, [N] int64, checked to be usable."""
     times = recording.utc_ns(stream)
@@ -139,7 +133,8 @@ def join(
     wanted = rising(recording, onto)
     there = rising(recording, other) + round(offset * 1e9)
     if there[-1] < wanted[0] or there[0] > wanted[-1]:
-        what = f"the clocks of {onto} and {other} do not overlap: {span(wanted)} and {span(there)}"
+        first, last, begin, end = (iso(int(one), "milliseconds") for one in (*wanted[[0, -1]], *there[[0, -1]]))
+        what = f"the clocks of {onto} and {other} do not overlap: {first} to {last} and {begin} to {end}"
         remedy = "set both cameras by one clock and record again, or give the offset between them"
         raise InputError(what, where=recording.path, remedy=remedy)
     period = float(np.median(np.diff(there))) if len(there) > 1 else 1e9 / float(recording.streams[other].rate or 15)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -131,6 +132,13 @@ class _Meta(Checked):
     software: dict[str, Any]
     seed: _Count | None = None
     scene: dict[str, Any] | None = None
+
+
+def iso(utc_ns: int, digits: str = "microseconds") -> str:
+    """Return nanoseconds since 1970 as ISO 8601."""
+    seconds, rest = divmod(utc_ns, 10**9)
+    moment = datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000)
+    return moment.isoformat(timespec=digits).replace("+00:00", "Z")
 
 
 def is_recording(path: str | os.PathLike[str]) -> bool:

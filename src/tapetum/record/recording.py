@@ -20,19 +20,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from tapetum.errors import InputError
-from tapetum.record.layout import (
-    FRAMES,
-    JOURNAL,
-    LABELS,
-    TRUTH,
-    StreamInfo,
-    clocks,
-    is_recording,
-    read_journal,
-    read_meta,
-    read_table,
-    write_table,
-)
+from tapetum.record import layout
+from tapetum.record.layout import FRAMES, JOURNAL, LABELS, TRUTH, StreamInfo, is_recording, read_table, write_table
 from tapetum.record.source import Frame, Stored, existing
 from tapetum.record.video import count_frames, decoded, truncated
 from tapetum.record.writer import RecordingWriter
@@ -137,8 +126,8 @@ class Recording:
         self.stream(stream)
         # The journal goes last on closing, so that one of the two is always whole.
         whole = (self.path / FRAMES).exists()
-        table = read_table(self.path / FRAMES) if whole else read_journal(self.path / JOURNAL)
-        table = clocks(table, self.path / FRAMES)
+        table = read_table(self.path / FRAMES) if whole else layout.read_journal(self.path / JOURNAL)
+        table = layout.clocks(table, self.path / FRAMES)
         table = table.filter(pc.equal(table["stream"], stream))  # type: ignore[attr-defined]
         if not np.array_equal(table["index"].to_numpy(), np.arange(len(table))):
             raise InputError(f"frames of {stream} are not numbered 0, 1, 2 …", where=self.path, remedy="record again")
@@ -246,7 +235,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
         When it is missing, not a recording, damaged, or of a newer version than this Tapetum reads.
     """
     place = existing(path)
-    meta = read_meta(place)
+    meta = layout.read_meta(place)
     names = ("height", "width", "bits", "full_scale", "rate")
     streams = {
         name: StreamInfo(**{**{key: value[key] for key in names}, "rate": value["rate"] or meta["rate"]})

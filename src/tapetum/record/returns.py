@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -83,10 +84,12 @@ class Returns:
         # OpenCV turns ten times as fast, but reads between pixels at steps of 1/32 only: up to 1e-2 of the peak.
         if scene.sampling.accuracy >= _COARSE and fringe >= 7 * sensor.pitch:
             self._order = 0
+        # By a weak reference: a circle would keep the cameras until the garbage collector comes by.
+        own = weakref.proxy(self)
         self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
-            lambda node: _camera(replace(scene, distance=node), self._steepest, self._window)
+            lambda node: _camera(replace(scene, distance=node), own._steepest, own._window)
         )
-        self._batch = functools.lru_cache(_BATCHES_KEPT)(self._render)
+        self._batch = functools.lru_cache(_BATCHES_KEPT)(lambda number: own._render(number))
 
     def patches(self, frame: int) -> list[Patch]:
         """What every beam makes of a frame at the scene's power and exposure."""

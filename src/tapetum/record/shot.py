@@ -131,7 +131,10 @@ class Shot:
         self.scene, self.session = scene, session
         mine = Placed((0.0, 0.0), motion=session.motion)
         self._placed = (mine, *session.others)
-        self._scenes = [_scene_of(scene, one) for one in self._placed]
+        self._scenes = [
+            replace(scene, distance=one.distance or scene.distance, target=one.target or scene.target)
+            for one in self._placed
+        ]
         # Others get seeds of their own: none moves as the first one does.
         seeds = [session.seed, *(_mixed(session.seed, n, one.seed) for n, one in enumerate(session.others))]
         self._hands = [
@@ -308,11 +311,6 @@ def frame_rng(seed: int, stream: int, frame: int) -> np.random.Generator:
 
 def _mixed(*seeds: int) -> int:
     return int(np.random.SeedSequence(seeds).generate_state(1, np.uint64)[0])
-
-
-def _scene_of(scene: Scene, placed: Placed) -> Scene:
-    distance = scene.distance if placed.distance is None else placed.distance
-    return replace(scene, distance=distance, target=placed.target or scene.target)
 
 
 def _pair(names: str, values: Array) -> dict[str, Array]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
@@ -122,11 +123,8 @@ class Stored:
     def first(self) -> Frame:
         """Return the first frame; an InputError where there is none, or it cannot be read."""
         source = cast(Source, self)
-        frames = cast("Generator[Frame]", iter(source))
-        try:
+        with contextlib.closing(cast("Generator[Frame]", iter(source))) as frames:
             found = next(frames, None)
-        finally:
-            frames.close()
         if found is None:
             raise InputError("holds no frame", where=source.name, remedy="give another file, or copy it again")
         return found

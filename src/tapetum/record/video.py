@@ -10,7 +10,7 @@ from __future__ import annotations
 import contextlib
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -159,11 +159,9 @@ def open_container(file: Path) -> tuple[Any, Any]:
         # Nothing but a header, as a writer leaves that was killed at its first frame.
         raise truncated(file, 0) from error
     except (FFmpegError, OSError, ValueError) as error:
-        raise InputError(
-            "is not a video that can be read (or its beginning is damaged)",
-            where=file,
-            remedy="give an image, a folder of images, a .rec folder or a video such as .mkv, .mp4 or .avi",
-        ) from error
+        remedy = "give an image, a folder of images, a .rec folder or a video such as .mkv, .mp4 or .avi"
+        what = "is not a video that can be read (or its beginning is damaged)"
+        raise InputError(what, where=file, remedy=remedy) from error
     if not container.streams.video:
         container.close()
         raise InputError("holds no video", where=file, remedy="give a file with a video stream")
@@ -235,7 +233,7 @@ def to_array(frame: Any) -> tuple[np.ndarray, int]:
     return frame.to_ndarray(format=wanted), NATIVE_GREY[wanted]
 
 
-def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple[np.ndarray, int, float | None]]:
+def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Generator[tuple[np.ndarray, int, float | None]]:
     """Yield image, full scale and seconds (None where the file has no stamp), checking for an early end.
 
     What is reported of an early end comes before the first frame where the file shows it, `late` only after the last.
@@ -323,12 +321,9 @@ class VideoSource(Stored):
         Raises an InputError when it is no video, holds no frame that can be decoded, or is seen to be truncated.
         """
         file = existing(path)
-        first = decoded(file, tolerant=False, late=late)
-        try:
+        with contextlib.closing(decoded(file, tolerant=False, late=late)) as frames:
             # An empty or wholly damaged video raises here.
-            _, full_scale, _ = next(first)
-        finally:
-            first.close()  # type: ignore[attr-defined]
+            _, full_scale, _ = next(frames)
         container, stream = open_container(file)
         with container:
             rate = float(stream.average_rate or 0) or 15.0

@@ -12,7 +12,6 @@ import shutil
 import uuid
 from collections.abc import Mapping
 from dataclasses import asdict, replace
-from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -29,13 +28,6 @@ from tapetum.record.source import Frame
 from tapetum.record.video import VideoWriter
 
 __all__ = ["RecordingWriter"]
-
-
-def iso(utc_ns: int) -> str:
-    """Return nanoseconds since 1970 as ISO 8601 to the microsecond."""
-    seconds, rest = divmod(utc_ns, 10**9)
-    moment = datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000)
-    return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
 
 
 def software() -> dict[str, str]:
@@ -106,7 +98,7 @@ class RecordingWriter:
             "format": layout.FORMAT,
             "version": layout.VERSION,
             "uuid": str(uuid.uuid4()),
-            "start_utc": iso(start_utc_ns),
+            "start_utc": layout.iso(start_utc_ns),
             "start_utc_ns": int(start_utc_ns),
             "rate": rate,
             "finished": False,
