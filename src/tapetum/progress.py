@@ -40,7 +40,7 @@ def bar(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[
             total = len(items)  # type: ignore[arg-type]
     console = Console(stderr=True)
     if not console.is_terminal:
-        # A log wants no frames of a bar, and a loop that failed says why by its error.
+        # In a log one line is enough, and of a loop that failed the error says why.
         start, done = time.monotonic(), 0
         for item in items:
             yield item

@@ -83,7 +83,7 @@ class Surface:
     radius
         Of curvature, in metres, positive with the centre behind the surface; None for a flat.
     thickness
-        To the next surface along the axis, in metres. The last one runs to the image: the lens is focused anyway.
+        To the next surface along the axis, in metres. That of the last one is not used: focusing sets it.
     nd, vd, index, glass
         Index and Abbe number of the medium behind, or its index at all wavelengths, or one of the bench's glasses.
     conic, asphere
@@ -202,7 +202,7 @@ class Prescription:
         return with_moves(self.surfaces, dict(state.thickness), dict(state.semi_diameter))
 
     def _check_gaps(self, number: int) -> None:
-        """No surface may stand in the one before it. Flats between equal media, as a stop is, are in nobody's way."""
+        """No surface may cross the one before it; flats between equal media, such as a stop, are not looked at."""
         lens = build_lens(self.state(number), 587.562e-9)
         n = lens.index.tolist()
         solid = [i for i in range(len(lens)) if n[i] != n[i + 1]]

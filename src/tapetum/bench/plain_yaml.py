@@ -19,7 +19,7 @@ _MOST_VALUES, _DEEPEST, _MOST_DIGITS = 200_000, 40, 400
 
 
 class _UniqueKeys(yaml.SafeLoader):
-    """YAML that refuses a key given twice: the first one would be lost without a word."""
+    """YAML that refuses a key given twice, of which the first value would be lost."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()

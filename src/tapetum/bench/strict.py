@@ -13,7 +13,7 @@ __all__ = ["STRICT", "Positive", "Share"]
 _SMALLEST = 1e-9
 
 
-def _no_dust(length: float) -> float:
+def _above_smallest(length: float) -> float:
     if length < _SMALLEST:
         raise ValueError(f"{length:g} m is smaller than a nanometre; give at least 1e-9")
     return length
@@ -21,5 +21,5 @@ def _no_dust(length: float) -> float:
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, ser_json_inf_nan="strings")
 # A million kilometres is farther than any light here; what is next to nothing would overflow its own reciprocal.
-Positive = Annotated[Length, Field(gt=0, le=1e9), AfterValidator(_no_dust)]
+Positive = Annotated[Length, Field(gt=0, le=1e9), AfterValidator(_above_smallest)]
 Share = Annotated[float, Field(ge=0, le=1)]

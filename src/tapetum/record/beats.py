@@ -42,7 +42,7 @@ class CameraClock:
     def draw(self, count: int, rate: float, rng: np.random.Generator) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Times of the frames that were kept, in seconds from the start, and the number lost before each."""
         times = self.offset + np.arange(count) / rate
-        # A quarter of the beat at the most, so that no two frames change places.
+        # At most a quarter of the frame interval, so that no two frames change places.
         times += np.clip(self.jitter * rng.standard_normal(count), -0.25 / rate, 0.25 / rate)
         kept = np.flatnonzero(np.r_[True, rng.random(count - 1) >= self.loss] if count else [])
         return times[kept], np.diff(kept, prepend=kept[:1]) - np.r_[0, np.ones(len(kept) - 1, int)]

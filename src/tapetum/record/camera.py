@@ -16,7 +16,7 @@ from tapetum.record.source import Frame
 __all__ = ["Camera", "is_camera"]
 
 PREFIX = "camera:"
-STALE = 16  # frames that a driver may hold, at the most
+STALE = 16  # most frames that a driver may hold
 AT_ONCE = 0.002  # s; a frame that comes sooner was there already
 
 # What OpenCV may know of a camera; 0 and -1 stand for what it does not.

@@ -110,7 +110,7 @@ class Glint(Thing):
 
 @dataclass(frozen=True)
 class Lamp(Thing):
-    """A lamp far behind the target: a large soft disc that knows nothing of the laser.
+    """A lamp far behind the target: a large soft disc, independent of the laser.
 
     Parameters
     ----------

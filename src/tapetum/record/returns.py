@@ -58,7 +58,7 @@ class Returns:
     -----
     Light that arrives with a curvature (diverging, fixed area) needs a simulation for each distance. They are made for
     nodes of 1/d so close that the wave at the lens's edge, kr²/2 times the change of 1/d, is never off by more than the
-    scene's accuracy, in radians; the irradiance, which goes by 1/d² where light diverges, is each frame's own. Where
+    scene's accuracy, in radians; the irradiance, which falls as 1/d² where light diverges, is each frame's own. Where
     the return overfills the probe's aperture R, its cut moves with the distance as well: r² + 2rR in place of r².
     """
 
@@ -113,7 +113,7 @@ class Returns:
             return d
         radius, aperture = self.scene.target.lens.aperture_radius, self.scene.probe.lens.aperture_radius
         area = radius**2 + (2 * radius * aperture if finite else 0.0)
-        # Half a step off at the most: (2π/λ) area/2 · step/2 radians.
+        # At most half a step off: (2π/λ) area/2 · step/2 radians.
         step = 2 * self.scene.sampling.accuracy * light.wavelength / (math.pi * area)
         return 1 / (np.maximum(1, np.rint(1 / (d * step))) * step)
 

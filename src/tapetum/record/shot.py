@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 _CLOCK, _NOISE, _POWER, _EXPOSURE, _CLUTTER, _DOTS = 3, 5, 7, 9, 11, 12
 # Exposure of the target's camera, in seconds: assumed, as of a video camera in a lit room.
 _TARGET_EXPOSURE = 0.01
-# Columns of the target's pictures at the most: a phone's preview, not its photographs.
+# Most columns of the target's pictures: those of a phone's preview, not of its photographs.
 _WIDEST_PICTURE = 1000
 
 

@@ -248,7 +248,7 @@ class RecordingWriter:
             sync(self.path.absolute().parent)
 
     def _abandon(self) -> str:
-        """Close what is open without a word; remove the folder if it holds no frame. Return what is kept."""
+        """Close what is open and report no error; remove a folder without frames. Return what is kept."""
         self._closed = True
         for video in self._videos.values():
             with contextlib.suppress(OSError, InputError):
