@@ -71,7 +71,8 @@ class HandMotion:
         """
         rng = np.random.default_rng([seed, 1])
         bands = (self.sweep_band, self.tremor_band, self.sway_band, self.roll_band, self.reach_band)
-        return Hand(self, *(Waves.draw(rng, band) for band in bands), self.walk or (distance, distance), seconds)
+        sweep, tremor, sway, roll, reach = (Waves.draw(rng, band) for band in bands)
+        return Hand(self, sweep, tremor, sway, roll, reach, self.walk or (distance, distance), seconds)
 
     def as_dict(self) -> dict[str, object]:
         """Plain values, for a recording."""
