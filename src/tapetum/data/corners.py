@@ -31,46 +31,34 @@ MOST_TRAIN, MOST_TEST = 2000, 1000
 _LARGEST = 32
 # Pixels this many standard deviations over their neighbours are no noise; nor are steps of fewer counts than four.
 _HOT, _HOT_COUNTS = 10.0, 4.0
-# No pixel outshouts all others together in the fixed pattern.
+# No single pixel outweighs all others together in the fixed pattern.
 _LOUDEST = 30.0
 
 
 @dataclass(frozen=True)
 class Corners:
-    """The corners of every frame.
+    """The corners of every frame."""
 
-    Parameters
-    ----------
-    level
-        [N, 6]: mean of the upper left, upper right, lower left and lower right corner (counts), variance of their
-        pixels (counts squared), share of hot ones.
-    halo
-        [N, 6]: by how much the same is larger nearer to the RR; 0 for hot pixels, which are no light.
-    noise
-        Standard deviation of a pixel, counts.
-    frames
-        [M] numbers of the frames that `pattern` shows.
-    pattern
-        [M, P] pixels of the corners over the median of their neighbours, in standard deviations: hot pixels and the
-        sensor's fixed pattern, without level and shading.
-    hot
-        [M, H] where the frame shows a hot pixel at each of H places of the *probe's* frame 10, else 0 (standard
-        deviations, about); H = 0 where there are none or the set does not tell where its crops were cut.
-    """
-
+    # [N, 6]: mean of the upper left, upper right, lower left and lower right corner (counts), variance of their pixels
+    # (counts squared), share of hot ones.
     level: NDArray[np.float64]
+    # [N, 6]: by how much the same is larger nearer to the RR; 0 for hot pixels, which are no light.
     halo: NDArray[np.float64]
+    # Standard deviation of a pixel, counts.
     noise: float
+    # [M] numbers of the frames that `pattern` and `hot` show.
     frames: NDArray[np.int64]
+    # [M, P] pixels of the corners over the median of their neighbours, in standard deviations: hot pixels and the
+    # sensor's fixed pattern, without level and shading.
     pattern: NDArray[np.float32]
+    # [M, H]: 10 (standard deviations, about) where the frame shows a hot pixel at each of H places of the probe's
+    # frame, else 0; H = 0 where there are none or the set does not tell where its crops were cut.
     hot: NDArray[np.float32]
 
 
 def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return at most `most` of the numbers, spread evenly."""
-    if len(numbers) <= most:
-        return numbers
-    return numbers[np.linspace(0, len(numbers) - 1, most).round().astype(int)]
+    return numbers[np.linspace(0, len(numbers) - 1, min(most, len(numbers))).round().astype(int)]
 
 
 class CornerReader:
