@@ -137,5 +137,5 @@ def test_a_process_that_fails_says_why(tmp_path: Path):
     (staging.path / "done").rmdir()
     (staging.path / "done").write_text("")
     with pytest.raises(TapetumError, match="a process that films failed: "):
-        list(parts_by_processes(plan, staging, [plan.parts[0], missing], 2))
+        list(parts_by_processes(plan, staging, [plan.parts[0], missing], 1))
     assert workers() == []

@@ -62,7 +62,7 @@ def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
 
 
 class CornerReader:
-    """Gathers the corners while the images pass by: `add` every batch, then `read`."""
+    """Reads the corners of images that are read for other purposes too: `add` every batch, then `read`."""
 
     def __init__(self, dataset: xr.Dataset) -> None:
         count, side = dataset.sizes["frame"], dataset.tp.side
@@ -72,7 +72,7 @@ class CornerReader:
         self._frames = np.sort(np.concatenate([evenly(np.flatnonzero(split == p), n) for p, n in parts]))
         self._row = np.full(count, -1)
         self._row[self._frames] = np.arange(len(self._frames))
-        self._level, self._halo = np.zeros((count, 6)), np.zeros((count, 6))
+        self._level, self._halo = np.zeros((2, count, 6))
         self._pattern = np.zeros((len(self._frames), 4 * self._size**2), dtype=np.float32)
         self._noise: list[float] = []
         self._hot: list[tuple[int, int, int]] = []
@@ -156,6 +156,6 @@ def _variance(patches: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _noise(patches: NDArray[np.float32]) -> float:
-    """Return the standard deviation of a pixel, whatever hot ones there are; of a quantum at least."""
+    """Return the standard deviation of a pixel, hot ones apart; at least that of rounding."""
     apart = np.abs(np.diff(patches, axis=-1))
     return max(float(np.quantile(apart, 0.6827)) / math.sqrt(2), 1 / math.sqrt(12))

@@ -238,12 +238,10 @@ class _Search:
         return Leak("label smoothing", self.name, share, 0.0, 0.0, "found" if share else "none")
 
     def _other_half(self) -> NDArray[np.int64] | None:
-        """Return 0 or 1 a frame, by turns within each class's recordings; None where these are too few for chance."""
+        """Return 0 or 1 a frame, alternating over each class's recordings; None where these are too few for chance."""
         numbers, first = np.unique(self.recording, return_index=True)
         classes = self.values[first].argmax(axis=1)
-        half = np.zeros(len(numbers), dtype=np.int64)
-        for one in np.unique(classes):
-            half[classes == one] = np.arange(np.count_nonzero(classes == one)) % 2
+        half = np.array([np.count_nonzero(classes[:n] == one) % 2 for n, one in enumerate(classes)])
         if np.bincount(classes).min() < 2 or deals_possible(classes, half) <= ROUNDS:
             return None
         return half[np.searchsorted(numbers, self.recording)]

@@ -1,6 +1,6 @@
 """What a dataset holds and what is wrong with it: counts, labels, doubles, overexposed and empty frames, centring.
 
-The images pass by once, a batch at a time; a set far larger than the memory is no trouble.
+Images are read once, a batch at a time, so a set may be far larger than the memory.
 """
 
 from __future__ import annotations
@@ -32,18 +32,17 @@ __all__ = [
 ]
 
 SATURATED_SHARE = 1e-4
-"""A frame counts as saturated when more than this share of its pixels stands at full scale: 16 of 400 x 400, more than
-a sensor has hot pixels in such a crop."""
+"""A frame is saturated when more than this share of its pixels is at full scale: 16 of 400 x 400, more than a sensor
+has hot pixels in such a crop."""
 
 EMPTY_SNR = 6.0
-"""A frame counts as empty when its brightest smoothed point stands less than this over the noise: noise alone gives 4.
-"""
+"""A frame is empty when its brightest smoothed point is less than this many times the noise: noise alone gives 4."""
 
 OFF_CENTRE = 0.05
-"""A frame counts as off centre when its brightest smoothed point lies this part of the side or more from the middle."""
+"""A frame is off centre when its brightest smoothed point lies this fraction of the side or more from the middle."""
 
 _BATCH, _BINS = 64, 24
-# Labels beyond these cannot be: gaze is a fraction of the field of view, lengths are positive.
+# Labels outside these limits are impossible: gaze is a fraction of the field of view, lengths are positive.
 _POSSIBLE = {
     "gaze_x": (-0.5, 0.5),
     "gaze_y": (-0.5, 0.5),
@@ -159,14 +158,14 @@ def inspect_dataset(
     for images in progress(image_batches(dataset, _BATCH), "looking at the crops", total=total):
         for n, image in enumerate(images, start):
             finite[n] = bool(np.isfinite(image).all())
-            calm = image if finite[n] else np.nan_to_num(image.astype(np.float64), posinf=0.0, neginf=0.0)
-            prints[n] = fingerprint(calm)
-            share[n] = np.count_nonzero(calm >= top) / calm.size
-            peak = find_peak(calm, sigma)
-            off[n] = np.hypot(peak.x - (calm.shape[1] - 1) / 2, peak.y - (calm.shape[0] - 1) / 2)
+            filled = image if finite[n] else np.nan_to_num(image.astype(np.float64), posinf=0.0, neginf=0.0)
+            prints[n] = fingerprint(filled)
+            share[n] = np.count_nonzero(filled >= top) / filled.size
+            peak = find_peak(filled, sigma)
+            off[n] = np.hypot(peak.x - (filled.shape[1] - 1) / 2, peak.y - (filled.shape[0] - 1) / 2)
             # The whole frame knows its noise better than the crop, which the RR may fill.
-            snr[n] = find_peak(calm, RING_SIGMA).snr if known is None else known[n]
-            if calm.min() == calm.max():
+            snr[n] = find_peak(filled, RING_SIGMA).snr if known is None else known[n]
+            if filled.min() == filled.max():
                 snr[n] = 0.0
         digests.append(image_digests(images))
         for look in also:
@@ -174,9 +173,8 @@ def inspect_dataset(
         start += len(images)
     split, recording = (np.asarray(dataset[name].values) for name in ("split", "recording"))
     exact = exact_pairs(np.concatenate(digests), split)
-    repeats = np.zeros(frames, dtype=bool)
-    repeats[[later for _, later in exact]] = True
-    near = list(near_pairs(prints, ~repeats, progress))
+    single = ~np.isin(np.arange(frames), [later for _, later in exact])
+    near = list(near_pairs(prints, single, progress))
     numbers = np.unique(recording).tolist()
     own = [split[recording == number] for number in numbers]
     told = dict(enumerate(dataset.tp.recordings))

@@ -47,7 +47,7 @@ class ArrayInfo:
 
 @contextlib.contextmanager
 def _refused(file: Path) -> Iterator[None]:
-    """Say in one line what a reader meets in a damaged file: readers raise whatever their parsing trips over."""
+    """Report in one line any error that a reader raises for a damaged file."""
     try:
         yield
     except (InputError, MemoryError):

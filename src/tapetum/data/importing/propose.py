@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -89,12 +90,9 @@ def _sources(found: Inventory) -> list[_Source]:
 
 def _pairs(found: Inventory) -> tuple[list[tuple[FramesFound, FramesFound]], list[FramesFound]]:
     """Videos of a probe with those of its target, by their paths, and the others."""
-
-    def kin(path: str) -> str:
-        return path.casefold().replace("probe", "*").replace("target", "*").rpartition(".")[0]
-
-    targets = {kin(v.path): v for v in found.videos if "target" in v.path.casefold()}
-    pairs = [(v, targets[kin(v.path)]) for v in found.videos if "probe" in v.path.casefold() and kin(v.path) in targets]
+    plain = [(re.sub("probe|target", "*", v.path.casefold().rpartition(".")[0]), v) for v in found.videos]
+    targets = {name: v for name, v in plain if "target" in v.path.casefold()}
+    pairs = [(v, targets[name]) for name, v in plain if "probe" in v.path.casefold() and name in targets]
     paired = {v.path for pair in pairs for v in pair}
     return pairs, [v for v in found.videos if v.path not in paired]
 
@@ -128,7 +126,7 @@ def _image_axes(array: ArrayFound, counts: set[int]) -> tuple[str, ...] | None:
     known = [n for n in (0, 2, 1) if flat[n] in counts]
     lone = next((n for n in range(3) if flat[(n + 1) % 3] == flat[(n + 2) % 3] != flat[n]), 0)
     axis = known[0] if len(known) == 1 else lone
-    # MATLAB's own files count rows first, and pictures last; its newer ones show all of that turned.
+    # MATLAB's older files count rows first and images last; its newer ones are transposed.
     rest = ["x", "y"] if array.path.casefold().endswith(".mat") and axis == 0 else ["y", "x"]
     rest.insert(axis, "frame")
     return (*rest, "channel") if channel else tuple(rest)

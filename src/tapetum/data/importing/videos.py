@@ -89,7 +89,7 @@ def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, 
         offset += alignment.offset
     streams = {"probe": (probe, 0.0), "target": (target, offset)}
     begin = min(one.time(one.first) + later for one, later in streams.values())
-    # Times that are no dates count from 1970: nobody knows when the videos were taken.
+    # Times that are not dates are stored as seconds since 1970: when the videos were taken is unknown.
     dated = all(one.times is not None and one.times[0] > 1e8 for one, _ in streams.values())
     start = round(begin * 1e9) if dated else 0
     told: dict[str, Any] = {"align": pair.align, "offset": offset, "probe": pair.probe, "target": pair.target}
@@ -112,7 +112,7 @@ def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, 
     try:
         summary = label_recording(recording, progress)
     except InputError as error:
-        # The recording is still in a temporary folder, of which nobody should read.
+        # The recording is still in a temporary folder, which the message should not name.
         raise InputError(error.what, where=f"{probe.where} with {target.where}", remedy=error.remedy) from error
     constants = label_values(pair.labels, reader, 1)
     if constants and (table := recording.labels()) is not None:

@@ -28,8 +28,8 @@ def synthesise(
 ) -> Path:
     """Make a set, or continue where the same call was interrupted.
 
-    What is done stands in the folder `OUT.part` until the set is whole. However it was made (alone, by many,
-    interrupted, with workers that died) the set is the same to the last bit, on processors of one kind.
+    What is done is kept in the folder `OUT.part` until the set is whole. However it was made (alone, by many,
+    interrupted, with workers that died), the set is the same to the last bit on processors of one kind.
 
     Parameters
     ----------
