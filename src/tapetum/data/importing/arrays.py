@@ -39,9 +39,7 @@ class ArrayInfo:
     shape: tuple[int, ...]
     dtype: str
 
-    @property
-    def text(self) -> str:
-        """The array for a list that people read."""
+    def __str__(self) -> str:
         return f"{self.name or 'array'} {' x '.join(map(str, self.shape)) or 'one value'} {self.dtype}"
 
 

@@ -44,7 +44,7 @@ class ArrayFound:
     info: ArrayInfo
 
     def __str__(self) -> str:
-        return f"array   {self.path}: {self.info.text}"
+        return f"array   {self.path}: {self.info}"
 
 
 @dataclass(frozen=True)

@@ -195,12 +195,12 @@ class _Stacks:
         if axes is None:
             if not any(source.column["file"] == array.path for source in self.sources):
                 what = "by shape and name neither pictures nor labels"
-                self._out.dropped.append(f"{array.path} ({array.info.text}): {what}")
+                self._out.dropped.append(f"{array.path} ({array.info}): {what}")
             return
         images: dict[str, Any] = {"file": array.path, "axes": " ".join(axes)}
         if array.info.name:
             images["array"] = array.info.name
-        self._out.notes.append(f"axes of {array.path} ({array.info.text}): {' '.join(axes)}")
+        self._out.notes.append(f"axes of {array.path} ({array.info}): {' '.join(axes)}")
         size = dict(zip(axes, array.info.shape, strict=True))
         sample = self.add(images, size["frame"], array.path, min(size["y"], size["x"]))
         if array.info.dtype != "uint8":

@@ -77,9 +77,8 @@ def _check_workers(client: Any, staging: Staging, digest: str) -> None:
     except (ModuleNotFoundError, AttributeError) as error:
         remedy = "install the same Tapetum there"
         raise InputError(f"the workers cannot run this Tapetum ({error})", where=where, remedy=remedy) from error
-    mine = importlib.metadata.version("tapetum")
     for worker, (version, found) in seen.items():
-        if version != mine:
+        if version != (mine := importlib.metadata.version("tapetum")):
             what = f"worker {worker} has Tapetum {version}, this is {mine}"
             raise InputError(what, where=where, remedy="install the same version there")
         if found != digest:
