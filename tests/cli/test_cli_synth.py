@@ -85,7 +85,7 @@ def test_bad_input_is_one_line(run, tmp_path: Path, arguments, word: str) -> Non
 
 def test_without_dask_the_extra_is_named(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "distributed", None)
-    ran = run("dataset", "synth", "rotation", "--workers", 1, "-o", tmp_path / "set.zarr")
+    ran = run("dataset", "synth", "rotation", "--cluster", "tcp://127.0.0.1:1", "-o", tmp_path / "set.zarr")
     assert ran.code == 2 and "tapetum[cluster]" in ran.complaint
 
 

@@ -20,8 +20,8 @@ def synth(
     out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
     size: Annotated[str, typer.Option(metavar="SIZE", help=_SIZES)] = "small",
     seed: Annotated[int, typer.Option(metavar="N", help="Of everything random.", min=0)] = 1,
-    workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Processes on this machine (extra: cluster).", min=1)
+    processes: Annotated[
+        int | None, typer.Option("--processes", "--workers", metavar="N", help="Processes on this machine.", min=1)
     ] = None,
     cluster: Annotated[
         str | None, typer.Option(metavar="ADDRESS", help="A Dask scheduler, tcp://HOST:8786 (extra: cluster).")
@@ -38,7 +38,7 @@ def synth(
 
     plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed)
     try:
-        synthesise(plan, out, workers=workers, cluster=cluster, progress=bar, overwrite=overwrite)
+        synthesise(plan, out, processes=processes, cluster=cluster, progress=bar, overwrite=overwrite)
         interrupted = False
     except KeyboardInterrupt:
         interrupted = True

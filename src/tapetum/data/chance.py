@@ -1,6 +1,6 @@
-"""What chance looks like in recordings: labels put onto other frames without making them rougher than they are.
+"""What chance looks like in recordings: labels are moved to other frames and stay as smooth in time as they are.
 
-Each function returns ``[rounds, N]``: the number of the frame whose label stands for frame n's in a round.
+The shifts and deals return ``[rounds, N]``: the number of the frame whose label stands for frame n's in a round.
 """
 
 from __future__ import annotations
@@ -55,22 +55,13 @@ def shifts_possible(values: NDArray[np.float64], recording: NDArray[np.integer],
 
 
 def dealt_blocks(
-    recording: NDArray[np.integer],
-    split: NDArray[np.integer],
-    rounds: int,
-    rng: np.random.Generator,
-    blocks: int = 5,
+    recording: NDArray[np.integer], split: NDArray[np.integer], rounds: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Deal the labels again to blocks of neighbouring frames, so many a recording and part; for constant labels."""
+    """Deal the labels again to fifths of neighbouring frames of each recording and part; for constant labels."""
     chance = np.tile(np.arange(len(recording)), (rounds, 1))
     for part in np.unique(split):
-        pieces = [
-            piece
-            for number in np.unique(recording)
-            for piece in np.array_split(np.flatnonzero((recording == number) & (split == part)), blocks)
-            if len(piece)
-        ]
-        _deal(chance, pieces, rng)
+        whole = [np.flatnonzero((recording == number) & (split == part)) for number in np.unique(recording)]
+        _deal(chance, [piece for one in whole for piece in np.array_split(one, 5) if len(piece)], rng)
     return chance
 
 

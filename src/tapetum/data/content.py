@@ -20,14 +20,12 @@ _DOMAIN = b"tapetum-dataset-content/2\n"
 
 def image_digests(images: Iterable[NDArray[np.generic]]) -> NDArray[np.uint8]:
     """Return the BLAKE2b digests [N, 16] of images: of each one's type, shape and pixels."""
-    found = [_digest(np.ascontiguousarray(image)) for image in images]
-    return np.frombuffer(b"".join(found), np.uint8).reshape(-1, DIGEST_BYTES)
-
-
-def _digest(image: NDArray[np.generic]) -> bytes:
-    about = f"{image.dtype.str}{image.shape}".encode()
-    # The type and shape are the key, so that equal bytes of another shape differ.
-    return hashlib.blake2b(image.data, digest_size=DIGEST_BYTES, key=about).digest()
+    found = b""
+    for image in map(np.ascontiguousarray, images):
+        # The type and shape are the key, so that equal bytes of another shape differ.
+        key = f"{image.dtype.str}{image.shape}".encode()
+        found += hashlib.blake2b(image.data, digest_size=DIGEST_BYTES, key=key).digest()
+    return np.frombuffer(found, np.uint8).reshape(-1, DIGEST_BYTES)
 
 
 def hash_of(
@@ -40,18 +38,8 @@ def hash_of(
 ) -> str:
     """Return the SHA-256 of a dataset's content, in hexadecimal.
 
-    Parameters
-    ----------
-    digests
-        [N, 16], of `image_digests`, in the order of the frames.
-    variables
-        [N] each: all variables along ``frame``, labels, split and recording among them.
-    full_scale
-        Largest count of the camera.
-    targets
-        Which of the variables are labels.
-    classes
-        Names of the numbers in `device`.
+    It is made of the images' digests [N, 16] in order, all variables [N] along ``frame``, the camera's largest count,
+    the names of the labels among the variables, and the names of the numbers in `device`.
     """
     digest = hashlib.sha256(_DOMAIN)
     digest.update(np.ascontiguousarray(digests).tobytes())

@@ -31,50 +31,38 @@ MOST_TRAIN, MOST_TEST = 2000, 1000
 _LARGEST = 32
 # Pixels this many standard deviations over their neighbours are no noise; nor are steps of fewer counts than four.
 _HOT, _HOT_COUNTS = 10.0, 4.0
-# No pixel outshouts all others together in the fixed pattern.
+# No single pixel outweighs all others together in the fixed pattern.
 _LOUDEST = 30.0
 
 
 @dataclass(frozen=True)
 class Corners:
-    """The corners of every frame.
+    """The corners of every frame."""
 
-    Parameters
-    ----------
-    level
-        [N, 6]: mean of the upper left, upper right, lower left and lower right corner (counts), variance of their
-        pixels (counts squared), share of hot ones.
-    halo
-        [N, 6]: by how much the same is larger nearer to the RR; 0 for hot pixels, which are no light.
-    noise
-        Standard deviation of a pixel, counts.
-    frames
-        [M] numbers of the frames that `pattern` shows.
-    pattern
-        [M, P] pixels of the corners over the median of their neighbours, in standard deviations: hot pixels and the
-        sensor's fixed pattern, without level and shading.
-    hot
-        [M, H] where the frame shows a hot pixel at each of H places of the *probe's* frame 10, else 0 (standard
-        deviations, about); H = 0 where there are none or the set does not tell where its crops were cut.
-    """
-
+    # [N, 6]: mean of the upper left, upper right, lower left and lower right corner (counts), variance of their pixels
+    # (counts squared), share of hot ones.
     level: NDArray[np.float64]
+    # [N, 6]: by how much the same is larger nearer to the RR; 0 for hot pixels, which are no light.
     halo: NDArray[np.float64]
+    # Standard deviation of a pixel, counts.
     noise: float
+    # [M] numbers of the frames that `pattern` and `hot` show.
     frames: NDArray[np.int64]
+    # [M, P] pixels of the corners over the median of their neighbours, in standard deviations: hot pixels and the
+    # sensor's fixed pattern, without level and shading.
     pattern: NDArray[np.float32]
+    # [M, H]: 10 (standard deviations, about) where the frame shows a hot pixel at each of H places of the probe's
+    # frame, else 0; H = 0 where there are none or the set does not tell where its crops were cut.
     hot: NDArray[np.float32]
 
 
 def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return at most `most` of the numbers, spread evenly."""
-    if len(numbers) <= most:
-        return numbers
-    return numbers[np.linspace(0, len(numbers) - 1, most).round().astype(int)]
+    return numbers[np.linspace(0, len(numbers) - 1, min(most, len(numbers))).round().astype(int)]
 
 
 class CornerReader:
-    """Gathers the corners while the images pass by: `add` every batch, then `read`."""
+    """Reads the corners of images that are read for other purposes too: `add` every batch, then `read`."""
 
     def __init__(self, dataset: xr.Dataset) -> None:
         count, side = dataset.sizes["frame"], dataset.tp.side
@@ -84,7 +72,7 @@ class CornerReader:
         self._frames = np.sort(np.concatenate([evenly(np.flatnonzero(split == p), n) for p, n in parts]))
         self._row = np.full(count, -1)
         self._row[self._frames] = np.arange(len(self._frames))
-        self._level, self._halo = np.zeros((count, 6)), np.zeros((count, 6))
+        self._level, self._halo = np.zeros((2, count, 6))
         self._pattern = np.zeros((len(self._frames), 4 * self._size**2), dtype=np.float32)
         self._noise: list[float] = []
         self._hot: list[tuple[int, int, int]] = []
@@ -168,6 +156,6 @@ def _variance(patches: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 def _noise(patches: NDArray[np.float32]) -> float:
-    """Return the standard deviation of a pixel, whatever hot ones there are; of a quantum at least."""
+    """Return the standard deviation of a pixel, hot ones apart; at least that of rounding."""
     apart = np.abs(np.diff(patches, axis=-1))
     return max(float(np.quantile(apart, 0.6827)) / math.sqrt(2), 1 / math.sqrt(12))

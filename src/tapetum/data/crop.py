@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak"]
+__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak", "vertex"]
 
 SIGMA = 20.0
 """Standard deviation in pixels of the smoothing Gaussian.
@@ -42,15 +42,13 @@ _REDUCE_FROM, _REDUCE = 12.0, 4
 # Edge in pixels of the blocks whose means make the background.
 _BLOCK = 16
 
-# Fine structure: Gaussians of three widths, in pixels, weighted so that what varies as slowly as a slope or a bend
-# cancels. The squares of the widths are evenly spaced.
-_FINE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0))
-# They are wide enough to be made on an image of half the size.
-_HALVE = 2
-# Less than so many times the noise may be noise: it reached 6 where a blurred lamp stood 5 counts high. Clearly more is
-# so many times as much.
+# Fine structure: Gaussians of three widths, in pixels, weighted so that linear and quadratic variation cancels. The
+# squares of the widths are evenly spaced. They are wide enough to be computed on an image of half the size.
+_FINE, _HALVE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0)), 2
+# Structure below 8 times the noise may be noise, which reached 6 where a blurred lamp stood 5 counts high. "Clearly
+# more" is twice as much.
 _NOISE, _CLEARLY = 8.0, 2.0
-# How far around a place structure is looked for, and how wide a background is taken off: in widths of the smoothing.
+# How far around a place structure is looked for, and how wide a background is subtracted: in widths of the smoothing.
 _AROUND, _BROAD = 2.5, 3.0
 
 # Ratio of the standard deviation to the median absolute deviation of a normal distribution.
@@ -87,10 +85,15 @@ class Peak:
         return self.height / self.noise if self.noise > 0 else math.inf
 
 
-def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
+def _grey(image: NDArray[np.generic]) -> NDArray[np.generic]:
     array = np.asarray(image)
     if array.ndim != 2 or array.size == 0:
         raise InputError(f"expected a grey image [H, W], got shape {array.shape}", remedy="give one frame at a time")
+    return array
+
+
+def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
+    array = _grey(image)
     if array.dtype in (np.uint8, np.uint16):
         return array
     if array.dtype.kind not in "iuf":
@@ -103,7 +106,7 @@ def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
 
 def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float32], float, float, int]:
     """Return the smoothed image above its background, the background, the noise, and by how much it was reduced."""
-    calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
+    calm = _calm(image)
     background = _background(calm)
     step = _REDUCE if sigma >= _REDUCE_FROM and min(image.shape) >= _REDUCE else 1
     smooth = _blurred(calm, background, sigma, step)
@@ -114,6 +117,11 @@ def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float3
             # Where most pixels read the same number, their medians hide the noise that the others show.
             noise = max(noise, least, _scatter(_blurred(image.astype(np.float32), background, sigma, step)))
     return smooth, background, noise, step
+
+
+def _calm(image: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Return an image without hot pixels."""
+    return np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
 
 
 def _background(image: NDArray[np.float32]) -> float:
@@ -147,8 +155,8 @@ def _thinned(image: NDArray[np.float32]) -> NDArray[np.float32]:
     return image[:: max(1, image.shape[0] // 512), :: max(1, image.shape[1] // 512)]
 
 
-def _vertex(below: float, at: float, above: float) -> float:
-    """Return how far off the middle the parabola through three values has its top, in steps."""
+def vertex(below: float, at: float, above: float) -> float:
+    """Return how far from the middle one the parabola through three values has its top, in steps; 0 without a top."""
     bend = below - 2 * at + above
     return 0.0 if bend >= 0 else float(np.clip(0.5 * (below - above) / bend, -0.5, 0.5))
 
@@ -164,9 +172,9 @@ def _refine(smooth: NDArray[np.float32], row: int, column: int, span: float) -> 
         return float(columns.mean()), float(rows.mean())
     x, y = float(column), float(row)
     if 0 < column < width - 1:
-        x += _vertex(*(float(v) for v in smooth[row, column - 1 : column + 2]))
+        x += vertex(*(float(v) for v in smooth[row, column - 1 : column + 2]))
     if 0 < row < height - 1:
-        y += _vertex(*(float(v) for v in smooth[row - 1 : row + 2, column]))
+        y += vertex(*(float(v) for v in smooth[row - 1 : row + 2, column]))
     return x, y
 
 
@@ -207,11 +215,8 @@ def find_peak(
         left, right = max(0, math.floor(x - reach)), min(width, math.ceil(x + reach) + 1)
         top, bottom = max(0, math.floor(y - reach)), min(height, math.ceil(y + reach) + 1)
         if not (radius > 0 and -radius <= x <= width - 1 + radius and -radius <= y <= height - 1 + radius):
-            raise InputError(
-                f"circle ({x:g}, {y:g}), radius {radius:g} misses the image of {width} x {height}",
-                where="near",
-                remedy="give a place in the image, in pixels",
-            )
+            what = f"circle ({x:g}, {y:g}), radius {radius:g} misses the image of {width} x {height}"
+            raise InputError(what, where="near", remedy="give a place in the image, in pixels")
     smooth, background, noise, step = _smooth(array[top:bottom, left:right], sigma)
     searched = smooth
     # Pixel n of a reduced image is centred on pixel n step + (step - 1)/2 of the whole one.
@@ -223,7 +228,7 @@ def find_peak(
         searched = np.where(away <= max(near[2] ** 2, float(away.min())), smooth, -np.inf)
     row, column = np.unravel_index(int(np.argmax(searched)), smooth.shape)
     rise = float(smooth[row, column])
-    span = float(smooth[row, column]) - float(smooth.min())
+    span = rise - float(smooth.min())
     if span <= 0:
         return Peak((width - 1) / 2, (height - 1) / 2, 0.0, background, noise)
     x, y = _refine(smooth, int(row), int(column), span)
@@ -266,7 +271,7 @@ def _broad(image: NDArray[np.generic], sigma: float) -> NDArray[np.float32]:
 
 def _fine_structure(image: NDArray[np.generic]) -> tuple[NDArray[np.float32], float]:
     """Return [H/2, W/2] what is finer than a blurred room, and its noise."""
-    calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
+    calm = _calm(image)
     size = max(1, calm.shape[1] // _HALVE), max(1, calm.shape[0] // _HALVE)
     half = cv2.resize(calm, size, interpolation=cv2.INTER_AREA)
     fine = np.zeros(half.shape, np.float32)
@@ -305,9 +310,7 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
     InputError
         When the centre is not finite or the side not positive.
     """
-    array = np.asarray(image)
-    if array.ndim != 2 or array.size == 0:
-        raise InputError(f"expected a grey image [H, W], got shape {array.shape}", remedy="give one frame at a time")
+    array = _grey(image)
     if side < 1:
         raise InputError(f"must be positive, is {side}", where="side", remedy="give a number of pixels")
     if not (math.isfinite(centre[0]) and math.isfinite(centre[1])):
@@ -327,26 +330,12 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
 
 
 def crop_batch(images: NDArray[np.generic], centres: NDArray[np.floating], side: int) -> NDArray[np.generic]:
-    """Cut one square out of each of several images of one size.
+    """Cut a square out of each image [N, H, W] around its centre [N, 2], (x, y) in pixels: [N, side, side].
 
-    Parameters
-    ----------
-    images
-        [N, H, W].
-    centres
-        [N, 2]: (x, y) in pixels.
-    side
-        Pixels along an edge.
-
-    Returns
-    -------
-    ndarray
-        [N, side, side], the images' type.
+    Errors are those of `crop`.
     """
     array, places = np.asarray(images), np.asarray(centres, dtype=np.float64)
     if array.ndim != 3 or places.shape != (len(array), 2):
         raise InputError(f"expected images [N, H, W] with centres [N, 2], got {array.shape} with {places.shape}")
-    cut = np.empty((len(array), side, side), dtype=array.dtype)
-    for n, (x, y) in enumerate(places):
-        cut[n] = crop(array[n], (float(x), float(y)), side)
-    return cut
+    cut = [crop(image, (float(x), float(y)), side) for image, (x, y) in zip(array, places, strict=True)]
+    return np.stack(cut) if cut else np.empty((0, side, side), array.dtype)

@@ -1,7 +1,6 @@
 """Datasets: crops of retro-reflections with their labels, a Zarr v3 store each, opened as an xarray Dataset.
 
-Importing this module registers the accessor ``.tp`` on every xarray Dataset: ``dataset.tp.train``,
-``dataset.tp.test``.
+Importing this module registers the accessor ``.tp`` on every xarray Dataset.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 import xarray as xr
 import zarr
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
 from tapetum.data.content import DIGEST, DIGEST_BYTES, hash_of, image_digests
 from tapetum.errors import InputError
@@ -28,6 +28,7 @@ __all__ = [
     "EMBARGO",
     "FORMAT",
     "QUANTITIES",
+    "SEED",
     "TEST",
     "TRAIN",
     "TRUE_GAZE",
@@ -42,6 +43,8 @@ __all__ = [
 
 FORMAT, VERSION = "tapetum-dataset", 1
 TRAIN, TEST, EMBARGO = 0, 1, 2
+SEED = 1
+"""Default seed of everything random in this room, and of the sets behind the paper's figures and tables."""
 
 QUANTITIES = {
     "gaze_x": "fraction of the field of view",
@@ -52,26 +55,32 @@ QUANTITIES = {
 """What a frame may be labelled with, and the unit of each."""
 
 TRUE_GAZE = ("true_gaze_x", "true_gaze_y")
-"""Variables of a synthesised set: where the target that films really looked. None of its labels."""
+"""Variables of a synthesised set: where the target really looked. They are no labels."""
 
 DEVICE = "device"
 """The one label that is a class: whole numbers whose names are the variable's attribute ``classes``."""
 
 _NEEDED = ("image", "split", "recording")
+_AGAIN = "build the dataset again"
+_BUILT = "give a folder that `tapetum dataset build` wrote"
+# What Zarr and xarray raise for a store that is damaged or of another kind.
+_DAMAGED = (ValueError, OSError, KeyError, TypeError, ImportError, OverflowError, AttributeError, RuntimeError)
+
+
+class _Attributes(BaseModel):
+    """What a store's attributes must hold once format and version fit."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+    full_scale: PositiveFloat
+    targets: list[Any]
 
 
 def content_hash(dataset: xr.Dataset, *, progress: Progress = quiet) -> str:
     """Return the SHA-256 of a dataset's content, every image read: equal for equal contents, however stored.
 
     Images, all variables along ``frame`` (labels, split and recording among them), the names of the classes, the names
-    of the labels and the full scale count.
-
-    Parameters
-    ----------
-    dataset
-        A dataset with ``image(frame, y, x)``.
-    progress
-        Shown over the batches of images.
+    of the labels and the full scale count. `progress` is shown over the batches of images.
     """
     total = -(-dataset.sizes["frame"] // 64)
     batches = progress(image_batches(dataset, 64), "hashing the dataset", total=total)
@@ -86,24 +95,9 @@ def _hash(dataset: xr.Dataset, digests: NDArray[np.uint8]) -> str:
 
 
 def image_batches(dataset: xr.Dataset, size: int = 64) -> Iterator[NDArray[np.generic]]:
-    """Read the images of a dataset in order, a batch at a time.
+    """Read the images of a dataset, stored or in memory, in order: yield [n, side, side], `size` frames at a time.
 
-    Parameters
-    ----------
-    dataset
-        A dataset with ``image(frame, y, x)``, stored or in memory.
-    size
-        Frames a batch; the last one may be shorter.
-
-    Yields
-    ------
-    ndarray
-        [n, side, side].
-
-    Raises
-    ------
-    InputError
-        When a stored part cannot be read or fails its checksum.
+    Raises an InputError when a stored part cannot be read or fails its checksum.
     """
     if size < 1:
         raise InputError(f"must be positive, is {size}", where="size", remedy="give a number of frames")
@@ -116,22 +110,16 @@ def _images_of(dataset: xr.Dataset) -> xr.DataArray:
     image = dataset.get("image")
     if image is None or image.dims != ("frame", "y", "x"):
         remedy = "build it with `tapetum dataset build`"
-        raise InputError("no images image(frame, y, x)", where=_name(dataset), remedy=remedy)
+        raise InputError("no images image(frame, y, x)", where=dataset.tp.source, remedy=remedy)
     return image
-
-
-def _name(dataset: xr.Dataset) -> str:
-    return str(dataset.encoding.get("source", "dataset"))
 
 
 def _read(array: xr.DataArray, dataset: xr.Dataset) -> NDArray[Any]:
     try:
         return np.asarray(array.values)
-    except (ValueError, RuntimeError, OSError, KeyError) as error:
-        remedy = "build the dataset again"
-        raise InputError(
-            f"damaged: {array.name} cannot be read ({error})", where=_name(dataset), remedy=remedy
-        ) from error
+    except _DAMAGED as error:
+        what = f"damaged: {array.name} cannot be read ({error})"
+        raise InputError(what, where=dataset.tp.source, remedy=_AGAIN) from error
 
 
 def split_variable(split: NDArray[np.int8]) -> xr.Variable:
@@ -141,19 +129,10 @@ def split_variable(split: NDArray[np.int8]) -> xr.Variable:
 
 
 def class_variable(names: Sequence[str], classes: Sequence[str] | None = None) -> xr.Variable:
-    """Return names, one a frame, as the variable `device`: int32 numbers with the attribute ``classes``.
+    """Return names [N], the model of every frame's target, as the variable `device`: int32 numbers with ``classes``.
 
-    Parameters
-    ----------
-    names
-        [N], the model of every frame's target.
-    classes
-        All names, in the order of their numbers; by default those that occur, sorted.
-
-    Raises
-    ------
-    InputError
-        When a name is empty or not among the classes, or a class is named twice.
+    These are all names in the order of their numbers, by default those that occur, sorted. Raises an InputError when a
+    name is empty or not among the classes, or a class is named twice.
     """
     known = sorted(set(map(str, names))) if classes is None else [str(name) for name in classes]
     number = {name: n for n, name in enumerate(known)}
@@ -201,60 +180,42 @@ def dataset_from_arrays(
         When shapes differ, a target is not finite, or the depth is left open.
     """
     array = np.asarray(images)
-    if array.ndim != 3 or array.shape[1] != array.shape[2] or len(array) == 0:
+    count = len(array) if array.ndim else 0
+    if array.ndim != 3 or array.shape[1] != array.shape[2] or not count:
         raise InputError(f"expected square crops [N, side, side], got shape {array.shape}", where="images")
-    if full_scale is None:
-        if array.dtype != np.uint8:
-            raise InputError(
-                f"the depth of {array.dtype} images cannot be known", where="images", remedy="pass full_scale"
-            )
-        full_scale = 255
+    if full_scale is None and array.dtype != np.uint8:
+        what = f"the depth of {array.dtype} images cannot be known"
+        raise InputError(what, where="images", remedy="pass full_scale")
     columns: dict[str, xr.Variable] = {}
     for name, values in targets.items():
         if name == DEVICE:
             names = np.asarray(values).ravel()
-            if len(names) != len(array) or names.dtype.kind not in "UO":
-                raise InputError(f"expected {len(array)} names, got shape {names.shape}", where=name)
+            if len(names) != count or names.dtype.kind not in "UO":
+                raise InputError(f"expected {count} names, got shape {names.shape}", where=name)
             columns[name] = class_variable([str(one) for one in names])
             continue
         column = np.asarray(values, dtype=np.float32)
-        if column.shape != (len(array),) or not np.isfinite(column).all():
-            raise InputError(f"expected {len(array)} finite values, got shape {column.shape}", where=name)
+        if column.shape != (count,) or not np.isfinite(column).all():
+            raise InputError(f"expected {count} finite values, got shape {column.shape}", where=name)
         columns[name] = xr.Variable(("frame",), column, {"units": QUANTITIES.get(name, "1")})
-    zeros = np.zeros(len(array))
-    parts = np.asarray(zeros if split is None else split).astype(np.int8)
-    videos = np.asarray(zeros if recording is None else recording).astype(np.int32)
-    if (
-        parts.shape != (len(array),)
-        or videos.shape != (len(array),)
-        or not np.isin(parts, (TRAIN, TEST, EMBARGO)).all()
-    ):
-        raise InputError(
-            f"expected {len(array)} values, split of 0 (train), 1 (test) or 2 (neither)", where="split, recording"
-        )
-    return xr.Dataset(
-        {
-            "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
-            **columns,
-            "split": split_variable(parts),
-            "recording": xr.Variable(("frame",), videos),
-        },
-        attrs={
-            "format": FORMAT,
-            "version": VERSION,
-            "full_scale": float(full_scale),
-            "targets": list(columns),
-        },
-    )
+    parts = np.zeros(count, np.int8) if split is None else np.asarray(split).astype(np.int8)
+    videos = np.zeros(count, np.int32) if recording is None else np.asarray(recording).astype(np.int32)
+    if {parts.shape, videos.shape} != {(count,)} or not np.isin(parts, (TRAIN, TEST, EMBARGO)).all():
+        what = f"expected {count} values, split of 0 (train), 1 (test) or 2 (neither)"
+        raise InputError(what, where="split, recording")
+    variables = {
+        "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
+        **columns,
+        "split": split_variable(parts),
+        "recording": xr.Variable(("frame",), videos),
+    }
+    scale = 255.0 if full_scale is None else float(full_scale)
+    attributes = {"format": FORMAT, "version": VERSION, "full_scale": scale, "targets": list(columns)}
+    return xr.Dataset(variables, attrs=attributes)
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
-    """Open a dataset lazily: images are read when they are used.
-
-    Parameters
-    ----------
-    path
-        A local folder or any address that fsspec knows.
+    """Open a dataset, a local folder or any address that fsspec knows; images are read when they are used.
 
     Returns
     -------
@@ -267,51 +228,30 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     Raises
     ------
     InputError
-        When there is nothing there, it is not a Tapetum dataset, a newer Tapetum wrote it, or parts are
-        missing.
+        When nothing is there, it is not a Tapetum dataset, a newer Tapetum wrote it, or parts are missing.
     """
     address = str(path)
     local = "://" not in address
     if local and not Path(address).exists():
         raise InputError("does not exist", where=address, remedy="build it with `tapetum dataset build`")
     if local and not (Path(address) / "zarr.json").is_file():
-        raise InputError(
-            "is not a dataset (no zarr.json)",
-            where=address,
-            remedy="give a folder that `tapetum dataset build` wrote",
-        )
-    remedy = "build the dataset again"
+        raise InputError("is not a dataset (no zarr.json)", where=address, remedy=_BUILT)
     try:
         group = zarr.open_group(address, mode="r", zarr_format=3)
         attributes = dict(group.attrs)
-    except (ValueError, OSError, KeyError, TypeError, ImportError, OverflowError, AttributeError) as error:
-        raise InputError(f"is not a readable Zarr v3 store ({error})", where=address, remedy=remedy) from error
+    except _DAMAGED as error:
+        raise InputError(f"is not a readable Zarr v3 store ({error})", where=address, remedy=_AGAIN) from error
     _check_format(attributes, address)
     try:
-        # No chunks=...: that is for Dask, which Tapetum does without. Counts stay counts: no masks, no
-        # scaling.
+        # chunks=None: arrays without Dask. Counts stay counts: no masks, no scaling.
         dataset = xr.open_zarr(
             address, zarr_format=3, consolidated=False, chunks=None, mask_and_scale=False, decode_times=False
         )
-        missing = [name for name in (*_NEEDED, *_listed(attributes)) if name not in dataset]
-        if missing:
-            raise InputError(f"damaged: lacks {', '.join(missing)}", where=address, remedy=remedy)
-        if DEVICE in _listed(attributes) and not _named(dataset[DEVICE]):
-            raise InputError(f"damaged: {DEVICE} lacks names for its numbers", where=address, remedy=remedy)
-        for name in dataset.variables if local else ():
-            array = group[str(name)]
-            # Zarr reads a chunk that is not there as zeros, without a word.
-            if isinstance(array, zarr.Array) and array.nchunks_initialized != array.nchunks:
-                lost = array.nchunks - array.nchunks_initialized
-                raise InputError(
-                    f"damaged: {lost} of {array.nchunks} parts of {name} are missing",
-                    where=address,
-                    remedy=remedy,
-                )
-    except InputError:
-        raise
-    except (ValueError, OSError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
-        raise InputError(f"damaged: {error}", where=address, remedy=remedy) from error
+        found = _faults(dataset, group, _listed(attributes), chunks=local)
+    except (*_DAMAGED, MemoryError) as error:
+        raise InputError(f"damaged: {error}", where=address, remedy=_AGAIN) from error
+    for fault in found:
+        raise InputError(f"damaged: {fault}", where=address, remedy=_AGAIN)
     dataset.encoding["source"] = address
     # The labels are small, and a damaged one should be reported here, not in the middle of training.
     for name, variable in dataset.data_vars.items():
@@ -322,26 +262,35 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
 def _check_format(attributes: Mapping[str, Any], address: str) -> None:
     if attributes.get("format") != FORMAT:
-        remedy = "give a folder that `tapetum dataset build` wrote"
-        raise InputError(
-            f"is not a Tapetum dataset (format {attributes.get('format')!r})", where=address, remedy=remedy
-        )
+        what = f"is not a Tapetum dataset (format {attributes.get('format')!r})"
+        raise InputError(what, where=address, remedy=_BUILT)
     version = attributes.get("version")
     if not isinstance(version, int) or version > VERSION:
-        raise InputError(
-            f"has version {version!r} of the format, this Tapetum reads up to {VERSION}",
-            where=address,
-            remedy="update Tapetum",
-        )
-    full_scale = attributes.get("full_scale")
-    if not isinstance(full_scale, int | float) or not full_scale > 0 or not isinstance(attributes.get("targets"), list):
-        raise InputError("damaged: no full_scale or targets", where=address, remedy="build the dataset again")
+        what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
+        raise InputError(what, where=address, remedy="update Tapetum")
+    try:
+        _Attributes.model_validate(attributes)
+    except ValidationError as error:
+        raise InputError("damaged: no full_scale or targets", where=address, remedy=_AGAIN) from error
 
 
-def _named(device: xr.DataArray) -> bool:
-    """Whether every number of a class label has its name."""
-    classes, numbers = device.attrs.get("classes"), np.asarray(device.values)
-    return isinstance(classes, list) and (not numbers.size or 0 <= numbers.min() <= numbers.max() < len(classes))
+def _faults(dataset: xr.Dataset, group: zarr.Group, targets: Sequence[str], *, chunks: bool) -> list[str]:
+    """Return what a store lacks: variables, names of classes, chunks."""
+    found = []
+    if missing := [name for name in (*_NEEDED, *targets) if name not in dataset]:
+        found.append(f"lacks {', '.join(missing)}")
+    if DEVICE in targets and DEVICE in dataset:
+        classes, numbers = dataset[DEVICE].attrs.get("classes"), np.asarray(dataset[DEVICE].values)
+        known = len(classes) if isinstance(classes, list) else 0
+        if not isinstance(classes, list) or (numbers.size and not 0 <= numbers.min() <= numbers.max() < known):
+            found.append(f"{DEVICE} lacks names for its numbers")
+    for name in dataset.variables if chunks else ():
+        array = group[str(name)]
+        # Zarr reads a chunk that is not there as zeros, without a word.
+        if isinstance(array, zarr.Array) and array.nchunks_initialized != array.nchunks:
+            lost = array.nchunks - array.nchunks_initialized
+            found.append(f"{lost} of {array.nchunks} parts of {name} are missing")
+    return found
 
 
 def _listed(attributes: Mapping[str, Any]) -> tuple[str, ...]:
@@ -358,16 +307,8 @@ class DatasetAccessor:
     def plot(self, count: int = 12) -> Figure:
         """Draw some crops, evenly spread over the set, with their labels.
 
-        Parameters
-        ----------
-        count
-            How many at the most.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            It belongs to no window: a notebook shows it, `savefig` writes it. `tapetum dataset info --sheet` draws a
-            whole contact sheet.
+        At most `count`. The figure belongs to no window: a notebook shows it, `savefig` writes it. `tapetum dataset
+        info --sheet` draws a whole contact sheet.
         """
         from matplotlib.figure import Figure
 
@@ -382,12 +323,15 @@ class DatasetAccessor:
             axis = figure.add_subplot(tall, wide, n + 1)
             axis.imshow(np.sqrt(image), cmap="inferno", vmin=0, vmax=self.full_scale**0.5)
             axis.set_axis_off()
-            told = [self._label(name, few[name].values[n]) for name in self.targets if name in few]
+            values = [(name, few[name].values[n]) for name in self.targets if name in few]
+            told = [self.classes[int(one)] if name == DEVICE else f"{float(one):.3g}" for name, one in values]
             axis.set_title(", ".join(told), fontsize=7)
         return figure
 
-    def _label(self, name: str, value: Any) -> str:
-        return self.classes[int(value)] if name == DEVICE else f"{float(value):.3g}"
+    @property
+    def source(self) -> str:
+        """Where it was read from, for messages."""
+        return str(self._dataset.encoding.get("source", "dataset"))
 
     def _part(self, flag: int) -> xr.Dataset:
         wanted = np.flatnonzero(np.asarray(self._dataset["split"].values) == flag)
@@ -427,8 +371,8 @@ class DatasetAccessor:
     def hash(self) -> str:
         """SHA-256 of what this set holds now: a part of it (``train``, ``test``) or a relabelled copy has its own.
 
-        Images in memory are hashed as they are; of a stored set the digests kept beside its images are taken, and sets
-        of earlier versions, which have none, are read. See `content_hash`.
+        Of a stored set the digests kept beside its images are taken; images in memory, and sets of earlier versions,
+        which have no digests, are read. See `content_hash`.
         """
         image, digests = _images_of(self._dataset), self._dataset.get(DIGEST)
         # Digests are those of the stored images: what is in memory may have been changed.
@@ -446,15 +390,9 @@ class DatasetAccessor:
         return image_batches(self._dataset, batch)
 
     def values(self, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """Return labels as [N, len(names)].
-
-        Raises
-        ------
-        InputError
-            When the dataset lacks one of them.
-        """
+        """Return labels as [N, len(names)]; raise an InputError when the dataset lacks one of them."""
         for name in names:
             if name not in self._dataset:
                 have = ", ".join(self.targets) or "none"
-                raise InputError(f"has no label {name!r}", where=_name(self._dataset), remedy=f"it has: {have}")
+                raise InputError(f"has no label {name!r}", where=self.source, remedy=f"it has: {have}")
         return np.stack([np.asarray(self._dataset[n].values, dtype=np.float64) for n in names], axis=1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -13,27 +12,21 @@ from numpy.typing import NDArray
 from tapetum.data.dataset import TEST, TRAIN
 from tapetum.progress import Progress
 
-__all__ = ["CELLS", "NEAR_BITS", "Doubles", "digest", "exact_pairs", "fingerprint", "near_pairs", "summed_up"]
+__all__ = ["CELLS", "NEAR_BITS", "Doubles", "exact_pairs", "fingerprint", "near_pairs", "summed_up"]
 
 NEAR_BITS = 16
 """Frames count as nearly the same when their 256-bit fingerprints differ in at most this many bits.
 
-The fingerprint tells which of two neighbouring cells of a 16 x 17 mosaic is brighter. Where the picture is dark, noise
-decides that; so two exposures of one scene differ in some hundred bits, and what is left are copies: the same exposure
-saved again, compressed, shifted by some counts, or scaled. Pictures without noise are near by their RR alone.
+The fingerprint tells which of two neighbouring cells of a 16 x 17 mosaic is brighter. In dark areas noise decides that;
+so two exposures of one scene differ in some hundred bits, and what is left are copies: the same exposure saved again,
+compressed, shifted by some counts, or scaled. Images without noise are near by their RR alone.
 """
 
 CELLS = 16
 """Rows of the fingerprint's mosaic, and comparisons in each."""
 
-# More frames than any set has; and pairs compared at once, which bounds the memory.
-_FRAMES = 1 << 40
-_FAR = (NEAR_BITS + 1) * _FRAMES
-_AT_ONCE = 1 << 18
-# Time of a pair that shares a part, over that of a pair in a matrix product (measured: some 4).
-_DEARER = 4
-# Pairs that a summary names, so that a person can look at them.
-_PAIRS_KEPT = 20
+# Pairs that a summary names, so that a person can look at them; frames compared with all earlier ones at once.
+_PAIRS_KEPT, _STEP = 20, 512
 
 
 @dataclass(frozen=True)
@@ -45,24 +38,18 @@ class Doubles:
     pairs: tuple[tuple[int, int], ...]
 
 
-def digest(image: NDArray[np.generic]) -> bytes:
-    """Return 16 letters that equal images share."""
-    return hashlib.blake2b(np.ascontiguousarray(image).data, digest_size=8).hexdigest().encode()
-
-
 def fingerprint(image: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Return the 256 bits of a finite picture [H, W] that nearly equal pictures nearly share; see `NEAR_BITS`."""
+    """Return the 256 bits of a finite image [H, W] that nearly equal images nearly share; see `NEAR_BITS`."""
     mosaic = cv2.resize(image.astype(np.float32), (CELLS + 1, CELLS), interpolation=cv2.INTER_AREA)
     return (mosaic[:, 1:] > mosaic[:, :-1]).ravel()
 
 
-def exact_pairs(digests: NDArray[np.bytes_], split: NDArray[np.integer]) -> list[tuple[int, int]]:
-    """Return (first, later) for every frame that equals an earlier one; the other part's first, where there is one."""
+def exact_pairs(digests: NDArray[np.uint8], split: NDArray[np.integer]) -> list[tuple[int, int]]:
+    """Return (first, later) for every frame whose digest [N, B] an earlier one has: the other part's first, if any."""
     seen: dict[bytes, dict[int, int]] = {}
     pairs: list[tuple[int, int]] = []
-    for n, found in enumerate(digests.tolist()):
-        firsts = seen.setdefault(found, {})
-        part = int(split[n])
+    for n, (found, part) in enumerate(zip(digests, split.tolist(), strict=True)):
+        firsts = seen.setdefault(found.tobytes(), {})
         if firsts:
             pairs.append((next((f for p, f in firsts.items() if p != part), min(firsts.values())), n))
         firsts.setdefault(part, n)
@@ -70,60 +57,21 @@ def exact_pairs(digests: NDArray[np.bytes_], split: NDArray[np.integer]) -> list
 
 
 def near_pairs(prints: NDArray[np.bool_], wanted: NDArray[np.bool_], progress: Progress) -> Iterator[tuple[int, int]]:
-    """Yield (earlier, later) for every wanted frame whose fingerprint is near an earlier one's, nearest first.
+    """Yield (earlier, later) for every wanted frame whose fingerprint [N, 256] is near an earlier one's, nearest first.
 
-    Two fingerprints that differ in at most `NEAR_BITS` bits share one of `NEAR_BITS` + 1 parts whole (multi-index
-    hashing: Norouzi, Punjani and Fleet, CVPR 2012), so only frames that share a part are compared: of frames with noise
-    few do. Where all are much alike, every pair is.
+    Every frame is compared with all earlier ones, by matrix products: for a hundred thousand frames that takes a
+    fraction of the time in which their images are read.
     """
     frames = np.flatnonzero(wanted)
-    bits = prints[frames]
-    # Every 17th bit: neighbouring cells of the mosaic hang together, and would fall into one part.
-    parts = [_numbered(bits[:, part :: NEAR_BITS + 1]) for part in range(NEAR_BITS + 1)]
-    shared = sum(int((np.unique(part, return_counts=True)[1].astype(np.int64) ** 2).sum()) for part in parts)
-    few = _DEARER * shared < len(frames) ** 2
-    nearest = _near_by_parts(bits, parts, progress) if few else _near_of_all(bits, progress)
-    for n in np.flatnonzero(nearest < _FAR).tolist():
-        yield int(frames[nearest[n] % _FRAMES]), int(frames[n])
-
-
-def _numbered(bits: NDArray[np.bool_]) -> NDArray[np.int64]:
-    return bits @ (1 << np.arange(bits.shape[1], dtype=np.int64))
-
-
-def _near_by_parts(bits: NDArray[np.bool_], parts: list[NDArray[np.int64]], progress: Progress) -> NDArray[np.int64]:
-    """Each frame's nearest earlier one of those that share a part, as `_FRAMES` times the distance and its number."""
-    packed = np.packbits(bits, axis=1).view(np.uint64)
-    nearest = np.full(len(bits), _FAR, dtype=np.int64)
-    for part in progress(parts, "comparing them", total=len(parts)):
-        order = np.argsort(part, kind="stable")
-        key, first, lag = part[order], np.arange(len(part)), 0
-        while len(first):
-            lag += 1
-            first = first[first + lag < len(key)]
-            first = first[key[first] == key[first + lag]]
-            for some in np.array_split(first, -(-len(first) // _AT_ONCE) or 1):
-                earlier, later = order[some], order[some + lag]
-                apart = np.bitwise_count(packed[earlier] ^ packed[later]).sum(axis=1, dtype=np.int64)
-                near = apart <= NEAR_BITS
-                np.minimum.at(nearest, later[near], apart[near] * _FRAMES + earlier[near])
-    return nearest
-
-
-def _near_of_all(bits: NDArray[np.bool_], progress: Progress) -> NDArray[np.int64]:
-    """The same among all earlier frames, by matrix products."""
-    signs = np.where(bits, np.float32(1), np.float32(-1))
-    nearest = np.full(len(bits), _FAR, dtype=np.int64)
-    step = 512
-    for start in progress(range(0, len(signs), step), "comparing them", total=-(-len(signs) // step)):
-        later = slice(start, min(start + step, len(signs)))
+    signs = np.where(prints[frames], np.float32(1), np.float32(-1))
+    for start in progress(range(0, len(signs), _STEP), "comparing them", total=-(-len(signs) // _STEP)):
+        later = np.arange(start, min(start + _STEP, len(signs)))
         # Equal bits add 1 to the product, others take 1 away.
-        apart = (signs.shape[1] - signs[later] @ signs[: later.stop].T) / 2
-        apart[np.arange(later.stop)[None, :] >= np.arange(start, later.stop)[:, None]] = np.inf
+        apart = (signs.shape[1] - signs[later] @ signs[: later[-1] + 1].T) / 2
+        apart[np.arange(later[-1] + 1) >= later[:, None]] = np.inf
         least, best = apart.min(axis=1), apart.argmin(axis=1)
-        near = least <= NEAR_BITS
-        nearest[later][near] = least[near].astype(np.int64) * _FRAMES + best[near]
-    return nearest
+        for n in np.flatnonzero(least <= NEAR_BITS):
+            yield int(frames[best[n]]), int(frames[later[n]])
 
 
 def summed_up(pairs: list[tuple[int, int]], split: NDArray[np.integer]) -> Doubles:

@@ -29,21 +29,10 @@ def reach_of(dataset: xr.Dataset) -> NDArray[np.float64] | None:
 def meeting(
     span: NDArray[np.float64], recording: NDArray[np.integer], one: NDArray[np.bool_], other: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which frames of one part have a label that overlaps with one of the other part in the same recording.
+    """Return which frames of one part [N] have a label that overlaps with one of the other part in the same recording.
 
-    Parameters
-    ----------
-    span
-        [N, 2] first and last moment that each label rests on, in seconds.
-    recording
-        [N] number of each frame's recording.
-    one, other
-        [N] which frames belong to each part.
-
-    Returns
-    -------
-    ndarray
-        [N], false outside `one`.
+    `span` [N, 2] is the first and last moment that each label rests on, in seconds, `recording` [N] the number of each
+    frame's recording; `one` and `other` [N] say which frames belong to each part. The result is false outside `one`.
     """
     found = np.zeros(len(span), dtype=bool)
     for number in np.unique(recording[one]):

@@ -7,8 +7,7 @@ from pathlib import Path
 
 from tapetum.data.importing.inventory import Inventory, common_root, look_into
 from tapetum.data.importing.mapping import ImportMapping, load_mapping
-from tapetum.data.importing.proposal import Proposal
-from tapetum.data.importing.propose import propose
+from tapetum.data.importing.propose import Proposal, propose
 from tapetum.data.importing.videos import write_videos
 from tapetum.data.importing.write import write_stacks
 from tapetum.progress import Progress, quiet
@@ -45,7 +44,7 @@ def import_dataset(
     root
         The folder that the mapping's paths start from.
     out
-        The store to write, by custom NAME.zarr.
+        The store to write, by convention NAME.zarr.
     progress
         Shown over the pictures.
     overwrite
@@ -54,7 +53,7 @@ def import_dataset(
     Returns
     -------
     list of str
-        What to tell of each recording that was made: how its clocks were aligned, and how many frames are labelled.
+        A line for each recording that was made: how its clocks were aligned, and how many frames are labelled.
 
     Raises
     ------
@@ -62,7 +61,7 @@ def import_dataset(
         When a file is missing or damaged, labels do not fit their pictures, or two clocks cannot be aligned. Nothing
         is written then.
     """
-    if mapping.stacks:
-        write_stacks(mapping, Path(root), out, progress, overwrite)
-        return []
-    return write_videos(mapping, Path(root), Path(out), progress, overwrite)[1]
+    if mapping.videos:
+        return write_videos(mapping, Path(root), Path(out), progress, overwrite)
+    write_stacks(mapping, Path(root), out, progress, overwrite)
+    return []

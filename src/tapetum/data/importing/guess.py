@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from tapetum.data.crop import find_centre
 from tapetum.data.importing.columns import Reader, numbers
-from tapetum.data.importing.fields import Column
+from tapetum.data.importing.mapping import Column
 from tapetum.errors import InputError
 
-__all__ = ["WORDS", "constants", "depth", "gaze_unit", "key", "length_unit", "looks_centred", "meaning"]
+__all__ = ["WORDS", "constants", "depth", "key", "looks_centred", "meaning", "unit"]
 
 WORDS = {
     "gaze_x": ("gazex", "gx", "x", "spotx", "laserx", "targetx", "posx", "xpx", "labelx", "theta"),
@@ -59,36 +59,25 @@ def constants(path: str) -> dict[str, str]:
     return {name: value for name, value in found.items() if value}
 
 
-def gaze_unit(column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
-    """Guess what gaze is counted in from its values; return what to add to the column, and a note."""
-    values = _values(column, reader, count)
-    if values is None or not np.isfinite(values).any():
+def unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
+    """Guess from its values what a label is counted in; return what to add to the column, and a note."""
+    try:
+        values = numbers(reader.values(Column(**column), count), str(column))
+    except InputError:
+        values = np.empty(0)
+    if not np.isfinite(values).any():
         return {}, "unit unknown"
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    span = f"{low:.3g} to {high:.3g}"
+    if not name.startswith("gaze"):
+        # Focal lengths beyond 1.5 m and object distances beyond 100 m are millimetres, on every bench.
+        length = "mm" if high > (1.5 if name == "focal_length" else 100) else "m"
+        return {"unit": length}, f"up to {high:.4g}: taken as {length}"
+    span = f"{low:.3g} to {high:.3g}: taken as"
     if -0.75 <= low < 0 and high <= 0.75:
-        return {}, f"{span}: taken as fractions of the field from its centre"
+        return {}, f"{span} fractions of the field from its centre"
     if low >= 0 and high <= 1:
-        return {"origin": "corner"}, f"{span}: taken as fractions of the field from its upper left corner"
-    return {"unit": "px", "size": None}, f"{span}: taken as pixels; write the target frame's size in place of null"
-
-
-def length_unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
-    """Guess the unit of a length from its values."""
-    values = _values(column, reader, count)
-    if values is None or not np.isfinite(values).any():
-        return {}, "unit unknown"
-    high = float(np.nanmax(values))
-    # Focal lengths beyond 1.5 m and object distances beyond 100 m are millimetres, on every bench.
-    unit = "mm" if high > (1.5 if name == "focal_length" else 100) else "m"
-    return {"unit": unit}, f"up to {high:.4g}: taken as {unit}"
-
-
-def _values(column: dict[str, Any], reader: Reader, count: int) -> NDArray[np.float64] | None:
-    try:
-        return numbers(reader.values(Column(**column), count), str(column))
-    except InputError:
-        return None
+        return {"origin": "corner"}, f"{span} fractions of the field from its upper left corner"
+    return {"unit": "px", "size": None}, f"{span} pixels; write the target frame's size in place of null"
 
 
 def depth(sample: Sequence[NDArray[Any]]) -> int:
