@@ -118,7 +118,7 @@ def onnx_bytes(model: Predictor) -> bytes:
         torch.onnx.export(
             deployed,
             example,
-            content,
+            content,  # type: ignore[arg-type]  # it takes a stream as well
             dynamo=False,
             opset_version=_OPSET,
             input_names=["counts", "full_scale"],

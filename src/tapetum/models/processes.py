@@ -138,6 +138,7 @@ def companions(
     inputs = (up, count, share, device, precision, work, arguments)
     group = start_processes(_companion, inputs, nprocs=count - 1, join=False, daemon=True, start_method="spawn")
     assert isinstance(group, ProcessContext)  # and not None, as where it waits for their end
+    started: list[Any] = group.processes
     try:
         _await_all(group, up, count - 1)
         ours = make_fabric(device, precision, processes=count)
@@ -154,11 +155,11 @@ def companions(
         remedy = "use fewer processes; a checkpoint can be resumed"
         raise InputError(lost, where="processes", remedy=remedy) from error
     finally:
-        for process in group.processes:
+        for process in started:
             process.terminate()
         if torch.distributed.is_initialized():
             torch.distributed.destroy_process_group()
-        for process in group.processes:
+        for process in started:
             process.join()
         torch.set_num_threads(threads)
         os.environ.clear()

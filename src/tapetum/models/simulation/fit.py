@@ -187,13 +187,13 @@ class SimulationFit(Estimator):
 
     def _estimate(self, images: NDArray[np.generic], full_scale: float | None) -> Prediction:
         found = [self.fit_image(image, full_scale=full_scale) for image in images]
-        ends = (
+        value, lower, upper = (
             np.array([getattr(one, name) for one in found], np.float64).reshape(len(found), len(self.quantities))
             for name in ("values", "lower", "upper")
         )
         why = "the scene does not explain it: residuals {:.3g} times the noise's"
         reasons = ["" if one.misfit <= _FOREIGN else why.format(one.misfit) for one in found]
-        raw = judged(Prediction(self.quantities, *ends), None)
+        raw = judged(Prediction(self.quantities, value, lower, upper), None)
         return raw.because([own or other for own, other in zip(reasons, raw.reason, strict=True)], described=True)
 
     def fit_image(
