@@ -193,7 +193,6 @@ class ZernikeRidge(Estimator):
         return self._look(np.zeros((1, self._width))).shape[1]
 
     def parameters(self) -> dict[str, Any]:
-        """Return the arguments of ``__init__``, fit for JSON."""
         names = ("order", "alpha", "standardise", "calibration_fraction")
         lists = {"target": plain_target(self.target), "scales": list(self.scales), "powers": list(self.powers)}
         return {**lists, **{name: getattr(self, name) for name in names}}
@@ -210,7 +209,6 @@ class ZernikeRidge(Estimator):
     def from_state(
         cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
     ) -> Self:
-        """Make a fitted model of what `parameters` and `state` returned."""
         del classes
         model = cls(**parameters)
         k, width = len(model.target_names), model._width

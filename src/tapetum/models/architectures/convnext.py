@@ -20,7 +20,6 @@ class _Norm(nn.LayerNorm):
         super().__init__(channels, eps=_EPSILON)
 
     def forward(self, input: Tensor) -> Tensor:
-        """Return the same shape."""
         return super().forward(input.permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
 
 
@@ -30,7 +29,6 @@ class _Perceptron(nn.Module):
         self.fc1, self.act, self.fc2 = nn.Conv2d(width, 4 * width, 1), nn.GELU(), nn.Conv2d(4 * width, width, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the same shape."""
         return self.fc2(self.act(self.fc1(x)))
 
 
@@ -44,7 +42,6 @@ class _Block(nn.Module):
         self.gamma = nn.Parameter(torch.full((width,), _FIRST_SCALE))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the same shape."""
         return x + self.gamma[:, None, None] * self.mlp(self.norm(self.conv_dw(x)))
 
 
@@ -96,9 +93,7 @@ class ConvNeXtPico(Network):
 
     @property
     def head(self) -> nn.Linear:
-        """The last layer."""
         return self._top.fc
 
     def features(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to features [N, 512]."""
         return self._top.norm(self.stages(self.stem(x)).mean((2, 3), keepdim=True)).flatten(1)

@@ -36,18 +36,10 @@ def _layer(inputs: int, outputs: int, stride: int) -> nn.Sequential:
 
 
 class ResNet18Network(Network):
-    """ResNet-18 with one input channel and a linear head.
+    """ResNet-18 with a linear head: see `Network`.
 
-    Parameters
-    ----------
-    outputs
-        Numbers an image is mapped to.
-    channels
-        Channels of an image.
-    seed
-        Of the initial weights: He's normal distribution by fan-out; the last normalisation of every block
-        starts at 0, so that each block starts as its shortcut (Goyal et al., arXiv:1706.02677). torch's own
-        generator is not touched.
+    Weights start by He's normal distribution by fan-out; the last normalisation of every block starts at 0, so that
+    each block starts as its shortcut (Goyal et al., arXiv:1706.02677).
     """
 
     title, width = "ResNet-18", 512
@@ -80,12 +72,10 @@ class ResNet18Network(Network):
         nn.init.zeros_(self.fc.bias)
 
     def features(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to the [N, 512] features that the last layer weighs."""
         x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
         return torch.flatten(self.avgpool(x), 1)
 
     @property
     def head(self) -> nn.Linear:
-        """The last layer."""
         return self.fc

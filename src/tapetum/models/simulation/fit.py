@@ -240,7 +240,6 @@ class SimulationFit(Estimator):
         return {name: float(deviations[top.names.index(name)]) for name in self.quantities}
 
     def parameters(self) -> dict[str, Any]:
-        """Return the arguments of ``__init__``, fit for JSON."""
         names = ("starts", "accuracy", "window", "unevenness", "nodes", "seed")
         lists = {"parameters": list(self.quantities), "nuisances": list(self.nuisances), "offsets": list(self.offsets)}
         return {"scene": scene_dict(self.scene), **lists, **{name: getattr(self, name) for name in names}}
@@ -253,7 +252,6 @@ class SimulationFit(Estimator):
     def from_state(
         cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
     ) -> Self:
-        """Make the estimator again from what `parameters` returned."""
         del state, classes
         given = dict(parameters)
         scene = scene_from_dict(given.pop("scene"))
