@@ -1,4 +1,4 @@
-"""What may differ between two pictures of the same gaze: brightness, centring, noise."""
+"""Random variations of the training images that do not change the gaze: brightness, centring, noise."""
 
 from __future__ import annotations
 
@@ -44,9 +44,8 @@ class Augmentation:
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             if not (math.isfinite(value) and value >= 0):
-                raise InputError(
-                    f"must not be negative, is {value}", where=f"augmentation.{name}", remedy="0 turns it off"
-                )
+                what = f"must not be negative, is {value}"
+                raise InputError(what, where=f"augmentation.{name}", remedy="0 turns it off")
 
     @classmethod
     def none(cls) -> Self:

@@ -1,4 +1,4 @@
-"""Probabilities that mean what they say: one temperature for all of a network's class scores."""
+"""Calibrated probabilities: one temperature for all of a network's class scores."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.special import log_softmax, softmax
 
 __all__ = ["fit_temperature", "probabilities"]
 
-# Of the logarithm of the temperature. A network that is never wrong on few frames is not sure beyond all measure.
+# Of the temperature's logarithm: few frames without an error must not make a network certain.
 _RANGE = (-2.0, 4.0)
 
 
@@ -33,12 +33,12 @@ def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.integer]) -
     if not len(scores):
         return 1.0
     own = np.arange(len(scores)), classes
-    # As Laplace would have it, one more frame is wrong: without, the frames' number would not bound the certainty.
+    # Laplace's rule: one more frame counts as wrong, or few frames without an error would give certainty.
     counted = (len(scores), 1)
 
     def loss(log: float) -> float:
-        told = np.asarray(log_softmax(scores / np.exp(log), axis=1))
-        return float((counted[0] * -told[own].mean() - counted[1] * told.mean(axis=1).mean()) / sum(counted))
+        log_p = np.asarray(log_softmax(scores / np.exp(log), axis=1))
+        return float((counted[0] * -log_p[own].mean() - counted[1] * log_p.mean(axis=1).mean()) / sum(counted))
 
     best: Any = minimize_scalar(loss, bounds=_RANGE, method="bounded")
     return float(np.exp(best.x))

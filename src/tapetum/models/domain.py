@@ -13,9 +13,10 @@ from torch import Tensor
 
 from tapetum.errors import InputError
 from tapetum.models.prediction import Prediction
+from tapetum.models.state import checked_state
 from tapetum.optics.zernike import mode_count, noll_to_nm, zernike_basis
 
-__all__ = ["FALSE_REFUSALS", "Domain", "fit_domain", "judged", "magnitudes", "picture_features"]
+__all__ = ["FALSE_REFUSALS", "Domain", "described", "fit_domain", "judged", "magnitudes", "picture_features"]
 
 Array = NDArray[np.float64]
 
@@ -25,8 +26,8 @@ FALSE_REFUSALS = 0.01
 ORDER = 8
 """Highest radial order of the Zernike modes that describe a picture."""
 
-# Of a feature's variance, added to each direction: without it, directions in which the training frames agree by chance
-# decide.
+# Of a feature's variance, added to each direction: else directions in which the training frames agree by chance would
+# dominate.
 _SHRINKAGE = 0.01
 _FOLDS = 5
 # Below so many frames neither a covariance nor its limit means anything.
@@ -67,23 +68,11 @@ class Domain:
 
     @classmethod
     def from_state(cls, state: Mapping[str, torch.Tensor], features: int) -> Domain | None:
-        """Make it of what `state` returned; None for a model that was saved without one.
-
-        Raises
-        ------
-        InputError
-            When a part is missing, of another shape or not a number.
-        """
-        shapes = {"mean": (features,), "whitening": (features, features), "unit": (1,)}
-        if not any(f"domain.{name}" in state for name in shapes):
+        """Make it of what `state` returned, see `checked_state`; None for a model that was saved without one."""
+        if not any(name.startswith("domain.") for name in state):
             return None
-        found: dict[str, Array] = {}
-        for name, shape in shapes.items():
-            tensor = state.get(f"domain.{name}")
-            if tensor is None or tuple(tensor.shape) != shape or not bool(torch.isfinite(tensor).all()):
-                remedy = "the model's card and its weights do not belong together"
-                raise InputError(f"expected domain.{name} of shape {shape}", where="weights", remedy=remedy)
-            found[name] = tensor.double().numpy()
+        shapes = {"mean": (features,), "whitening": (features, features), "unit": (1,)}
+        found = checked_state(state, shapes, "domain.")
         if not found["unit"][0] > 0:
             raise InputError("domain.unit must be positive", where="weights", remedy="train the model again")
         return cls(found["mean"], found["whitening"], float(found["unit"][0]))
@@ -150,19 +139,15 @@ def magnitudes(coefficients: Array, order: int) -> Array:
 @lru_cache(maxsize=4)
 def projection(size: int) -> NDArray[np.float64]:
     """[size², 2 modes]: least-squares Zernike coefficients, n ≤ 8, of a picture's disc and of that of its middle."""
-    parts = []
-    for side in (size, max(size // 2, 1)):
+    found = np.zeros((2, size, size, mode_count(ORDER)))
+    for whole, side in zip(found, (size, max(size // 2, 1)), strict=True):
         at = (2 * torch.arange(side, dtype=torch.float64) + 1) / side - 1
         y, x = torch.meshgrid(at, at, indexing="ij")
-        inside = (x * x + y * y <= 1).reshape(-1)
-        basis = zernike_basis(ORDER, x.reshape(-1)[inside], y.reshape(-1)[inside])
-        square = np.zeros((side * side, mode_count(ORDER)))
-        square[inside.numpy()] = torch.linalg.pinv(basis).numpy()
+        inside = x * x + y * y <= 1
+        fit = torch.linalg.pinv(zernike_basis(ORDER, x[inside], y[inside]))
         edge = (size - side) // 2
-        whole = np.zeros((size, size, mode_count(ORDER)))
-        whole[edge : edge + side, edge : edge + side] = square.reshape(side, side, -1)
-        parts.append(whole.reshape(size * size, -1))
-    return np.concatenate(parts, axis=1)
+        whole[edge : edge + side, edge : edge + side][inside.numpy()] = fit.numpy()
+    return np.concatenate(found.reshape(2, size * size, -1), axis=1)
 
 
 def picture_width() -> int:
@@ -184,14 +169,17 @@ def picture_features(images: Tensor) -> Array:
         [N, 52]: `magnitudes` of the Zernike coefficients n ≤ 8 over the inscribed disc and over that of the
         middle half, the root mean square, and the largest value.
     """
-    flat = images.detach().cpu().flatten(1)
-    if not len(flat):
-        return np.empty((0, picture_width()))
-    found = (flat @ torch.from_numpy(projection(images.shape[-1])).float()).double().numpy()
-    half = found.shape[1] // 2
-    parts = [magnitudes(found[:, :half], ORDER), magnitudes(found[:, half:], ORDER)]
-    others = [flat.square().mean(dim=1).sqrt(), flat.amax(dim=1)]
-    return np.concatenate([*parts, *(one.double().numpy()[:, None] for one in others)], axis=1)
+    return described(images.detach().cpu(), torch.float64).numpy()
+
+
+def described(images: Tensor, precision: torch.dtype) -> Tensor:
+    """Return `picture_features` of prepared images, summed in some precision; an export to ONNX traces it."""
+    flat, width = images.flatten(1), images.shape[-1]
+    modes = flat @ torch.from_numpy(projection(width)).to(flat)
+    kinds = torch.from_numpy(np.kron(np.eye(2), groups(ORDER))).to(precision)
+    squares = modes.to(precision).square() @ kinds
+    others = [flat.square().mean(dim=1, keepdim=True).sqrt(), flat.amax(dim=1, keepdim=True)]
+    return torch.cat([squares.sqrt(), *(one.to(precision) for one in others)], 1)
 
 
 def judged(prediction: Prediction, distance: Array | None) -> Prediction:

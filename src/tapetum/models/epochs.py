@@ -1,4 +1,4 @@
-"""What a training is given, and what each of its epochs came to."""
+"""Settings of a training, and the report of each epoch."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ class TrainingSettings:
 
 @dataclass(frozen=True)
 class EpochReport:
-    """What an epoch came to.
+    """The result of an epoch.
 
     Parameters
     ----------

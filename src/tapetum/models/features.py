@@ -56,22 +56,16 @@ def as_images(
     if array.ndim != 3 or array.shape[1] != array.shape[2]:
         raise InputError(f"expected square crops [N, side, side], got shape {array.shape}", where=where)
     if array.dtype.kind not in "iuf":
-        raise InputError(
-            f"images of type {array.dtype} are not grey levels",
-            where=where,
-            remedy="give uint8, uint16 or float",
-        )
+        what = f"images of type {array.dtype} are not grey levels"
+        raise InputError(what, where=where, remedy="give uint8, uint16 or float")
     if full_scale is None:
         if array.dtype != np.uint8:
             remedy = "pass full_scale, for example 4095 for a 12-bit camera"
             raise InputError(f"the depth of {array.dtype} images cannot be known", where=where, remedy=remedy)
         full_scale = 255.0
     if not full_scale > 0:
-        raise InputError(
-            f"must be positive, is {full_scale}",
-            where="full_scale",
-            remedy="give the largest count of a pixel",
-        )
+        remedy = "give the largest count of a pixel"
+        raise InputError(f"must be positive, is {full_scale}", where="full_scale", remedy=remedy)
     return array, float(full_scale)
 
 
@@ -122,11 +116,8 @@ def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor
         own = basis[alike]
         gram = (own * weight) @ own.T
         if int(torch.linalg.matrix_rank(gram, hermitian=True)) < len(alike):
-            raise InputError(
-                f"a crop of {side} pixels cannot separate {modes} modes",
-                where="scales",
-                remedy="use larger crops or a lower order",
-            )
+            what = f"a crop of {side} pixels cannot separate {modes} modes"
+            raise InputError(what, where="scales", remedy="use larger crops or a lower order")
         quadrant = torch.zeros(half * half, len(alike), dtype=torch.float64)
         quadrant[inside] = torch.linalg.solve(gram, own).T
         found.append((alike, quadrant.to(dtype)))

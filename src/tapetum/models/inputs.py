@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tapetum.errors import InputError
 
-__all__ = ["BACKGROUNDS", "SOFTENING", "central", "prepare"]
+__all__ = ["BACKGROUNDS", "SOFTENING", "central", "prepare", "root_over_background"]
 
 BACKGROUNDS = ("root", "level")
 SOFTENING = 2 / 255
@@ -75,6 +75,22 @@ def prepare(
     cut = cut if cut.dtype == np.uint8 else cut.astype(np.float32)
     small = F.interpolate(torch.from_numpy(cut)[:, None].float(), size=(size, size), mode="area") / full_scale
     middle = small.flatten(1).median(dim=1).values[:, None, None, None]
+    return root_over_background(small, middle, crop, hide, background)
+
+
+def root_over_background(small: Tensor, middle: Tensor, crop: int, hide: int, background: str) -> Tensor:
+    """Return the root of what stands out of the background, see `prepare`; an export to ONNX traces it.
+
+    Parameters
+    ----------
+    small
+        [N, 1, size, size] intensities, 1 at full scale.
+    middle
+        [N, 1, 1, 1] their median.
+    crop, hide, background
+        As of `prepare`.
+    """
+    size = small.shape[-1]
     if background == "level":
         out = small - middle
         root = out.sign() * ((out.abs() + SOFTENING).sqrt() - SOFTENING**0.5)

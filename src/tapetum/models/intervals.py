@@ -8,9 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from sklearn.model_selection import KFold
 
 from tapetum.errors import InputError
 from tapetum.models.prediction import COVERAGE
+from tapetum.models.state import MISMATCH
 
 __all__ = ["Intervals", "conformal_half_width", "fit_intervals"]
 
@@ -70,7 +72,7 @@ class Intervals:
 
     @property
     def conditional(self) -> bool:
-        """Whether the width hangs on the SNR."""
+        """Whether the width depends on the SNR."""
         return len(self.edges) > 0
 
     def at(self, snr: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -78,7 +80,7 @@ class Intervals:
         return self.half_width[np.searchsorted(self.edges, snr, side="right")]
 
     def state(self, prefix: str = "") -> dict[str, torch.Tensor]:
-        """Return both as tensors; only [K] half-widths where they hang on nothing."""
+        """Return both as tensors; only [K] half-widths where all frames have the same."""
         if not self.conditional:
             return {f"{prefix}half_width": torch.from_numpy(self.half_width[0])}
         edges, widths = torch.from_numpy(self.edges), torch.from_numpy(self.half_width)
@@ -99,7 +101,7 @@ class Intervals:
         shaped = widths.shape == (len(edges) + 1, quantities)
         if not shaped or np.isnan(widths).any() or np.isnan(edges).any():
             what = f"expected half_width of {quantities} quantities and {len(edges) + 1} classes of SNR"
-            raise InputError(what, where="weights", remedy="the model's card and its weights do not belong together")
+            raise InputError(what, where="weights", remedy=MISMATCH)
         return cls(edges, widths)
 
 
@@ -109,7 +111,7 @@ def fit_intervals(residuals: NDArray[np.float64], snr: NDArray[np.float64], *, c
     Frames are divided into classes of equal count by their SNR, each calibrated by itself (Mondrian conformal
     prediction: V. Vovk, Proc. ACML (2012)), as finely as it pays: the division whose intervals have the least interval
     score (T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102, 359 (2007)) on contiguous fifths left out in turn. So
-    faint frames get wide intervals and bright ones narrow ones where the error hangs on the SNR, and all get the same
+    faint frames get wide intervals and bright ones narrow ones where the error depends on the SNR, and all get the same
     where it does not.
 
     Parameters
@@ -144,8 +146,7 @@ def _score(residuals: NDArray[np.float64], snr: NDArray[np.float64], bins: int, 
         return float("inf")
     unit = np.maximum(np.abs(residuals).mean(axis=0), np.finfo(float).tiny)
     total = 0.0
-    for fold in np.array_split(np.arange(len(residuals)), _FOLDS):
-        rest = np.setdiff1d(np.arange(len(residuals)), fold)
+    for rest, fold in KFold(_FOLDS).split(residuals):
         width = _divided(residuals[rest], snr[rest], bins, coverage).at(snr[fold])
         beyond = np.maximum(np.abs(residuals[fold]) - width, 0)
         total += float(((2 * width + 2 / (1 - coverage) * beyond) / unit).sum())

@@ -9,12 +9,13 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from tapetum.errors import InputError
+from tapetum.models.state import checked_state
 
 __all__ = ["Novelty", "fit_novelty"]
 
 _KNOWN = 0.98
-# Of the mean variance, added to each direction: no direction in which the training frames agree by chance counts.
+# Of the mean variance, added to each direction: else directions in which the training frames agree by chance would
+# dominate.
 _SHRINKAGE = 1e-3
 
 
@@ -53,22 +54,10 @@ class Novelty:
 
     @classmethod
     def from_state(cls, state: Mapping[str, torch.Tensor], classes: int, features: int) -> Novelty:
-        """Make it of what `state` returned.
-
-        Raises
-        ------
-        InputError
-            When something is missing, of another shape or not a number.
-        """
+        """Make it of what `state` returned; see `checked_state`."""
         shapes = {"means": (classes, features), "whitening": (features, features), "unit": (1,)}
-        arrays: dict[str, NDArray[np.float64]] = {}
-        for name, shape in shapes.items():
-            tensor = state.get(f"novelty.{name}")
-            if tensor is None or tuple(tensor.shape) != shape or not bool(torch.isfinite(tensor).all()):
-                remedy = "the model's card and its weights do not belong together"
-                raise InputError(f"expected novelty.{name} of shape {shape}", where="weights", remedy=remedy)
-            arrays[name] = tensor.double().numpy()
-        return cls(arrays["means"], arrays["whitening"], float(arrays["unit"][0]))
+        found = checked_state(state, shapes, "novelty.")
+        return cls(found["means"], found["whitening"], float(found["unit"][0]))
 
 
 def _distances(whitened: NDArray[np.float64], means: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,10 +66,7 @@ def _distances(whitened: NDArray[np.float64], means: NDArray[np.float64]) -> NDA
 
 
 def fit_novelty(
-    features: NDArray[np.float64],
-    classes: NDArray[np.integer],
-    count: int,
-    aside: NDArray[np.float64],
+    features: NDArray[np.float64], classes: NDArray[np.integer], count: int, aside: NDArray[np.float64]
 ) -> Novelty:
     """Learn where known classes lie.
 

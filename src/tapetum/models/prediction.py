@@ -1,4 +1,4 @@
-"""What every estimator gives: values with intervals, classes with probabilities."""
+"""What every model returns: values with intervals, classes with probabilities."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Prediction:
         [N] how unlike every class the image is. Above 1 it is none of these: `tapetum.models.novelty`.
     reason
         [N] why the model does not apply to an image, empty text where it does. Estimates, intervals and probabilities
-        of images with a reason are NaN, unless the model was told to answer anyway.
+        of images with a reason are NaN, unless `predict` was called with `anyway`.
     described
         Whether the model knows how the frames look that it learned from. Otherwise nobody knows whether it applies.
     """
@@ -67,17 +67,14 @@ class Prediction:
     def __post_init__(self) -> None:
         shape = (len(self.value), len(self.names))
         if not self.value.shape == self.lower.shape == self.upper.shape == shape:
-            raise InputError(
-                f"value, lower and upper must all be {shape},"
-                f" are {self.value.shape}, {self.lower.shape} and {self.upper.shape}"
-            )
+            found = f"{self.value.shape}, {self.lower.shape} and {self.upper.shape}"
+            raise InputError(f"value, lower and upper must all be {shape}, are {found}")
         if bool(self.classes) != (self.probability is not None):
             raise InputError("classes and their probabilities belong together", where="probability")
-        shares = (len(self.value), len(self.classes))
-        if self.probability is not None and self.probability.shape != shares:
-            raise InputError(f"must be {shares}, is {self.probability.shape}", where="probability")
-        if self.novelty is not None and self.novelty.shape != shape[:1]:
-            raise InputError(f"must be {shape[:1]}, is {self.novelty.shape}", where="novelty")
+        for name, wanted in (("probability", (len(self.value), len(self.classes))), ("novelty", shape[:1])):
+            given = getattr(self, name)
+            if given is not None and given.shape != wanted:
+                raise InputError(f"must be {wanted}, is {given.shape}", where=name)
         if not self.reason:
             object.__setattr__(self, "reason", ("",) * len(self.value))
         if len(self.reason) != len(self.value):
@@ -85,12 +82,9 @@ class Prediction:
         answered = self.applies
         numbers = [one[answered] for one in (self.value, self.probability) if one is not None]
         numbers += [] if self.novelty is None else [self.novelty]
-        if not all(np.isfinite(one).all() for one in numbers) or any(
-            np.isnan(end[answered]).any() for end in (self.lower, self.upper)
-        ):
-            raise InputError(
-                "a prediction is not finite", where="model", remedy="train it again; its weights are unusable"
-            )
+        if not all(np.isfinite(one).all() for one in numbers) or np.isnan([self.lower, self.upper])[:, answered].any():
+            remedy = "train it again; its weights are unusable"
+            raise InputError("a prediction is not finite", where="model", remedy=remedy)
 
     def __len__(self) -> int:
         return len(self.value)
@@ -116,24 +110,14 @@ class Prediction:
         Estimates of the gaze that lie past the edge of the field, though their intervals reach into it, become those of
         the edge.
         """
-        silent = ~self.applies
-
-        def without(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            found = values.copy()
-            found[silent] = np.nan
-            return found
-
-        value = without(self.value)
+        refused = ~self.applies[:, None]
+        value = np.where(refused, np.nan, self.value)
         for k, name in enumerate(self.names):
             if name in ("gaze_x", "gaze_y"):
                 value[:, k] = np.clip(value[:, k], -0.5, 0.5)
-        return replace(
-            self,
-            value=value,
-            lower=without(self.lower),
-            upper=without(self.upper),
-            probability=None if self.probability is None else without(self.probability),
-        )
+        ends = {name: np.where(refused, np.nan, getattr(self, name)) for name in ("lower", "upper")}
+        shares = None if self.probability is None else np.where(refused, np.nan, self.probability)
+        return replace(self, value=value, **ends, probability=shares)
 
     @property
     def device(self) -> list[str]:
@@ -216,11 +200,7 @@ class Prediction:
         """
         table: dict[str, Any] = {}
         for k, name in enumerate(self.names):
-            table |= {
-                name: self.value[:, k],
-                f"{name}_low": self.lower[:, k],
-                f"{name}_high": self.upper[:, k],
-            }
+            table |= {name: self.value[:, k], f"{name}_low": self.lower[:, k], f"{name}_high": self.upper[:, k]}
         if self.classes:
             table |= {"device": self.device, "device_probability": self.device_probability}
         known = [False if why else (True if self.described else None) for why in self.reason]
@@ -237,17 +217,9 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
     """Put predictions of one model for parts of the images, one or more of them, one behind the other."""
     first = parts[0]
 
-    def column(name: str) -> NDArray[np.float64]:
-        return np.concatenate([getattr(part, name) for part in parts])
+    def column(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        return None if values[0] is None else np.concatenate(values)
 
-    return Prediction(
-        first.names,
-        column("value"),
-        column("lower"),
-        column("upper"),
-        first.classes,
-        None if first.probability is None else column("probability"),
-        None if first.novelty is None else column("novelty"),
-        tuple(why for part in parts for why in part.reason),
-        first.described,
-    )
+    arrays = {name: column(name) for name in ("value", "lower", "upper", "probability", "novelty")}
+    return replace(first, **arrays, reason=tuple(why for part in parts for why in part.reason))

@@ -1,4 +1,4 @@
-"""How far a retro-reflection stands out of the noise of its picture: what most of an estimate's error hangs on."""
+"""How far a retro-reflection stands out of the noise of its picture: what most of an estimate's error depends on."""
 
 from __future__ import annotations
 

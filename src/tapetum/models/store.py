@@ -19,8 +19,8 @@ from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder, sha256_file
 from tapetum.models.architectures import ARCHITECTURES
-from tapetum.models.base import Estimator, Predictor, json_safe
-from tapetum.models.card import checked_card
+from tapetum.models.base import Estimator, json_safe
+from tapetum.models.card import check_version, checked_card
 from tapetum.models.network import NetworkEstimator, ResNet18
 from tapetum.models.zernike_ridge import ZernikeRidge
 
@@ -31,7 +31,6 @@ __all__ = [
     "VERSION",
     "WEIGHTS",
     "load_model",
-    "load_predictor",
     "model_card",
     "pretrained",
     "save_model",
@@ -47,17 +46,18 @@ KINDS: dict[str, Callable[..., ZernikeRidge | NetworkEstimator]] = {
     ResNet18.kind: ResNet18.from_state,
 }
 
+# Their versions stand on the card.
+_PACKAGES = ("tapetum", "torch", "numpy", "scikit-learn", "safetensors")
+_REMEDY = "copy it again or train it again"
+_INCOMPLETE = "copy the whole folder or train it again"
 _PRETRAINED = Path(__file__).parent / "pretrained"
 
 
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in ("tapetum", "torch", "numpy", "scikit-learn", "safetensors"):
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "unknown"
 
 
 def _halved(tensor: torch.Tensor, name: str) -> torch.Tensor:
@@ -129,7 +129,7 @@ def save_model(
         "training": model.training_,
         "metrics": dict(metrics or {}),
         "notes": notes if notes is None or isinstance(notes, str) else dict(notes),
-        "versions": _versions(),
+        "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
     }
     card = json_safe(card, "metrics or notes")
     with atomic_folder(path, overwrite=overwrite) as folder:
@@ -147,14 +147,7 @@ def save_model(
 
 
 def write_metrics(path: str | Path, metrics: Mapping[str, Any]) -> None:
-    """Put figures on the card of a model that is saved already; its weights stay untouched.
-
-    Parameters
-    ----------
-    path
-        The model's folder.
-    metrics
-        What was measured, on what; replaces the figures on the card.
+    """Replace the figures on the card of a saved model by `metrics`: what was measured, on what.
 
     Raises
     ------
@@ -180,23 +173,13 @@ def model_card(path: str | Path) -> dict[str, Any]:
     try:
         card = read_json(folder / CARD)
     except FileNotFoundError as error:
-        raise InputError(
-            f"the model lacks {CARD}", where=folder, remedy="copy the whole folder or train it again"
-        ) from error
+        raise InputError(f"the model lacks {CARD}", where=folder, remedy=_INCOMPLETE) from error
     except (ValueError, OSError) as error:
-        raise InputError(
-            f"cannot be read ({error})", where=folder / CARD, remedy="copy it again or train it again"
-        ) from error
+        raise InputError(f"cannot be read ({error})", where=folder / CARD, remedy=_REMEDY) from error
     if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise InputError(
-            f"is not the card of a model (format {FORMAT})",
-            where=folder / CARD,
-            remedy="give a model's folder",
-        )
-    version = card.get("version")
-    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
-        what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
-        raise InputError(what, where=folder / CARD, remedy="update Tapetum")
+        what = f"is not the card of a model (format {FORMAT})"
+        raise InputError(what, where=folder / CARD, remedy="give a model's folder")
+    check_version(card.get("version"), VERSION, folder / CARD)
     if not isinstance(card.get("kind"), str) or card["kind"] not in KINDS:
         what = f"holds a model of unknown kind {card.get('kind')!r}"
         raise InputError(what, where=folder / CARD, remedy=f"this Tapetum knows {', '.join(KINDS)}")
@@ -204,7 +187,7 @@ def model_card(path: str | Path) -> dict[str, Any]:
 
 
 def load_model(path: str | Path) -> ZernikeRidge | NetworkEstimator:
-    """Load a model that `save_model` wrote, after checking that its weights are the ones its card speaks of.
+    """Load a model that `save_model` wrote, after checking that its weights are those named on its card.
 
     Parameters
     ----------
@@ -224,49 +207,26 @@ def load_model(path: str | Path) -> ZernikeRidge | NetworkEstimator:
     card, folder = model_card(path), Path(path)
     weights = folder / WEIGHTS
     if not weights.is_file():
-        raise InputError(f"the model lacks {WEIGHTS}", where=folder, remedy="copy the whole folder or train it again")
+        raise InputError(f"the model lacks {WEIGHTS}", where=folder, remedy=_INCOMPLETE)
     if sha256_file(weights) != card["weights"].get("sha256"):
         what = "has been altered: its SHA-256 is not the one on the card"
-        raise InputError(what, where=weights, remedy="copy it again or train it again")
+        raise InputError(what, where=weights, remedy=_REMEDY)
     try:
         state = load_file(weights)
     except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read ({error})", where=weights, remedy="copy it again or train it again"
-        ) from error
+        raise InputError(f"cannot be read ({error})", where=weights, remedy=_REMEDY) from error
     state = {name: tensor.float() if tensor.dtype == torch.float16 else tensor for name, tensor in state.items()}
     try:
-        classes = tuple(str(name) for name in card.get("classes", ()))
-        model = KINDS[card["kind"]](card["parameters"], state, classes)
+        model = KINDS[card["kind"]](card["parameters"], state, tuple(card.get("classes", ())))
     except InputError as error:
         raise InputError(str(error), where=folder) from error
     except (TypeError, ValueError) as error:  # an unknown argument, or one of another type
-        remedy = "copy it again or train it again"
-        raise InputError(f"parameters do not fit ({error})", where=folder / CARD, remedy=remedy) from error
+        raise InputError(f"parameters do not fit ({error})", where=folder / CARD, remedy=_REMEDY) from error
     if list(model.target_names) != card["targets"] or set(card["units"]) != set(model.quantities):
         what = "targets and units are not those of parameters.target"
-        raise InputError(what, where=folder / CARD, remedy="copy it again or train it again")
-    known = card.get("training_data")
-    model.data_hash_ = known if isinstance(known, str) else None
-    model.training_ = card.get("training")
+        raise InputError(what, where=folder / CARD, remedy=_REMEDY)
+    model.data_hash_, model.training_ = card["training_data"], card.get("training")
     return model
-
-
-def load_predictor(path: str | Path) -> Predictor:
-    """Load whatever predicts: a model's folder, or a network exported to NAME.onnx, which is faster on a CPU.
-
-    Raises
-    ------
-    InputError
-        As `load_model`, and as `tapetum.models.fast.FastResNet18`.
-    MissingExtraError
-        For a file .onnx, when the extra `fast` is not installed.
-    """
-    if Path(path).suffix.lower() == ".onnx":
-        from tapetum.models.fast import FastResNet18
-
-        return FastResNet18(path)
-    return load_model(path)
 
 
 def pretrained(name: str = "thin-lens-gaze") -> ZernikeRidge | NetworkEstimator:

@@ -69,7 +69,7 @@ def _loaded(models: Models) -> list[Predictor]:
     for one in many:
         if isinstance(one, (str, os.PathLike)):
             # PyTorch takes a second to import, and tracking alone does not need it.
-            from tapetum.models.store import load_predictor
+            from tapetum.models import load_predictor
 
             estimators.append(load_predictor(Path(one)))
         else:

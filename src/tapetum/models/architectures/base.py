@@ -8,7 +8,6 @@ from typing import ClassVar
 from torch import Tensor, nn
 
 from tapetum.errors import InputError
-from tapetum.models.onnx_graph import Graph
 
 __all__ = ["Network"]
 
@@ -49,10 +48,6 @@ class Network(nn.Module, ABC):
     @abstractmethod
     def features(self, x: Tensor) -> Tensor:
         """Map images [N, channels, H, W] to the features [N, width] that the last layer weighs."""
-
-    @abstractmethod
-    def to_onnx(self, graph: Graph, x: str, unit: float) -> str:
-        """Add the features of images that are `unit` times as large to a graph; return their name."""
 
     def forward(self, x: Tensor) -> Tensor:
         """Map images [N, channels, H, W] to [N, outputs]."""

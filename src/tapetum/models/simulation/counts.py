@@ -1,4 +1,4 @@
-"""What digital numbers are expected for a pixel's mean electrons, and how much they scatter: rounding included."""
+"""Mean and variance of a pixel's digital number for its mean electrons, rounding included."""
 
 from __future__ import annotations
 
@@ -58,25 +58,16 @@ class CountModel:
             numbers[coarse], variance[coarse] = _rounded(centre[coarse], deviation[coarse], np.rint(top))
         self._expected, self._variance = numbers, np.maximum(variance, _LEAST)
         slope = np.gradient(numbers, self._nodes)
-        # What rounding leaves of a slope in saturation is none.
+        # In saturation the slope is 0, but for rounding errors.
         self._slope = np.where(slope > 1e-6 * gain, slope, 0.0)
 
     def __call__(self, mean: Array) -> tuple[Array, Array, Array]:
         """Expected digital numbers, their derivative by the mean electrons, and their variance; any shape."""
-        light = np.clip(mean, 0.0, self._nodes[-1])
-        # Counted in roots, the table's nodes are equally spaced.
-        place = np.minimum((np.sqrt(light) / _STEP).astype(np.intp), len(self._nodes) - 2)
-        share = (light - self._nodes[place]) / (self._nodes[place + 1] - self._nodes[place])
+        # Beyond the table's ends the values at its ends hold.
         expected, slope, variance = (
-            table[place] + share * (table[place + 1] - table[place])
-            for table in (self._expected, self._slope, self._variance)
+            np.interp(mean, self._nodes, table) for table in (self._expected, self._slope, self._variance)
         )
         return expected, slope, variance
-
-    def log_likelihood(self, counts: Array, mean: Array) -> float:
-        """Of digital numbers for mean electrons: normal, with the logarithm of the variance, without constants."""
-        expected, _, variance = self(mean)
-        return float(-0.5 * ((counts - expected) ** 2 / variance + np.log(variance)).sum())
 
 
 def _rounded(centre: Array, deviation: Array, top: float) -> tuple[Array, Array]:

@@ -1,9 +1,9 @@
-"""No training at all: the parameters of a scene by which the simulator explains a crop best."""
+"""Maximum-likelihood fit of a scene's parameters to a crop, by the simulator and without training."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from tapetum.bench import PrescriptionLens, Scene, scene_dict, scene_from_dict
 from tapetum.errors import InputError
-from tapetum.models.base import Data, frame_count
+from tapetum.models.base import Data, Estimator
 from tapetum.models.domain import judged
 from tapetum.models.prediction import Prediction
 from tapetum.models.simulation.counts import CountModel
-from tapetum.models.simulation.images import checked, images_of, looked_at
+from tapetum.models.simulation.images import checked, looked_at
 from tapetum.models.simulation.pictures import Pictures, Pose, check_scene
 from tapetum.models.simulation.result import SimulationFitResult, result_of, same_top
-from tapetum.models.simulation.search import PHASE, SLOW, Search, Top, check_names
+from tapetum.models.simulation.search import FREE, PHASE, SLOW, Search, Top
 from tapetum.models.simulation.starts import Bank
 from tapetum.progress import Progress, quiet
 from tapetum.simulate.exposure import gain_of
@@ -32,9 +32,9 @@ Array = NDArray[np.float64]
 
 # Nodes along an edge of the bank: pictures with photosites take longer, and are smoother without them.
 _NODES, _NODES_SLOW = 25, 9
-# Pixels that are looked at, by custom: what lies beyond tells 1 % of the gaze in the bundled scenes.
+# Pixels that are looked at by default: what lies beyond tells 1 % of the gaze in the bundled scenes.
 _WINDOW = 200
-# Periods that are asked after one by one: those that the slow picture leaves this likely, and how many at the most.
+# Periods of the photosites that are compared: those within this difference of log-likelihood, and how many at most.
 _UNLIKELY, _PERIODS_ASKED = 20.0, 9
 # Logarithm of the likelihood by which a start must fall behind after its first steps to be given up.
 _HOPELESS, _FIRST_STEPS = 200.0, 4
@@ -44,7 +44,7 @@ _LOST, _FARTHER = 1.3, 4
 _FOREIGN = 2.0
 
 
-class SimulationFit:
+class SimulationFit(Estimator):
     """Maximum likelihood of a known scene's parameters, image by image.
 
     Parameters
@@ -74,7 +74,7 @@ class SimulationFit:
     nodes
         Of the bank along an edge of the field: 25, or 9 behind a lens in whose picture the photosites show.
     seed
-        Kept for the manners of estimators: nothing here is random.
+        Has no effect, as nothing here is random; every estimator takes one.
 
     Notes
     -----
@@ -100,7 +100,8 @@ class SimulationFit:
     [0.09, 0.08]
     """
 
-    kind: str = "simulation"
+    kind = "simulation"
+    _batch = 1
 
     def __init__(
         self,
@@ -120,9 +121,9 @@ class SimulationFit:
         self.target = self.target_names = self.quantities
         self.starts, self.accuracy, self.window, self.nodes = starts, accuracy, window, nodes
         self.unevenness, self.seed = unevenness, seed
-        self.data_hash_: str | None = None
+        self.data_hash_ = self.training_ = self.domain_ = None
         check_scene(scene)
-        check_names(self.quantities, self.nuisances)
+        _check_names(self.quantities, self.nuisances)
         for name, value, least in (("starts", starts, 1), ("window", window, 32), ("nodes", nodes or 2, 2)):
             if value < least:
                 raise InputError(f"must be {least} or more, is {value}", where=name, remedy="give a whole number")
@@ -136,7 +137,10 @@ class SimulationFit:
         if "object_distance" in every and np.isinf(scene.target.object_distance):
             what = "the search for a focus cannot begin at infinity"
             raise InputError(what, where="scene.target.object_distance", remedy="start from a distance in metres")
-        self.offsets = _checked_offsets(offsets)
+        if len(offsets) != 2 or not all(np.isfinite(one) and one >= 0 for one in offsets):
+            what = f"must be two numbers of electrons, 0 or more, is {list(offsets)}"
+            raise InputError(what, where="offsets", remedy="give those of columns and of rows: 0.5, 0.2")
+        self.offsets = (float(offsets[0]), float(offsets[1]))
         self._free = tuple(name for name in (*self.quantities, *self.nuisances) if name not in (*SLOW, *PHASE))
         self._model = CountModel(scene.probe.sensor, unevenness)
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
@@ -159,53 +163,38 @@ class SimulationFit:
     def predict(
         self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
     ) -> Prediction:
-        """Estimate the parameters of every image.
+        """As `Predictor.predict`, with 90 % intervals from each fit's own covariance; also of whole frames [N, H, W].
 
-        Parameters
-        ----------
-        data
-            A dataset, crops [N, side, side] with the RR in their middle, or whole frames of the probe [N, H, W].
-        full_scale
-            Largest digital number; the probe's own when None.
-        progress
-            Shown over the images.
-        anyway
-            Answer also where the model does not apply; the prediction still says so.
-
-        Returns
-        -------
-        Prediction
-            With 90 % intervals from each fit's own covariance.
-
-        Raises
-        ------
-        InputError
-            For images that are none of the scene's probe.
+        `full_scale` is the largest digital number, the probe's own when None.
         """
-        images = images_of(data, full_scale)
-        first = next(images, None)
-        if first is not None:
+        first, depth = next(self._batches(data, full_scale))
+        for image in first:
             # Here, so that its bar stands before that over the images and not within it.
-            self._prepared(len(self._seen(*first)[0]), progress)
-            images = itertools.chain([first], images)
-        results = [
-            self.fit_image(image, full_scale=depth)
-            for image, depth in progress(images, "fitting", total=frame_count(data))
-        ]
+            self._prepared(len(self._seen(image, depth)[0]), progress)
+        return super().predict(data, full_scale=full_scale, progress=progress, anyway=anyway)
+
+    def _progress_label(self) -> str:
+        return "fitting"
+
+    def _batches(self, data: Data, full_scale: float | None) -> Iterator[tuple[NDArray[np.generic], Any]]:
+        if isinstance(data, xr.Dataset):
+            stacks = data.tp.images(16) if data.sizes["frame"] else [np.empty((0, data.tp.side, data.tp.side))]
+            full_scale = data.tp.full_scale if full_scale is None else full_scale
+        else:
+            stacks = [np.asarray(data)[None] if np.ndim(data) == 2 else np.asarray(data)]
+        for images in stacks:
+            yield from ((images[k : k + 1], full_scale) for k in range(max(1, len(images))))
+
+    def _estimate(self, images: NDArray[np.generic], full_scale: float | None) -> Prediction:
+        found = [self.fit_image(image, full_scale=full_scale) for image in images]
         value, lower, upper = (
-            np.array([getattr(one, name) for one in results], np.float64).reshape(len(results), len(self.quantities))
+            np.array([getattr(one, name) for one in found], np.float64).reshape(len(found), len(self.quantities))
             for name in ("values", "lower", "upper")
         )
-        reasons = [
-            ""
-            if one.misfit <= _FOREIGN
-            else f"the scene does not explain it: residuals {one.misfit:.3g} times the noise's"
-            for one in results
-        ]
-        found = judged(Prediction(self.quantities, value, lower, upper), None)
-        both = [own or outside for own, outside in zip(reasons, found.reason, strict=True)]
-        found = found.because(both, described=True)
-        return found if anyway else found.withheld()
+        why = "the scene does not explain it: residuals {:.3g} times the noise's"
+        reasons = ["" if one.misfit <= _FOREIGN else why.format(one.misfit) for one in found]
+        raw = judged(Prediction(self.quantities, value, lower, upper), None)
+        return raw.because([own or other for own, other in zip(reasons, raw.reason, strict=True)], described=True)
 
     def fit_image(
         self, image: NDArray[np.generic], *, full_scale: float | None = None, progress: Progress = quiet
@@ -222,9 +211,8 @@ class SimulationFit:
         pictures, bank = self._prepared(len(counts), progress)
         search = Search(pictures, counts, self._model, self._free, self.offsets)
         electrons = (counts - sensor.offset) / gain_of(sensor)
-        expected, slope, variance = self._model(np.maximum(electrons, 1.0))
-        del expected
-        poses = [start.pose for start in bank.match(electrons, slope**2 / variance, _FARTHER * self.starts)]
+        _, slope, variance = self._model(np.maximum(electrons, 1.0))
+        poses = bank.match(electrons, slope**2 / variance, _FARTHER * self.starts)
         if "power" not in self._free:
             poses = [replace(pose, power=self.scene.illumination.power) for pose in poses]
         tops = self._climbed(search, poses)
@@ -252,24 +240,18 @@ class SimulationFit:
         return {name: float(deviations[top.names.index(name)]) for name in self.quantities}
 
     def parameters(self) -> dict[str, Any]:
-        """Return the arguments of ``__init__``, fit for JSON."""
         names = ("starts", "accuracy", "window", "unevenness", "nodes", "seed")
         lists = {"parameters": list(self.quantities), "nuisances": list(self.nuisances), "offsets": list(self.offsets)}
         return {"scene": scene_dict(self.scene), **lists, **{name: getattr(self, name) for name in names}}
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return everything that was learned: nothing."""
+        """Return nothing: a fit learns from no dataset."""
         return {}
-
-    def classes(self) -> tuple[str, ...]:
-        """Return the names of the devices learned: none."""
-        return ()
 
     @classmethod
     def from_state(
         cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
     ) -> Self:
-        """Make the estimator again from what `parameters` returned."""
         del state, classes
         given = dict(parameters)
         scene = scene_from_dict(given.pop("scene"))
@@ -297,7 +279,7 @@ class SimulationFit:
         """The maxima above some poses, the best first; more than `starts` only where these explain the image badly."""
         tops: list[Top] = []
         for pose in poses[: self.starts]:
-            tops.append(self._top(search, pose, tops))
+            tops += [self._top(search, pose, tops)]
         best = max(tops, key=lambda top: top.log_likelihood)
         # A climb that ended beside the truth's opposite knows better than the bank where the opposite lies.
         x, y = np.clip(np.array(best.pose.gaze) + best.slow, -0.48, 0.48)
@@ -337,9 +319,16 @@ class SimulationFit:
         return sorted(found, key=lambda one: -one.log_likelihood)
 
 
-def _checked_offsets(offsets: Sequence[float]) -> tuple[float, float]:
-    found = tuple(float(one) for one in offsets)
-    if len(found) != 2 or not all(np.isfinite(one) and one >= 0 for one in found):
-        what = f"must be two numbers of electrons, 0 or more, is {list(offsets)}"
-        raise InputError(what, where="offsets", remedy="give those of columns and of rows: 0.5, 0.2")
-    return found[0], found[1]
+def _check_names(parameters: tuple[str, ...], nuisances: tuple[str, ...]) -> None:
+    """Refuse names that are unknown or given twice."""
+    known = (*SLOW, *FREE)
+    for where, names, allowed in (("parameters", parameters, known), ("nuisances", nuisances, (*known, *PHASE))):
+        for name in names:
+            if name not in allowed:
+                raise InputError(f"unknown parameter {name!r}", where=where, remedy=f"use {', '.join(allowed)}")
+    every = (*parameters, *nuisances)
+    if not parameters or len(set(every)) < len(every):
+        what = f"{list(parameters)} and nuisances {list(nuisances)} name none, or one twice"
+        raise InputError(what, where="parameters", remedy="name each once")
+    if len(set(every) & set(PHASE)) == 1:
+        raise InputError("one phase alone cannot be free", where="nuisances", remedy=f"name {' and '.join(PHASE)}")

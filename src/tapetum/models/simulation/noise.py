@@ -1,4 +1,4 @@
-"""How much the residuals of one crop weigh: each pixel's own noise, and offsets that columns and rows share."""
+"""Covariance of one crop's residuals: each pixel's own noise, and offsets that columns and rows share."""
 
 from __future__ import annotations
 

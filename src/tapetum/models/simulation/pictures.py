@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _CAMERAS_KEPT = 8
 # Pixels added around a picture that is to be turned and moved.
 _MARGIN = 24
-# Largest gaze that is looked at, in fractions of the field: its edge.
+# Largest gaze that is rendered, in fractions of the field: its edge.
 _EDGE = 0.5
 # Fringes at least this wide, in pixels, are turned by cubic splines to 1e-3 of the peak; quintic ones serve finer.
 _WIDE_FRINGE = 7
@@ -61,7 +61,7 @@ class Pose:
 
 
 class Pictures:
-    """Renders what one beam, or all of them, make of a pose on a square of the probe's pixels. Holding it is the cache.
+    """Renders the retro-reflection of a pose on a square of the probe's pixels; keeps the cameras it has made.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class Pictures:
     def __init__(self, scene: Scene, side: int, accuracy: float | None = None) -> None:
         check_scene(scene)
         self.scene, self.side, self._accuracy = scene, side, accuracy
-        self._cameras: OrderedDict[tuple[float, float, int], tuple[Scene, Camera]] = OrderedDict()
+        self._cameras = lru_cache(_CAMERAS_KEPT)(self._camera)
         light, target, probe = scene.illumination, scene.target, scene.probe
         self.pitch = probe.sensor.pitch
         fringe = light.wavelength * probe.lens.focal_length / (2 * target.lens.aperture_radius)
@@ -114,7 +114,7 @@ class Pictures:
         """
         turned = pose.roll != 0
         side = self.side + 2 * _MARGIN if turned else self.side
-        scene, camera = self._camera(pose, side)
+        scene, camera = self._cameras(pose.object_distance, pose.focal_length, side)
         sines = tilt_of_gaze(scene, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)))
         places = torch.tensor([pose.place], dtype=torch.float64).expand(len(sines), -1)
         total = np.zeros((len(sines), self.side, self.side))
@@ -143,26 +143,19 @@ class Pictures:
         size = (self.side, self.side)
         return affine_transform(fine, back, offset, output_shape=size, order=self._order, prefilter=False)
 
-    def _camera(self, pose: Pose, side: int) -> tuple[Scene, Camera]:
-        key = (pose.object_distance, pose.focal_length, side)
-        if key in self._cameras:
-            self._cameras.move_to_end(key)
-            return self._cameras[key]
+    def _camera(self, object_distance: float, focal_length: float, side: int) -> tuple[Scene, Camera]:
+        """The scene with that focus, and the camera that renders it."""
         scene, target = self.scene, self.scene.target
-        if (pose.object_distance, pose.focal_length) != (target.object_distance, target.lens.focal_length):
+        if (object_distance, focal_length) != (target.object_distance, target.lens.focal_length):
             lens = target.lens
-            if pose.focal_length != lens.focal_length:
-                lens = replace(lens, focal_length=pose.focal_length)
-            scene = replace(scene, target=replace(target, lens=lens, object_distance=pose.object_distance))
+            if focal_length != lens.focal_length:
+                lens = replace(lens, focal_length=focal_length)
+            scene = replace(scene, target=replace(target, lens=lens, object_distance=object_distance))
         corners = torch.tensor([[x, y] for x in (-_EDGE, _EDGE) for y in (-_EDGE, _EDGE)], dtype=torch.float64)
         steepest = largest_sine(tilt_of_gaze(scene, corners))
         grid = Grid(side, side, self.pitch)
-        # Light small enough to be drawn faster on the processor: a transfer a picture would eat a GPU's gain.
-        camera = Camera(scene, steepest, output=grid, edge="dimmed", accuracy=self._accuracy, device="cpu")
-        self._cameras[key] = scene, camera
-        if len(self._cameras) > _CAMERAS_KEPT:
-            self._cameras.popitem(last=False)
-        return scene, camera
+        # Light small enough to be rendered faster on the CPU: copying each picture would cost more than a GPU gains.
+        return scene, Camera(scene, steepest, output=grid, edge="dimmed", accuracy=self._accuracy, device="cpu")
 
 
 def period_of(scene: Scene) -> float | None:

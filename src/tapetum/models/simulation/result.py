@@ -1,4 +1,4 @@
-"""What a fit by simulation found in one crop: values, how sure they are, and their rivals."""
+"""The result of a fit by simulation to one crop: values, their uncertainty, and rival maxima."""
 
 from __future__ import annotations
 
@@ -81,20 +81,9 @@ class SimulationFitResult:
 def result_of(
     names: tuple[str, ...], periods: list[Top], rivals: list[Top], starts: int, middle: Array
 ) -> SimulationFitResult:
-    """Sum up what was found.
+    """Sum up one crop's maxima: of its photosites' periods, the best one first, and the `rivals` of other starts.
 
-    Parameters
-    ----------
-    names
-        Of the parameters.
-    periods
-        The best maximum, first, and what was found at other periods of the photosites.
-    rivals
-        Maxima of the other starts.
-    starts
-        How many were tried.
-    middle
-        [2] of the pixels looked at, from the image's, in metres.
+    `middle` is that of the pixels looked at from the image's, [2] in metres.
     """
     best = periods[0]
     misfit = max(1.0, best.misfit)
@@ -130,5 +119,5 @@ def same_top(one: Top, other: Top) -> bool:
 def _values(top: Top, names: tuple[str, ...], middle: Array) -> Array:
     pose = top.pose
     gaze, place = np.array(pose.gaze) + top.slow, np.array(pose.place) + middle
-    told = {"gaze_x": gaze[0], "gaze_y": gaze[1], "place_x": place[0], "place_y": place[1]}
-    return np.array([told[name] if name in told else getattr(pose, name) for name in names], np.float64)
+    found = {"gaze_x": gaze[0], "gaze_y": gaze[1], "place_x": place[0], "place_y": place[1]}
+    return np.array([found[name] if name in found else getattr(pose, name) for name in names], np.float64)

@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
 
-from tapetum.errors import InputError
 from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.noise import Noise
 from tapetum.models.simulation.pictures import Pictures, Pose
@@ -108,8 +108,8 @@ class Search:
         names = (*SLOW, *(PHASE if phase else ()), *self.free)
         at, beside = pose, np.zeros(2) if slow is None else slow
         mean, slopes = self._tangent(at, beside, names)
-        hardness, settled, least = 1e-3, False, np.inf
         expected, bend, variance = self.model(mean)
+        hardness, settled = 1e-3, False
         for _ in range(steps):
             noise = self._noise(bend, variance)
             bent, residual = slopes * bend, self._residual(expected)
@@ -117,22 +117,19 @@ class Search:
             own = np.sqrt(np.maximum(information.diagonal(), 1e-300))
             shared = information / np.outer(own, own)
             step = np.linalg.lstsq(shared + hardness * np.eye(len(own)), score / own, rcond=1e-12)[0] / own
-            least = float(np.abs(step * own).max())
-            if least < _SETTLED:
-                settled = True
+            if settled := float(np.abs(step * own).max()) < _SETTLED:
                 break
             new_at, new_beside = self._moved(at, beside, names, step)
-            new_mean, new_slopes = self._tangent(new_at, new_beside, names)
-            new = self.model(new_mean)
+            mean, new_slopes = self._tangent(new_at, new_beside, names)
+            new = self.model(mean)
             # Weights stay those that the step was made with: only the fit is to get better, not the scatter wider.
             left = self._residual(new[0])
-            before, after = float(noise(residual, residual)[0, 0]), float(noise(left, left)[0, 0])
-            if after > before + 1e-3:
+            if float(noise(left, left)[0, 0]) > float(noise(residual, residual)[0, 0]) + 1e-3:
                 hardness = max(1e-3, hardness) * 8
                 if hardness > _HARDEST:
                     break
                 continue
-            at, beside, mean, slopes = new_at, new_beside, new_mean, new_slopes
+            at, beside, slopes = new_at, new_beside, new_slopes
             expected, bend, variance = new
             hardness = hardness / 6 if hardness > 1e-6 else 0.0
         noise = self._noise(bend, variance)
@@ -175,11 +172,7 @@ class Search:
         pictures, scene = self.pictures, self.pictures.scene
         gaze, period = np.array(pose.gaze), pictures.period
         phase = PHASE[0] in names
-        if period is not None:
-            near = period * _PERIOD_SHARE
-        else:
-            near = pictures.spot * _SPOT_SHARE
-        steps = [*np.diag(near)]
+        steps = [*np.diag(pictures.spot * _SPOT_SHARE if period is None else period * _PERIOD_SHARE)]
         if phase:
             assert period is not None
             steps = [*np.diag(_PERIODS * period), *steps]
@@ -199,16 +192,13 @@ class Search:
             dx, dy = _slopes(light)
             found |= {"place_x": -scale * dx / pictures.pitch, "place_y": -scale * dy / pictures.pitch}
         found |= {"power": light / scene.illumination.power, "background": np.ones_like(light)}
-        for name, size in (
-            ("roll", _ROLL_STEP),
-            ("object_distance", self._vergence * pose.object_distance**2),
-            ("focal_length", self._vergence * pose.focal_length**2),
-        ):
+        focus = {name: self._vergence * getattr(pose, name) ** 2 for name in ("object_distance", "focal_length")}
+        for name, size in {"roll": _ROLL_STEP, **focus}.items():
             if name in names:
                 moved = replace(pose, **{name: getattr(pose, name) + size})
                 base = shown
                 if name == "roll" and pose.roll == 0:
-                    # Nothing is interpolated without a roll: compare with a picture turned by nearly nothing.
+                    # Without a roll nothing is interpolated: compare with a picture that is, turned by almost nothing.
                     base = pictures.render(replace(pose, roll=1e-12), gaze[None])[0]
                 found[name] = scale * (pictures.render(moved, gaze[None])[0] - base) / size
         mean = pose.background + scale * light
@@ -217,17 +207,13 @@ class Search:
     def _moved(self, pose: Pose, slow: Array, names: tuple[str, ...], step: Array) -> tuple[Pose, Array]:
         """The pose a step farther, no farther than its pictures can be trusted to."""
         by = dict(zip(names, step, strict=True))
-        pitch = self.pictures.pitch
-        most = dict.fromkeys(SLOW, _MOST_GAZE) | {"place_x": _MOST_PLACE * pitch, "place_y": _MOST_PLACE * pitch}
-        most |= {"roll": _MOST_ROLL, "object_distance": 5 * self._vergence / _FOCUS_STEP * pose.object_distance**2}
-        most |= {"focal_length": 5 * self._vergence / _FOCUS_STEP * pose.focal_length**2}
+        most = dict.fromkeys(SLOW, _MOST_GAZE) | {"roll": _MOST_ROLL}
+        most |= dict.fromkeys(("place_x", "place_y"), _MOST_PLACE * self.pictures.pitch)
+        for name in ("object_distance", "focal_length"):
+            most[name] = 5 * self._vergence / _FOCUS_STEP * getattr(pose, name) ** 2
         if self.pictures.period is not None:
-            most |= dict(zip(PHASE, 0.3 * self.pictures.period, strict=True))
-            if PHASE[0] not in names:
-                most |= dict(zip(SLOW, 0.3 * self.pictures.period, strict=True))
-        by = {
-            name: float(np.clip(value, -most.get(name, np.inf), most.get(name, np.inf))) for name, value in by.items()
-        }
+            most |= dict(zip(PHASE if PHASE[0] in names else SLOW, 0.3 * self.pictures.period, strict=True))
+        by = {name: float(np.clip(size, -most.get(name, np.inf), most.get(name, np.inf))) for name, size in by.items()}
         wanted = np.array(pose.gaze) + slow + [by[name] for name in SLOW]
         if PHASE[0] in names:
             assert self.pictures.period is not None
@@ -251,31 +237,5 @@ class Search:
 
 def _slopes(picture: Array) -> tuple[Array, Array]:
     """Derivatives [H, W] by columns and rows, a pixel: five points, right to 1 % for periods of 5 pixels."""
-    found: list[Array] = []
-    for axis in (1, 0):
-        wide = np.pad(picture, [(2, 2) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
-        n = picture.shape[axis]
-        part = [np.take(wide, np.arange(n) + k, axis=axis) for k in (0, 1, 3, 4)]
-        found.append((part[0] - 8 * part[1] + 8 * part[2] - part[3]) / 12)
-    return found[0], found[1]
-
-
-def check_names(parameters: tuple[str, ...], nuisances: tuple[str, ...]) -> None:
-    """Refuse names that are unknown or given twice.
-
-    Raises
-    ------
-    InputError
-        Naming the first fault.
-    """
-    known, extra = (*SLOW, *FREE), (*PHASE,)
-    for where, names, allowed in (("parameters", parameters, known), ("nuisances", nuisances, (*known, *extra))):
-        for name in names:
-            if name not in allowed:
-                raise InputError(f"unknown parameter {name!r}", where=where, remedy=f"use {', '.join(allowed)}")
-    every = (*parameters, *nuisances)
-    if not parameters or len(set(every)) < len(every):
-        what = f"{list(parameters)} and nuisances {list(nuisances)} name none, or one twice"
-        raise InputError(what, where="parameters", remedy="name each once")
-    if len(set(every) & set(PHASE)) == 1:
-        raise InputError("one phase alone cannot be free", where="nuisances", remedy=f"name {' and '.join(PHASE)}")
+    points = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
+    return correlate1d(picture, points, axis=1, mode="nearest"), correlate1d(picture, points, axis=0, mode="nearest")
