@@ -10,6 +10,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 from numpy.typing import ArrayLike, NDArray
 
+from tapetum.experiments.fig4 import DISTANCES, ROTATIONS
 from tapetum.report.figures._style import (
     INK,
     LABEL,
@@ -40,14 +41,14 @@ _FRAMES = "Frames with their noise, 400 x 400 pixels; brightness is the square r
 _TONE = "Each image to its own peak; brightness is the square root of the irradiance."
 
 
-def draw_fig4(found: Fig4, focal_lengths: ArrayLike, distances: ArrayLike, rotations: ArrayLike) -> Figure:
+def draw_fig4(found: Fig4) -> Figure:
     """Blocks of images, one a focal length: a row for each object distance, a column for each rotation.
 
     The first block is drawn large, the others small beside it; each row has its own scale bar.
     """
     blocks, rows, columns = found.images.shape[:3]
     figure = new_figure(9.9 if blocks > 1 else 6.6, 6.75)
-    lengths = [f"f = {1e3 * f:g} mm" for f in np.asarray(focal_lengths)]
+    lengths = [f"f = {one['focal_length_mm']:g} mm" for one in found.rows[:: rows * columns]]
     parts: list[Figure | SubFigure] = [figure]
     if blocks > 1:
         first, rest = _parted(figure.subfigures(1, 2, width_ratios=(6.5, 3.4)))
@@ -56,8 +57,8 @@ def draw_fig4(found: Fig4, focal_lengths: ArrayLike, distances: ArrayLike, rotat
         large = block == 0
         axes = part.subplots(rows, columns, squeeze=False)
         part.suptitle(lengths[block], fontsize=TITLE if large else LABEL, color=INK, fontweight="bold")
-        for r, distance in enumerate(np.asarray(distances)):
-            for c, rotation in enumerate(np.asarray(rotations)):
+        for r, distance in enumerate(DISTANCES):
+            for c, rotation in enumerate(ROTATIONS):
                 ax = axes[r, c]
                 _picture(ax, found.images[block, r, c])
                 if r == 0:
@@ -95,7 +96,7 @@ def draw_fig5(found: Fig5) -> Figure:
         # By the beam's area from the nearest distance on, as the paper expects it.
         start = strip.signal[int(distances.argmin())]
         left.plot(fine, start * (near / fine) ** 2, color=colour(index), linewidth=0.9, alpha=0.7)
-        text = f"{strip.name}: {_exponent(strip.measured.exponent, strip.measured.error)}"
+        text = f"{strip.name}: {strip.measured.words}"
         left.plot(distances, strip.signal, marker(index), color=colour(index), markersize=5, label=text)
         right.plot(
             distances,
@@ -247,7 +248,3 @@ def _plain_x(ax: Axes, distances: NDArray[np.float64]) -> None:
     ticks = [d for d in (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0) if distances.min() <= d <= distances.max()]
     ax.set_xticks(ticks, labels=[f"{d:g}" for d in ticks])
     ax.xaxis.set_minor_formatter(NullFormatter())
-
-
-def _exponent(value: float, error: float) -> str:
-    return f"{value:.3f} ± {error:.3f}".replace("-", "−")

@@ -2,30 +2,20 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+import make_sizes as script
+from make_sizes import between, side_by_side
 from tapetum.data.synth import make_plan
 from tapetum.errors import InputError
 from tapetum.experiments import RECIPES
-from tapetum.experiments.side_by_side import between, side_by_side
 from tapetum.models import ResNet18
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_sizes", ROOT / "scripts" / "make_sizes.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def told(size: str, mae: float) -> dict[str, Any]:
@@ -58,7 +48,7 @@ def test_only_what_stands_between_the_markers_is_replaced():
             between(wrong, "sizes", "new")
 
 
-def test_a_folder_of_figures_becomes_a_column(script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_folder_of_figures_becomes_a_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     numbers, page = tmp_path / "numbers", tmp_path / "paper.md"
     numbers.mkdir()
     page.write_text("<!-- sizes -->\n<!-- end sizes -->\n")
@@ -75,7 +65,7 @@ def test_a_folder_of_figures_becomes_a_column(script: ModuleType, tmp_path: Path
     assert page.read_text() == before
 
 
-def test_the_docs_hold_the_table_of_the_numbers_beside_them(script: ModuleType):
+def test_the_docs_hold_the_table_of_the_numbers_beside_them():
     page = script.PAGE.read_text(encoding="utf-8")
     assert between(page, "sizes", script.table()) == page
 
