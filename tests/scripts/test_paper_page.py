@@ -14,7 +14,7 @@ DOCS = ROOT / "docs"
 
 def test_every_part_is_made_of_its_numbers() -> None:
     made = script.made()
-    assert set(made) == {"learned", "sealed"}
+    assert set(made) == {"sizes", "learned", "sealed"}
     for name, text in made.items():
         assert (DOCS / "includes" / f"{name}.md").read_text(encoding="utf-8") == text, f"run {script.__file__}"
 
@@ -22,7 +22,7 @@ def test_every_part_is_made_of_its_numbers() -> None:
 def test_the_page_includes_all_parts_and_copies_none() -> None:
     page = (DOCS / "paper.md").read_text(encoding="utf-8")
     named = re.findall(r'^--8<-- "(.+)"$', page, re.MULTILINE)
-    assert named == [*(f"fig{n}.md" for n in (4, 5, 6, 7, 8)), "learned.md", "sealed.md"]
+    assert named == ["sizes.md", *(f"fig{n}.md" for n in (4, 5, 6, 7, 8)), "learned.md", "sealed.md"]
     assert all((DOCS / "includes" / name).is_file() for name in named)
     assert "## Fig" not in page and "## Table" not in page
 

@@ -24,7 +24,7 @@ from tapetum.report.figures._style import (
     marker,
     new_figure,
 )
-from tapetum.report.figures.retro import CMAP, stretched
+from tapetum.report.figures.retro import CMAP, draw_rr, round_length
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -213,12 +213,7 @@ def _samples(axes: NDArray[np.object_], samples: Sequence[Sample], full_scale: i
 
 def _picture(ax: Axes, image: ArrayLike) -> None:
     # Averaged where several of its pixels fall on one of the figure's: rings would beat with these.
-    ax.imshow(stretched(image), cmap=CMAP, vmin=0, vmax=1, interpolation="antialiased", extent=(0, 1, 0, 1))
-    ax.set_xticks([])
-    ax.set_yticks([])
-    for spine in ax.spines.values():
-        spine.set_color(QUIET)
-        spine.set_linewidth(0.6)
+    draw_rr(ax, image, interpolation="antialiased", extent=(0, 1, 0, 1))
 
 
 def _middle(frames: NDArray[np.float64], part: float) -> NDArray[np.float64]:
@@ -234,8 +229,7 @@ def _parted(found: object) -> list[SubFigure]:
 
 def _bar(ax: Axes, width: float, most: float, *, small: bool) -> None:
     """Draw a scale bar of a round length, at most that part of the image's width, which is in metres."""
-    decade = 10.0 ** np.floor(np.log10(most * width))
-    length = max(step * decade for step in (1, 2, 5) if step * decade <= most * width)
+    length = round_length(most * width)
     text = f"{1e3 * length:g} mm" if length >= 1e-3 else f"{1e6 * length:g} µm"
     ax.plot([0.06, 0.06 + length / width], [0.06, 0.06], color="white", linewidth=2.0, solid_capstyle="butt")
     ax.text(0.06, 0.09, text, color="white", fontsize=TICK - 1 if small else TICK, va="bottom")
