@@ -184,7 +184,7 @@ def main() -> None:
     lenses = [PrescriptionLens(name) for name in lens_names() if name not in ZOOMS]
     lenses += [PrescriptionLens(name, focal_length=f) for name, lengths in ZOOMS.items() for f in lengths]
     save_figure(fig_lenses(lenses), IMAGES / "lenses.png", dpi=110)
-    save_figure(fig_phones([load_phone(name) for name in phone_names()]), IMAGES / "phones.png", dpi=110)
+    save_figure(fig_phones([load_phone(name) for name in phone_names()]), IMAGES / "phones.png", dpi=90)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -251,19 +251,19 @@ def write_demo_report(path: str | os.PathLike[str], content: DemoReport) -> Demo
     InputError
         When arrays do not fit each other or the file cannot be written.
     """
-    scores = score_demo(content)
+    scores, rings = score_demo(content), _rings(content)
     best = int(np.argmin([one.mae_overall for _, one in scores.models] + [scores.baseline.mae_overall]))
     first = scores.models[0][1].mae_overall
     body = html.render(
         "demo.html",
         content=content,
         scores=scores,
-        drawn=_figures(content),
+        drawn=_figures(content, rings),
         best=best,
         worse=[name for name, one in scores.models if one.mae_overall >= scores.baseline.mae_overall],
         ahead=[name for name, one in scores.models[1:] if one.mae_overall < first],
         total=sum(value for _, value in content.timings),
-        **_measured(content),
+        **_measured(content, rings),
     )
     text = html.page(
         "Where does that camera look?",
@@ -290,7 +290,7 @@ def _rings(content: DemoReport) -> dict[str, ErrorByDistance]:
     return {name: error_by_distance(content.truth, values, edges=edges) for name, values in everyone.items()}
 
 
-def _figures(content: DemoReport) -> dict[str, Figure]:
+def _figures(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Figure]:
     first, (begin, end) = content.models[0], _section(content)
     marks = [
         (rr, at - begin) for rr, at in zip(content.path_rrs, content.path_rrs_at, strict=True) if begin <= at < end
@@ -311,7 +311,7 @@ def _figures(content: DemoReport) -> dict[str, Figure]:
             {model.name: model.predicted for model in content.models},
             interval=None if first.lower is None or first.upper is None else (first.lower, first.upper),
         ),
-        "errors": figures.fig_error_by_distance(_rings(content), baseline=MEAN),
+        "errors": figures.fig_error_by_distance(rings, baseline=MEAN),
         "labels": figures.fig_label_error(content.spots_found, content.spots_true),
         "samples": figures.fig_samples(content.samples, content.sample_gaze),
     }
@@ -326,10 +326,10 @@ def _figures(content: DemoReport) -> dict[str, Figure]:
     return drawn
 
 
-def _measured(content: DemoReport) -> dict[str, Any]:
+def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Any]:
     """Return the numbers that the page states beside the scores."""
     begin, end = _section(content)
-    known = {name: one.mae[np.isfinite(one.mae)] for name, one in _rings(content).items()}
+    known = {name: one.mae[np.isfinite(one.mae)] for name, one in rings.items()}
     told: dict[str, Any] = {
         "held": [_coverage(content.truth, model) for model in content.models] + ["–"],
         "path_frames": end - begin,
