@@ -81,8 +81,8 @@ def table1(work: Workshop) -> dict[str, Any]:
         return [*axes, (f"{name}, distance", RADIAL, field, None)]
 
     focus: list[Task] = [("object distance", "object_distance", "m", None), ("focal length", "focal_length", "m", None)]
-    tasks = dict.fromkeys(ROTATION_MODELS, of_gaze("rotation", None)) | dict.fromkeys(FOCUS_MODELS, focus)
-    tasks[PHONES_MODEL] = of_gaze("phones", said)
+    tasks: dict[str, list[Task]] = dict.fromkeys(ROTATION_MODELS, of_gaze("rotation", None))
+    tasks |= dict.fromkeys(FOCUS_MODELS, focus) | {PHONES_MODEL: of_gaze("phones", said)}
     rows = [row for name, wanted in tasks.items() for row in _rows(work.outcome(name), RECIPES[name].title, wanted)]
     return {"rows": rows, "classes": score(work.outcome(PHONES_MODEL))["classes"]}
 

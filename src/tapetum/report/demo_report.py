@@ -352,11 +352,10 @@ def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict
         told["without_beam"] = float(np.median(content.sign.without_beam))
     if content.tracking is not None:
         one = content.tracking
-        known_gaze = one.truth is not None and one.predicted is not None
         told["tracked"] = {
             "seen": len(np.unique(one.time[np.isfinite(one.snr)])),
             "lengths": np.unique(one.track, return_counts=True)[1].tolist(),
-            "gaze": score_gaze(one.truth, one.predicted) if known_gaze else None,
+            "gaze": None if one.truth is None or one.predicted is None else score_gaze(one.truth, one.predicted),
         }
     return told
 
