@@ -48,8 +48,7 @@ def evaluate(
     from tapetum.data import open_dataset
     from tapetum.files import atomic_file
     from tapetum.models import model_card
-    from tapetum.report.evaluate import describe
-    from tapetum.report.evaluation import gather, score, write_evaluation
+    from tapetum.report.evaluation import describe, gather, score, write_evaluation
     from tapetum.report.evaluation.write import samples, subject_of
 
     fitted = find_model(model)

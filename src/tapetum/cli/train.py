@@ -152,7 +152,7 @@ def train(
 def _evaluate(model: ZernikeRidge | NetworkEstimator, data: xr.Dataset, dataset: Path, out: Path) -> None:
     """Print the errors of a model that is saved, and put them on its card."""
     from tapetum.models.store import write_metrics
-    from tapetum.report.evaluate import describe, evaluate_model
+    from tapetum.report.evaluation import describe, evaluate_model
 
     try:
         scores = evaluate_model(model, data.tp.test, data.tp.train, progress=bar)

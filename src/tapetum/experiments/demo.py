@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import torch
 import xarray as xr
 from numpy.typing import NDArray
@@ -130,14 +131,14 @@ def run_demo(
         origin = "bundled; trained on recordings of other seeds"
     assert isinstance(resnet, ResNet18)
     with watch.step("Reading the held-out gaze"):
+        models: dict[str, Estimator] = {"ResNet-18": resnet, "Zernike + ridge": ridge}
         predictions = {
-            "ResNet-18": resnet.predict(dataset.tp.test, progress=progress, anyway=True),
-            "Zernike + ridge": ridge.predict(dataset.tp.test, progress=progress, anyway=True),
+            name: model.predict(dataset.tp.test, progress=progress, anyway=True) for name, model in models.items()
         }
     with watch.step("Tracking the held-out part from whole frames"):
         tracking = _track(recording, resnet, out / "tracks.parquet", progress)
     with watch.step("Asking what the sign rests on"):
-        sign = _sign(scene, dataset, {"ResNet-18": resnet, "Zernike + ridge": ridge}, predictions, seed)
+        sign = _sign(scene, dataset, models, predictions, seed)
     seeds_used = ", ".join(map(str, pretrain.TRAIN_SEEDS))
     trained = {
         "ResNet-18": f"{origin} ({seeds_used})",
@@ -168,19 +169,18 @@ def _track(recording: Recording, model: Estimator, file: Path, progress: Progres
     ]
     track_to_file(held_out, file, model=model, progress=progress)
     rows = read_tracks(file)
-    column = {
-        name: rows[name].to_numpy(zero_copy_only=False) for name in rows.column_names if name not in ("name", "device")
-    }
-    truth, labelled = _labels_of(recording, column["frame"].astype(int))
-    both = labelled & np.isfinite(column["gaze_x"].astype(float))
-    predicted = np.stack([column["gaze_x"], column["gaze_y"]], -1).astype(float)
+    frame, track = (rows[name].to_numpy(zero_copy_only=False).astype(int) for name in ("frame", "track"))
+    x, y, seconds, snr = _stacked(rows, "x", "y", "time", "snr").T
+    predicted = _stacked(rows, "gaze_x", "gaze_y")
+    truth = _stacked(_labelled(recording)[0], "gaze_x", "gaze_y")[frame]
+    both = np.isfinite(truth).all(axis=1) & np.isfinite(predicted[:, 0])
     return Tracking(
         frame=held_out[len(held_out) // 2].image,
-        track=column["track"].astype(int),
-        x=column["x"].astype(float),
-        y=column["y"].astype(float),
-        time=column["time"].astype(float),
-        snr=column["snr"].astype(float),
+        track=track,
+        x=x,
+        y=y,
+        time=seconds,
+        snr=snr,
         frames=len(held_out),
         truth=truth[both],
         predicted=predicted[both],
@@ -188,12 +188,17 @@ def _track(recording: Recording, model: Estimator, file: Path, progress: Progres
     )
 
 
-def _labels_of(recording: Recording, frames: NDArray[np.int_]) -> tuple[Array, NDArray[np.bool_]]:
-    labels = recording.labels()
-    if labels is None:
-        raise InputError("has no labels", where=recording.path, remedy="run the demo again")
-    gaze = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("gaze_x", "gaze_y")], -1).astype(float)[frames]
-    return gaze, np.asarray(np.isfinite(gaze).all(axis=1))
+def _stacked(table: pa.Table, *names: str) -> Array:
+    """Return some columns, [N, len(names)]."""
+    return np.stack([table[name].to_numpy(zero_copy_only=False) for name in names], -1).astype(float)
+
+
+def _labelled(recording: Recording) -> tuple[pa.Table, pa.Table]:
+    """Return the labels of a recording, and what the bench knows to be true."""
+    labels, truth = recording.labels(), recording.truth()
+    if labels is None or truth is None:
+        raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo again")
+    return labels, truth
 
 
 def _sign(
@@ -212,17 +217,14 @@ def _sign(
 
     test = dataset.tp.test
     truth = test.tp.values(("gaze_x", "gaze_y"))
-    rates = []
-    for name, prediction in predictions.items():
-        rates.append(_rate(name, True, truth, prediction.value))
+    rates = [_rate(name, True, truth, prediction.value) for name, prediction in predictions.items()]
     step = max(1, len(truth) // _SIGN_FRAMES)
     some = truth[::step]
     frames = list(probe_frames(ideal, some, np.zeros_like(some), seed))
     crops = crop_batch(np.stack(frames), np.array([find_centre(frame) for frame in frames]), dataset.tp.side)
     for name, model in models.items():
-        rates.append(
-            _rate(name, False, some, model.predict(crops, full_scale=dataset.tp.full_scale, anyway=True).value)
-        )
+        told = model.predict(crops, full_scale=dataset.tp.full_scale, anyway=True)
+        rates.append(_rate(name, False, some, told.value))
     beam = scene.illumination.second_beam
     words = f"{beam.ratio:.0%} of the first, {1e3 * np.hypot(*beam.angle):.2g} mrad beside it" if beam else ""
     return SignEvidence(x, y, mapped(scene), mapped(ideal), rates, words)
@@ -235,18 +237,15 @@ def _rate(name: str, second_beam: bool, truth: Array, predicted: Array) -> SignR
 
 def _spots(recording: Recording) -> tuple[Array, Array, Array]:
     """Laser spots at the probe's frames, in target pixels: found, true, and what a perfect finder would have joined."""
-    labels, truth = recording.labels(), recording.truth()
-    if labels is None or truth is None:
-        raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo again")
-    found = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("spot_x", "spot_y")], -1).astype(float)
+    labels, truth = _labelled(recording)
     info = recording.stream("target")
     size = np.array([info.width, info.height], dtype=float)
 
     def true(stream: str) -> Array:
         rows = truth.filter(np.asarray(truth["stream"]) == stream)
-        return (size - 1) / 2 + size * np.stack([rows[n].to_numpy() for n in ("gaze_x", "gaze_y")], -1)
+        return (size - 1) / 2 + size * _stacked(rows, "gaze_x", "gaze_y")
 
-    return found, true("probe"), join(recording).interpolate(true("target"))
+    return _stacked(labels, "spot_x", "spot_y"), true("probe"), join(recording).interpolate(true("target"))
 
 
 def _content(
@@ -270,6 +269,7 @@ def _content(
     path_at = _spread(truth, 3)
     sensor = scene.probe.sensor
     counted = dataset.tp.recordings[0]
+    stored = sum(file.stat().st_size for file in recording.path.rglob("*") if file.is_file())
     return DemoReport(
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         recording=[
@@ -329,7 +329,7 @@ def _content(
                 f"{dataset.sizes['frame']} ({dataset.tp.train.sizes['frame']} train, {test.sizes['frame']} test)",
             ),
             ("frames left out", ", ".join(f"{v} {k}" for k, v in counted.get("left_out", {}).items())),
-            ("recording", f"{_megabytes(recording.path):.1f} MB"),
+            ("recording", f"{stored / 1e6:.1f} MB"),
         ],
         versions=[
             ("tapetum", version("tapetum")),
@@ -382,10 +382,6 @@ def _spread(gaze: Array, count: int) -> NDArray[np.int_]:
         away = np.min(np.linalg.norm(gaze[:, None] - gaze[chosen][None], axis=-1), axis=1)
         chosen.append(int(np.argmax(away)))
     return np.array(sorted(chosen, key=lambda i: float(np.hypot(*gaze[i]))))
-
-
-def _megabytes(folder: Path) -> float:
-    return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) / 1e6
 
 
 def _save_picture(path: Path, content: DemoReport) -> None:

@@ -81,6 +81,8 @@ class Fig7:
             "share_of_light": _SHARE,
             "pixels": SIDE,
             "full_scale": self.full_scale,
+            "gaze": GAZE,
+            "object_distance_m": AT,
             **{
                 letter: [{"name": one.name, "refused": one.refused or None, **one.row} for one in samples]
                 for letter, samples in self.rows()

@@ -22,6 +22,11 @@ class PowerLaw:
     error: float
     factor: float
 
+    @property
+    def words(self) -> str:
+        """The exponent with its error, as "−2.000 ± 0.001"."""
+        return f"{self.exponent:.3f} ± {self.error:.3f}".replace("-0.000", "0.000").replace("-", "−")
+
 
 def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
     """Fit a power law by least squares in logarithms, all points alike.
@@ -42,14 +47,11 @@ def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
         raise InputError(f"have the shapes {a.shape} and {b.shape}", where="x and y", remedy=remedy)
     if not (np.isfinite(a).all() and np.isfinite(b).all() and (a > 0).all() and (b > 0).all()):
         raise InputError("hold a value that is not positive", where="x and y", remedy="give positive, finite values")
-    u, v = np.log(a), np.log(b)
-    away = u - u.mean()
-    if not away.any():
+    if not np.ptp(a):
         raise InputError("are all the same", where="x", remedy="give different values")
-    exponent = float(away @ v / (away @ away))
-    rest = v - v.mean() - exponent * away
-    error = float(np.sqrt(rest @ rest / (len(u) - 2) / (away @ away)))
-    return PowerLaw(exponent, error, float(np.exp(v.mean() - exponent * u.mean())))
+    # Not SciPy's linregress: of values that are all alike it gives no error of the slope.
+    (exponent, level), covariance = np.polyfit(np.log(a), np.log(b), 1, cov=True)
+    return PowerLaw(float(exponent), float(np.sqrt(covariance[0, 0])), float(np.exp(level)))
 
 
 def _offsets(count: int, pitch: float) -> Array:

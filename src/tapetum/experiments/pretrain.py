@@ -20,7 +20,7 @@ from tapetum.progress import Progress, quiet
 from tapetum.record import Session, film, label_recording, open_recording
 from tapetum.record.layout import LABELS, is_recording
 from tapetum.record.shot import Shot
-from tapetum.report.evaluate import evaluate_model
+from tapetum.report.evaluation import evaluate_model
 
 __all__ = [
     "CROP",

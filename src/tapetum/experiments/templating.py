@@ -1,18 +1,41 @@
-"""Pages of results: a template and the numbers that were measured, and nothing else, make the text."""
+"""Pages of results in Markdown: a template and the numbers that were measured make the whole text."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+import re
+import textwrap
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import cache
+from itertools import pairwise
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from tapetum.experiments.page import filled, table_of
+from tapetum.experiments.measure import PowerLaw
 from tapetum.report.verdicts import MEAN, against_mean, intervals
 
-__all__ = ["render", "render_text"]
+__all__ = ["filled", "render", "render_text", "table_of"]
+
+
+def table_of(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    """Write a table in Markdown."""
+    lines = [names, ["---"] * len(names), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def filled(page: str) -> str:
+    """Break a page's paragraphs and points at one width; headings, pictures, tables and code stay as they are."""
+    done: list[str] = []
+    for block in re.split(r"\n{2,}", page.strip()):
+        if block[0] in "#!|" or block.startswith("    "):
+            done.append(block)
+            continue
+        points = [" ".join(point.split()) for point in re.split(r"\n(?=- )", block)]
+        indent = "  " if block.startswith("- ") else ""
+        fill = textwrap.TextWrapper(120, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False).fill
+        done.append("\n".join(fill(point) for point in points))
+    return "\n\n".join(done) + "\n"
 
 
 def _number(value: float | None, digits: int = 3) -> str:
@@ -30,6 +53,24 @@ def _listed(words: Sequence[str]) -> str:
     return some[0] if len(some) == 1 else f"{', '.join(some[:-1])} and {some[-1]}"
 
 
+def _over(values: Sequence[float], others: Sequence[float]) -> list[float]:
+    return [a / b for a, b in zip(values, others, strict=True)]
+
+
+_FILTERS: dict[str, Callable[..., object]] = {
+    "num": _number,
+    "percent": _percent,
+    "listed": _listed,
+    "exponent": lambda law: PowerLaw(**law).words,
+    "fmt": format,
+    "over": _over,
+    "fold": lambda values: max(values) / min(values),
+    "span": lambda values: max(values) - min(values),
+    "apart": lambda values, others: max(abs(a - b) for a, b in zip(values, others, strict=True)),
+    "falls": lambda values: all(b < a for a, b in pairwise(values)),
+}
+
+
 @cache
 def _environment() -> Environment:
     made = Environment(
@@ -41,7 +82,7 @@ def _environment() -> Environment:
         # Markdown, not HTML; every value is ours.
         autoescape=False,
     )
-    made.filters |= {"num": _number, "percent": _percent, "listed": _listed}
+    made.filters |= _FILTERS
     made.globals |= {"MEAN": MEAN, "against_mean": against_mean, "intervals_are": intervals, "table": table_of}
     return made
 

@@ -109,72 +109,50 @@ EFFORTS: dict[str, dict[str, Effort]] = {
 """Of the networks, by what they tell and by size."""
 
 
-def _network(target: str, crop: int, effort: Effort, **settings: Any) -> ResNet18:
-    return ResNet18(target, crop=crop, size=effort.edge, epochs=effort.epochs, batch=effort.batch, **settings)
+# Side of the crop, in pixels. The RR of the Rotation set is 124 pixels wide, its second image 43 pixels beside it, and
+# at 3 m it is half as wide again. At 135 mm and 3 m the RR fills the crop for the focus. A phone's RRs are spread over
+# the crop; a ring of one is 6 pixels wide, and its fine structure tells the phone.
+_CROPS = {"gaze": 144, "varied": 200, "focus": 400, "phone": 400, "device": 400}
 
 
-def _gaze(size: str, /, kind: str = "gaze", crop: int = 144, hide: int = 0) -> ResNet18:
-    # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one, or three.
-    return _network("gaze", crop, EFFORTS[kind][size], gain=0.3, hide=hide)
+def _network(kind: str, **settings: Any) -> Callable[[str], Model]:
+    """Return what makes a network for a size of the sets."""
+    target = "gaze" if kind == "varied" else kind
+    if target == "gaze":
+        settings["gain"] = 0.3
+
+    def make(size: str) -> Model:
+        effort = EFFORTS[kind][size]
+        image = {"crop": _CROPS[kind], "size": effort.edge}
+        return ResNet18(target, epochs=effort.epochs, batch=effort.batch, **image, **settings)
+
+    return make
 
 
-def _focus(size: str) -> ResNet18:
-    # The RR fills the crop at 135 mm and 3 m.
-    return _network("focus", 400, EFFORTS["focus"][size])
-
-
-def _phone(size: str, target: str = "phone") -> ResNet18:
-    # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide, and its fine structure tells the phone.
-    return _network(target, 400, EFFORTS[target][size])
-
-
-def _paper_ridge(target: str) -> ZernikeRidge:
-    return ZernikeRidge(target)
-
-
-def _tuned_ridge(target: str) -> ZernikeRidge:
-    return ZernikeRidge(target, alpha="cv", standardise=True, calibration_fraction=0.1)
+def _ridge(target: str, *, tuned: bool = False) -> Callable[[str], Model]:
+    chosen: dict[str, Any] = {"alpha": "cv", "standardise": True, "calibration_fraction": 0.1} if tuned else {}
+    return lambda _: ZernikeRidge(target, **chosen)
 
 
 PAPER, TUNED, RESNET = "Zernike + ridge", "Zernike + ridge, tuned", "ResNet-18"
+HIDDEN, VARIED = "ResNet-18 without its brightest spot", "ResNet-18, varied recordings"
+HELD_OUT = "ResNet-18, devices held out"
 UNSEEN = ("phone-03", "phone-07", "phone-10")
 """Devices kept from the model that is asked for none of these."""
 
-RECIPES: dict[str, Recipe] = {
-    recipe.name: recipe
-    for recipe in (
-        Recipe("rotation-zernike", "rotation", PAPER, lambda _: _paper_ridge("gaze")),
-        Recipe("rotation-zernike-tuned", "rotation", TUNED, lambda _: _tuned_ridge("gaze"), reason=_CV),
-        Recipe("rotation-resnet18", "rotation", RESNET, _gaze, reason=_GAZE),
-        Recipe(
-            "rotation-resnet18-hidden",
-            "rotation",
-            "ResNet-18 without its brightest spot",
-            lambda s: _gaze(s, hide=16),
-            reason=_GAZE,
-        ),
-        # At 3 m the RR is half as wide again.
-        Recipe(
-            "rotation-resnet18-varied",
-            "varied",
-            "ResNet-18, varied recordings",
-            lambda size: _gaze(size, "varied", 200),
-            reason=_VARIED,
-        ),
-        Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
-        Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus"), reason=_CV),
-        Recipe("focusing-resnet18", "focusing", RESNET, _focus, reason=_FOCUS),
-        Recipe("phones-resnet18", "phones", RESNET, _phone, reason=_PHONE),
-        Recipe(
-            "phones-resnet18-unseen",
-            "phones",
-            "ResNet-18, devices held out",
-            lambda s: _phone(s, "device"),
-            UNSEEN,
-            _PHONE,
-        ),
-    )
-}
+_ALL = (
+    Recipe("rotation-zernike", "rotation", PAPER, _ridge("gaze")),
+    Recipe("rotation-zernike-tuned", "rotation", TUNED, _ridge("gaze", tuned=True), reason=_CV),
+    Recipe("rotation-resnet18", "rotation", RESNET, _network("gaze"), reason=_GAZE),
+    Recipe("rotation-resnet18-hidden", "rotation", HIDDEN, _network("gaze", hide=16), reason=_GAZE),
+    Recipe("rotation-resnet18-varied", "varied", VARIED, _network("varied"), reason=_VARIED),
+    Recipe("focusing-zernike", "focusing", PAPER, _ridge("focus")),
+    Recipe("focusing-zernike-tuned", "focusing", TUNED, _ridge("focus", tuned=True), reason=_CV),
+    Recipe("focusing-resnet18", "focusing", RESNET, _network("focus"), reason=_FOCUS),
+    Recipe("phones-resnet18", "phones", RESNET, _network("phone"), reason=_PHONE),
+    Recipe("phones-resnet18-unseen", "phones", HELD_OUT, _network("device"), UNSEEN, _PHONE),
+)
+RECIPES = {recipe.name: recipe for recipe in _ALL}
 
 
 @dataclass

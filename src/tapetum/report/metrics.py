@@ -13,6 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+from scipy.stats import binomtest
 
 from tapetum.errors import InputError
 
@@ -140,11 +142,8 @@ def wilson_interval(right: int, counted: int, z: float = 1.96) -> Pair:
     """
     if counted <= 0 or not 0 <= right <= counted:
         raise InputError(f"no fraction: {right} of {counted}", where="sign")
-    p = right / counted
-    middle = p + z * z / (2 * counted)
-    half = z * np.sqrt(p * (1 - p) / counted + z * z / (4 * counted * counted))
-    scale = 1 + z * z / counted
-    return float(max(0.0, (middle - half) / scale)), float(min(1.0, (middle + half) / scale))
+    ends = binomtest(right, counted).proportion_ci(2 * float(ndtr(z)) - 1, method="wilson")
+    return float(ends.low), float(ends.high)
 
 
 @dataclass(frozen=True)

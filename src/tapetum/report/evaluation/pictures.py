@@ -9,14 +9,15 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from tapetum.report.evaluation.binned import binned_errors
+from tapetum.report.binned import binned_errors, error_by_distance
 from tapetum.report.evaluation.outcome import COVARIATES, Outcome
 from tapetum.report.evaluation.scores import ErrorMap, by_device, by_recording, by_snr, error_map, group, score_classes
+from tapetum.report.figures.by_image import fig_by_image
 from tapetum.report.figures.classes import fig_confusion, fig_reliability
-from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance, look
-from tapetum.report.figures.learning import fig_by_image, fig_path
+from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance
 from tapetum.report.figures.maps import fig_error_map
-from tapetum.report.rings import error_by_distance
+from tapetum.report.figures.path import fig_path
+from tapetum.report.looks import look
 from tapetum.report.verdicts import MEAN
 
 __all__ = ["MEAN", "Picture", "pictures"]

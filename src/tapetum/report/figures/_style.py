@@ -137,6 +137,24 @@ def marker(index: int) -> str:
     return MARKERS[index % len(MARKERS)]
 
 
+def draw_dots(
+    ax: Axes, at: NDArray[np.generic], values: NDArray[np.float64], limits: tuple[float, float], order: int
+) -> None:
+    """Draw values as dots, the first model's in front, and those beyond the limits as triangles at the edge."""
+    low, high = limits
+    margin = 0.015 * (high - low)
+    for off, shown, sign in (
+        (values > high, high - margin, "^"),
+        (values < low, low + margin, "v"),
+    ):
+        # An axis may run downwards: the triangle then points the other way on the paper, as it should.
+        ax.scatter(at[off], np.full(int(off.sum()), shown), marker=sign, s=14, color=colour(order), zorder=4)
+    inside = (values >= low) & (values <= high)
+    size = 4.0 if len(values) > 1000 else 9.0
+    look_of = {"color": colour(order), "s": size, "linewidths": 0, "alpha": 0.75, "zorder": 4 - 0.1 * order}
+    ax.scatter(at[inside], values[inside], marker=marker(order), **look_of)  # type: ignore[arg-type]
+
+
 def stamp(figure: Figure, text: str) -> None:
     """Write a warning across a figure, large enough that a copy of it cannot pass for a result."""
     lines = "\n".join(textwrap.wrap(text, 34))

@@ -12,6 +12,7 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from tapetum.data.dataset import image_batches
@@ -289,16 +290,11 @@ def _footing(figure: Figure, dataset: xr.Dataset, notes: Sequence[str]) -> None:
     lines = [note if len(note) <= 150 else note[:149] + "…" for note in notes[:4]]
     for n, line in enumerate(lines):
         figure.text(0.03, 0.102 - 0.021 * n, line, fontsize=NOTE + 0.5, color=INK, va="center")
-    figure.add_artist(_rule(figure))
+    rule = Line2D([0.03, 0.975], [0.026, 0.026], transform=figure.transFigure, color=RULE, linewidth=0.8)
+    figure.add_artist(rule)
     mark = f"sha256 {dataset.tp.hash[:16]}…  ·  drawn by Tapetum {version('tapetum')}"
     told = ", ".join(str(one.get("name", "")) for one in dataset.tp.recordings[:6])
     more = "" if len(dataset.tp.recordings) <= 6 else f" and {len(dataset.tp.recordings) - 6} more"
     source = f"from {told}{more}" if told else ""
     figure.text(0.03, 0.012, source[:110], fontsize=TICK - 0.5, color=QUIET, va="center")
     figure.text(0.975, 0.012, mark, fontsize=TICK - 0.5, color=QUIET, va="center", ha="right")
-
-
-def _rule(figure: Figure) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([0.03, 0.975], [0.026, 0.026], transform=figure.transFigure, color=RULE, linewidth=0.8)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,6 +12,7 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocat
 from numpy.typing import ArrayLike, NDArray
 
 from tapetum.errors import InputError
+from tapetum.report.binned import ErrorByDistance
 from tapetum.report.figures._style import (
     INK,
     NOTE,
@@ -23,43 +24,17 @@ from tapetum.report.figures._style import (
     marker,
     new_figure,
 )
-from tapetum.report.rings import ErrorByDistance
+from tapetum.report.looks import look
 
 if TYPE_CHECKING:
-    from tapetum.report.evaluation.binned import Binned
+    from tapetum.report.binned import Binned
     from tapetum.report.evaluation.scores import Group
 
-__all__ = ["Look", "fig_coverage", "fig_error_by", "fig_error_by_distance", "look"]
+__all__ = ["fig_coverage", "fig_error_by", "fig_error_by_distance"]
 
 Array = NDArray[np.float64]
 _WANTED = (0.88, 0.92)
 _BOUND_LINES: tuple[tuple[float, tuple[float, ...]], ...] = ((0, (6, 2)), (0, (1, 1.4)), (0, (6, 2, 1, 2)))
-
-
-class Look(NamedTuple):
-    """How a quantity is written in figures: its name, its unit, and what its SI value is multiplied with."""
-
-    name: str
-    unit: str
-    scale: float = 1.0
-
-    @property
-    def label(self) -> str:
-        """Name with unit."""
-        return f"{self.name}, {self.unit}" if self.unit else self.name
-
-
-_LOOKS = {
-    "gaze_x": Look("gaze x", "fraction of the field"),
-    "gaze_y": Look("gaze y", "fraction of the field"),
-    "object_distance": Look("object distance $x_d$", "m"),
-    "focal_length": Look("focal length $f_t$", "mm", 1e3),
-}
-
-
-def look(quantity: str) -> Look:
-    """Return how a quantity is written; an unknown one by its own name, in its own unit."""
-    return _LOOKS.get(quantity, Look(quantity.replace("_", " "), ""))
 
 
 def _plain_ticks(ax: Axes) -> None:

@@ -58,10 +58,11 @@ def draw_rr(
     peak: float | None = None,
     stretch: str = "sqrt",
     extent: tuple[float, float, float, float] | None = None,
+    interpolation: str = "nearest",
 ) -> None:
     """Draw one RR without ticks, on its own peak unless `peak` says otherwise."""
     values = stretched(image, peak, stretch)
-    ax.imshow(values, cmap=CMAP, vmin=0, vmax=1, extent=extent, interpolation="nearest")
+    ax.imshow(values, cmap=CMAP, vmin=0, vmax=1, extent=extent, interpolation=interpolation)
     ax.set_xticks([])
     ax.set_yticks([])
     for spine in ax.spines.values():
@@ -165,10 +166,15 @@ def fig_grid(
     return figure
 
 
+def round_length(most: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is at most so long."""
+    decade = 10.0 ** np.floor(np.log10(most))
+    return max(step * decade for step in (1, 2, 5) if step * decade <= most)
+
+
 def _scale_bar(ax: Axes, extent: float, width: int, height: int, unit: str) -> None:
     """Draw a bar of a round length, at most 40 % of the image's width."""
-    decade = 10.0 ** np.floor(np.log10(0.4 * extent))
-    length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.4 * extent)
+    length = round_length(0.4 * extent)
     pixels, left, low = length / extent * width, 0.06 * width, 0.93 * height
     ax.plot([left, left + pixels], [low, low], color="white", linewidth=2.2, solid_capstyle="butt")
     ax.text(left, low - 0.03 * height, f"{length:g} {unit}", color="white", fontsize=TICK, va="bottom")

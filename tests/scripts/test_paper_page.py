@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import re
 from pathlib import Path
-from types import ModuleType
 
-import pytest
+import make_paper_page as script
 
 ROOT = Path(__file__).parents[2]
 DOCS = ROOT / "docs"
 
 
-@pytest.fixture(scope="module")
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_paper_page", ROOT / "scripts" / "make_paper_page.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_every_part_is_made_of_its_numbers(script: ModuleType) -> None:
+def test_every_part_is_made_of_its_numbers() -> None:
     made = script.made()
-    assert set(made) == {"learned", "sealed"}
+    assert set(made) == {"sizes", "learned", "sealed"}
     for name, text in made.items():
         assert (DOCS / "includes" / f"{name}.md").read_text(encoding="utf-8") == text, f"run {script.__file__}"
 
@@ -33,12 +22,12 @@ def test_every_part_is_made_of_its_numbers(script: ModuleType) -> None:
 def test_the_page_includes_all_parts_and_copies_none() -> None:
     page = (DOCS / "paper.md").read_text(encoding="utf-8")
     named = re.findall(r'^--8<-- "(.+)"$', page, re.MULTILINE)
-    assert named == [*(f"fig{n}.md" for n in (4, 5, 6, 7, 8)), "learned.md", "sealed.md"]
+    assert named == ["sizes.md", *(f"fig{n}.md" for n in (4, 5, 6, 7, 8)), "learned.md", "sealed.md"]
     assert all((DOCS / "includes" / name).is_file() for name in named)
     assert "## Fig" not in page and "## Table" not in page
 
 
-def test_older_results_name_their_version_and_verdicts_follow_the_numbers(script: ModuleType) -> None:
+def test_older_results_name_their_version_and_verdicts_follow_the_numbers() -> None:
     older = json.loads((DOCS / "numbers" / "learned-0.1.0.json").read_text(encoding="utf-8"))
     text = script.made()["learned"]
     sections = re.split(r"^##+ ", text, flags=re.MULTILINE)[1:]

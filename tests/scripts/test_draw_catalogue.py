@@ -7,10 +7,9 @@ import math
 import numpy as np
 import pytest
 
+from draw_catalogue import fig_lenses, fig_phones
 from tapetum.bench import PrescriptionLens, load_phone
 from tapetum.errors import InputError
-from tapetum.report.figures.lens import fig_lenses
-from tapetum.report.figures.phone import fig_phones
 
 
 def test_every_field_ends_in_one_point_of_the_sensor() -> None:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from sign_causes import Cause, Row, fig_sign_causes, markdown, sign_causes, thin_target
 from tapetum.bench import with_values
-from tapetum.experiments.sign_causes import Cause, Row, fig_sign_causes, markdown, sign_causes, thin_target
 
 
 def small(*names: str, about_symmetry: bool = False):

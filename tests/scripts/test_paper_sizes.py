@@ -2,30 +2,21 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
+import shutil
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
 
+import make_paper_page as script
+from make_paper_page import side_by_side
 from tapetum.data.synth import make_plan
 from tapetum.errors import InputError
 from tapetum.experiments import RECIPES
-from tapetum.experiments.side_by_side import between, side_by_side
 from tapetum.models import ResNet18
 
 ROOT = Path(__file__).parents[2]
-
-
-@pytest.fixture
-def script() -> ModuleType:
-    spec = importlib.util.spec_from_file_location("make_sizes", ROOT / "scripts" / "make_sizes.py")
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
 
 
 def told(size: str, mae: float) -> dict[str, Any]:
@@ -50,20 +41,11 @@ def test_what_is_no_better_than_the_mean_is_named(mae: float, worse: bool):
     assert ("no better than the mean" in side_by_side([told("small", mae)])) == worse
 
 
-def test_only_what_stands_between_the_markers_is_replaced():
-    text = "a\n<!-- sizes -->\nold\n<!-- end sizes -->\nb\n"
-    assert between(text, "sizes", "new") == "a\n<!-- sizes -->\nnew\n<!-- end sizes -->\nb\n"
-    for wrong in ("a\n", text * 2):
-        with pytest.raises(ValueError, match="one pair of markers"):
-            between(wrong, "sizes", "new")
-
-
-def test_a_folder_of_figures_becomes_a_column(script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    numbers, page = tmp_path / "numbers", tmp_path / "paper.md"
-    numbers.mkdir()
-    page.write_text("<!-- sizes -->\n<!-- end sizes -->\n")
+def test_a_folder_of_figures_becomes_a_column(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    numbers, page = tmp_path / "numbers", tmp_path / "sizes.md"
+    shutil.copytree(script.NUMBERS, numbers)
     monkeypatch.setattr(script, "NUMBERS", numbers)
-    monkeypatch.setattr(script, "PAGE", page)
+    monkeypatch.setattr(script, "INCLUDES", tmp_path)
     for size in ("laptop", "small"):
         (tmp_path / size).mkdir()
         (tmp_path / size / "table1.json").write_text(json.dumps(told(size, 0.02)))
@@ -73,11 +55,6 @@ def test_a_folder_of_figures_becomes_a_column(script: ModuleType, tmp_path: Path
     with pytest.raises(InputError, match="shows nothing"):
         script.main([str(tmp_path / "small")])
     assert page.read_text() == before
-
-
-def test_the_docs_hold_the_table_of_the_numbers_beside_them(script: ModuleType):
-    page = script.PAGE.read_text(encoding="utf-8")
-    assert between(page, "sizes", script.table()) == page
 
 
 def test_the_docs_say_what_is_filmed_and_trained_at_each_size():

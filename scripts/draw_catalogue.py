@@ -1,30 +1,39 @@
-"""Sections through lenses, with the rays that reach their sensors."""
+"""Draw the bundled lenses and phones for docs/lenses.md: docs/images/lenses.png and docs/images/phones.png.
+
+.venv/bin/python scripts/draw_catalogue.py
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patches import Circle
 
-from tapetum.bench import PrescriptionLens, load_lens
+from tapetum.bench import Phone, PrescriptionLens, lens_names, load_lens, load_phone, phone_names
 from tapetum.bench.zoom import focal_range
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Lens, sag, to_plane, trace
+from tapetum.report.figures import save_figure
 from tapetum.report.figures._style import INK, MODELS, NOTE, QUIET, RULE, new_figure
 
-__all__ = ["draw_lens", "fig_lenses"]
-
+# Focal lengths, in metres, at which zooms are drawn.
+ZOOMS = {"zoom-5-15mm": (8e-3,), "zoom-18-140mm": (50e-3, 135e-3)}
+IMAGES = Path(__file__).parents[1] / "docs" / "images"
 _WAVELENGTH = 587.56e-9
 _RAYS = 5
 # Of the half field.
 _FIELDS = (0.0, 0.6, 0.95)
 _GLASS = "#dbe7f0"
+# Half of what each panel shows, in millimetres.
+_HALF = 19.0
 
 
 def fig_lenses(lenses: Sequence[PrescriptionLens], *, columns: int = 3) -> Figure:
@@ -126,3 +135,57 @@ def _front(lens: Lens, count: int) -> Lens:
     """Its first surfaces only."""
     first = {name: getattr(lens, name)[:count] for name in ("z", "curvature", "conic", "asphere", "semi_diameter")}
     return replace(lens, **first, index=lens.index[: count + 1])
+
+
+def fig_phones(phones: Sequence[Phone], *, columns: int = 4) -> Figure:
+    """One panel a phone, all at one scale: rims of the front lenses, entrance pupils, and the dot projector.
+
+    Parameters
+    ----------
+    phones
+        One to twenty.
+    columns
+        Panels side by side.
+
+    Raises
+    ------
+    InputError
+        When there are none or too many.
+    """
+    if not 1 <= len(phones) <= 20:
+        raise InputError(f"has {len(phones)} entries", where="phones", remedy="give one to twenty")
+    figure = new_figure(2.5 * columns, 2.6 * math.ceil(len(phones) / columns), pictures=True)
+    for k, phone in enumerate(phones):
+        ax = figure.add_subplot(math.ceil(len(phones) / columns), columns, k + 1)
+        for camera in phone.cameras:
+            x, y = (1e3 * place for place in camera.position)
+            lens = camera.lens.focused(camera.lens.design_wavelength, math.inf).lens
+            rim = 1e3 * float(lens.semi_diameter.max())
+            ax.add_patch(Circle((x, y), rim, facecolor="#eef1f4", edgecolor=INK, linewidth=0.8))
+            ax.add_patch(Circle((x, y), 1e3 * camera.lens.aperture_radius, color=MODELS[0]))
+            said = f"{camera.name} {1e3 * camera.lens.focal_length:.2g}"
+            ax.text(x, y + rim + 1.9, said, fontsize=NOTE - 1.5, color=QUIET, ha="center", va="center")
+        if phone.dots is not None:
+            x, y = (1e3 * place for place in phone.dots.position)
+            ax.plot([x], [y], marker="s", markersize=5, color=MODELS[1])
+            ax.text(x, y + 2.4, "dots", fontsize=NOTE - 1.5, color=QUIET, ha="center", va="center")
+        ax.set_xlim(-_HALF, _HALF)
+        ax.set_ylim(_HALF, -_HALF)
+        ax.set_aspect("equal")
+        ax.set_xticks([])
+        ax.set_yticks([])
+        for spine in ax.spines.values():
+            spine.set_color(RULE)
+        ax.set_title(phone.name, fontsize=NOTE, color=INK, loc="left")
+    return figure
+
+
+def main() -> None:
+    lenses = [PrescriptionLens(name) for name in lens_names() if name not in ZOOMS]
+    lenses += [PrescriptionLens(name, focal_length=f) for name, lengths in ZOOMS.items() for f in lengths]
+    save_figure(fig_lenses(lenses), IMAGES / "lenses.png", dpi=110)
+    save_figure(fig_phones([load_phone(name) for name in phone_names()]), IMAGES / "phones.png", dpi=90)
+
+
+if __name__ == "__main__":
+    main()

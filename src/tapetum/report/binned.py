@@ -1,0 +1,178 @@
+"""Mean errors in rings of the field or in bins of anything else, with intervals from whole blocks of frames.
+
+Frames of a video resemble their neighbours: intervals from single frames, as SciPy's bootstrap gives, would be too
+short.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tapetum.errors import InputError
+from tapetum.report.metrics import matched
+
+__all__ = ["Binned", "ErrorByDistance", "binned_errors", "error_by_distance"]
+
+Array = NDArray[np.float64]
+
+# As many distinct values as this get a point each, instead of bins.
+_FEW = 12
+
+
+@dataclass(frozen=True)
+class ErrorByDistance:
+    """MAE in rings of the field around its centre (the paper's Fig. 10).
+
+    Parameters
+    ----------
+    edges
+        [B + 1] distances from the centre, fractions of the field.
+    count
+        [B] frames.
+    mae
+        [B] mean over both axes, fractions of the field; NaN where there is no frame.
+    low, high
+        [B] ends of the bootstrap interval; NaN where there is no frame.
+    level
+        Probability the interval is meant to hold.
+    """
+
+    edges: Array
+    count: NDArray[np.int64]
+    mae: Array
+    low: Array
+    high: Array
+    level: float
+
+    @property
+    def centre(self) -> Array:
+        """[B] middle of each ring."""
+        return 0.5 * (self.edges[1:] + self.edges[:-1])
+
+
+@dataclass(frozen=True)
+class Binned:
+    """Mean of an error in bins of something else.
+
+    Parameters
+    ----------
+    x
+        [B] median of that in each bin.
+    count
+        [B] frames.
+    mean
+        [B] mean error.
+    low, high
+        [B] ends of its bootstrap interval of 95 %.
+    """
+
+    x: Array
+    count: NDArray[np.int64]
+    mean: Array
+    low: Array
+    high: Array
+
+
+def error_by_distance(
+    truth: ArrayLike,
+    predicted: ArrayLike,
+    *,
+    edges: ArrayLike | None = None,
+    block: int = 15,
+    repeats: int = 1000,
+    level: float = 0.95,
+    seed: int = 0,
+) -> ErrorByDistance:
+    """Average the error in rings by the true distance from the field's centre, with bootstrap intervals.
+
+    Parameters
+    ----------
+    truth, predicted
+        [N, 2] gaze (x, y) in the order of filming, fractions of the field of view.
+    edges
+        [B + 1] edges of the rings, rising; ten equal ones from 0 to the largest distance when None.
+    block
+        Neighbouring frames drawn together: 15 is one second of the paper's videos.
+    repeats
+        Bootstrap samples.
+    level
+        Probability of the interval.
+    seed
+        Of the bootstrap.
+
+    Raises
+    ------
+    InputError
+        When the shapes are wrong, a value is not finite, or the edges do not rise.
+    """
+    a, b = matched(truth, predicted, 2)
+    distance, error = np.hypot(a[:, 0], a[:, 1]), np.abs(b - a).mean(axis=1)
+    if edges is None:
+        edges = np.linspace(0.0, max(float(distance.max()), 1e-6) * (1 + 1e-9), 11)
+    rings = np.asarray(edges, dtype=np.float64)
+    if rings.ndim != 1 or len(rings) < 2 or not (np.diff(rings) > 0).all():
+        raise InputError(f"must rise, are {rings.tolist()}", where="edges", remedy="give at least two")
+    if block < 1 or repeats < 1 or not 0 < level < 1:
+        raise InputError(
+            f"block={block}, repeats={repeats}, level={level}", where="bootstrap", remedy="give positive ones"
+        )
+    which = np.searchsorted(rings, distance, side="right") - 1
+    return ErrorByDistance(rings, *_block_means(which, len(rings) - 1, error, block, repeats, level, seed), level)
+
+
+def binned_errors(
+    x: ArrayLike, error: ArrayLike, *, bins: int = 8, block: int = 15, repeats: int = 500, seed: int = 0
+) -> Binned:
+    """Average an error in bins that hold equal numbers of frames; few distinct values get a point each.
+
+    Parameters
+    ----------
+    x
+        [N], in the order of filming.
+    error
+        [N] absolute errors.
+    bins
+        Of equal numbers of frames.
+    block, repeats, seed
+        See `error_by_distance`.
+
+    Raises
+    ------
+    InputError
+        When lengths differ, a value is not finite or there is none.
+    """
+    at, off = np.asarray(x, dtype=np.float64), np.asarray(error, dtype=np.float64)
+    if at.shape != off.shape or at.ndim != 1 or not at.size or not (np.isfinite(at).all() and np.isfinite(off).all()):
+        raise InputError(f"expected two finite columns, got {at.shape} and {off.shape}", where="errors in bins")
+    levels = np.unique(at)
+    edges = levels[1:] if len(levels) <= _FEW else np.quantile(at, np.arange(1, bins) / bins)
+    used, place = np.unique(np.searchsorted(edges, at, side="right"), return_inverse=True)
+    middle = np.array([np.median(at[place == k]) for k in range(len(used))])
+    return Binned(middle, *_block_means(place, len(used), off, block, repeats, 0.95, seed))
+
+
+def _block_means(
+    place: NDArray[np.int64], bins: int, error: Array, block: int, repeats: int, level: float, seed: int
+) -> tuple[NDArray[np.int64], Array, Array, Array]:
+    """Return count, mean and interval [B] of the errors [N] in the bins that `place` [N] names; others are left out."""
+    inside = (place >= 0) & (place < bins)
+    blocks = -(-len(error) // block)
+    total, count = np.zeros((blocks, bins)), np.zeros((blocks, bins))
+    where = (np.arange(len(error))[inside] // block, place[inside])
+    np.add.at(total, where, error[inside])
+    np.add.at(count, where, 1)
+    draws = np.random.default_rng(seed).multinomial(blocks, np.full(blocks, 1 / blocks), size=repeats)
+    drawn, mean = _ratio(draws @ total, draws @ count), _ratio(total.sum(axis=0), count.sum(axis=0))
+    # A bin that a sample missed says nothing about that bin; one that all samples missed has its mean.
+    drawn[0] = np.where(np.isnan(drawn).all(axis=0), mean, drawn[0])
+    tail, empty = (1 - level) / 2, np.isnan(mean)
+    drawn[:, empty] = 0.0
+    ends = np.where(empty, np.nan, np.nanquantile(drawn, [tail, 1 - tail], axis=0))
+    return count.sum(axis=0).astype(np.int64), mean, ends[0], ends[1]
+
+
+def _ratio(total: Array, count: Array) -> Array:
+    return np.divide(total, count, out=np.full(np.shape(total), np.nan), where=count > 0)
