@@ -29,22 +29,9 @@ _UNFINISHED = ".tapetum-unfinished"
 def check_output(out: Path | None, force: bool, holds: str | None = None) -> None:
     """Refuse to replace an output that exists, before any work: one rule for all commands.
 
-    Without `--force` whatever stands there stays. With it a file may be replaced by a file, and a folder by one of the
-    same format. The writers see to the rest: what stands there stays until the new one is whole.
-
-    Parameters
-    ----------
-    out
-        What is to be written; None for nothing.
-    force
-        Whether `--force` was given.
-    holds
-        What a folder holds, a key of `_MARKERS`; None for a file.
-
-    Raises
-    ------
-    InputError
-        When something stands there that must stay.
+    Without `--force` whatever stands at `out` stays. With it a file may be replaced by a file, and a folder by one that
+    `holds` the same, a key of `_MARKERS`. The writers see to the rest: what stands there stays until the new one is
+    whole. Nothing is checked where `out` is None.
     """
     if out is None or not (out.exists() or out.is_symlink()):
         return
@@ -64,18 +51,9 @@ def check_output(out: Path | None, force: bool, holds: str | None = None) -> Non
 
 @contextlib.contextmanager
 def filling(folder: Path, names: Mapping[str, str | None], force: bool) -> Iterator[None]:
-    """Apply the rule of `check_output` to a folder that a command fills with several files, and may have to fill again.
+    """Apply the rule of `check_output` to all that a command fills a folder with: names, with what each holds.
 
     What an interrupted run left is not refused: until the work is done a hidden file in the folder lists its names.
-
-    Parameters
-    ----------
-    folder
-        Where the command writes; other files in it stay.
-    names
-        What it writes there, with what each holds, as of `check_output`.
-    force
-        Whether `--force` was given.
     """
     begun = folder / _UNFINISHED
     left = begun.read_text(encoding="utf-8").splitlines() if begun.is_file() else []
@@ -104,40 +82,24 @@ def filling(folder: Path, names: Mapping[str, str | None], force: bool) -> Itera
 def says_what_is_kept(how: str = "") -> Iterator[None]:
     """Put what work that ended early has kept, the notes on its error, into the one line that a person sees.
 
-    Parameters
-    ----------
-    how
-        How to go on, for what Ctrl-C ended.
+    `how` says how to go on, for what Ctrl-C ended.
     """
     try:
         yield
-    except KeyboardInterrupt as error:
+    except (KeyboardInterrupt, InputError) as error:
         notes = getattr(error, "__notes__", [])
         if not notes:
             raise
-        raise StoppedError("; ".join([*notes, *([how] if how else [])])) from error
-    except InputError as error:
-        notes = getattr(error, "__notes__", [])
-        if not notes:
-            raise
-        remedy = "; ".join([*([error.remedy] if error.remedy else []), *notes])
+        if isinstance(error, KeyboardInterrupt):
+            raise StoppedError("; ".join(filter(None, [*notes, how]))) from error
+        remedy = "; ".join(filter(None, [error.remedy, *notes]))
         raise InputError(error.what, where=error.where, remedy=remedy) from error
 
 
 def find_model(name: str, device: str = "auto") -> Predictor:
     """Load a model by its folder, by its exported file NAME.onnx or by the name of a bundled one.
 
-    Parameters
-    ----------
-    name
-        As on the command line.
-    device
-        Where a network is to compute. Other models know the processor alone.
-
-    Raises
-    ------
-    InputError
-        When there is neither, the folder is damaged, or the model cannot compute there.
+    A network computes on `device`; an InputError says where there is no such model, or it knows the processor alone.
     """
     from tapetum.models import NetworkEstimator, load_predictor, pretrained
 

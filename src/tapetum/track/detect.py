@@ -165,17 +165,9 @@ class Detector(Protocol):
 
 
 class SpotDetector:
-    """Looks at every frame by itself, with `detect`.
+    """Looks at every frame by itself, with `detect` and its options; an InputError says where it has no such option.
 
-    Parameters
-    ----------
-    options
-        Of `detect`, by name. A frame's own full scale holds where none is given.
-
-    Raises
-    ------
-    InputError
-        For an option that `detect` does not have.
+    A frame's own full scale holds where none is given.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -190,4 +182,7 @@ class SpotDetector:
 
 
 DETECTORS: dict[str, Callable[..., Detector]] = {"spots": SpotDetector}
-"""Detectors by name. To add one, write a class that is a `Detector` in a file of its own, and name it here."""
+"""Detectors by name, made with `largest` and the options that a person gives.
+
+To add one, write a class that is a `Detector` in a file of its own, and name it here.
+"""
