@@ -389,7 +389,7 @@ def _table(
     for table, clock in zip(reversed(rows), reversed(clocks), strict=True):
         shown = table.select([name for name in kept if name in table.column_names]).to_pylist()
         spots.update(zip(clock.tolist(), shown, strict=True))
-    columns = {
+    columns: dict[str, Any] = {
         "frame": range(len(times)),
         "time": times,
         "track": [1] * len(times),

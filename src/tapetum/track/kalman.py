@@ -230,8 +230,9 @@ def forward(series: Series, motion: Motion, trusted: Array | None = None) -> For
     step = Filter(motion).update
     given = [None] * len(series) if trusted is None else trusted.tolist()
     rows = zip(series.times.tolist(), series.value.tolist(), _variances(series, motion), given, strict=True)
-    predicted, filtered, trust, density = zip(*(step(*row) for row in rows), strict=True)
-    return Forward(list(predicted), list(filtered), np.array(trust), sum(density))
+    told = [step(*row) for row in rows]
+    predicted, filtered = [row[0] for row in told], [row[1] for row in told]
+    return Forward(predicted, filtered, np.array([row[2] for row in told]), sum(row[3] for row in told))
 
 
 def backward(times: Array, passed: Forward) -> list[State]:

@@ -113,11 +113,11 @@ class TrackedFrame:
         rows: list[TrackRow] = []
         for point in tracker.update(found, about["time"]):
             n = point.detection
-            spot = {
+            spot: dict[str, Any] = {
                 name: None if n is None else float(getattr(found, name)[n])
                 for name in ("snr", "peak_x", "peak_y", "diameter")
             }
-            place = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
+            place: dict[str, Any] = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
             rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
         return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers))
 
