@@ -207,11 +207,10 @@ def at_times(series: Series, times: Array, max_gap: float | None = None) -> tupl
     """
     rows = series.measured
     known = series.times[rows]
+    if not len(known):
+        return (np.full(len(times), np.nan),) * 3
     if max_gap is None:
         max_gap = 3 * float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-    if not len(known):
-        none = np.full(len(times), np.nan)
-        return none, none, none
     after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)
     near = known[after] - known[np.maximum(after - 1, 0)] <= max_gap
     there = (known[after] == times) | ((times >= known[0]) & (times <= known[-1]) & near)
@@ -318,12 +317,8 @@ def fuse_tracks(
     moved = [_moved(one, common, standing, m) for m, one in enumerate(at)]
     fused = fuse(*np.stack(moved, axis=1), correlation=correlation)
     before = np.stack([np.isfinite(one[0]).any(axis=1) for one in moved], axis=1)
-    return Fusion(
-        _table(fused, common, times, rows, clocks),
-        tuple(int(n) for n in fused.used.sum(axis=0)),
-        int((before & ~fused.used).any(axis=1).sum()),
-        int(fused.disagree.sum()),
-    )
+    used, dropped = tuple(fused.used.sum(axis=0).tolist()), int((before & ~fused.used).any(axis=1).sum())
+    return Fusion(_table(fused, common, times, rows, clocks), used, dropped, int(fused.disagree.sum()))
 
 
 def _starts(tables: Sequence[pa.Table]) -> list[float]:
@@ -343,12 +338,10 @@ def _checked(places: Places | Sequence[tuple[float, float]], count: int) -> Plac
     number = len(places.places) if isinstance(places, Places) else len(places)
     if number != count:
         raise InputError(f"{number} places for {count} probes", where="places", remedy="give one for each probe")
-    if isinstance(places, Places):
-        return places
-    offsets = np.asarray(places, dtype=np.float64)
+    offsets = np.zeros((count, 2)) if isinstance(places, Places) else np.asarray(places, dtype=np.float64)
     if offsets.shape != (count, 2) or not np.isfinite(offsets).all():
         raise InputError("offsets must be pairs of finite numbers", where="places", remedy="give x and y")
-    return offsets
+    return places if isinstance(places, Places) else offsets
 
 
 def _estimates(table: pa.Table, clock: Array, names: Sequence[str], times: Array, max_gap: float | None) -> Array:
