@@ -71,7 +71,7 @@ def test_several_figures_as_json(run, tmp_path: Path, quick, which: list[str], n
 
 def test_small_is_said_to_be_a_smoke_test(run, tmp_path: Path, quick) -> None:
     assert "smoke test" in run("paper", "--help").out
-    small, laptop = (run("paper", "fig9", "-o", tmp_path, "--size", size) for size in ("small", "laptop"))
+    small, laptop = (run("paper", "fig9", "-o", tmp_path / size, "--size", size) for size in ("small", "laptop"))
     assert small.err.count("shows that every step runs, and nothing about the method") == 2
     assert "smoke test" not in laptop.err + laptop.out
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from tapetum.data.leaks import Leak
     from tapetum.data.quality import DatasetQuality, Spread
 
-__all__ = ["as_told", "lines", "noticed"]
+__all__ = ["as_told", "left_out", "lines", "noticed"]
 
 _LEVELS, _PLAIN = "▁▂▃▄▅▆▇█", ".:-=+*#@"
 
@@ -24,13 +24,7 @@ def as_told(dataset: xr.Dataset, quality: DatasetQuality, leaks: list[Leak]) -> 
     """Return everything as what JSON can hold; numbers that are not finite become null."""
     told = asdict(quality)
     labels = {
-        name: {
-            "unit": label.unit,
-            "least": label.spread.least,
-            "mean": label.spread.mean,
-            "most": label.spread.most,
-            **{key: value for key, value in asdict(label).items() if key != "unit"},
-        }
+        name: {**asdict(label), **{word: getattr(label.spread, word) for word in ("least", "mean", "most")}}
         for name, label in quality.labels.items()
     }
     told |= {"labels": labels, "recordings": dataset.tp.recordings, "leaks": [asdict(leak) for leak in leaks]}
@@ -43,6 +37,12 @@ def _plain(value: Any) -> Any:
     if isinstance(value, list | tuple):
         return [_plain(one) for one in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def left_out(recording: Mapping[str, Any]) -> str:
+    """Return how many pictures of a recording were left out, and why; nothing where none was."""
+    left = ", ".join(f"{why} {count}" for why, count in recording.get("left_out", {}).items() if count)
+    return f" (left out: {left})" if left else ""
 
 
 def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[Leak]) -> Iterator[str]:
@@ -60,13 +60,10 @@ def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[L
     told = dataset.tp.recordings
     for number, (name, (train, test)) in enumerate(zip(quality.recordings, quality.per_recording, strict=True)):
         counts = f"{train + test} frames"
-        tail = ""
         if len(told) == len(quality.recordings):
-            counts = f"{told[number].get('used', train + test)} of {told[number].get('frames', train + test)} frames"
-            gone = told[number].get("left_out", {})
-            left = ", ".join(f"{why} {count}" for why, count in gone.items() if count)
-            tail = f" (left out: {left})" if left else ""
-        yield f"  {name}: {counts}{tail}, {train} train, {test} test"
+            one = told[number]
+            counts = f"{one.get('used', train + test)} of {one.get('frames', train + test)} frames{left_out(one)}"
+        yield f"  {name}: {counts}, {train} train, {test} test"
     if quality.quality is not None:
         one = quality.quality
         yield f"  label quality: {one.least:.2f} to {one.most:.2f}, median {one.median:.2f} {_drawn(one)}"

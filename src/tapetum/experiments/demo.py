@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from tapetum.bench import Scene, load_scene
 from tapetum.data import build_dataset, crop_batch, find_centre, open_dataset
+from tapetum.defaults import SEED
 from tapetum.errors import InputError
 from tapetum.experiments import pretrain
 from tapetum.models import Estimator, ResNet18, ZernikeRidge, load_model, pretrained, save_model
@@ -41,7 +42,7 @@ from tapetum.track import read_tracks, track_to_file
 
 __all__ = ["DEMO_SEED", "DemoOutcome", "run_demo"]
 
-DEMO_SEED = 1
+DEMO_SEED = SEED
 SCENE = pretrain.SCENE
 # Gazes across and down, odd both, of the maps of what tells a gaze from its opposite.
 _MAP = (7, 5)
@@ -81,6 +82,7 @@ def run_demo(
     seconds: float = 60.0,
     seed: int = DEMO_SEED,
     train: bool = False,
+    device: str = "auto",
     progress: Progress = quiet,
     say: Callable[[str], None] = lambda _: None,
 ) -> DemoOutcome:
@@ -95,6 +97,8 @@ def run_demo(
         Length and seed of the recording. The bundled model's own seeds are refused: it has seen them.
     train
         Train the ResNet-18 here instead of taking the bundled one. An interrupted training goes on where it stopped.
+    device
+        Where the ResNet-18 is trained and asked: "auto", "cpu", "cuda" or "cuda:1".
     progress, say
         Show how far it is.
 
@@ -123,13 +127,16 @@ def run_demo(
         with watch.step("Training ResNet-18 (this takes a while; interrupt it as you like, it resumes)"):
             work = out / "training"
             if not pretrain.is_made(work / "model"):
-                pretrain.make_pretrained(work, work / "model", progress=progress, on_epoch=lambda e: say(f"  {e}"))
+                pretrain.make_pretrained(
+                    work, work / "model", device=device, progress=progress, on_epoch=lambda e: say(f"  {e}")
+                )
             resnet = load_model(work / "model")
         origin = "trained by this demo on recordings of other seeds"
     else:
         resnet = pretrained(pretrain.NAME)
         origin = "bundled; trained on recordings of other seeds"
     assert isinstance(resnet, ResNet18)
+    resnet.device = device
     with watch.step("Reading the held-out gaze"):
         models: dict[str, Estimator] = {"ResNet-18": resnet, "Zernike + ridge": ridge}
         predictions = {
@@ -354,7 +361,7 @@ def _content(
             ),
             ("tapetum track FOLDER -o tracks.csv", "find the spots in photographs of your own"),
             (
-                "tapetum demo --seed 7" if train else "tapetum demo --train",
+                "tapetum demo --seed 7 -o demo-7" if train else "tapetum demo --train --force",
                 "another recording" if train else "train the ResNet-18 before your eyes (about half an hour)",
             ),
         ],

@@ -63,6 +63,7 @@ def make_pretrained(
     out: Path,
     *,
     epochs: int = EPOCHS,
+    device: str = "auto",
     progress: Progress = quiet,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> ResNet18:
@@ -76,6 +77,8 @@ def make_pretrained(
         The model's folder: half precision, its card with seeds, command and figures.
     epochs
         Passes over the training frames.
+    device
+        Where to train, as of `ResNet18`.
     progress, on_epoch
         Show how far it is.
     """
@@ -87,7 +90,7 @@ def make_pretrained(
         for name, seeds, test_fraction in (("train", TRAIN_SEEDS, 0.0), ("fresh", (FRESH_SEED,), 0.2))
     )
     start = time.monotonic()
-    model = ResNet18(target="gaze", crop=CROP, epochs=epochs).fit(
+    model = ResNet18(target="gaze", crop=CROP, epochs=epochs, device=device).fit(
         train,
         progress=progress,
         checkpoint=work / f"checkpoint-{train.tp.hash[:8]}-{epochs}",

@@ -167,6 +167,10 @@ class Workshop:
         Of the sets and networks: `laptop`, `paper`, or `small`, a smoke test.
     workers
         Processes that film; None for this one alone.
+    cluster
+        Address of a Dask scheduler whose workers film, in place of such processes.
+    device
+        Where networks are trained and asked: "auto", "cpu", "cuda" or "cuda:1".
     sets
         Datasets to use in place of synthesised ones, by the name of the set.
     progress, on_epoch
@@ -179,6 +183,8 @@ class Workshop:
     sets: Mapping[str, xr.Dataset] = field(default_factory=dict)
     progress: Progress = quiet
     on_epoch: Callable[[EpochReport], None] | None = None
+    cluster: str | None = None
+    device: str = "auto"
     _outcomes: dict[str, Outcome] = field(default_factory=dict, init=False)
 
     def dataset(self, name: str) -> xr.Dataset:
@@ -192,7 +198,7 @@ class Workshop:
         if not path.exists() and plain.exists() and _planned(plain) == plan.digest:
             return open_dataset(plain)
         if not path.exists():
-            synthesise(plan, path, processes=self.workers, progress=self.progress)
+            synthesise(plan, path, processes=self.workers, cluster=self.cluster, progress=self.progress)
         dataset = open_dataset(path)
         if _planned(path) != plan.digest:
             remedy = "remove it, or give another folder"
@@ -218,10 +224,14 @@ class Workshop:
             if not _is(folder, wanted, dataset):
                 remedy = "remove it, or give another folder"
                 raise InputError("is another model than its name says", where=folder, remedy=remedy)
-            return load_model(folder)
+            found = load_model(folder)
+            if isinstance(found, NetworkEstimator):
+                found.device = self.device
+            return found
         checkpoint = folder.with_name(f"{folder.name}.checkpoint")
         start = time.monotonic()
         if isinstance(wanted, NetworkEstimator):
+            wanted.device = self.device
             wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, resume=True, on_epoch=self.on_epoch)
         else:
             wanted.fit(dataset, progress=self.progress)

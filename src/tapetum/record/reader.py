@@ -6,7 +6,7 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from tapetum.errors import InputError
@@ -127,15 +127,15 @@ def arriving(readers: Mapping[str, Reader], stop: threading.Event) -> Iterator[t
             time.sleep(IDLE)
 
 
-def taken(source: Source, stop: threading.Event, seconds: float | None = None) -> Iterator[Frame]:
-    """Yield a source's frames for so long, or until `stop`; those of a live one that come too fast are counted.
+def taken(source: Source | Iterable[Frame], stop: threading.Event, seconds: float | None = None) -> Iterator[Frame]:
+    """Yield frames for so long, or until `stop`; those of a live source that come too fast are counted.
 
     Raises
     ------
     InputError
         When the source fails, after the frames that came before.
     """
-    if not source.live:
+    if not isinstance(source, Source) or not source.live:
         for frame in source:
             if stop.is_set() or (seconds is not None and frame.time >= seconds):
                 return

@@ -4,39 +4,18 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["Cleaned", "clean"]
+__all__ = ["clean"]
 
-# Blocks along the short side of the frame: enough for a surface of the fourth order, few enough to fit in a
-# millisecond.
+# Blocks along the short side of the frame: enough for a surface of the fourth order, few enough to fit in 1 ms.
 _BLOCKS = 30
 _ORDER = 4
 # Ratio of the standard deviation to the median absolute deviation of a normal distribution.
 _MAD = 1.4826
-
-
-@dataclass(frozen=True)
-class Cleaned:
-    """A frame with its background taken off and its hot pixels out.
-
-    Parameters
-    ----------
-    excess
-        [H, W] float32: the frame minus its background, hot pixels set to zero.
-    noise
-        [H, W] float32: standard deviation of the background's noise, a pixel. Positive everywhere.
-    hot
-        Pixels that were replaced.
-    """
-
-    excess: NDArray[np.float32]
-    noise: NDArray[np.float32]
-    hot: int
 
 
 @functools.lru_cache(maxsize=8)
@@ -58,9 +37,8 @@ def _basis(rows: int, columns: int) -> tuple[NDArray[np.float64], list[tuple[int
 def _surface(values: NDArray[np.floating], order: int, floor: float, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Fit a polynomial surface from below: blocks that rise above it hold light of a spot and are left out.
 
-    The order rises step by step, so that a spot which covers a good part of the frame is recognised as one
-    before the surface is supple enough to follow it. Returns the surface at the pixels of a frame of the
-    given shape.
+    The order rises step by step, so that a spot which covers a good part of the frame is recognised as one before the
+    surface can follow it. Returns the surface at the pixels of a frame of the given shape.
     """
     rows, columns = values.shape
     basis, pairs, orders = _basis(rows, columns)
@@ -78,8 +56,7 @@ def _surface(values: NDArray[np.floating], order: int, floor: float, shape: tupl
         terms = basis[:, orders <= step]
         if keep.sum() < 3 * terms.shape[1]:
             break
-        # Legendre polynomials are all but orthogonal here, so the normal equations lose nothing and are
-        # quick.
+        # Legendre polynomials are nearly orthogonal here: the normal equations lose nothing, and are quick.
         kept = terms[keep]
         gram = kept.T @ kept
         gram[np.diag_indices_from(gram)] += 1e-9 * len(kept)
@@ -91,7 +68,7 @@ def _surface(values: NDArray[np.floating], order: int, floor: float, shape: tupl
     return (_legendre(shape[0]) @ weights @ _legendre(shape[1]).T).astype(np.float32)
 
 
-def clean(image: NDArray[np.generic], quantum: float) -> Cleaned:
+def clean(image: NDArray[np.generic], quantum: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Take the background and the hot pixels off a frame.
 
     Parameters
@@ -103,15 +80,17 @@ def clean(image: NDArray[np.generic], quantum: float) -> Cleaned:
 
     Returns
     -------
-    Cleaned
+    excess, noise
+        [H, W] float32: the frame minus its background, hot pixels set to zero; and the standard deviation of the
+        background's noise, positive everywhere.
     """
     height, width = image.shape
     pixels = image.astype(np.float32)
     block = max(2, min(height, width) // _BLOCKS)
     grid = (max(1, width // block), max(1, height // block))
     means = np.asarray(cv2.resize(pixels, grid, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    # Differences of pixels two apart, in every other row: a slope or a wide spot cancels, and noise that
-    # runs into the next pixel does not hide.
+    # Differences of pixels two apart, in every other row: a slope or a wide spot cancels, and noise that is correlated
+    # between neighbours still shows.
     rows = pixels[::2]
     step = cv2.subtract(rows[:, 2:], rows[:, :-2])
     squares = np.asarray(cv2.resize(cv2.multiply(step, step), grid, interpolation=cv2.INTER_AREA), dtype=np.float32)
@@ -130,4 +109,4 @@ def clean(image: NDArray[np.generic], quantum: float) -> Cleaned:
     lone = cv2.scaleAdd(excess, -0.15, np.asarray(cv2.min(beside, above)))
     hot = (np.asarray(lone) < 2 * noise) & (excess > 5 * noise)
     excess[hot] = 0
-    return Cleaned(np.asarray(cv2.max(excess, -5 * noise), dtype=np.float32), noise, int(np.count_nonzero(hot)))
+    return np.asarray(cv2.max(excess, -5 * noise), dtype=np.float32), noise

@@ -15,8 +15,8 @@ from scipy.stats import chi2
 from tapetum.errors import InputError
 from tapetum.track.kalman import NORMAL, Series
 from tapetum.track.places import Places
-from tapetum.track.smooth import quantities_in, series_of
-from tapetum.track.tables import MOMENT, finite, track_schema
+from tapetum.track.smooth import quantities_in
+from tapetum.track.tables import ENDS, MOMENT, plain, track_schema
 
 __all__ = ["Fused", "Fusion", "Places", "at_times", "combine", "fuse", "fuse_tracks"]
 
@@ -102,11 +102,9 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
     # Just below 1, so that equally wide intervals share the weight.
     rho = min(correlation, 1 - 1e-9)
     kept = np.isfinite(value) & np.isfinite(deviation) & (deviation > 0)
-    inverse = np.zeros_like(deviation)
     weight = np.zeros_like(deviation)
     for _ in range(len(value)):
-        inverse[:] = 0.0
-        np.divide(1.0, deviation, out=inverse, where=kept)
+        inverse = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=kept)
         count = kept.sum(axis=0)
         shared = rho * inverse.sum(axis=0) / (1 - rho + rho * count)
         weight = inverse * (inverse - shared)
@@ -149,10 +147,6 @@ def fuse(
         Probability below which a disagreement is no chance. Then, of three probes or more, the one that the others
         contradict most is left out, and so on; of two the interval spans both.
 
-    Returns
-    -------
-    Fused
-
     Raises
     ------
     InputError
@@ -160,8 +154,8 @@ def fuse(
     """
     x, low, high = (np.array(one, dtype=np.float64) for one in (value, lower, upper))
     if x.ndim != 3 or not x.shape == low.shape == high.shape:
-        what = f"value, lower and upper must be [M, N, K] alike, are {x.shape}, {low.shape} and {high.shape}"
-        raise InputError(what, where="fuse")
+        shapes = f"{x.shape}, {low.shape} and {high.shape}"
+        raise InputError(f"value, lower and upper must be [M, N, K] alike, are {shapes}", where="fuse")
     if len(x) < 2:
         raise InputError(f"{len(x)} probe alone cannot be fused", where="fuse", remedy="give two or more")
     deviation = (high - low) / 2 / NORMAL
@@ -213,18 +207,16 @@ def at_times(series: Series, times: Array, max_gap: float | None = None) -> tupl
     """
     rows = series.measured
     known = series.times[rows]
+    if not len(known):
+        return (np.full(len(times), np.nan),) * 3
     if max_gap is None:
         max_gap = 3 * float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-    if not len(known):
-        none = np.full(len(times), np.nan)
-        return none, none, none
     after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)
-    before = np.maximum(after - 1, 0)
-    exact = known[after] == times
-    inside = (times >= known[0]) & (times <= known[-1]) & (known[after] - known[before] <= max_gap)
+    near = known[after] - known[np.maximum(after - 1, 0)] <= max_gap
+    there = (known[after] == times) | ((times >= known[0]) & (times <= known[-1]) & near)
     # Between two rows the mean of their errors is narrower than either; that is not claimed.
-    told = [np.interp(times, known, one[rows]) for one in (series.value, series.half_width)]
-    value, half = (np.where(exact | inside, one, np.nan) for one in told)
+    told = (np.interp(times, known, one[rows]) for one in (series.value, series.half_width))
+    value, half = (np.where(there, one, np.nan) for one in told)
     return value, value - half, value + half
 
 
@@ -233,10 +225,9 @@ def _timeline(clocks: Sequence[Array]) -> Array:
     line = np.unique(clocks[0])
     for clock in clocks[1:]:
         apart = float(np.median(np.diff(clock))) / 2 if len(clock) > 1 else 0.0
-        near = line[np.clip(np.searchsorted(line, clock), 0, len(line) - 1)]
-        left = line[np.clip(np.searchsorted(line, clock) - 1, 0, len(line) - 1)]
-        alone = np.minimum(np.abs(clock - near), np.abs(clock - left)) > apart
-        line = np.union1d(line, clock[alone])
+        right = np.searchsorted(line, clock)
+        near = line[np.clip([right - 1, right], 0, len(line) - 1)]
+        line = np.union1d(line, clock[np.abs(clock - near).min(axis=0) > apart])
     return line
 
 
@@ -270,7 +261,7 @@ def fuse_tracks(
     quantities: Sequence[str] | None = None,
     names: Sequence[str] | None = None,
 ) -> Fusion:
-    """Fuse the tables of tracks of several probes that watch the same target.
+    """Fuse the tables of tracks of several probes that watch the same target, with the first one's gaze and clock.
 
     Parameters
     ----------
@@ -293,11 +284,6 @@ def fuse_tracks(
     names
         What to call the tables in a message.
 
-    Returns
-    -------
-    Fusion
-        Gaze as the first probe sees it, times by the first one's clock.
-
     Raises
     ------
     InputError
@@ -309,14 +295,17 @@ def fuse_tracks(
         remedy = "give the tables of two probes or more"
         raise InputError("a single probe cannot be fused", where=called[0] if called else "fuse", remedy=remedy)
     standing = _checked(places, len(tables))
-    begun = _each(starts, _starts(tables), "starts")
-    chosen = _each(tracks, [None] * len(tables), "tracks")
+    for where, given in (("starts", starts), ("tracks", tracks)):
+        if given is not None and len(given) != len(tables):
+            raise InputError(f"{len(given)} for {len(tables)} probes", where=where, remedy="give one for each probe")
+    begun = _starts(tables) if starts is None else starts
     told = [set(quantities_in(one, quantities, where=name)) for one, name in zip(tables, called, strict=True)]
     common = [name for name in quantities_in(tables[0], quantities, where=called[0]) if name in set.intersection(*told)]
     if not common:
         raise InputError("no quantity is in every table", where=", ".join(called), remedy="track with the same model")
     if ("gaze_x" in common) != ("gaze_y" in common):
         raise InputError("gaze needs both gaze_x and gaze_y", where="quantities", remedy="name both, or neither")
+    chosen = tracks or [None] * len(tables)
     rows = [_one_track(t, number, name) for t, number, name in zip(tables, chosen, called, strict=True)]
     clocks = [t["time"].to_numpy() + (start - begun[0]) for t, start in zip(rows, begun, strict=True)]
     first, last = max(float(one[0]) for one in clocks), min(float(one[-1]) for one in clocks)
@@ -328,12 +317,8 @@ def fuse_tracks(
     moved = [_moved(one, common, standing, m) for m, one in enumerate(at)]
     fused = fuse(*np.stack(moved, axis=1), correlation=correlation)
     before = np.stack([np.isfinite(one[0]).any(axis=1) for one in moved], axis=1)
-    return Fusion(
-        _table(fused, common, times, rows, clocks),
-        tuple(int(n) for n in fused.used.sum(axis=0)),
-        int((before & ~fused.used).any(axis=1).sum()),
-        int(fused.disagree.sum()),
-    )
+    used, dropped = tuple(fused.used.sum(axis=0).tolist()), int((before & ~fused.used).any(axis=1).sum())
+    return Fusion(_table(fused, common, times, rows, clocks), used, dropped, int(fused.disagree.sum()))
 
 
 def _starts(tables: Sequence[pa.Table]) -> list[float]:
@@ -353,28 +338,16 @@ def _checked(places: Places | Sequence[tuple[float, float]], count: int) -> Plac
     number = len(places.places) if isinstance(places, Places) else len(places)
     if number != count:
         raise InputError(f"{number} places for {count} probes", where="places", remedy="give one for each probe")
-    if isinstance(places, Places):
-        return places
-    offsets = np.asarray(places, dtype=np.float64)
+    offsets = np.zeros((count, 2)) if isinstance(places, Places) else np.asarray(places, dtype=np.float64)
     if offsets.shape != (count, 2) or not np.isfinite(offsets).all():
         raise InputError("offsets must be pairs of finite numbers", where="places", remedy="give x and y")
-    return offsets
-
-
-def _each(given: Sequence[Any] | None, default: list[Any], where: str) -> list[Any]:
-    if given is not None and len(given) != len(default):
-        raise InputError(f"{len(given)} for {len(default)} probes", where=where, remedy="give one for each probe")
-    return default if given is None else list(given)
+    return places if isinstance(places, Places) else offsets
 
 
 def _estimates(table: pa.Table, clock: Array, names: Sequence[str], times: Array, max_gap: float | None) -> Array:
     """Return value, lower and upper [3, N, K] of one probe at the common times."""
-    one = table.set_column(table.column_names.index("track"), "track", pa.array(np.zeros(len(table), np.int64)))
-    found = np.empty((3, len(times), len(names)))
-    for k, name in enumerate(names):
-        series = series_of(one, name)[0]
-        found[:, :, k] = at_times(Series(clock, series.value, series.lower, series.upper), times, max_gap)
-    return found
+    found = [[table[name + end].cast(pa.float64()).to_numpy(zero_copy_only=False) for end in ENDS] for name in names]
+    return np.stack([at_times(Series(clock, *ends), times, max_gap) for ends in found], axis=-1)
 
 
 def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int) -> Array:
@@ -404,18 +377,21 @@ def _table(
     """Return the fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
     schema = track_schema(names)
     schema = schema.append(pa.field("probes", pa.float64())).append(pa.field("consistency", pa.float64()))
-    records: list[Mapping[str, Any]] = []
-    spots = [
-        ({float(t): n for n, t in enumerate(clock)}, table.to_pylist())
-        for clock, table in zip(clocks, rows, strict=True)
-    ]
     kept = ("x", "y", "snr", "peak_x", "peak_y", "diameter", "active", "name", *MOMENT)
-    for n, time in enumerate(times):
-        seen = next((table[index[float(time)]] for index, table in spots if float(time) in index), {})
-        ends = {"": fused.value, "_low": fused.lower, "_high": fused.upper}
-        estimates = {name + end: values[n, k] for k, name in enumerate(names) for end, values in ends.items()}
-        record = {name: seen.get(name) for name in kept} | estimates
-        record |= {"frame": n, "time": float(time), "track": 1, "seen": bool(fused.used[n].any())}
-        record |= {"probes": float(fused.used[n].sum()), "consistency": float(fused.consistency[n])}
-        records.append({name: finite(record.get(name)) for name in schema.names})
+    spots: dict[float, Mapping[str, Any]] = {}
+    for table, clock in zip(reversed(rows), reversed(clocks), strict=True):
+        shown = table.select([name for name in kept if name in table.column_names]).to_pylist()
+        spots.update(zip(clock.tolist(), shown, strict=True))
+    columns: dict[str, Any] = {
+        "frame": range(len(times)),
+        "time": times,
+        "track": [1] * len(times),
+        "seen": fused.used.any(axis=1),
+        "probes": fused.used.sum(axis=1, dtype=float),
+        "consistency": fused.consistency,
+    }
+    for end, values in zip(ENDS, (fused.value, fused.lower, fused.upper), strict=True):
+        columns |= {name + end: values[:, k] for k, name in enumerate(names)}
+    told = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    records = [plain({**spots.get(row["time"], {}), **row}, schema.names) for row in told]
     return pa.Table.from_pylist(records, schema=schema)

@@ -7,28 +7,26 @@ import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tapetum.data.crop import crop
-from tapetum.errors import InputError
+from tapetum.errors import InputError, one_of
 from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
 from tapetum.record.frames import open_frames
 from tapetum.record.reader import taken
 from tapetum.record.source import Frame, Source
-from tapetum.track.detect import detect
+from tapetum.track.detect import DETECTORS, Detector
 from tapetum.track.detections import Detections
-from tapetum.track.rows import TrackedFrame, detection_records, moment_of, rows_of
+from tapetum.track.rows import TrackedFrame, about
 from tapetum.track.tables import checked_suffix, detections_schema, table_writer, track_schema
 from tapetum.track.tracker import Tracker
 
 if TYPE_CHECKING:
-    from tapetum.models.prediction import Prediction
+    from tapetum.models import Predictor
 
 __all__ = ["SIDE", "TrackSummary", "track", "track_to_file"]
 
@@ -38,16 +36,7 @@ SIDE = 400
 Frames: TypeAlias = str | os.PathLike[str] | Source | Iterable[Frame]
 
 
-class Predictor(Protocol):
-    """What tracking asks of a model: any fitted `tapetum.models.Estimator` has it."""
-
-    @property
-    def target_names(self) -> tuple[str, ...]: ...
-
-    def predict(self, data: NDArray[Any], /, *, full_scale: float | None = None) -> Prediction: ...
-
-
-Models: TypeAlias = Predictor | str | os.PathLike[str] | Sequence[Predictor | str | os.PathLike[str]] | None
+Models: TypeAlias = "Predictor | str | os.PathLike[str] | Sequence[Predictor | str | os.PathLike[str]] | None"
 
 
 @dataclass(frozen=True)
@@ -64,32 +53,20 @@ class TrackSummary:
 def _loaded(models: Models) -> list[Predictor]:
     if models is None:
         return []
-    many = [models] if isinstance(models, (str, os.PathLike)) or not isinstance(models, Sequence) else list(models)
+    many = [models] if isinstance(models, (str, os.PathLike)) or not isinstance(models, Sequence) else models
     estimators: list[Predictor] = []
     for one in many:
         if isinstance(one, (str, os.PathLike)):
             # PyTorch takes a second to import, and tracking alone does not need it.
             from tapetum.models import load_predictor
 
-            estimators.append(load_predictor(Path(one)))
-        else:
-            estimators.append(one)
+            one = load_predictor(Path(one))
+        estimators.append(one)
     names = [name for estimator in estimators for name in estimator.target_names]
     twice = sorted({name for name in names if names.count(name) > 1})
     if twice:
         raise InputError(f"two models estimate {', '.join(twice)}", where="model", remedy="give one model a quantity")
     return estimators
-
-
-def _frames(
-    source: Frames, stream: str, stop: threading.Event, seconds: float | None = None
-) -> tuple[Iterable[Frame], int | None, bool]:
-    """Return the frames, their number where it is known, and whether they come at their own pace."""
-    frames = open_frames(source, stream) if isinstance(source, (str, os.PathLike)) else source
-    if isinstance(frames, Source):
-        return taken(frames, stop, seconds), None if seconds is not None else frames.count, frames.live
-    count = len(frames) if isinstance(frames, Sequence) else None
-    return _until(stop, frames, seconds), count, False
 
 
 def _estimates(
@@ -99,26 +76,21 @@ def _estimates(
     answers: list[list[dict[str, Any]]] = [[{} for _ in range(len(found))] for _, found in frames]
     if not estimators:
         return answers
-    places = [(n, int(k)) for n, (_, found) in enumerate(frames) for k in np.flatnonzero(~found.ghost)]
-
-    def depth(place: tuple[int, int]) -> tuple[str, float]:
-        frame = frames[place[0]][0]
-        return frame.image.dtype.str, float(frame.full_scale or np.iinfo(frame.image.dtype).max)
-
     # A folder may mix 8 and 16 bit; a batch may not.
-    for (_, full_scale), group in groupby(sorted(places, key=depth), key=depth):
-        alike = list(group)
-        crops = np.stack(
-            [
-                crop(frames[n][0].image, (float(frames[n][1].peak_x[k]), float(frames[n][1].peak_y[k])), side)
-                for n, k in alike
-            ]
-        )
+    alike: dict[tuple[str, float], list[tuple[int, int]]] = {}
+    for n, (frame, found) in enumerate(frames):
+        depth = (frame.image.dtype.str, float(frame.full_scale or np.iinfo(frame.image.dtype).max))
+        alike.setdefault(depth, []).extend((n, int(k)) for k in np.flatnonzero(~found.ghost))
+    for (_, full_scale), places in sorted(alike.items()):
+        if not places:
+            continue
+        spots = [(frames[n][0].image, frames[n][1][k]) for n, k in places]
+        crops = np.stack([crop(image, (float(one.peak_x[0]), float(one.peak_y[0])), side) for image, one in spots])
         for estimator in estimators:
             columns = estimator.predict(crops, full_scale=full_scale).columns()
-            for row, (n, k) in enumerate(alike):
-                said = {name: _plain(values[row]) for name, values in columns.items()}
-                answers[n][k] = _merged(answers[n][k], said, estimator.target_names)
+            for row, (n, k) in enumerate(places):
+                told = {name: _plain(values[row]) for name, values in columns.items()}
+                answers[n][k] = _merged(answers[n][k], told, estimator.target_names)
     return answers
 
 
@@ -142,6 +114,7 @@ def track(
     *,
     model: Models = None,
     tracker: Tracker | None = None,
+    detector: str | Detector = "spots",
     detect_options: Mapping[str, Any] | None = None,
     stream: str = "probe",
     side: int = SIDE,
@@ -162,8 +135,11 @@ def track(
         A fitted estimator, the folder of a saved one, or several of them that estimate different quantities.
     tracker
         How to follow; with its usual options where not given. Its earlier tracks are kept.
+    detector
+        What finds the spots of a frame: a name of `tapetum.track.detect.DETECTORS`, or a `Detector`.
     detect_options
-        Options of `detect`, by name. `largest` is `side` where not given: wider spots are walls and lamps.
+        Options of a detector by its name, those of `detect` as a rule. `largest` is `side` where not given: wider spots
+        are walls and lamps.
     stream
         Which stream of a recording.
     side
@@ -195,31 +171,40 @@ def track(
     """
     if batch < 1 or side < 1:
         raise InputError(f"batch {batch} and side {side} must be at least 1", where="track")
-    # What is wider than the crops no model could be shown whole.
-    options = {"largest": float(side), **_detect_options(detect_options)}
-    estimators = _loaded(model)
-    frames, count, _ = _frames(source, stream, threading.Event())
-    follower = Tracker() if tracker is None else tracker
-    return _track(progress(frames, "tracking", total=count), estimators, follower, options, side, batch)
+    find = _detector(detector, detect_options, side)
+    estimators, follower = _loaded(model), Tracker() if tracker is None else tracker
+    frames = _opened(source, stream)
+    shown = progress(taken(frames, threading.Event()), "tracking", total=_count(frames))
+    return _track(shown, find, estimators, follower, side, batch)
 
 
-def _detect_options(options: Mapping[str, Any] | None) -> dict[str, Any]:
-    given = dict(options or {})
-    known = {"min_snr", "largest", "max_count", "ghosts", "ghost_ratio", "ghost_radius", "stray", "full_scale"}
-    if unknown := sorted(set(given) - known):
-        raise InputError(
-            f"unknown option {', '.join(unknown)}",
-            where="detect_options",
-            remedy=f"use {', '.join(sorted(known))}",
-        )
-    return given
+def _detector(detector: str | Detector, options: Mapping[str, Any] | None, side: int) -> Detector:
+    """Return a detector by its name and options, or the one that was given."""
+    if isinstance(detector, str):
+        make = DETECTORS[one_of(detector, tuple(DETECTORS), "detector")]
+        # What is wider than the crops no model could be shown whole.
+        return make(**{"largest": float(side), **(options or {})})
+    if options:
+        what = "belong to a detector by its name"
+        raise InputError(what, where="detect_options", remedy="give the detector its options where it is made")
+    return detector
+
+
+def _opened(source: Frames, stream: str) -> Source | Iterable[Frame]:
+    return open_frames(source, stream) if isinstance(source, (str, os.PathLike)) else source
+
+
+def _count(frames: Source | Iterable[Frame]) -> int | None:
+    if isinstance(frames, Source):
+        return frames.count
+    return len(frames) if isinstance(frames, Sequence) else None
 
 
 def _track(
     frames: Iterable[Frame],
+    find: Detector,
     estimators: Sequence[Predictor],
     tracker: Tracker,
-    options: dict[str, Any],
     side: int,
     batch: int,
 ) -> Iterator[TrackedFrame]:
@@ -227,16 +212,14 @@ def _track(
 
     def finished() -> Iterator[TrackedFrame]:
         for (frame, found), answers in zip(waiting, _estimates(waiting, estimators, side), strict=True):
-            moment = moment_of(frame)
-            rows = rows_of(tracker, found, answers, frame.index, frame.time, frame.name, moment)
-            yield TrackedFrame(frame.index, frame.time, frame.name, rows, found, tuple(answers), moment)
+            yield TrackedFrame.of(about(frame), found, answers, tracker)
         waiting.clear()
 
     # Without models there is nothing to wait for.
     size = batch if estimators else 1
     try:
         for frame in frames:
-            waiting.append((frame, detect(frame.image, **{"full_scale": frame.full_scale, **options})))
+            waiting.append((frame, find(frame)))
             if len(waiting) >= size:
                 yield from finished()
     except (Exception, KeyboardInterrupt):
@@ -246,13 +229,6 @@ def _track(
     yield from finished()
 
 
-def _until(stop: threading.Event, frames: Iterable[Frame], seconds: float | None) -> Iterator[Frame]:
-    for frame in frames:
-        if stop.is_set() or (seconds is not None and frame.time >= seconds):
-            return
-        yield frame
-
-
 def track_to_file(
     source: Frames,
     out: str | os.PathLike[str],
@@ -260,6 +236,7 @@ def track_to_file(
     model: Models = None,
     detections: str | os.PathLike[str] | None = None,
     tracker: Tracker | None = None,
+    detector: str | Detector = "spots",
     detect_options: Mapping[str, Any] | None = None,
     stream: str = "probe",
     side: int = SIDE,
@@ -271,7 +248,7 @@ def track_to_file(
 
     Parameters
     ----------
-    source, model, tracker, detect_options, stream, side, batch, progress
+    source, model, tracker, detector, detect_options, stream, side, batch, progress
         As for `track`.
     out
         The table of tracks: .parquet, .csv or .jsonl. A file of this name is replaced once all went well. After Ctrl-C
@@ -282,10 +259,6 @@ def track_to_file(
         makes tracks of it without the video. A frame in which nothing was found has one row without a spot.
     seconds
         Length, from the first frame on; all of it where left out.
-
-    Returns
-    -------
-    TrackSummary
 
     Raises
     ------
@@ -300,15 +273,16 @@ def track_to_file(
     options = dict(detect_options or {})
     if detections is not None:
         checked_suffix(detections)
-        options["ghosts"] = "mark"
+        if isinstance(detector, str):
+            options["ghosts"] = "mark"
     stop = threading.Event()
-    given, count, live = _frames(source, stream, stop, seconds)
+    opened = _opened(source, stream)
     tracked = track(
-        progress(given, "tracking", total=count),
+        progress(taken(opened, stop, seconds), "tracking", total=None if seconds is not None else _count(opened)),
         model=estimators,
         tracker=tracker,
+        detector=detector,
         detect_options=options,
-        stream=stream,
         side=side,
         batch=batch,
     )
@@ -325,8 +299,8 @@ def track_to_file(
                 rows, seen = rows + 1, seen + row.seen
                 numbers.add(row.track)
             if kept is not None:
-                for record in detection_records(one):
+                for record in one.detection_records():
                     kept.write(record)
-        if stop.is_set() and not live:
+        if stop.is_set() and not getattr(opened, "live", False):
             raise KeyboardInterrupt
     return TrackSummary(frames, len(numbers), rows, seen, lost)

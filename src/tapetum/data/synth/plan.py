@@ -18,6 +18,7 @@ import numpy as np
 from tapetum.bench import Scene, load_scene, scene_dict, with_values
 from tapetum.data.dataset import DEVICE, SEED
 from tapetum.data.write import CHUNK, Rules
+from tapetum.defaults import SEED
 from tapetum.errors import one_of
 from tapetum.record import HandMotion, Session
 from tapetum.record.stray import FixedPattern
