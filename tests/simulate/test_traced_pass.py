@@ -29,8 +29,8 @@ from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.simulate.pupil_fits import TiltNodes, fit_pupils, values_at
-from tapetum.simulate.round_pass import Order, Surface
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
+from tapetum.simulate.surfaces import Order, Surface
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 
 SECTION = "Traced lenses"

@@ -10,15 +10,20 @@ import math
 
 import torch
 
-__all__ = ["BandLimitedFourier", "MatrixFourier", "naive_fourier", "phasor"]
+__all__ = ["BandLimitedFourier", "MatrixFourier", "chebyshev_lift", "naive_fourier", "phasor"]
 
 
-def phasor(phase: torch.Tensor) -> torch.Tensor:
-    """exp(i phase) as a complex tensor of the matching precision (phase in radians, any real shape).
+def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tensor:
+    """exp(i phase) as a complex tensor (phase in radians, any real shape), by default of the matching precision.
 
-    The phase should be formed in float64: a float32 phase of 1e3 radians is off by 1e-4.
+    The phase should be formed in float64: a float32 phase of 1e3 radians is off by 1e-4. Whole turns are taken out of
+    it before complex64 is made, which then is off by 2e-7.
     """
-    return torch.complex(torch.cos(phase), torch.sin(phase))
+    if dtype == torch.complex64 and phase.dtype == torch.float64:
+        turns = phase * (0.5 / math.pi)
+        phase = ((turns - turns.round()) * (2 * math.pi)).float()
+    found = torch.complex(torch.cos(phase), torch.sin(phase))
+    return found if dtype is None else found.to(dtype)
 
 
 # Columns above which a row is summed in blocks of this many: fewer products, for a little more memory traffic.
@@ -103,32 +108,40 @@ class BandLimitedFourier:
         if len(x) > _LONG:
             self._blocks = _Blocks(self._places, self.ux, kappa, dtype)
             self._places = self._blocks.places
-        self.columns = self._kernel(self._places, None).to(dtype)
-
-    def _kernel(self, places: torch.Tensor, scale: torch.Tensor | None) -> torch.Tensor:
-        if scale is None:
-            return phasor(-self._kappa * places[:, None] * self.ux[None, :])
-        return phasor(-self._kappa * scale[:, None, None] * places[:, None] * self.ux[None, :])
+        self.columns = phasor(-kappa * self._places[:, None] * self.ux[None, :]).to(dtype)
 
     def across(self, field: torch.Tensor, scale: torch.Tensor | None = None) -> torch.Tensor:
         """The sum over columns alone, [..., Y, X] to [..., Y, U']; each of a batch with its own `scale` [B] of u_x."""
         if self._blocks is not None:
             field = self._blocks(field)
-        return field @ (self.columns if scale is None else self._kernel(self._places, scale).to(field.dtype))
+        if scale is None:
+            return field @ self.columns
+        places = -self._kappa * scale[:, None, None] * self._places[:, None]
+        return field @ phasor(places * self.ux[None, :], field.dtype)
 
     def at_nodes(self, field: torch.Tensor, start: int = 0) -> torch.Tensor:
         """What the rows of `field` from `start` on add to the transform at the nodes: [..., Y', X] to [..., V', U']."""
         return self.rows[:, start : start + field.shape[-2]] @ self.across(field)
 
-    def lift(self, nodes: torch.Tensor) -> torch.Tensor:
-        """From the nodes to the pixels wanted, [..., V', U'] to [..., V, U]."""
+    def lift(
+        self, nodes: torch.Tensor, down: torch.Tensor | None = None, across: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """From the nodes to the pixels wanted, [..., V', U'] to [..., V, U]; times factors of rows and columns."""
         if self._lift_y is not None:
-            nodes = self._lift_y.to(nodes.dtype) @ nodes
-        return nodes if self._lift_x is None else nodes @ self._lift_x.to(nodes.dtype).T
+            nodes = _weighed(self._lift_y, down).to(nodes.dtype) @ nodes
+        elif down is not None:
+            nodes = nodes * down[..., :, None]
+        if self._lift_x is not None:
+            return nodes @ _weighed(self._lift_x, across).to(nodes.dtype).mT
+        return nodes if across is None else nodes * across[..., None, :]
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Transform [..., Y, X] to [..., V, U]."""
         return self.lift(self.at_nodes(field))
+
+
+def _weighed(matrix: torch.Tensor, factor: torch.Tensor | None) -> torch.Tensor:
+    return matrix if factor is None else matrix * factor[..., :, None]
 
 
 class _Blocks:
@@ -170,6 +183,18 @@ def _barycentric(at: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
     ratio = weights / torch.where(exact, torch.ones_like(apart), apart)
     matrix = ratio / ratio.sum(1, keepdim=True)
     return torch.where(exact.any(1, keepdim=True), exact.to(matrix.dtype), matrix)
+
+
+def chebyshev_lift(places: torch.Tensor, turn: float, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+    """Nodes that hold a phase of ±`turn` radians over places, and the matrix [places, nodes] back from them."""
+    error, count, left = 1e-12 if dtype == torch.complex128 else 1e-6, 1, turn
+    # What n nodes leave of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
+    while left > error:
+        count += 1
+        left *= turn / (2 * count)
+    nodes = torch.cos(math.pi * (torch.arange(count, dtype=torch.float64, device=places.device) + 0.5) / count)
+    at = nodes * (places.max() - places.min()) / 2 + (places.max() + places.min()) / 2
+    return at, _barycentric(places, at)
 
 
 def _nodes(

@@ -14,10 +14,10 @@ A sensor that is no mirror diffracts light itself, by λz over its finest detail
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 from tapetum.errors import InputError
-from tapetum.optics.sampling import HOLDS_RIM, RIM, DoublePassGeometry
+from tapetum.optics.sampling import HOLDS_RIM, RIM, DoublePassGeometry, Plan, step_for
 
 __all__ = [
     "ACCURACIES",
@@ -65,13 +65,11 @@ _ROWS_A_COLUMN = 1.45
 _FLAT = 0.5
 # How near, in fractions of that bound, the window's end may come.
 _NEAR_BOUND = 0.6
-# Share of returning light below which the error grows against the fading peak.
-_FADING = 0.3
 _MOST_BYTES = 4 << 30
 
 
 @dataclass(frozen=True)
-class SamplingPlan:
+class SamplingPlan(Plan):
     """Grids of a double pass, and the error that they should give.
 
     Parameters
@@ -100,16 +98,11 @@ class SamplingPlan:
     missing: float = 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8, *, masked: bool = False) -> int:
-        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
         # A mask is made in double precision, of two factors.
         mask = 64 * batch * self.sensor_count**2 if masked else 0
         pupil, sensor = self.columns * self.rows, self.sensor_count**2
         kernels = (self.columns + self.rows) * (self.sensor_count + 2 * math.isqrt(pixels))
         return mask + complex_size * (kernels + 3 * pupil + 2 * sensor + batch * (2 * pupil + 2 * sensor + 2 * pixels))
-
-    def as_dict(self) -> dict[str, float | int]:
-        """The plan's numbers by name, for metadata."""
-        return asdict(self)
 
 
 def plan_double_pass(
@@ -142,23 +135,12 @@ def plan_double_pass(
     InputError
         For an accuracy out of reach, a forced grid that would alias, or a scene too large for the memory allowed.
     """
-    if not accuracy >= ACCURACIES[-1]:
-        raise InputError(
-            f"{accuracy:g} of the peak is finer than the engine's {ACCURACIES[-1]:g}",
-            where="accuracy",
-            remedy=f"ask for {ACCURACIES[-1]:g} or more",
-        )
     if finest is not None and not (math.isfinite(finest) and finest > 0):
         raise InputError(f"must be positive, is {finest} m", where="finest", remedy="give the mask's pitch in metres")
-    plan = plan_with(geometry, next(step for step in _LADDER if step.error <= accuracy), finest)
+    plan = plan_with(geometry, step_for(_LADDER, accuracy), finest)
     plan = _forced(plan, geometry, pupil_samples, sensor_samples, finest)
     _check_memory(plan, pixels, finest)
     return plan
-
-
-def _sampled_error(accuracy: float) -> float:
-    """The error that a plane sampled for an accuracy has, where a finer one than the finest is asked for as well."""
-    return next(step.error for step in _LADDER if step.error <= max(accuracy, ACCURACIES[-1]))
 
 
 def plan_finer(geometry: DoublePassGeometry, accuracy: float, *, pixels: int = 1, finest: float) -> SamplingPlan:
@@ -170,7 +152,7 @@ def plan_finer(geometry: DoublePassGeometry, accuracy: float, *, pixels: int = 1
         For a scene too large for the memory allowed.
     """
     # A plane that is asked for less than the finest error is sampled for the finest.
-    used = _sampled_error(accuracy)
+    used = step_for(_LADDER, max(accuracy, ACCURACIES[-1])).error
     plan = plan_with(geometry, next(step for step in _FINER if step.error < used), finest)
     _check_memory(plan, pixels, finest)
     return plan
@@ -206,10 +188,7 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     if half > (_NEAR_BOUND if finest is None else 1.3) * bound:
         half, flat = 1.3 * bound, bound
     # The steepest slopes that the field has against the pupil, of rays and of the diffracted tail, in and out.
-    rays = max(
-        g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature),
-        g.exit_angle + g.window / g.probe_focal_length,
-    )
+    rays = g.ray_slope
     tail = (half - g.spot_radius) / g.image_distance
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.radians)
     columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
@@ -219,19 +198,17 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
     if finest is not None:
         step = min(step, finest / effort.details)
-    # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
-    fading = max(1.0, _FADING / returning if (returning := g.returning) else math.inf)
     missing = _lost_at_the_axis(g, half, flat)
     # In focus there is none of it, past the cut-off no more than all of the error: 0 times infinity is neither.
     if g.spot_radius > 0 and half < HOLDS_RIM * g.radius:
-        missing += RIM * g.spot_radius / g.radius * fading
+        missing += RIM * g.spot_radius / g.radius * g.fading
     return SamplingPlan(
         columns=columns,
         rows=math.ceil(columns * _ROWS_A_COLUMN),
         sensor_count=max(2 * math.ceil(half / step), 16),
         sensor_half_width=half,
         sensor_flat=flat,
-        expected_error=effort.error * fading + missing,
+        expected_error=effort.error * g.fading + missing,
         missing=missing,
     )
 

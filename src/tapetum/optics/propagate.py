@@ -5,15 +5,16 @@ value 1 over any distance. Phases are formed in float64, with k_z - k = -(k_x² 
 Neither method interpolates, and both refuse grids on which the result would be aliased.
 """
 
-# torch types these functions in part only.
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# SciPy and torch type these functions in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import torch
+from scipy.fft import next_fast_len
 
 from tapetum.errors import InputError
 from tapetum.optics.fourier import MatrixFourier, phasor
@@ -242,14 +243,8 @@ def checked_distance(distance: float | torch.Tensor, device: torch.device) -> to
 
 def fast_length(length: int) -> int:
     """The smallest number of samples, `length` at least, with no prime factor above 5: quick to transform."""
-    while True:
-        rest = length
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return length
-        length += 1
+    found: Any = next_fast_len(length, real=True)
+    return int(found)
 
 
 def _positive(value: float, where: str) -> None:

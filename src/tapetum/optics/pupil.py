@@ -75,15 +75,8 @@ def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORD
     ∫^{m+τ} g = Σ_{i≤m} g_i + Σ_k b_k g_{m-k}, with b fixed by exactness for 1, x … x^order, the moments of the
     infinite sums taken by zeta regularisation (Lyness and Ninham, Math. Comp. 21, 162 (1967)).
     """
-    step = 2 * radius / columns
-    x = np.asarray((np.arange(columns) - (columns - 1) / 2) * step, np.float64)
-    angle = math.pi * np.arange(1, rows + 1) / (rows + 1)
-    y = radius * np.cos(angle)
-    row_weight = math.pi / (rows + 1) * radius * np.sin(angle)
-    up_to_end = _weights_up_to(radius * np.sin(angle), x, step, order)
-    # What is left of +c, plus what is right of -c, minus everything, is the chord.
-    weights = (up_to_end + up_to_end[:, ::-1] - 1.0) * step * row_weight[:, None]
-    return Quadrature(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (x, y, weights)))
+    found = DiscRows(radius, columns, rows, order)
+    return Quadrature(found.x, found.y, found.weights(slice(0, rows)))
 
 
 class DiscRows:
@@ -125,17 +118,6 @@ class DiscRows:
         inside.scatter_add_(1, last - steps, corrections)
         inside.scatter_add_(1, first + steps, corrections)
         return inside.mul_(self._row_weight[rows, None].to(dtype))
-
-
-def _weights_up_to(
-    ends: npt.NDArray[np.float64], x: npt.NDArray[np.float64], step: float, order: int
-) -> npt.NDArray[np.float64]:
-    """Weights, in steps, of the integral from far left up to each of `ends` (positive), shape [ends, x]."""
-    last, corrections = _end_corrections(ends, x, step, order)
-    weights = (np.arange(len(x))[None, :] <= last[:, None]).astype(float)
-    for k in range(order + 1):
-        weights[np.arange(len(ends)), last - k] += corrections[:, k]
-    return weights
 
 
 def _end_corrections(

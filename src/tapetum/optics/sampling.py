@@ -11,9 +11,9 @@ Three numbers decide the error (docs/conventions.md, "Sampling", shows how they 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 from tapetum.errors import InputError
 
@@ -23,6 +23,7 @@ __all__ = [
     "REFERENCE",
     "RIM",
     "DoublePassGeometry",
+    "Plan",
     "RoundEffort",
     "RoundPlan",
     "aperture_samples",
@@ -31,6 +32,7 @@ __all__ = [
     "disc_overlap",
     "plan_round",
     "plan_round_with",
+    "step_for",
     "through_aperture",
 ]
 
@@ -117,6 +119,63 @@ class DoublePassGeometry:
         bend = 1 / self.image_distance - 1 / self.focal_length + self.curvature
         return max(self.radius * abs(bend), self.exit_angle)
 
+    @property
+    def ray_slope(self) -> float:
+        """The steepest slope that a ray has against the pupil, before or after it, seen from the picture's edge."""
+        bend = 1 / self.image_distance - 1 / self.focal_length + self.curvature
+        return max(self.radius * abs(bend), self.exit_angle + self.window / self.probe_focal_length)
+
+    @property
+    def fading(self) -> float:
+        """How much errors grow near the cut-off, 1 or more: the peak fades with the light that still returns, the error
+        with the light that entered. Infinite past the cut-off."""
+        returning = self.returning
+        return max(1.0, _FADING / returning if returning else math.inf)
+
+
+class Plan:
+    """Samples of a pass: a dataclass whose numbers are an image's metadata."""
+
+    method: ClassVar[str] = ""
+    columns: int
+    rows: int
+    expected_error: float
+
+    def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
+        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
+        raise NotImplementedError
+
+    def as_dict(self) -> dict[str, float | int | str]:
+        """The plan's numbers by name, for metadata."""
+        numbers = asdict(cast(Any, self))
+        return {"method": self.method, **numbers} if self.method else numbers
+
+
+class _Erring(Protocol):
+    @property
+    def error(self) -> float: ...
+
+
+Step = TypeVar("Step", bound=_Erring)
+
+
+def step_for(ladder: Sequence[Step], accuracy: float) -> Step:
+    """The first step of a ladder, from coarse to fine, whose error is within the accuracy.
+
+    Raises
+    ------
+    InputError
+        For an accuracy finer than the last step's.
+    """
+    finest = ladder[-1].error
+    if not accuracy >= finest:
+        raise InputError(
+            f"{accuracy:g} of the peak is finer than the engine's {finest:g}",
+            where="accuracy",
+            remedy=f"ask for {finest:g} or more",
+        )
+    return next(step for step in ladder if step.error <= accuracy)
+
 
 @dataclass(frozen=True)
 class RoundEffort:
@@ -173,7 +232,7 @@ _BYTES_AN_ENTRY = 48
 
 
 @dataclass(frozen=True)
-class RoundPlan:
+class RoundPlan(Plan):
     """Samples of a round pass, and the error that they should give.
 
     Parameters
@@ -201,7 +260,6 @@ class RoundPlan:
         return 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
-        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
         pupil, side = self.columns * self.rows, 2 * math.isqrt(pixels)
         kept = _BYTES_KEPT * pupil if pupil <= _SAMPLES_KEPT else 0
         at_work = _BYTES_AT_WORK * min(batch * pupil, _SAMPLES_AT_WORK)
@@ -211,10 +269,6 @@ class RoundPlan:
     def too_large(self, pixels: int) -> bool:
         """Whether an image of `pixels` pixels is beyond the memory, or the time, that the engine allows itself."""
         return self.bytes_needed(1, pixels) > _MOST_BYTES or self.columns * self.rows > _MOST_SAMPLES
-
-    def as_dict(self) -> dict[str, float | int | str]:
-        """The plan's numbers by name, for metadata."""
-        return {"method": self.method, **asdict(self)}
 
 
 def plan_round(
@@ -246,13 +300,7 @@ def plan_round(
         For an accuracy out of reach, a forced grid that would alias, or a scene too large for the memory allowed; with
         the nearest scene that is not.
     """
-    if not accuracy >= ACCURACIES[-1]:
-        raise InputError(
-            f"{accuracy:g} of the peak is finer than the engine's {ACCURACIES[-1]:g}",
-            where="accuracy",
-            remedy=f"ask for {ACCURACIES[-1]:g} or more",
-        )
-    effort = next(step for step in _LADDER if step.error <= accuracy)
+    effort = step_for(_LADDER, accuracy)
     plan = plan_round_with(geometry, effort)
     if orders and math.isinf(plan.expected_error) and geometry.sine:
         # Some order comes back nearly as if head on: the claim is the mirror's at that tilt.
@@ -275,7 +323,7 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
     """The samples that an effort makes of a scene, unchecked."""
     g = geometry
     spot = g.spot_radius / g.image_distance
-    rays = _ray_slope(g)
+    rays = g.ray_slope
     kept = effort.rings * g.wavelength / (2 * g.radius)
     # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
     tail = max(kept, effort.spread * g.own_slope + g.window / g.probe_focal_length)
@@ -292,21 +340,12 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
         rows=math.ceil(columns * _ROWS_A_COLUMN),
         flat_slope=spot + _FLAT * tail,
         end_slope=spot + tail,
-        # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
-        expected_error=error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
-    )
-
-
-def _ray_slope(g: DoublePassGeometry) -> float:
-    """The steepest slope that a ray has against the pupil, before or after it, seen from the picture's edge."""
-    return max(
-        g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature),
-        g.exit_angle + g.window / g.probe_focal_length,
+        expected_error=error * g.fading,
     )
 
 
 def _forced(plan: RoundPlan, g: DoublePassGeometry, columns: int) -> RoundPlan:
-    least = max(math.ceil(4 * g.radius / g.wavelength * _ray_slope(g)), _FEWEST_FORCED)
+    least = max(math.ceil(4 * g.radius / g.wavelength * g.ray_slope), _FEWEST_FORCED)
     if columns < least:
         raise InputError(
             f"{columns} samples over the pupil would alias",

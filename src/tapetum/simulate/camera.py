@@ -18,7 +18,7 @@ from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.optics.grid_sampling import SamplingPlan, plan_double_pass, plan_finer
 from tapetum.optics.sampling import (
     DoublePassGeometry,
-    RoundPlan,
+    Plan,
     check_aperture,
     check_table,
     plan_round,
@@ -46,13 +46,14 @@ from tapetum.simulate.reflections import (
     scatterers,
     specular_groups,
 )
-from tapetum.simulate.round_pass import RoundPass, Surface
+from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.stated_error import of_narrow_beam, of_tilted_planes
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_lens import TracedLens
-from tapetum.simulate.traced_plan import TracedGroup, TracedPlan
+from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.true_paths import check_squash
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
@@ -160,7 +161,7 @@ class Camera:
             self._finite = self._is_finite()
         self._steepest = steepest
         self.geometry = self._geometry(light.wavelength, steepest)
-        self._plans: list[RoundPlan | SamplingPlan | TracedPlan] = []
+        self._plans: list[Plan] = []
         self._profiles: dict[tuple[float, Scatterer], DiffuseProfile] = {}
 
     @cached_property
@@ -171,7 +172,7 @@ class Camera:
         return [self._line(length, watts, self._steepest) for length, watts in wavelengths(light, rings, path)]
 
     @cached_property
-    def plan(self) -> RoundPlan | SamplingPlan | TracedPlan:
+    def plan(self) -> Plan:
         """The sampling of the plane that is computed least accurately. Planning is left to the first use."""
         assert self._lines
         return max(self._plans, key=lambda plan: (plan.expected_error, plan.columns))
@@ -218,88 +219,74 @@ class Camera:
         return scene_geometry(self.scene, steepest, f, z, self.output, wavelength, spread)
 
     def _line(self, wavelength: float, watts: float, steepest: float) -> _Line:
-        scene, geometry = self.scene, self._geometry(wavelength, steepest)
-        sensor, radius = scene.target.sensor, geometry.radius
-        if self._lens is not None:
-            return self._traced_line(self._lens, wavelength, watts, geometry)
-        # Beyond this a diffraction order finds no way out of the lens again.
-        widest = 2 * (geometry.return_radius + radius) / geometry.image_distance + 2 * geometry.tangent
-        focal = self._focal_at(wavelength)
-        curvature = self._curvature()
+        scene, geometry, lens = self.scene, self._geometry(wavelength, steepest), self._lens
+        if lens is not None:
+            # Scattered light goes by a thin lens, with the prescription's own focus at this wavelength.
+            geometry = replace(geometry, focal_length=lens.thin_focal_length(wavelength))
+            # Beyond twice the aperture and the steepest tilt no order finds its way out again.
+            widest = 4 * lens.aperture_sine(wavelength)
+        else:
+            widest = 2 * (geometry.return_radius + geometry.radius) / geometry.image_distance + 2 * geometry.tangent
+        groups = specular_groups(scene, wavelength, self._z, widest)
         passes: list[Pass] = []
         ends: list[SensorEnd | None] = []
-        groups = specular_groups(scene, wavelength, self._z, widest)
         for group in groups:
-            # The plane that is most out of focus asks for the finest grid.
-            lengths = [float(self._scalar(one.image_distance).detach()) for one in group]
-            at = replace(geometry, image_distance=max(lengths, key=lambda z: abs(z - geometry.focal_length)))
-            tilt = max(math.hypot(*order.direction) for one in group for order in one.orders) / 2
-            distance = self._distance if self._finite else None
-            planned = at
-            if distance is not None:
-                planned = through_aperture(at, float(distance.detach()), scene.probe.lens.aperture_radius)
-            plan = plan_round(
-                planned,
-                self._accuracy,
-                pupil_samples=scene.sampling.pupil,
-                pixels=self.output.rows * self.output.columns,
-                orders=tilt,
-            )
-            check_table(at, plan, at.tangent + tilt)
-            check_squash(at)
-            if distance is not None:
-                check_aperture(at, float(distance.detach()), scene.probe.lens.aperture_radius)
-            self._plans.append(plan)
-            options: dict[str, Any] = {
-                "distance": distance,
-                "probe_radius": scene.probe.lens.aperture_radius if self._finite else None,
-                "focal_length": focal,
-                "curvature": curvature,
-                "lit_radius": min(radius, beam_radius(scene)),
-                "dtype": self._dtype,
-                "device": self._device,
-            }
-            passes.append(RoundPass(at, plan, self.output, group, **options))
-            own = {"edge": self._edge, "accuracy": self._accuracy}
-            ends.append(thin_end(at, plan, self.output, group, sensor=sensor, **own, **options))
-        if sensor.mask is not None:
-            passes.append(self._masked(geometry, wavelength, focal))
+            one, end = self._thin(geometry, group) if lens is None else self._traced(lens, wavelength, group)
+            self._plans.append(one.plan)
+            passes.append(one)
+            ends.append(end)
+        if scene.target.sensor.mask is not None:
+            passes.append(self._masked(geometry, wavelength, self._focal_at(wavelength)))
             ends.append(None)
         share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
             # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
+        way = float(self._distance.detach()) if self._finite else None
+        glints = None if lens is None else lens.glints(self.output, wavelength, way)
         orders = _orders_of(groups)
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, None, tuple(ends), orders)
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 
-    def _traced_line(self, lens: TracedLens, wavelength: float, watts: float, geometry: DoublePassGeometry) -> _Line:
-        scene = self.scene
-        # Scattered light goes by a thin lens, with the prescription's own focus at this wavelength.
-        geometry = replace(geometry, focal_length=lens.thin_focal_length(wavelength))
-        passes: list[Pass] = []
-        # Beyond twice the aperture and the steepest tilt no order finds its way out again.
-        widest = 4 * lens.aperture_sine(wavelength)
-        ends: list[SensorEnd | None] = []
+    def _traced(
+        self, lens: TracedLens, wavelength: float, group: Sequence[Surface]
+    ) -> tuple[TracedGroup, SensorEnd | None]:
+        distance = float(self._distance.detach()) if self._finite else None
 
         def opened(group: Sequence[Surface]) -> TracedGroup:
-            distance = float(self._distance) if self._finite else None
             given = group, self.output, wavelength, self._accuracy, distance
             return lens.group(*given, dtype=self._dtype, device=self._device)
 
-        groups = specular_groups(scene, wavelength, self._z, widest)
-        for group in groups:
-            one = opened(group)
-            self._plans.append(one.plan)
-            passes.append(one)
-            ends.append(traced_end(group, opened, self.output))
-        share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
-        found = scatterers(scene, wavelength, geometry.image_distance)
-        if not self._plans:
-            self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
-        glints = lens.glints(self.output, wavelength, float(self._distance) if self._finite else None)
-        orders = _orders_of(groups)
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
+        return opened(group), traced_end(group, opened, self.output)
+
+    def _thin(self, geometry: DoublePassGeometry, group: Sequence[Surface]) -> tuple[RoundPass, SensorEnd | None]:
+        scene = self.scene
+        # The plane that is most out of focus asks for the finest grid.
+        lengths = [float(self._scalar(one.image_distance).detach()) for one in group]
+        at = replace(geometry, image_distance=max(lengths, key=lambda z: abs(z - geometry.focal_length)))
+        tilt = max(math.hypot(*order.direction) for one in group for order in one.orders) / 2
+        probe_radius, planned, away = scene.probe.lens.aperture_radius, at, float(self._distance.detach())
+        if self._finite:
+            planned = through_aperture(at, away, probe_radius)
+        pixels = self.output.rows * self.output.columns
+        forced = scene.sampling.pupil
+        plan = plan_round(planned, self._accuracy, pupil_samples=forced, pixels=pixels, orders=tilt)
+        check_table(at, plan, at.tangent + tilt)
+        check_squash(at)
+        if self._finite:
+            check_aperture(at, away, probe_radius)
+        options: dict[str, Any] = {
+            "distance": self._distance if self._finite else None,
+            "probe_radius": probe_radius if self._finite else None,
+            "focal_length": self._focal_at(geometry.wavelength),
+            "curvature": self._curvature(),
+            "lit_radius": min(geometry.radius, beam_radius(scene)),
+            "dtype": self._dtype,
+            "device": self._device,
+        }
+        own: dict[str, Any] = {"sensor": scene.target.sensor, "edge": self._edge, "accuracy": self._accuracy}
+        one = RoundPass(at, plan, self.output, group, **options)
+        return one, thin_end(at, plan, self.output, group, **own, **options)
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
         sensor, sampling = self.scene.target.sensor, self.scene.sampling

@@ -16,9 +16,10 @@ from tapetum.optics.grid_sampling import ACCURACIES, plan_double_pass, plan_fine
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan, through_aperture
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.foreshortening import tangents
-from tapetum.simulate.round_pass import RoundPass, Surface
+from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_edge import SensorEdge
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
+from tapetum.simulate.surfaces import Surface
 
 __all__ = ["CutSensor"]
 
@@ -37,14 +38,10 @@ class CutSensor:
         Its array, and where it ends.
     accuracy
         Of the sampled plane, in fractions of the peak.
-    distance, probe_radius
-        As for `RoundPass`.
-    focal_length
-        Of the lens.
     finer
         Whether to sample more finely than the accuracy asks for: to measure its error against.
     options
-        Further ones of `RoundPass`.
+        Those of `RoundPass`.
     """
 
     def __init__(
@@ -57,31 +54,17 @@ class CutSensor:
         sensor: TargetSensor,
         edge: SensorEdge,
         accuracy: float,
-        distance: torch.Tensor | float | None,
-        probe_radius: float | None,
-        focal_length: torch.Tensor,
         finer: bool = False,
         **options: Any,
     ) -> None:
         (self._sensor,) = (one for one in surfaces if one.depth == 0)
         self._geometry, self._output, self._edge, self._bare = geometry, output, edge, sensor
         self._accuracy, self._options = max(accuracy, ACCURACIES[-1]), options
-        self._distance, self._probe_radius = distance, probe_radius
-        self._focal_length, self._finer = focal_length, finer
+        self._finer = finer
         layers = [one for one in surfaces if one.depth != 0]
         self._layers: RoundPass | None = None
         if layers:
-            self._layers = RoundPass(
-                geometry,
-                plan,
-                output,
-                layers,
-                distance=distance,
-                probe_radius=probe_radius,
-                interferes=True,
-                focal_length=focal_length,
-                **options,
-            )
+            self._layers = RoundPass(geometry, plan, output, layers, interferes=True, **options)
         self._mirrors: dict[float, DoublePass] = {}
         self.expected_error = 0.0
         """Largest error of the planes sampled so far, over a mirror's peak."""
@@ -130,7 +113,7 @@ class CutSensor:
 
     def _made(self, z: torch.Tensor, mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None) -> DoublePass:
         geometry = replace(self._geometry, image_distance=float(z.detach()))
-        planned, distance, radius = geometry, self._distance, self._probe_radius
+        planned, distance, radius = geometry, self._options["distance"], self._options["probe_radius"]
         if distance is not None and radius is not None:
             planned = through_aperture(geometry, float(torch.as_tensor(distance).detach()), radius)
         array = self._bare.array
@@ -142,19 +125,9 @@ class CutSensor:
         pixels = self._output.rows * self._output.columns
         plan = (plan_finer if self._finer else plan_double_pass)(planned, self._accuracy, pixels=pixels, finest=finest)
         self.expected_error = max(self.expected_error, plan.expected_error)
-        options = {name: self._options[name] for name in ("dtype", "device") if name in self._options}
-        return DoublePass(
-            geometry,
-            plan,
-            self._output,
-            self._focal_length,
-            z,
-            mask=mask,
-            followed=True,
-            distance=distance,
-            probe_radius=radius,
-            **options,
-        )
+        known = "focal_length", "distance", "probe_radius", "dtype", "device"
+        options = {name: self._options[name] for name in known if name in self._options}
+        return DoublePass(geometry, plan, self._output, image_distance=z, mask=mask, followed=True, **options)
 
     def _plane(self) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
         """The sensor's reflectance as its surface weighs it, up to its edge."""

@@ -24,8 +24,9 @@ from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.grid_sampling import SamplingPlan
 from tapetum.optics.pupil import disc_quadrature
-from tapetum.optics.sampling import DoublePassGeometry, aperture_samples
-from tapetum.simulate.foreshortening import cosines, foreshortening, foreshortens, tangents, twisted
+from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.foreshortening import cosines, foreshortens, tangents, twisted
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath
 from tapetum.simulate.true_paths import Leg, TruePaths
 
 __all__ = ["DoublePass"]
@@ -101,26 +102,24 @@ class DoublePass:
         spot = (
             spot * phasor(self._k * v_squared / z) * _window(v_squared.sqrt(), plan.sensor_flat, plan.sensor_half_width)
         )
-        # Constants ride along with the spot, so that the hot loop is products and phases alone.
-        to_image = 1j * geometry.wavelength * geometry.probe_focal_length
-        self._spot = (spot * (sensor.pitch**2 / wave / to_image)).to(dtype)
         self._to_pupil = MatrixFourier(self._v, self._v, self._x, self._y, self._k / z, dtype)
-        self._exit = (weights * phasor(defocus)).to(dtype)
-        self._kappa = self._k / geometry.probe_focal_length
-        pixels = output.x(device=device), output.y(device=device)
-        self._to_image = MatrixFourier(self._x, self._y, *pixels, self._kappa, dtype)
-        self._aperture: torch.Tensor | None = None
-        way = None
+        aperture, way = None, None
         if distance is not None and probe_radius is not None:
             way = _scalar(distance, device)
-            columns, rows = aperture_samples(geometry, float(way.detach()), probe_radius)
-            stop = disc_quadrature(probe_radius, columns, rows)
-            self._far_x, self._far_y = stop.x.to(device), stop.y.to(device)
-            self._to_probe = self._k / way
-            chirp = stop.weights.to(device) * phasor(self._to_probe / 2 * stop.rho_squared().to(device))
-            self._aperture = (chirp / (1j * geometry.wavelength * way)).to(dtype)
-            self._exit = (weights * phasor(defocus + self._to_probe / 2 * rho_squared)).to(dtype)
-            self._second = MatrixFourier(self._far_x, self._far_y, *pixels, self._kappa, dtype)
+            aperture = ProbeAperture.behind_thin(geometry, way, probe_radius)
+        self._path = ProbePath(
+            output,
+            self._x,
+            self._y,
+            wavelength=geometry.wavelength,
+            probe_focal_length=geometry.probe_focal_length,
+            aperture=aperture,
+            dtype=dtype,
+            device=device,
+        )
+        # Constants ride along with the spot, so that the hot loop is products and phases alone.
+        self._spot = (spot * (sensor.pitch**2 / wave * self._path.constant)).to(dtype)
+        self._exit = (weights * phasor(defocus + self._path.chirp * rho_squared)).to(dtype)
         k, radius, curvature = (_scalar(value, device) for value in (self._k, geometry.radius, geometry.curvature))
         self._paths = TruePaths(k, radius, f, curvature, way, probe_radius) if followed else None
 
@@ -146,7 +145,7 @@ class DoublePass:
         return torch.cat([(u.real**2 + u.imag**2) for u in images])
 
     def exit_pupil(self, sines: torch.Tensor) -> torch.Tensor:
-        """Field leaving the lens, tilt removed, times the quadrature's weights and 1/(iλf_p): [B, rows, columns]."""
+        """Field leaving the lens, tilt removed, times weights and the way's constant: [B, rows, columns]."""
         sines = sines.to(self.device, torch.float64)
         # A mirror may turn with the pupil, a mask may not.
         turned = self._mask is None and foreshortens(self, sines)
@@ -170,23 +169,13 @@ class DoublePass:
         sines = sines.to(self.device, torch.float64)
         # What a tilted pupil sends spreads over a foreshortened picture.
         pupil = self.exit_pupil(sines) * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
-        if self._aperture is not None:
-            far = self._in_place(pupil, sines, self._far_x, self._far_y, self._to_probe) * self._aperture
-            # The beam comes back to the probe's middle, under an angle.
-            return self._second(far if centres is None else far * self._ramp(centres, self._far_x, self._far_y))
-        if centres is not None:
-            pupil = pupil * self._ramp(centres, self._x, self._y)
-        if not foreshortens(self, sines):
-            return self._to_image(pupil)
-        if self._mask is None:
-            return self._foreshortened(pupil, sines)
-        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
-        return self._in_place(pupil, sines, qx, qy, _scalar(self._kappa, self.device))
-
-    def _ramp(self, centres: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        shift = self._kappa * centres.to(self.device, torch.float64)
-        column = phasor(shift[:, 0, None, None] * x[None, None, :]).to(self.dtype)
-        return column * phasor(shift[:, 1, None, None] * y[None, :, None]).to(self.dtype)
+        shortened = foreshortens(self, sines) or self._path.aperture is not None
+        if self._mask is not None and shortened:
+            gathered = self._path.gather_unturned(pupil, sines, centres)
+        else:
+            rows = slice(0, self.plan.rows)
+            gathered = self._path.gather(pupil, rows, sines if foreshortens(self, sines) else None, centres)
+        return self._path.to_image(gathered, centres)
 
     def _batch(self, gradients: bool) -> int:
         size = 16 if self.dtype == torch.complex128 else 8
@@ -195,61 +184,10 @@ class DoublePass:
         # A graph for gradients keeps every intermediate result anyway.
         return 1 << 20 if gradients else max(1, _BATCH_BYTES // one)
 
-    def _foreshortened(self, pupil: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
-        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation goes
-        # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
-        _, t = foreshortening(sines)
-        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
-        # x t00 qx + y (t10 qx + t11 qy): columns first, for qx stands beside both x and y.
-        column = phasor(-self._kappa * t[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :])
-        mix = phasor(-self._kappa * t[:, 1, 0, None, None] * self._y[None, :, None] * qx[None, None, :])
-        row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * self._y[None, None, :])
-        return row.to(self.dtype) @ ((pupil @ column.to(self.dtype)) * mix.to(self.dtype))
-
-    def _in_place(
-        self, pupil: torch.Tensor, sines: torch.Tensor, qx: torch.Tensor, qy: torch.Tensor, kappa: torch.Tensor
-    ) -> torch.Tensor:
-        # M as it is: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Of its four phases the one of y and qx fits into no
-        # product. It turns slowly, by the square of the tilt: a few Chebyshev nodes in qx hold it.
-        rotation, t = foreshortening(sines)
-        m = kappa * (rotation @ t)
-        half_width = float(qx.max() - qx.min()) / 2
-        turn = float(m[:, 1, 0].detach().abs().max() * self._y.abs().max()) * half_width
-        nodes, lift = _nodes(qx, turn, 1e-12 if self.dtype == torch.complex128 else 1e-6)
-        column = phasor(-m[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :]).to(self.dtype)
-        mix = phasor(-m[:, 0, 1, None, None] * qy[None, :, None] * self._x[None, None, :]).to(self.dtype)
-        total: torch.Tensor | None = None
-        for node, share in zip(nodes, lift, strict=True):
-            along = m[:, 1, 1, None] * qy[None, :] + m[:, 1, 0, None] * node
-            row = phasor(-along[:, :, None] * self._y[None, None, :]).to(self.dtype)
-            part = (((row @ pupil) * mix) @ column) * share.to(self.dtype)
-            total = part if total is None else total + part
-        assert total is not None
-        return total
-
 
 def _window(radius: torch.Tensor, flat: float, end: float) -> torch.Tensor:
     """1 up to `flat`, then a raised cosine to 0 at `end`."""
     return torch.cos(((radius - flat) / (end - flat)).clamp(0, 1) * (math.pi / 2)) ** 2
-
-
-def _nodes(q: torch.Tensor, turn: float, error: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Chebyshev nodes over the pixels q, and each one's share [nodes, q] of a phase that turns by ±turn radians."""
-    count, left = 1, turn
-    # What n nodes leave of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
-    while left > error:
-        count += 1
-        left *= turn / (2 * count)
-    angle = math.pi * (torch.arange(count, dtype=torch.float64, device=q.device) + 0.5) / count
-    half, middle = (q.max() - q.min()) / 2, (q.max() + q.min()) / 2
-    nodes = middle + half * torch.cos(angle)
-    share = [
-        torch.stack([(q - other) / (node - other) for j, other in enumerate(nodes) if j != i]).prod(0)
-        if count > 1
-        else torch.ones_like(q)
-        for i, node in enumerate(nodes)
-    ]
-    return nodes, torch.stack(share)
 
 
 def _scalar(value: torch.Tensor | float, device: torch.device | str) -> torch.Tensor:

@@ -17,9 +17,7 @@ from tapetum.simulate.image import Image
 from tapetum.simulate.phone import open_camera
 
 if TYPE_CHECKING:
-    from tapetum.optics.grid_sampling import SamplingPlan
-    from tapetum.optics.sampling import RoundPlan
-    from tapetum.simulate.traced_plan import TracedPlan
+    from tapetum.optics.sampling import Plan
 
 __all__ = ["plan_scene", "retroreflect"]
 
@@ -95,7 +93,7 @@ def retroreflect(
     return Image(irradiance, scene.probe.sensor.pitch, metadata, equivalent)
 
 
-def plan_scene(scene: Scene, steepest: float, accuracy: float | None = None) -> RoundPlan | SamplingPlan | TracedPlan:
+def plan_scene(scene: Scene, steepest: float, accuracy: float | None = None) -> Plan:
     """The sampling that `retroreflect` would use for this scene."""
     return open_camera(scene, steepest, accuracy=accuracy).plan
 

@@ -17,8 +17,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
 from tapetum.errors import InputError
@@ -28,7 +26,8 @@ from tapetum.optics.pupil import DiscRows
 from tapetum.optics.radial import FocusTables, RadialTable, focus_tables, returning_field
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.foreshortening import cosines, foreshortens, tangents, twisted
-from tapetum.simulate.probe_path import ProbePath
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath
+from tapetum.simulate.surfaces import Order, PlaceSeries, Surface
 from tapetum.simulate.true_paths import Leg, TruePaths, neglected_path
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
@@ -44,88 +43,6 @@ _SHARE_MISSED = 0.25
 # What automatic differentiation keeps for each sample of the pupil (some forty numbers), and may keep in all.
 _BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
-
-
-@dataclass(frozen=True, eq=False)
-class PlaceSeries:
-    """An amplitude that depends on the place of the spot: Σ c_b exp(iκ b·u), c [rows, columns] of b = -n to n.
-
-    Parameters
-    ----------
-    coefficients
-        [2n + 1, 2n + 1].
-    wavenumber
-        κ, in 1/m.
-    """
-
-    coefficients: npt.NDArray[np.complex128]
-    wavenumber: float
-
-    def __call__(self, places: torch.Tensor) -> torch.Tensor:
-        """Amplitudes [B] at places [B, 2] from the optical axis, in metres."""
-        most = len(self.coefficients) // 2
-        turns = self.wavenumber * torch.arange(-most, most + 1, dtype=torch.float64, device=places.device)
-        down, across = phasor(places[:, 1:2] * turns), phasor(places[:, 0:1] * turns)
-        return ((down @ torch.as_tensor(self.coefficients, device=places.device)) * across).sum(-1)
-
-
-@dataclass(frozen=True)
-class Order:
-    """A diffraction order of a sensor plane.
-
-    Parameters
-    ----------
-    direction
-        Its sines (τ_x, τ_y), (m_x, m_y) λ/p for a grating; a plane tilted by a adds 2a.
-    amplitude
-        Complex; on the optical axis where it depends on the place.
-    series
-        Its amplitude by the place of the spot, where it depends on it.
-    """
-
-    direction: tuple[float, float] = (0.0, 0.0)
-    amplitude: complex = 1.0
-    series: PlaceSeries | None = None
-
-    def scaled(self, factor: float) -> Order:
-        """The same order of a plane reached by so much of the amplitude."""
-        if factor == 1:
-            return self
-        series = self.series and replace(self.series, coefficients=self.series.coefficients * factor)
-        return replace(self, amplitude=self.amplitude * factor, series=series)
-
-    def at(self, places: torch.Tensor) -> torch.Tensor | complex:
-        """Its amplitude, [B] where it depends on the places [B, 2] of the spot."""
-        return self.amplitude if self.series is None else self.series(places)
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A plane that reflects.
-
-    Parameters
-    ----------
-    image_distance
-        z, its distance from the lens in metres, reduced by the index of what lies between. A tensor carries gradients.
-    orders
-        What it returns; a mirror has one order of direction 0.
-    phase
-        Of its reflection against the others', in radians: twice the optical path by which it is nearer, times -k.
-    depth, index
-        Where it lies before the sensor, in metres, and the refractive index between: image_distance and phase follow
-        from them for a thin lens, a traced one takes them as they are.
-    tilt
-        Of its plane, a in radians, which the orders' directions already hold (2a). The plane lies a·u0 farther at the
-        spot u0, and each gaze is computed with that change of focus. For a tilt of half a degree and a spot 2 mm from
-        the axis that is 17 um.
-    """
-
-    image_distance: torch.Tensor | float
-    orders: tuple[Order, ...] = (Order(),)
-    phase: float = 0.0
-    depth: float = 0.0
-    index: float = 1.0
-    tilt: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -205,16 +122,16 @@ class RoundPass:
         self._k = 2 * math.pi / values["wavelength"]
         self._disc = DiscRows(1.0, plan.columns, plan.rows, _END_ORDER, self.device)
         self._x, self._y = self._disc.x * values["radius"], self._disc.y * values["radius"]
+        aperture = None
+        if distance is not None and probe_radius is not None:
+            aperture = ProbeAperture.behind_thin(geometry, distance, probe_radius)
         self._path = ProbePath(
-            geometry,
-            plan,
             output,
             self._x,
             self._y,
             wavelength=values["wavelength"],
             probe_focal_length=values["probe_focal_length"],
-            distance=distance,
-            probe_radius=probe_radius,
+            aperture=aperture,
             dtype=dtype,
             device=self.device,
         )

@@ -15,8 +15,8 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.cut_sensor import CutSensor
 from tapetum.simulate.faint import FaintPass, Pass
-from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.sensor_edge import EdgeRule, Spots
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_plan import TracedGroup
 
 __all__ = ["SensorEnd", "thin_end", "traced_end"]

@@ -34,7 +34,7 @@ from scipy.special import fresnel
 from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
 from tapetum.optics.photosites import SHAPES, Photosite, Round, Square, covered
-from tapetum.simulate.round_pass import Order, PlaceSeries
+from tapetum.simulate.surfaces import Order, PlaceSeries
 
 __all__ = ["Reflectance", "orders_of", "reflectance_at", "second_derivative", "widened"]
 

@@ -13,12 +13,13 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens, best_focus
 from tapetum.optics.grid import Grid
 from tapetum.simulate.glints import Glints, GlintTable, glint_tables
+from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
-from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_bundle import trace_bundle
-from tapetum.simulate.traced_plan import TracedGroup, aperture_of, return_angle, traced_group
+from tapetum.simulate.traced_plan import TracedGroup, return_angle, traced_group
 
 __all__ = ["TracedLens"]
 
@@ -111,7 +112,7 @@ class TracedLens:
         aperture = None
         if distance is not None:
             window = math.hypot(output.width, output.height) / 2 / probe.focal_length
-            aperture = aperture_of(distance, probe.aperture_radius, wavelength, window)
+            aperture = ProbeAperture.behind_traced(distance, probe.aperture_radius, wavelength, window)
         return traced_group(
             focused,
             fits,

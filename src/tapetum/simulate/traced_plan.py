@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
@@ -17,13 +17,14 @@ import torch
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
-from tapetum.simulate.exit_path import ExitPath, ProbeAperture, missed_path
+from tapetum.optics.sampling import Plan
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
-from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
-__all__ = ["TracedGroup", "TracedPlan", "aperture_of", "return_angle", "traced_group"]
+__all__ = ["TracedGroup", "TracedPlan", "return_angle", "traced_group"]
 
 
 @dataclass(frozen=True)
@@ -66,12 +67,10 @@ _MOST_PUPIL, _MOST_SENSOR = 2048, 4096
 _LARGEST_MISFIT = 0.02
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
 _LARGEST_DEPARTURE = 0.05
-# How far light may turn between two samples of the probe's aperture, in radians.
-_APERTURE_RADIANS = 2.0
 
 
 @dataclass(frozen=True)
-class TracedPlan:
+class TracedPlan(Plan):
     """Samples of a traced pass, and the error that they should leave.
 
     Parameters
@@ -100,13 +99,8 @@ class TracedPlan:
     expected_error: float
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
-        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
         samples = 3 * self.columns * self.rows + self.sensor**2
         return complex_size // 8 * (48 * min(batch, 4) * samples + 24 * batch * pixels)
-
-    def as_dict(self) -> dict[str, float | int | str]:
-        """The plan's numbers by name, for metadata."""
-        return {"method": self.method, **asdict(self)}
 
 
 class TracedGroup:
@@ -126,12 +120,6 @@ class TracedGroup:
         for one in self.passes[1:]:
             total = total + one.field(sines, centres)
         return total
-
-
-def aperture_of(distance: float, radius: float, wavelength: float, window: float) -> ProbeAperture:
-    """The probe's aperture with the samples that a picture of half-diagonal `window` (an angle, in radians) needs."""
-    turn = 2 * math.pi / wavelength * radius * (radius / distance + window)
-    return ProbeAperture(distance, radius, max(64, math.ceil(2 * turn / _APERTURE_RADIANS)))
 
 
 def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
@@ -192,11 +180,14 @@ def traced_group(
             where="target.lens",
             remedy="stop it down with f_number, or stay nearer to the middle of its field",
         )
-    path = ExitPath(
+    # What a pupil of this width makes of the picture is known from few of its places.
+    ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64, device=device)
+    path = ProbePath(
         output,
+        ends,
+        ends,
         wavelength=wavelength,
         probe_focal_length=probe_focal_length,
-        reach=1.3 * fits.aperture[1],
         aperture=aperture,
         dtype=dtype,
         device=device,
@@ -205,7 +196,7 @@ def traced_group(
     accepted = None
     if aperture is not None:
         # Light under larger angles misses the probe's aperture, whatever the picture.
-        accepted = seen = (aperture.radius + fits.aperture[1]) / aperture.distance
+        accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
 
     def made(wanted: float) -> TracedGroup:
         found = [
@@ -240,7 +231,7 @@ def _planned(
     focused: FocusedLens,
     fits: PupilFits,
     surface: Surface,
-    path: ExitPath,
+    path: ProbePath,
     wavelength: float,
     accuracy: float,
     curvature: float,

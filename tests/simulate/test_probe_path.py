@@ -12,8 +12,8 @@ from traced_cases import without_phase
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
-from tapetum.simulate.exit_path import ExitPath, ProbeAperture, missed_path
 from tapetum.simulate.foreshortening import foreshortening
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
 
 SECTION = "Traced lenses"
 WAVELENGTH, PROBE_FOCAL, REACH = 640e-9, 0.1, 1.2e-3
@@ -21,12 +21,14 @@ K = 2 * math.pi / WAVELENGTH
 OUTPUT = Grid(13, 15, 6e-6)
 
 
-def path(aperture: ProbeAperture | None = None) -> ExitPath:
-    return ExitPath(
+def path(aperture: ProbeAperture | None = None) -> ProbePath:
+    ends = 1.5 * REACH * torch.tensor([-1.0, 1.0], dtype=torch.float64)
+    return ProbePath(
         OUTPUT,
+        ends,
+        ends,
         wavelength=WAVELENGTH,
         probe_focal_length=PROBE_FOCAL,
-        reach=1.5 * REACH,
         aperture=aperture,
         dtype=torch.complex128,
     )
@@ -83,9 +85,9 @@ def test_pupils_off_their_middle_against_a_plain_sum(
     tilt: tuple[float, float], distance: float | None, validated: Any
 ) -> None:
     sines = torch.tensor([tilt], dtype=torch.float64)
-    aperture = None if distance is None else ProbeAperture(distance, 0.8e-3, 48)
+    aperture = None if distance is None else ProbeAperture(distance, 0.8e-3, 48, 48)
     field, x, y = pupil((2.5e-4, -3.5e-4))
-    ours = path(aperture)(field, x, y, sines, None)[0]
+    ours = path(aperture).carry(field, x, y, sines, None)[0]
     want = plain(field, x, y, sines, aperture)
     error = float((ours - want).abs().max() / want.abs().max())
     where = "far field" if distance is None else "0.8 m, aperture of 1.6 mm"
@@ -96,26 +98,26 @@ def test_a_wide_aperture_is_the_far_field(validated: Any) -> None:
     """What passes whole shows the far field's picture, but for a bend of phase."""
     sines = torch.tensor([[0.02, 0.05]], dtype=torch.float64)
     field, x, y = pupil((2e-4, 1e-4))
-    far = path()(field, x, y, sines, None)[0].abs()
-    near = path(ProbeAperture(2.0, 6e-3, 200))(field, x, y, sines, None)[0].abs()
+    far = path().carry(field, x, y, sines, None)[0].abs()
+    near = path(ProbeAperture(2.0, 6e-3, 200, 200)).carry(field, x, y, sines, None)[0].abs()
     error = float((far - near).abs().max() / far.max())
     validated(SECTION, "modulus through a wide aperture at 2 m", error, 1e-3, "the far field")
 
 
-@pytest.mark.parametrize("aperture", [None, ProbeAperture(2.0, 6e-3, 200)], ids=["far", "near"])
+@pytest.mark.parametrize("aperture", [None, ProbeAperture(2.0, 6e-3, 200, 200)], ids=["far", "near"])
 def test_centres_move_the_picture(aperture: ProbeAperture | None) -> None:
     sines = torch.zeros(1, 2, dtype=torch.float64)
     field, x, y = pupil((0.0, 0.0))
     step = OUTPUT.pitch
-    still = path(aperture)(field, x, y, sines, None)[0].abs()
-    moved = path(aperture)(field, x, y, sines, torch.tensor([[2 * step, -step]], dtype=torch.float64))[0].abs()
+    still = path(aperture).carry(field, x, y, sines, None)[0].abs()
+    moved = path(aperture).carry(field, x, y, sines, torch.tensor([[2 * step, -step]], dtype=torch.float64))[0].abs()
     assert torch.allclose(moved[:-1, 2:], still[1:, :-2], atol=2e-3 * float(still.max()))
 
 
 @pytest.mark.parametrize(("tilt", "distance", "radius"), [(0.0, 0.4, 3e-3), (0.3, 0.6, 3e-3), (0.15, 0.8, 4e-3)])
 def test_what_the_chirps_miss_is_within_the_bound(tilt: float, distance: float, radius: float, validated: Any) -> None:
     sines = torch.tensor([[0.6 * tilt, 0.8 * tilt]], dtype=torch.float64)
-    aperture = ProbeAperture(distance, radius, 56)
+    aperture = ProbeAperture(distance, radius, 56, 56)
     field, x, y = pupil((0.0, 0.0), 96)
     # Light that fills the aperture.
     field = field * phasor(K * radius / (2 * distance * REACH) * (x[:, None, :] ** 2 + y[:, :, None] ** 2))
