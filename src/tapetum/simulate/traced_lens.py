@@ -172,7 +172,8 @@ def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
 
     def passes(sine: float) -> bool:
         try:
-            trace_bundle(focused, torch.tensor([sine], dtype=torch.float64), curvature=curvature, count=_COUNT)
+            at = torch.tensor([sine], dtype=torch.float64)
+            trace_bundle(focused, at, curvature=curvature, count=_COUNT, sloped=False)
         except InputError:
             return False
         return True
