@@ -297,7 +297,8 @@ class Camera:
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
-        glints = lens.glints(self.output, wavelength, float(self._distance) if self._finite else None)
+        distance = float(self._distance) if self._finite else None
+        glints = lens.glints(self.output, wavelength, distance, self._dtype.to_real())
         orders = _orders_of(groups)
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 

@@ -25,6 +25,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import torch
@@ -36,6 +37,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.round_picture import RoundPicture
 from tapetum.simulate.scattering import (
     AT_ONCE,
     NOTHING,
@@ -147,10 +149,29 @@ class DiffuseProfile:
     radii: Real
     irradiance: Real
 
+    @cached_property
+    def _picture(self) -> RoundPicture:
+        return RoundPicture(self.radii, self.irradiance)
+
+    @cached_property
+    def _width(self) -> float:
+        """Half-width at half maximum, by the first place below it."""
+        below = np.nonzero(self.irradiance < self.irradiance.max() / 2)[0]
+        return float(self.radii[max(below[0], 1)]) if len(below) else self._picture.end
+
     def on(self, output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> torch.Tensor:
         """Return the picture [H, W] about a place (x, y) in metres, as `diffuse_return`."""
-        x, y = output.x().numpy() - centre[0], output.y().numpy() - centre[1]
-        return torch.from_numpy(_on_pixels(self.radii, self.irradiance, x, y, output.pitch))
+        x, y, pitch = output.x() - centre[0], output.y() - centre[1], output.pitch
+        if pitch < self._width:
+            return self._picture.at(x, y)
+        parts = min(_MOST_PARTS, math.ceil(3 * pitch / self._width))
+        offsets = ((torch.arange(parts, dtype=torch.float64) + 0.5) / parts - 0.5) * pitch
+        columns, rows = ((one.abs() <= self._picture.end + pitch).nonzero()[:, 0] for one in (x, y))
+        fine = [(one[:, None] + offsets).flatten() for one in (x[columns], y[rows])]
+        image = torch.zeros(len(y), len(x), dtype=torch.float64)
+        means = self._picture.at(*fine).reshape(len(rows), parts, len(columns), parts).mean((1, 3))
+        image[rows[:, None], columns] = means
+        return image
 
 
 def diffuse_profile(
@@ -266,23 +287,3 @@ def _smooth_radiance(plane: ScatteringPlane, fine: float, reach: float) -> Cubic
     slopes = np.arange(math.ceil(reach / step) + 3) * step
     values = transformed(spot, apart, weights, slopes, k)
     return CubicSpline(slopes, np.maximum(values, values[0] * 1e-12 if values[0] > 0 else 0.0))
-
-
-def _on_pixels(radii: Real, profile: Real, x: Real, y: Real, pitch: float) -> Real:
-    """The profile at the pixels' middles, or its mean over pixels larger than its detail: [len(y), len(x)]."""
-    spline, end = CubicSpline(radii, profile), radii[-1]
-    # Half-width at half maximum, by the first place below it.
-    below = np.nonzero(profile < profile.max() / 2)[0]
-    width = radii[max(below[0], 1)] if len(below) else end
-    parts = 1 if pitch < width else min(_MOST_PARTS, math.ceil(3 * pitch / width))
-    offsets = ((np.arange(parts) + 0.5) / parts - 0.5) * pitch
-    image = np.zeros((len(y), len(x)))
-    distance = np.hypot(y[:, None], x[None, :])
-    lit = np.argwhere(distance <= end + pitch)
-    block = max(1, AT_ONCE // parts**2)
-    for i in range(0, len(lit), block):
-        rows, columns = lit[i : i + block].T
-        at = np.sqrt((y[rows, None, None] + offsets[:, None]) ** 2 + (x[columns, None, None] + offsets[None, :]) ** 2)
-        values = np.where(at <= end, np.maximum(spline(np.minimum(at, end)), 0.0), 0.0)
-        image[rows, columns] = values.mean((1, 2))
-    return image

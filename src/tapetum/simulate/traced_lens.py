@@ -60,24 +60,22 @@ class TracedLens:
         second = math.hypot(*light.second_beam.angle) if light.second_beam is not None else 0.0
         self._steepest = min(1.0, steepest + second + light.source_size / 2)
         self._curvature = illumination_curvature(scene)
-        self._known: dict[float, tuple[FocusedLens, PupilFits]] = {}
-        focused, fits = self._at(light.wavelength)
         depths = [0.0] if scene.target.sensor.reflectance > 0 else []
         depths += [
             layer.depth / layer.index
             for layer in scene.target.sensor.layers
             if at_wavelength(layer.reflectance, light.wavelength) > 0
         ]
-        self.exit_angle = return_angle(focused, fits, depths or [0.0], self._curvature)
+        self.exit_angle = _return_angle(*self._asked(light.wavelength), tuple(depths or [0.0]))
         """Largest angle of a returning ray against its field's direction, in radians."""
         self.return_radius = lens.aperture_radius + self.exit_angle * scene.distance
         """Radius of the widest return at the probe, by rays, in metres."""
 
     def _at(self, wavelength: float) -> tuple[FocusedLens, PupilFits]:
-        if wavelength not in self._known:
-            asked = self._lens, wavelength, self._object_distance, self._steepest, self._curvature
-            self._known[wavelength] = _fitted(*asked)
-        return self._known[wavelength]
+        return _fitted(*self._asked(wavelength))
+
+    def _asked(self, wavelength: float) -> tuple[PrescriptionLens, float, float, float, float]:
+        return self._lens, wavelength, self._object_distance, self._steepest, self._curvature
 
     def aperture_sine(self, wavelength: float) -> float:
         """Largest half width of the pupil in direction sines."""
@@ -126,7 +124,9 @@ class TracedLens:
             device=device,
         )
 
-    def glints(self, output: Grid, wavelength: float, distance: float | None) -> Glints | None:
+    def glints(
+        self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype = torch.float64
+    ) -> Glints | None:
         """What its surfaces themselves send back; None where they are not said to reflect.
 
         Raises
@@ -151,6 +151,7 @@ class TracedLens:
             distance=distance,
             probe_radius=probe.aperture_radius,
             probe_focal_length=probe.focal_length,
+            dtype=dtype,
         )
 
 
@@ -165,6 +166,19 @@ def _fitted(
 ) -> tuple[FocusedLens, PupilFits]:
     focused = lens.focused(wavelength, object_distance)
     return focused, fit_pupils(focused, _covered(focused, steepest, curvature), curvature=curvature)
+
+
+@functools.lru_cache(maxsize=16)
+def _return_angle(
+    lens: PrescriptionLens,
+    wavelength: float,
+    object_distance: float,
+    steepest: float,
+    curvature: float,
+    depths: tuple[float, ...],
+) -> float:
+    focused, fits = _fitted(lens, wavelength, object_distance, steepest, curvature)
+    return return_angle(focused, fits, depths, curvature)
 
 
 def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:

@@ -40,7 +40,9 @@ from tapetum.simulate.traced_bundle import (
 __all__ = ["Returned", "TracedReturn", "check_return", "corrected", "trace_return"]
 
 # Share of a bundle below which a return is not worth fitting: its few rays say little of it, and it is faint.
-_LEAST_SHARE, _BISECTIONS = 0.03, 7
+_LEAST_SHARE = 0.03
+# Of the tilt from which light still returns.
+_HALVINGS = (4, 3)
 # Rays that a fit needs, and how far beyond the accepted angles light is kept.
 _FEWEST_RAYS, _KEPT = 60, 4.0
 _COARSE, _NARROWINGS = 25, 2
@@ -333,27 +335,37 @@ def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Te
 
 
 def _last_return(focused: FocusedLens, steepest: float, curvature: float, accepted: float | None) -> float:
-    """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns."""
+    """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns, by bisection.
+
+    Tilts are traced together, for rays in hundreds cost little more than one: four halvings at once, then the rest.
+    """
     low, high = 0.0, steepest
-    for tried in (steepest, *[None] * _BISECTIONS):
-        sine = (low + high) / 2 if tried is None else tried
-        at = torch.tensor([sine], dtype=torch.float64)
-        if accepted is None:
-            back = trace_return(focused, at, curvature=curvature, count=_COARSE)
-            share = int(back.passing.sum()) / int(back.bundle.passing.sum())
-        else:
-            box = _accepted_box(focused, at, curvature, accepted)
-            bundle = trace_bundle(focused, at, curvature=curvature, box=box, count=_COARSE, sloped=False)
-            back = _sent_back(focused, bundle, at)
-            near = back.good & (length(back.turned) <= _KEPT * accepted)
-            share = int((near & back.passing).sum()) / max(1, int(near.sum()))
-        if share > _LEAST_SHARE:
-            low = sine
-            if tried is not None:
-                break
-        else:
-            high = sine
+    if _returns(focused, torch.tensor([steepest], dtype=torch.float64), curvature, accepted)[0]:
+        return steepest
+    for halvings in _HALVINGS:
+        tried = [low + (high - low) * i / 2**halvings for i in range(1, 2**halvings)]
+        returns = _returns(focused, torch.tensor(tried, dtype=torch.float64), curvature, accepted)
+        first, behind = 0, 2**halvings
+        while behind - first > 1:
+            middle = (first + behind) // 2
+            first, behind = (middle, behind) if returns[middle - 1] else (first, middle)
+        ends = [low, *tried, high]
+        low, high = ends[first], ends[behind]
     return low
+
+
+def _returns(focused: FocusedLens, sines: torch.Tensor, curvature: float, accepted: float | None) -> list[bool]:
+    """Whether enough light returns from each of these tilts [F]."""
+    if accepted is None:
+        back = trace_return(focused, sines, curvature=curvature, count=_COARSE)
+        share = back.passing.sum(-1) / back.bundle.passing.sum(-1)
+    else:
+        box = _accepted_box(focused, sines, curvature, accepted)
+        bundle = trace_bundle(focused, sines, curvature=curvature, box=box, count=_COARSE, sloped=False)
+        back = _sent_back(focused, bundle, sines)
+        near = back.good & (length(back.turned) <= _KEPT * accepted)
+        share = (near & back.passing).sum(-1) / near.sum(-1).clamp_min(1)
+    return [bool(one) for one in share > _LEAST_SHARE]
 
 
 @dataclass(frozen=True)
