@@ -1,4 +1,4 @@
-"""What no unbiased estimate undercuts, for the sets' figures: gaze by distance from the centre, and focus.
+"""Cramér-Rao bounds for the sets' figures: of the gaze by its distance from the centre, and of the focus.
 
 The frames are those of a set but for its sensor's fixed pattern (1 % of the pixels' sensitivity, which an estimate may
 know): light, second beam, exposure, background, bits and noise are the scene's.
@@ -89,8 +89,8 @@ class GazeInformation:
         nuisances
             Of `names`. What is not among them counts as known.
         priors
-            What is known before the frame, by name: standard deviations. Then it is van Trees' bound, which biased
-            estimates keep too, with the information of this gaze in place of the prior's mean of it.
+            What is known before the frame, by name: standard deviations. The bound is then van Trees', which holds for
+            biased estimates too, with the information at this gaze in place of its mean over the prior.
         """
         return _bounds(self.names, self.information, _GAZE, self.names[2:] if nuisances is None else nuisances, priors)
 
@@ -144,8 +144,8 @@ class FocusBounds:
 def gaze_prior(extent: float) -> float:
     """The standard deviation, extent/π, that counts in `priors` for a gaze within ± extent.
 
-    Van Trees' bound wants a prior that vanishes at its ends: of all such ones, cos²(πx/2e) holds the least information,
-    (π/e)². The even one of the sets has no such bound, and holds no more.
+    Van Trees' bound requires a prior density that vanishes at its ends. Of these cos²(πx/2e) has the least information,
+    (π/e)². The uniform density of the sets does not vanish there, and tells no more than this one.
     """
     return extent / math.pi
 

@@ -26,6 +26,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Unpack
 
 import numpy as np
 import torch
@@ -41,6 +42,7 @@ from tapetum.simulate.round_picture import RoundPicture
 from tapetum.simulate.scattering import (
     AT_ONCE,
     NOTHING,
+    PlaneOptions,
     Real,
     ScatteringPlane,
     autocorrelation,
@@ -114,18 +116,9 @@ def diffuse_return(
     """
     if not all(map(math.isfinite, centre)):
         raise InputError(f"must be finite, is {centre}", where="centre", remedy="give two lengths in metres")
-    profile = diffuse_profile(
-        geometry,
-        distance,
-        probe_radius,
-        corner(output, centre),
-        albedo=albedo,
-        spread=spread,
-        image_distance=image_distance,
-        lit_radius=lit_radius,
-        accuracy=accuracy,
-    )
-    return profile.on(output, centre)
+    options = PlaneOptions(albedo=albedo, spread=spread, image_distance=image_distance, lit_radius=lit_radius)
+    reach = corner(output, centre)
+    return diffuse_profile(geometry, distance, probe_radius, reach, accuracy=accuracy, **options).on(output, centre)
 
 
 def corner(output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> float:
@@ -180,11 +173,8 @@ def diffuse_profile(
     probe_radius: float,
     reach: float,
     *,
-    albedo: float,
-    spread: float = 0.0,
-    image_distance: float | None = None,
-    lit_radius: float | None = None,
     accuracy: float = 1e-2,
+    **options: Unpack[PlaneOptions],
 ) -> DiffuseProfile:
     """Scattered light by its distance from the middle: nearly all the work of `diffuse_return`, for many places.
 
@@ -192,7 +182,7 @@ def diffuse_profile(
     ----------
     reach
         How far from its middle the picture goes, in metres.
-    geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius, accuracy
+    geometry, distance, probe_radius, accuracy, **options
         As for `diffuse_return`.
 
     Raises
@@ -200,7 +190,7 @@ def diffuse_profile(
     InputError
         For a number out of its range.
     """
-    plane = scattering_plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
+    plane = scattering_plane(geometry, distance, probe_radius, **options)
     if not 1e-4 <= accuracy < 1:
         raise InputError(f"must be from 1e-4 to below 1, is {accuracy}", where="accuracy", remedy="ask for 1e-2")
     f_p = geometry.probe_focal_length
@@ -216,7 +206,7 @@ def diffuse_profile(
     profile = _unclipped(plane, angles)
     if clipped:
         profile = profile * _passing(plane, distance, probe_radius, angles, accuracy)
-    return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * albedo / math.pi / (plane.z * f_p) ** 2)
+    return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * plane.albedo / math.pi / (plane.z * f_p) ** 2)
 
 
 def _unclipped(plane: ScatteringPlane, angles: Real) -> Real:

@@ -1,4 +1,4 @@
-"""How well could anybody tell? Fisher information and Cramér-Rao bounds of one frame, from scene to electrons."""
+"""Fisher information and Cramér-Rao bounds of one frame: how precisely any estimate can know a scene's parameters."""
 
 # Torch types autograd.grad, linalg and tolist in part only.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -15,7 +15,7 @@ from tapetum.bench import PrescriptionLens, ProbeSensor, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
-from tapetum.simulate.exposure import count_moments, gain_of, hot_currents
+from tapetum.simulate.exposure import count_moments, hot_currents, most_electrons
 from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 from tapetum.simulate.traced_information import TracedSlopes, sensor_part
@@ -61,17 +61,17 @@ class FisherInformation:
 
     @property
     def bounds(self) -> dict[str, float]:
-        """Standard deviation that no unbiased estimate undercuts while all parameters are unknown.
+        """Cramér-Rao bound of each parameter's standard deviation while all parameters are unknown.
 
-        Infinite where the frame cannot tell a parameter from the others: where they can imitate what it changes in the
-        frame to 1 part in 10⁵.
+        Infinite for a parameter whose effect on the frame equals that of some combination of the others, to 1 part in
+        10⁵.
         """
         own = self.information.diagonal().clamp_min(0).sqrt()
         deviations = torch.full_like(own, torch.inf)
         told = own > 0
         # Parameters differ by many powers of ten: each in units of what it would be known to alone.
         shared = self.information[told][:, told] / (own[told, None] * own[None, told])
-        deviations[told] = 1 / (own[told] * _not_shared(shared).sqrt())
+        deviations[told] = 1 / (own[told] * _independent_shares(shared).sqrt())
         return dict(zip(self.parameters, deviations.tolist(), strict=True))
 
     @property
@@ -175,7 +175,7 @@ def slopes_of(
 
 def information_of(mean: torch.Tensor, jacobian: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
     """Fisher's matrix [P, P] of a frame of mean electrons [H, W], hot pixels' left out, with slopes [P, H W]."""
-    weight = _told_by_pixels(mean, sensor).flatten()
+    weight = _information_of_pixels(mean, sensor).flatten()
     return ((jacobian * weight[None, :]) @ jacobian.T).cpu()
 
 
@@ -257,8 +257,8 @@ def true_values(scene: Scene, names: Iterable[str]) -> dict[str, float]:
     return {name: own[name] for name in names}
 
 
-def _not_shared(shared: torch.Tensor) -> torch.Tensor:
-    """Share of each parameter's information that the others cannot imitate, from a matrix with ones on its diagonal.
+def _independent_shares(shared: torch.Tensor) -> torch.Tensor:
+    """Share of each parameter's information that is independent of the others', from a matrix of unit diagonal.
 
     1/(F⁻¹)_ii for an F that can be inverted; for any other the residual of each derivative's projection on the others'.
     """
@@ -267,13 +267,13 @@ def _not_shared(shared: torch.Tensor) -> torch.Tensor:
         rest = [j for j in range(len(shared)) if j != i]
         values, vectors = torch.linalg.eigh(shared[rest][:, rest])
         along = (shared[i, rest] @ vectors).square()
-        # Along what the others imitate among themselves there is nothing to project on but rounding.
+        # Eigenvalues of zero belong to combinations of the others that change nothing: only rounding is left of them.
         kept = values > _ROUNDING
         left[i] -= (along[kept] / values[kept]).sum()
     return torch.where(left > _ROUNDING, left, torch.zeros_like(left))
 
 
-def _told_by_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
+def _information_of_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
     """Information of each pixel about its own mean electrons, [H, W], in inverse electrons squared."""
     if sensor.hot_pixels:
         columns, rows = sensor.pixels
@@ -297,8 +297,8 @@ def _told_by_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
 
 def _clipped_from(sensor: ProbeSensor) -> float:
     """Mean electrons beyond which every frame is saturated."""
-    top = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor))
-    return max(top, 0.0) + 20 * (max(top, 0.0) + sensor.read_noise**2) ** 0.5 + 400
+    top = max(most_electrons(sensor), 0.0)
+    return top + 20 * (top + sensor.read_noise**2) ** 0.5 + 400
 
 
 def _where_it_matters(scene: Scene, sines: torch.Tensor) -> Grid | None:

@@ -1,8 +1,8 @@
 """How a frame of a traced lens changes with what is unknown, by differences of pictures on the very same samples.
 
-A traced lens is not differentiated: its picture has no azimuth to differentiate by in the middle, its focus is found by
-iteration. What a sampling misses is much the same on either side of a difference, so long as both are sampled alike:
-lenses that are focused or zoomed a little differently get the samples that were planned for the scene's own.
+A traced lens is not differentiated automatically: on the axis its picture has no azimuth to differentiate by, and its
+focus is found by iteration. The errors of sampling nearly cancel in a difference of two pictures on the same samples:
+so lenses that are focused or zoomed a little differently get the samples that were planned for the scene's own.
 """
 
 # Torch types argmax and stack in part only.
@@ -62,7 +62,7 @@ class TracedSlopes:
     window
         Whether to compute no more pixels than hold both beams' RR but for its faintest rings.
     step
-        Factor on all steps, to see how much the differences hang on them.
+        Factor on all steps, to check that the differences do not depend on them.
     accuracy, dtype, device
         As for `Camera`.
 

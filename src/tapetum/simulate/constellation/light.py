@@ -14,7 +14,7 @@ from tapetum.bench.scene import STEEPEST
 from tapetum.errors import InputError
 from tapetum.simulate.budget import link_budget
 from tapetum.simulate.constellation.room import Array, Constellation, points_of
-from tapetum.simulate.exposure import gain_of
+from tapetum.simulate.exposure import most_electrons, readout_variance
 from tapetum.simulate.radiometry import dark_electrons
 
 __all__ = ["Signals", "coverage", "irradiance", "signal"]
@@ -164,9 +164,9 @@ def signal(
         count[:, p], full[:, p] = links[:, 0] * entering, links[:, 1] * entering
         # Near the cut-off what returns spreads without end.
         pixels[:, p] = np.minimum(np.exp(links[:, 2]), math.prod(sensor.pixels))
-    most = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor)) - dark_electrons(sensor)
-    one = dark_electrons(sensor) + sensor.read_noise**2 + 1 / (12 * gain_of(sensor) ** 2)
-    return Signals(count, pixels * max(one, 1e-12), pixels, full > most)
+    dark = dark_electrons(sensor)
+    noise = pixels * max(dark + readout_variance(sensor), 1e-12)
+    return Signals(count, noise, pixels, full > most_electrons(sensor) - dark)
 
 
 def _links(target: Target, probe: Probe, wavelength: float, reach: Array, sine: Array) -> Array:
