@@ -72,10 +72,10 @@ def sign_dprime(
     results: list[torch.Tensor] = []
     x, y = output.x(), output.y()
     for both in sines:
-        light = camera(both).double()
+        light = camera(both).double().cpu()
         total = light.sum((1, 2)).clamp_min(torch.finfo(torch.float64).tiny)
         middle = torch.stack([(light.sum(1) @ x) / total, (light.sum(2) @ y) / total], -1)
-        light = camera(both, -middle).double()
+        light = camera(both, -middle).double().cpu()
         plus, minus = electrons(light, sensor, wavelength)
         results.append(_dprime(plus, minus, readout_variance(sensor)))
     return torch.stack(results)

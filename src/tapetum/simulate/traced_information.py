@@ -59,8 +59,6 @@ class TracedSlopes:
         Of `TRACED` and `NUISANCES`: what to differentiate by.
     gazes
         [G, 2] in fractions of the field.
-    window
-        Whether to compute no more pixels than hold both beams' RR but for its faintest rings.
     step
         Factor on all steps, to check that the differences do not depend on them.
     accuracy, dtype, device
@@ -92,7 +90,6 @@ class TracedSlopes:
         names: Sequence[str],
         gazes: torch.Tensor,
         *,
-        window: bool = True,
         step: float = 1.0,
         accuracy: float | None = None,
         dtype: torch.dtype = torch.complex128,
@@ -113,7 +110,8 @@ class TracedSlopes:
         self._tilts = tilt_of_gaze(scene, self._gazes[:, None] + around * torch.tensor(self._steps.gaze))
         steepest = largest_sine(self._tilts.reshape(-1, 2)) * (1 + _MARGIN)
         camera = _Camera(scene, steepest, accuracy=accuracy, dtype=dtype, device=device)
-        seen = _inside(camera.window(), scene) if window else None
+        # No more pixels than hold both beams' RR but for its faintest rings.
+        seen = _inside(camera.window(), scene)
         if seen is not None:
             camera = _Camera(scene, steepest, output=seen, accuracy=accuracy, dtype=dtype, device=device)
         self._camera = camera

@@ -99,7 +99,7 @@ def design(
     along = (np.arange(rail.mounts) + 0.5) / rail.mounts * rail.length
     choices = [(t, goal, angle) for t in along.tolist() for goal in goals for angle in divergences]
     tried = kit.constellation([kit.probe(rail.at([t])[0], goal, angle) for t, goal, angle in choices])
-    problem = _Problem(tried, target, points, volume.facing(points), margin, snr_weight, cap)
+    problem = _Problem(tried, target, volume, points, margin, snr_weight, cap)
     power, deviation = problem.solve(np.arange(len(choices)))
     _lights_all(deviation, len(choices))
     power = problem.thin(power, deviation)
@@ -112,7 +112,7 @@ def design(
     places = np.clip(isotonic_regression(wanted - steps).x, 0.0, max(rail.length - steps[-1], 0.0)) + steps
     spots = rail.at(places)
     built = [kit.probe(spot, choices[i][1], choices[i][2]) for spot, i in zip(spots, chosen, strict=True)]
-    final = _Problem(kit.constellation(built), target, points, volume.facing(points), margin, snr_weight, cap)
+    final = _Problem(kit.constellation(built), target, volume, points, margin, snr_weight, cap)
     power, deviation = final.solve(np.arange(len(built)))
     _lights_all(deviation, len(built))
     power = final.capped(power)
@@ -168,8 +168,8 @@ class _Problem:
         self,
         probes: Constellation,
         target: Target,
+        volume: Volume,
         points: Array,
-        facing: Array | None,
         margin: float,
         snr_weight: float,
         cap: float,
@@ -180,7 +180,7 @@ class _Problem:
         self.high = irradiance(probes, points, margin=margin)
         self.unit = float(self.high.max()) or 1.0
         self.low, self.high = self.low / self.unit, self.high / self.unit
-        seen = signal(probes, target, points, facing)
+        seen = signal(probes, target, points, volume.facing(points))
         self.gain, self.noise = seen.electrons, seen.noise
 
     def capped(self, power: Array) -> Array:
