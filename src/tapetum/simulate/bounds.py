@@ -282,7 +282,7 @@ def _bounds(
             raise InputError(f"{name!r} was not differentiated by", where="nuisances", remedy=f"use {', '.join(names)}")
     index = [names.index(name) for name in own]
     before = np.diag([priors[name] ** -2 if name in priors else 0.0 for name in own])
-    matrices = torch.from_numpy(information[..., index, :][..., index] + before)
+    matrices = torch.as_tensor(information[..., index, :][..., index] + before)
     found = [FisherInformation(own, (0.0,) * len(own), one).bounds for one in matrices.flatten(0, -3)]
     return np.array([[one[name] for name in wanted] for one in found]).reshape(*information.shape[:-2], len(wanted))
 

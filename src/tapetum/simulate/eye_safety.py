@@ -4,12 +4,15 @@ Only continuous light of 400 to 1400 nm is handled. Whatever is unknown is taken
 light only spreads, air and optics lose nothing. The limits are in [`tapetum.simulate.ael`][tapetum.simulate.ael].
 """
 
+# SciPy types its root finders in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
 
 import numpy as np
 from scipy.optimize import brentq
@@ -282,7 +285,8 @@ def _nohd(beam: Beam, exposure: float) -> float:
         place = _at(beam, distance, exposure)
         return place.irradiance / place.mpe - _ROUNDING
 
-    return float(brentq(excess, *grid[unsafe[-1] : unsafe[-1] + 2], xtol=1e-15))
+    low, high = grid[unsafe[-1] : unsafe[-1] + 2]
+    return cast(float, brentq(excess, low, high, xtol=1e-15))
 
 
 def _milliwatts(power: float) -> str:

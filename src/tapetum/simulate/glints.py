@@ -15,6 +15,9 @@ millimetres times the gaze, and a hand turns fringes away within an exposure. Li
 is what the coatings take from the light that passes.
 """
 
+# Torch types svdvals in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
 from __future__ import annotations
 
 import math

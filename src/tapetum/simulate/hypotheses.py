@@ -1,5 +1,8 @@
 """Can one frame tell where a camera looks from where it does not? Two-hypothesis tests on mean electrons."""
 
+# Torch types lstsq in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import torch

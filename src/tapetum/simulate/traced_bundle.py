@@ -155,7 +155,8 @@ def trace_bundle(
 def right_half(values: torch.Tensor) -> torch.Tensor:
     """Of values [F, n², …] on a square of rays, those from its middle column to the right: tilts are along y."""
     count = math.isqrt(values.shape[1])
-    return values.unflatten(1, (count, count))[:, :, count // 2 :].flatten(1, 2)
+    square = values.reshape(values.shape[0], count, count, *values.shape[2:])
+    return square[:, :, count // 2 :].flatten(1, 2)
 
 
 def mirrored(rays: Rays, count: int) -> Rays:
@@ -172,7 +173,7 @@ def mirrored(rays: Rays, count: int) -> Rays:
 
 def _both(values: torch.Tensor, count: int, turn: torch.Tensor | None = None) -> torch.Tensor:
     """Values [F, n², …] from those of the right half, mirrored to the left; vectors are turned."""
-    right = values.unflatten(1, (count, -1))
+    right = values.reshape(values.shape[0], count, -1, *values.shape[2:])
     left = right[:, :, count % 2 :].flip(2)
     return torch.cat([left if turn is None else left * turn, right], 2).flatten(1, 2)
 

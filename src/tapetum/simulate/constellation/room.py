@@ -1,5 +1,9 @@
 """What stands in the room: probes and the kit they are built of, the rail that holds them, the volume they light."""
 
+# SciPy types its samplers in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
+# pyright: reportUnknownArgumentType=false
+
 from __future__ import annotations
 
 import math
