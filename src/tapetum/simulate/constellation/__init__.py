@@ -8,8 +8,16 @@ The lasers are independent of each other, so irradiances add. People in the way 
 """
 
 from tapetum.simulate.constellation.choice import Design, design, single_probe
-from tapetum.simulate.constellation.law import Evenness, OverlapLaw, evenness, overlap_law
-from tapetum.simulate.constellation.light import Signals, coverage, irradiance, signal
+from tapetum.simulate.constellation.light import (
+    Evenness,
+    OverlapLaw,
+    Signals,
+    coverage,
+    evenness,
+    irradiance,
+    overlap_law,
+    signal,
+)
 from tapetum.simulate.constellation.room import Constellation, PlacedProbe, ProbeKit, Rail, Volume
 
 __all__ = [
