@@ -1,4 +1,4 @@
-"""What no unbiased estimate undercuts, for the sets' figures: gaze by distance from the centre, and focus.
+"""Cramér-Rao bounds for the sets' figures: of the gaze by its distance from the centre, and of the focus.
 
 The frames are those of a set but for its sensor's fixed pattern (1 % of the pixels' sensitivity, which an estimate may
 know): light, second beam, exposure, background, bits and noise are the scene's.
@@ -18,12 +18,10 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from tapetum.bench import PrescriptionLens, Scene, with_values
+from tapetum.bench import Scene, with_values
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
-from tapetum.simulate import fisher, tilt_of_gaze
-from tapetum.simulate.information import FisherInformation, information_of
-from tapetum.simulate.traced_information import TracedSlopes
+from tapetum.simulate.information import FisherInformation, information_of, slopes_of
 
 __all__ = ["ALL_UNKNOWN", "FRAME", "FocusBounds", "GazeBound", "GazeInformation", "focus_bounds", "gaze_bounds"]
 __all__ += ["gaze_information", "gaze_prior", "rings_of_gazes"]
@@ -91,12 +89,10 @@ class GazeInformation:
         nuisances
             Of `names`. What is not among them counts as known.
         priors
-            What is known before the frame, by name: standard deviations. Then it is van Trees' bound, which biased
-            estimates keep too, with the information of this gaze in place of the prior's mean of it.
+            What is known before the frame, by name: standard deviations. The bound is then van Trees', which holds for
+            biased estimates too, with the information at this gaze in place of its mean over the prior.
         """
-        own = (*_GAZE, *(self.names[2:] if nuisances is None else nuisances))
-        found = [_deviations(self.names, one, own, priors) for one in self.information]
-        return np.array([[one[name] for name in _GAZE] for one in found])
+        return _bounds(self.names, self.information, _GAZE, self.names[2:] if nuisances is None else nuisances, priors)
 
     def curve(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> GazeBound:
         """The bounds by the distance from the centre: gazes of the same distance, to 1e-6, are put together."""
@@ -142,19 +138,14 @@ class FocusBounds:
 
     def bounds(self, wanted: Sequence[str], unknown: Sequence[str] | None = None) -> Array:
         """Standard deviations [D, F, W] of some names, while `unknown` ones are not known: all where left out."""
-        own = tuple(dict.fromkeys((*wanted, *(self.names if unknown is None else unknown))))
-        shape = self.information.shape[:2]
-        found = [
-            _deviations(self.names, one, own, None) for one in self.information.reshape(-1, *([len(self.names)] * 2))
-        ]
-        return np.array([[one[name] for name in wanted] for one in found]).reshape(*shape, len(wanted))
+        return _bounds(self.names, self.information, wanted, self.names if unknown is None else unknown)
 
 
 def gaze_prior(extent: float) -> float:
     """The standard deviation, extent/π, that counts in `priors` for a gaze within ± extent.
 
-    Van Trees' bound wants a prior that vanishes at its ends: of all such ones, cos²(πx/2e) holds the least information,
-    (π/e)². The even one of the sets has no such bound, and holds no more.
+    Van Trees' bound requires a prior density that vanishes at its ends. Of these cos²(πx/2e) has the least information,
+    (π/e)². The uniform density of the sets does not vanish there, and tells no more than this one.
     """
     return extent / math.pi
 
@@ -188,14 +179,9 @@ def gaze_information(
         For gazes of another shape, no number, or outside the field, and as `fisher`.
     """
     at, names = _checked(gazes), (*_GAZE, *nuisances)
-    places = torch.as_tensor(at)
-    if isinstance(scene.target.lens, PrescriptionLens):
-        slopes = TracedSlopes(scene, names, places, accuracy=accuracy, dtype=torch.complex64)
-        numbers = progress(range(len(at)), "bounding the gaze", total=len(at))
-        found = [information_of(*slopes(number), scene.probe.sensor) for number in numbers]
-    else:
-        each = progress(places, "bounding the gaze", total=len(at))
-        found = [fisher(_turned_to(scene, one), names, accuracy=accuracy).information for one in each]
+    slopes = slopes_of(scene, names, torch.as_tensor(at), accuracy=accuracy, dtype=torch.complex64)
+    numbers = progress(range(len(at)), "bounding the gaze", total=len(at))
+    found = [information_of(*slopes(number), scene.probe.sensor) for number in numbers]
     return GazeInformation(names, at, torch.stack(found).numpy())
 
 
@@ -278,29 +264,27 @@ def focus_bounds(
 
 
 def _focus_information(scene: Scene, names: tuple[str, ...], at: torch.Tensor, accuracy: float | None) -> torch.Tensor:
-    if isinstance(scene.target.lens, PrescriptionLens):
-        slopes = TracedSlopes(scene, names, at, accuracy=accuracy, dtype=torch.complex64)
-        return information_of(*slopes(0), scene.probe.sensor)
-    return fisher(_turned_to(scene, at[0]), names, accuracy=accuracy).information
+    slopes = slopes_of(scene, names, at, accuracy=accuracy, dtype=torch.complex64)
+    return information_of(*slopes(0), scene.probe.sensor)
 
 
-def _turned_to(scene: Scene, gaze: torch.Tensor) -> Scene:
-    return with_values(scene, {"target.rotation": [float(one) for one in torch.asin(tilt_of_gaze(scene, gaze))]})
-
-
-def _deviations(
-    names: tuple[str, ...], information: Array, own: Sequence[str], priors: Mapping[str, float] | None
-) -> dict[str, float]:
-    """Cramér-Rao bounds of some of the names, the others known."""
-    for name in (*own, *(priors or {})):
+def _bounds(
+    names: tuple[str, ...],
+    information: Array,
+    wanted: Sequence[str],
+    unknown: Sequence[str],
+    priors: Mapping[str, float] | None = None,
+) -> Array:
+    """Cramér-Rao bounds [..., W] of the wanted names from information [..., P, P], all but the unknown ones known."""
+    priors, own = priors or {}, tuple(dict.fromkeys((*wanted, *unknown)))
+    for name in (*own, *priors):
         if name not in names:
             raise InputError(f"{name!r} was not differentiated by", where="nuisances", remedy=f"use {', '.join(names)}")
     index = [names.index(name) for name in own]
-    part = torch.as_tensor(information[np.ix_(index, index)].copy())
-    for name, deviation in (priors or {}).items():
-        if name in own:
-            part[own.index(name), own.index(name)] += deviation**-2
-    return FisherInformation(tuple(own), (0.0,) * len(own), part).bounds
+    before = np.diag([priors[name] ** -2 if name in priors else 0.0 for name in own])
+    matrices = torch.as_tensor(information[..., index, :][..., index] + before)
+    found = [FisherInformation(own, (0.0,) * len(own), one).bounds for one in matrices.flatten(0, -3)]
+    return np.array([[one[name] for name in wanted] for one in found]).reshape(*information.shape[:-2], len(wanted))
 
 
 def _checked(gazes: ArrayLike) -> Array:

@@ -17,8 +17,9 @@ from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, as_scene, at_wav
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import lens_numbers
 from tapetum.optics.sampling import DoublePassGeometry, disc_overlap
-from tapetum.simulate.exposure import gain_of
+from tapetum.simulate.exposure import most_electrons, readout_variance
 from tapetum.simulate.gaze import spot_places
+from tapetum.simulate.plan_parts import in_si
 from tapetum.simulate.radiometry import (
     beam_radius,
     dark_electrons,
@@ -33,6 +34,7 @@ from tapetum.simulate.radiometry import (
 )
 from tapetum.simulate.reflections import glinting
 from tapetum.simulate.sensor_edge import SensorEdge
+from tapetum.simulate.unknowns import has_photosites
 
 __all__ = ["LinkBudget", "Reflection", "link_budget"]
 
@@ -157,28 +159,28 @@ class LinkBudget:
     def lines(self) -> list[str]:
         """The budget to read, a line a step."""
         sensor, *layers = self.reflections
-        reach = "" if self.rayleigh_range is None else f", Rayleigh range {_metres(self.rayleigh_range)}"
+        reach = "" if self.rayleigh_range is None else f", Rayleigh range {in_si(self.rayleigh_range, 'm')}"
         rows = [
-            ("laser", f"{_watts(self.laser_watts)} at {self.wavelength * 1e9:g} nm, {self.mode}{reach}"),
+            ("laser", f"{in_si(self.laser_watts, 'W')} at {self.wavelength * 1e9:g} nm, {self.mode}{reach}"),
             (
                 "lit at the target",
-                f"{_metres(self.field_of_view)} wide, {math.degrees(self.field_angle):.4g} deg, "
-                f"{_metres(self.distance)} away",
+                f"{in_si(self.field_of_view, 'm')} wide, {math.degrees(self.field_angle):.4g} deg, "
+                f"{in_si(self.distance, 'm')} away",
             ),
             ("irradiance there", f"{self.irradiance_at_target:.4g} W/m²"),
-            ("into the aperture", _watts(self.accepted_watts)),
+            ("into the aperture", in_si(self.accepted_watts, "W")),
             (
                 "reflected",
-                f"{_watts(self.reflected_watts)} (reflectance {sensor.reflectance:.4g}, "
+                f"{in_si(self.reflected_watts, 'W')} (reflectance {sensor.reflectance:.4g}, "
                 f"layers there and back {sensor.transmittance:.4g})",
             ),
-            ("leaves the target", f"{_watts(self.leaving_watts)} (share {sensor.returning:.4g})"),
+            ("leaves the target", f"{in_si(self.leaving_watts, 'W')} (share {sensor.returning:.4g})"),
             (
                 "enters the probe",
-                f"{_watts(self.probe_watts)} (share {sensor.inside_probe:.4g} of a beam "
-                f"{_metres(2 * sensor.return_radius)} wide)",
+                f"{in_si(self.probe_watts, 'W')} (share {sensor.inside_probe:.4g} of a beam "
+                f"{in_si(2 * sensor.return_radius, 'm')} wide)",
             ),
-            ("on its sensor", f"{_watts(self.sensor_watts)} (transmission {self.transmission:.4g})"),
+            ("on its sensor", f"{in_si(self.sensor_watts, 'W')} (transmission {self.transmission:.4g})"),
             ("a frame", f"{self.photons:.4g} photons, {self.electrons:.4g} electrons"),
             (
                 "RR",
@@ -189,7 +191,7 @@ class LinkBudget:
             ("SNR of the RR", f"{self.snr:.4g} a frame, noise {self.noise_electrons:.4g} electrons"),
             ("saturation", f"{self.saturation:.4g} of the sensor's range" + (", clipped" * (self.saturation > 1))),
         ]
-        rows += [(one.name, f"{_watts(one.watts)} on the probe's sensor besides") for one in layers]
+        rows += [(one.name, f"{in_si(one.watts, 'W')} on the probe's sensor besides") for one in layers]
         rows += [("note", note) for note in self.notes]
         return [f"{name:<18}{text}" for name, text in rows]
 
@@ -280,9 +282,8 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     spot = one.watts / one.peak_irradiance if one.watts > 0 else math.inf
     peak = electrons * sensor.pitch**2 / (spot + sensor.pitch**2)
     dark = dark_electrons(sensor)
-    gain = gain_of(sensor)
-    noise = math.sqrt(electrons + pixels * (dark + sensor.read_noise**2 + 1 / (12 * gain**2)))
-    most = min(sensor.full_well, max((2**sensor.bits - 1 - sensor.offset) / gain, 0.0))
+    noise = math.sqrt(electrons + pixels * (dark + readout_variance(sensor)))
+    most = most_electrons(sensor)
     return LinkBudget(
         mode=light.mode,
         wavelength=wavelength,
@@ -349,41 +350,20 @@ def _returned(
 
 
 def _notes(scene: Scene, lit: float, wavelength: float, radius: float) -> tuple[str, ...]:
-    light, sensor = scene.illumination, scene.target.sensor
-    notes: list[str] = []
-    if light.second_beam is not None:
-        notes.append("the second beam is not counted")
-    if light.lines:
-        notes.append(f"one wavelength of {1 + len(light.lines)} is counted")
-    if sensor.mask is not None:
-        notes.append("the sensor's mask is not counted: a mirror stands in for it")
-    if sensor.array is not None or sensor.microlens is not None:
-        notes.append("the higher orders of the sensor's array and microlenses are not counted")
-    if sensor.diffuse is not None or any(layer.diffuse is not None for layer in sensor.layers):
-        notes.append("the diffuse return is not counted")
-    if glinting(scene, wavelength):
-        notes.append("the glints of the lens's surfaces are not counted")
-    if lit < scene.target.lens.aperture_radius:
-        notes.append("the beam is narrower than the target's aperture")
-    if light.mode == "collimated" and scene.distance > math.pi * lit**2 / wavelength:
-        notes.append("the target stands beyond the Rayleigh range: the beam is wider there than counted")
-    if radius > min(scene.probe.sensor.pixels) * scene.probe.sensor.pitch / 2:
-        notes.append("the RR is larger than the probe's sensor: all of its light is counted")
-    if scene.probe.sensor.hot_pixels and scene.probe.sensor.hot_current:
-        notes.append("hot pixels are not counted")
-    return tuple(notes)
-
-
-def _watts(value: float) -> str:
-    return _scaled(value, "W")
-
-
-def _metres(value: float) -> str:
-    return _scaled(value, "m")
-
-
-def _scaled(value: float, unit: str) -> str:
-    for factor, prefix in ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p")):
-        if abs(value) >= factor:
-            return f"{value / factor:.4g} {prefix}{unit}"
-    return f"{value:.4g} {unit}"
+    light, sensor, probe = scene.illumination, scene.target.sensor, scene.probe.sensor
+    diffuse = any(plane.diffuse is not None for plane in (sensor, *sensor.layers))
+    thinned = light.mode == "collimated" and scene.distance > math.pi * lit**2 / wavelength
+    larger = radius > min(probe.pixels) * probe.pitch / 2
+    notes = (
+        (light.second_beam is not None, "the second beam is not counted"),
+        (bool(light.lines), f"one wavelength of {1 + len(light.lines)} is counted"),
+        (sensor.mask is not None, "the sensor's mask is not counted: a mirror stands in for it"),
+        (has_photosites(scene), "the higher orders of the sensor's array and microlenses are not counted"),
+        (diffuse, "the diffuse return is not counted"),
+        (glinting(scene, wavelength) > 0, "the glints of the lens's surfaces are not counted"),
+        (lit < scene.target.lens.aperture_radius, "the beam is narrower than the target's aperture"),
+        (thinned, "the target stands beyond the Rayleigh range: the beam is wider there than counted"),
+        (larger, "the RR is larger than the probe's sensor: all of its light is counted"),
+        (probe.hot_pixels > 0 and probe.hot_current > 0, "hot pixels are not counted"),
+    )
+    return tuple(note for holds, note in notes if holds)

@@ -244,7 +244,7 @@ class Camera:
             # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
         way = float(self._distance.detach()) if self._finite else None
-        glints = None if lens is None else lens.glints(self.output, wavelength, way)
+        glints = None if lens is None else lens.glints(self.output, wavelength, way, self._dtype.to_real())
         orders = _orders_of(groups)
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 

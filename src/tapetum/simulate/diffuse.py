@@ -25,6 +25,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Unpack
 
 import numpy as np
 import torch
@@ -36,9 +38,11 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.round_picture import RoundPicture
 from tapetum.simulate.scattering import (
     AT_ONCE,
     NOTHING,
+    PlaneOptions,
     Real,
     ScatteringPlane,
     autocorrelation,
@@ -112,18 +116,9 @@ def diffuse_return(
     """
     if not all(map(math.isfinite, centre)):
         raise InputError(f"must be finite, is {centre}", where="centre", remedy="give two lengths in metres")
-    profile = diffuse_profile(
-        geometry,
-        distance,
-        probe_radius,
-        corner(output, centre),
-        albedo=albedo,
-        spread=spread,
-        image_distance=image_distance,
-        lit_radius=lit_radius,
-        accuracy=accuracy,
-    )
-    return profile.on(output, centre)
+    options = PlaneOptions(albedo=albedo, spread=spread, image_distance=image_distance, lit_radius=lit_radius)
+    reach = corner(output, centre)
+    return diffuse_profile(geometry, distance, probe_radius, reach, accuracy=accuracy, **options).on(output, centre)
 
 
 def corner(output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> float:
@@ -147,10 +142,29 @@ class DiffuseProfile:
     radii: Real
     irradiance: Real
 
+    @cached_property
+    def _picture(self) -> RoundPicture:
+        return RoundPicture(self.radii, self.irradiance)
+
+    @cached_property
+    def _width(self) -> float:
+        """Half-width at half maximum, by the first place below it."""
+        below = np.nonzero(self.irradiance < self.irradiance.max() / 2)[0]
+        return float(self.radii[max(below[0], 1)]) if len(below) else self._picture.end
+
     def on(self, output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> torch.Tensor:
         """Return the picture [H, W] about a place (x, y) in metres, as `diffuse_return`."""
-        x, y = output.x().numpy() - centre[0], output.y().numpy() - centre[1]
-        return torch.from_numpy(_on_pixels(self.radii, self.irradiance, x, y, output.pitch))
+        x, y, pitch = output.x() - centre[0], output.y() - centre[1], output.pitch
+        if pitch < self._width:
+            return self._picture.at(x, y)
+        parts = min(_MOST_PARTS, math.ceil(3 * pitch / self._width))
+        offsets = ((torch.arange(parts, dtype=torch.float64) + 0.5) / parts - 0.5) * pitch
+        columns, rows = ((one.abs() <= self._picture.end + pitch).nonzero()[:, 0] for one in (x, y))
+        fine = [(one[:, None] + offsets).flatten() for one in (x[columns], y[rows])]
+        image = torch.zeros(len(y), len(x), dtype=torch.float64)
+        means = self._picture.at(*fine).reshape(len(rows), parts, len(columns), parts).mean((1, 3))
+        image[rows[:, None], columns] = means
+        return image
 
 
 def diffuse_profile(
@@ -159,11 +173,8 @@ def diffuse_profile(
     probe_radius: float,
     reach: float,
     *,
-    albedo: float,
-    spread: float = 0.0,
-    image_distance: float | None = None,
-    lit_radius: float | None = None,
     accuracy: float = 1e-2,
+    **options: Unpack[PlaneOptions],
 ) -> DiffuseProfile:
     """Scattered light by its distance from the middle: nearly all the work of `diffuse_return`, for many places.
 
@@ -171,7 +182,7 @@ def diffuse_profile(
     ----------
     reach
         How far from its middle the picture goes, in metres.
-    geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius, accuracy
+    geometry, distance, probe_radius, accuracy, **options
         As for `diffuse_return`.
 
     Raises
@@ -179,7 +190,7 @@ def diffuse_profile(
     InputError
         For a number out of its range.
     """
-    plane = scattering_plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
+    plane = scattering_plane(geometry, distance, probe_radius, **options)
     if not 1e-4 <= accuracy < 1:
         raise InputError(f"must be from 1e-4 to below 1, is {accuracy}", where="accuracy", remedy="ask for 1e-2")
     f_p = geometry.probe_focal_length
@@ -195,7 +206,7 @@ def diffuse_profile(
     profile = _unclipped(plane, angles)
     if clipped:
         profile = profile * _passing(plane, distance, probe_radius, angles, accuracy)
-    return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * albedo / math.pi / (plane.z * f_p) ** 2)
+    return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * plane.albedo / math.pi / (plane.z * f_p) ** 2)
 
 
 def _unclipped(plane: ScatteringPlane, angles: Real) -> Real:
@@ -266,23 +277,3 @@ def _smooth_radiance(plane: ScatteringPlane, fine: float, reach: float) -> Cubic
     slopes = np.arange(math.ceil(reach / step) + 3) * step
     values = transformed(spot, apart, weights, slopes, k)
     return CubicSpline(slopes, np.maximum(values, values[0] * 1e-12 if values[0] > 0 else 0.0))
-
-
-def _on_pixels(radii: Real, profile: Real, x: Real, y: Real, pitch: float) -> Real:
-    """The profile at the pixels' middles, or its mean over pixels larger than its detail: [len(y), len(x)]."""
-    spline, end = CubicSpline(radii, profile), radii[-1]
-    # Half-width at half maximum, by the first place below it.
-    below = np.nonzero(profile < profile.max() / 2)[0]
-    width = radii[max(below[0], 1)] if len(below) else end
-    parts = 1 if pitch < width else min(_MOST_PARTS, math.ceil(3 * pitch / width))
-    offsets = ((np.arange(parts) + 0.5) / parts - 0.5) * pitch
-    image = np.zeros((len(y), len(x)))
-    distance = np.hypot(y[:, None], x[None, :])
-    lit = np.argwhere(distance <= end + pitch)
-    block = max(1, AT_ONCE // parts**2)
-    for i in range(0, len(lit), block):
-        rows, columns = lit[i : i + block].T
-        at = np.sqrt((y[rows, None, None] + offsets[:, None]) ** 2 + (x[columns, None, None] + offsets[None, :]) ** 2)
-        values = np.where(at <= end, np.maximum(spline(np.minimum(at, end)), 0.0), 0.0)
-        image[rows, columns] = values.mean((1, 2))
-    return image

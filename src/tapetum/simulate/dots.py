@@ -4,9 +4,8 @@ A beam that happens to point at the probe passes its aperture; the probe, focuse
 focus: a disc of D_p f_p/d, as of light from any point that overfills the aperture. Far away it becomes an Airy pattern.
 """
 
-# SciPy and NumPy type these functions in part only.
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
+# NumPy types these functions in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
 
@@ -17,12 +16,12 @@ import numpy.typing as npt
 import torch
 
 from tapetum.bench.phone import Dots
-from tapetum.optics.fourier import phasor
+from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 
 __all__ = ["DIVERGENCE", "EFFICIENCY", "PASSED", "beam_directions", "beam_offsets", "dot_image", "lit_time"]
-__all__ += ["dot_window", "power_through", "waist_at"]
+__all__ += ["dot_window", "waist_at"]
 
 Array = npt.NDArray[np.float64]
 
@@ -88,33 +87,6 @@ def waist_at(distance: float, divergence: float = DIVERGENCE) -> float:
     return distance * math.tan(divergence / 2)
 
 
-def power_through(power: float, waist: float, offset: Array, radius: float) -> Array:
-    """Power of a Gaussian beam that passes a round aperture, in watts.
-
-    Parameters
-    ----------
-    power
-        Of the beam, in watts.
-    waist, radius
-        Of the beam (to 1/e²) and of the aperture, in metres.
-    offset
-        [..., 2] of the beam's middle from the aperture's, in metres.
-
-    Notes
-    -----
-    The squared distance from the aperture's middle, in units of (waist/2)², is distributed as a noncentral χ² of two
-    degrees of freedom.
-    """
-    # SciPy's statistics take half a second to import, which every start of a process would wait for.
-    from scipy.stats import ncx2
-
-    sigma = waist / 2
-    away = (np.asarray(offset) ** 2).sum(-1) / sigma**2
-    # SciPy has no noncentral distribution about the centre.
-    central = 1 - math.exp(-(radius**2) / (2 * sigma**2))
-    return power * np.where(away > 1e-12, ncx2.cdf(radius**2 / sigma**2, 2, np.maximum(away, 1e-12)), central)
-
-
 def dot_window(distance: float, radius: float, focal_length: float, wavelength: float, pitch: float) -> Grid:
     """Pixels that hold the image of a point at a distance, but for its faintest rings; lengths in metres."""
     reach = focal_length * (radius / distance + _RINGS * wavelength / (2 * radius))
@@ -162,16 +134,12 @@ def dot_image(
     count = max(_LEAST_SAMPLES, math.ceil(2 * k * radius * (radius / distance + widest) / _RADIANS))
     aperture = disc_quadrature(radius, count, count)
     bend = aperture.weights * phasor(k / (2 * distance) * aperture.rho_squared())
-    columns = phasor(k / focal_length * aperture.x[:, None] * u)
-    rows = phasor(k / focal_length * v[:, None] * aperture.y)
+    to_pixels = MatrixFourier(aperture.x, aperture.y, u, v, -k / focal_length)
     waist = waist_at(distance, divergence)
     total = torch.zeros(output.rows, output.columns, dtype=torch.float64)
     for x, y in np.asarray(offsets, np.float64).reshape(-1, 2).tolist():
-        profile = torch.exp(-((aperture.y - y) ** 2) / waist**2)[:, None] * torch.exp(
-            -((aperture.x - x) ** 2) / waist**2
-        )
-        field = rows @ ((profile * bend) @ columns)
-        total = total + field.real**2 + field.imag**2
+        along, down = (torch.exp(-((one - at) ** 2) / waist**2) for one, at in ((aperture.x, x), (aperture.y, y)))
+        total += to_pixels(down[:, None] * along * bend).abs() ** 2
     return total * (2 * power / (math.pi * waist**2) / (wavelength * focal_length) ** 2)
 
 

@@ -24,6 +24,7 @@ from tapetum.simulate.image import Image
 from tapetum.simulate.radiometry import electrons
 
 __all__ = ["count_moments", "count_variance", "digitise", "expected_counts", "expose", "gain_of", "hot_currents"]
+__all__ += ["most_electrons", "readout_variance"]
 
 # Keeps the hot pixels' draws apart from all others made of small numbers.
 _HOT_STREAM = 0x407
@@ -96,6 +97,16 @@ def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) 
 def gain_of(sensor: ProbeSensor) -> float:
     """Digital numbers an electron: the sensor's own gain, or the one at which the digital range spans the full well."""
     return (2**sensor.bits - 1) / sensor.full_well if sensor.gain is None else sensor.gain
+
+
+def most_electrons(sensor: ProbeSensor) -> float:
+    """Electrons of a pixel from which on the full well or the largest digital number cuts off."""
+    return min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor))
+
+
+def readout_variance(sensor: ProbeSensor) -> float:
+    """Variance of readout and of rounding to digital numbers, in electrons squared, a pixel."""
+    return sensor.read_noise**2 + 1 / (12 * gain_of(sensor) ** 2)
 
 
 def hot_currents(sensor: ProbeSensor) -> torch.Tensor:
@@ -175,7 +186,7 @@ def count_moments(mean: torch.Tensor, sensor: ProbeSensor) -> tuple[torch.Tensor
     light = _with_hot_pixels(mean, sensor).to(torch.float64)
     gain = gain_of(sensor)
     low = -sensor.offset / gain
-    high = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain)
+    high = most_electrons(sensor)
     # Less read noise than this is none: its square, or its inverse, would be no number.
     read_noise = sensor.read_noise if sensor.read_noise > 1e-9 else 0.0
     noise = read_noise**2

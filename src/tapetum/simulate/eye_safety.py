@@ -4,12 +4,18 @@ Only continuous light of 400 to 1400 nm is handled. Whatever is unknown is taken
 light only spreads, air and optics lose nothing. The limits are in [`tapetum.simulate.ael`][tapetum.simulate.ael].
 """
 
+# SciPy types its root finders in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
+
+import numpy as np
+from scipy.optimize import brentq
 
 from tapetum.errors import InputError
 from tapetum.simulate.ael import PUPIL, SMALL_SOURCE, ael, checked_exposure, mpe, nanometres, visible
@@ -178,7 +184,7 @@ def eye_safety(
     distances
         Where else to compare irradiance and MPE, in metres.
     exposure
-        In seconds. Custom: 0.25 for visible light, 100 for infrared, which nobody sees and turns from; 30000 where
+        In seconds. Default: 0.25 for visible light, 100 for infrared, which nobody sees and turns from; 30000 where
         `looked_into`.
     nearest
         The nearest a viewer's eye comes to the exit, in metres, at least 0.1. It does not change the class.
@@ -196,8 +202,8 @@ def eye_safety(
     for distance in distances:
         if not 0 < distance < math.inf:
             raise InputError(f"must be positive, is {distance:g} m", where="distances", remedy="give metres")
-    custom = 3e4 if looked_into else 0.25 if visible(beam.wavelength) else 100.0
-    seconds = checked_exposure(custom if exposure is None else exposure)
+    usual = 3e4 if looked_into else 0.25 if visible(beam.wavelength) else 100.0
+    seconds = checked_exposure(usual if exposure is None else exposure)
     base = 3e4 if looked_into else 100.0
     names = ("1", "2", "3R", "3B") if visible(beam.wavelength) else ("1", "3R", "3B")
     telescope = {name: ael(name, beam.wavelength, base) for name in names}
@@ -230,7 +236,7 @@ def _positions(beam: Beam) -> list[float]:
     end = NEAREST * beam.source_angle / SMALL_SOURCE
     if end <= NEAREST:
         return [NEAREST]
-    return [*(NEAREST * (end / NEAREST) ** (i / _STEPS) for i in range(_STEPS)), end * _ROUNDING]
+    return [*np.geomspace(NEAREST, end, _STEPS, endpoint=False).tolist(), end * _ROUNDING]
 
 
 def _classify(beam: Beam, base: float, aided: float, telescope: dict[str, float], positions: list[float]) -> LaserClass:
@@ -266,7 +272,7 @@ def _nohd(beam: Beam, exposure: float) -> float:
     if bound == 0 or bound >= small_from:
         return bound
     start = min(NEAREST, bound)
-    grid = [start * (bound / start) ** (i / _STEPS) for i in range(_STEPS + 1)]
+    grid = np.geomspace(start, bound, _STEPS + 1).tolist()
     unsafe = [i for i, distance in enumerate(grid) if not _at(beam, distance, exposure).safe]
     if not unsafe:
         # Nearer than 100 mm the eye cannot focus; the source counts as at 100 mm.
@@ -274,11 +280,13 @@ def _nohd(beam: Beam, exposure: float) -> float:
         return min(beam.reach(PUPIL, limit), start)
     if unsafe[-1] == _STEPS:
         return bound
-    low, high = grid[unsafe[-1]], grid[unsafe[-1] + 1]
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (low, middle) if _at(beam, middle, exposure).safe else (middle, high)
-    return high
+
+    def excess(distance: float) -> float:
+        place = _at(beam, distance, exposure)
+        return place.irradiance / place.mpe - _ROUNDING
+
+    low, high = grid[unsafe[-1] : unsafe[-1] + 2]
+    return cast(float, brentq(excess, low, high, xtol=1e-15))
 
 
 def _milliwatts(power: float) -> str:

@@ -15,12 +15,16 @@ millimetres times the gaze, and a hand turns fringes away within an exposure. Li
 is what the coatings take from the light that passes.
 """
 
+# Torch types svdvals in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from tapetum.optics.focus import FocusedLens
@@ -28,6 +32,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.rays import Lens, before, normals, sag, to_plane, trace, trace_out
 from tapetum.simulate.foreshortening import foreshortening
+from tapetum.simulate.round_picture import RoundPicture
 
 __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
 
@@ -117,8 +122,8 @@ def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintT
     # Where rays would all go one way, at folds and where a whole ring of the surface faces the light, the pupil spreads
     # what returns as an L of its Fresnel length a²/λ would.
     most = focused.entrance_radius**2 / wavelength
-    steep, flat = (one.clamp_min(1 / most) for one in _singular_values(torch.nan_to_num(matrix)))
-    area = inwards[:, 2] / (steep * flat)
+    spread = torch.linalg.svdvals(torch.nan_to_num(matrix)).clamp_min(1 / most)
+    area = inwards[:, 2] / spread.prod(-1)
     passes = out.good & (out.height <= 1).all(-1) & good.all(-1) & torch.isfinite(matrix).all(-1).all(-1)
     return GlintTable(surface, sine, e, area, passes)
 
@@ -136,6 +141,8 @@ class Glints:
         Pixels of the probe's sensor.
     wavelength, distance, probe_radius, probe_focal_length
         λ, d, R_p and f_p, in metres.
+    dtype
+        Of the pictures.
     """
 
     def __init__(
@@ -148,18 +155,19 @@ class Glints:
         distance: float,
         probe_radius: float,
         probe_focal_length: float,
+        dtype: torch.dtype = torch.float64,
     ) -> None:
-        self._tables = tables
+        self._tables, self._dtype = tables, dtype
         self._output, self._scale = output, probe_focal_length / distance
         k = 2 * math.pi / wavelength
         # Shadow of the aperture, its rings, and as far as a picture reaches beyond them.
         reach = math.hypot(output.width, output.height) + probe_radius * self._scale
         finest = wavelength * probe_focal_length / (2 * probe_radius)
-        values, self._step = disc_transform(
+        values, step = disc_transform(
             probe_radius, k / (2 * distance), k / probe_focal_length, reach, spacing=finest / _FINE
         )
         strength = reflectance / (distance * wavelength * probe_focal_length) ** 2
-        self._profile = torch.as_tensor(abs(values) ** 2 * strength, dtype=torch.float64)
+        self._disc = RoundPicture(np.arange(len(values)) * step, abs(values) ** 2 * strength, dtype)
 
     def places(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """All glints of tilts [B, 2] (sines).
@@ -190,28 +198,12 @@ class Glints:
         """
         sines = sines.cpu().to(torch.float64)
         x, y = self._output.x(), self._output.y()
-        images = torch.zeros(len(sines), len(y), len(x), dtype=torch.float64)
+        images = torch.zeros(len(sines), len(y), len(x), dtype=self._dtype)
         for which, place, area in zip(*self.places(sines), strict=True):
             number = int(which)
             at = place if centres is None else place + centres[number].to(place)
-            images[number] = images[number] + area * self._disc(x - at[0], y - at[1])
+            images[number] += self._disc.at(x - at[0], y - at[1]) * area.to(self._dtype)
         return images
-
-    def _disc(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """The profile on pixels, [H, W]."""
-        place = torch.sqrt((x[None, :] ** 2 + y[:, None] ** 2).clamp_min(1e-30)) / self._step
-        place = place.clamp_max(len(self._profile) - 2)
-        low = place.detach().long()
-        value = self._profile[low]
-        return value + (place - low) * (self._profile[low + 1] - value)
-
-
-def _singular_values(matrix: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Of matrices [N, 2, 2]: the larger ones [N], and the smaller ones."""
-    # Half the sum and half the difference of the two, by the matrix's rotating and its mirroring part.
-    a, b, c, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 0], matrix[:, 1, 1]
-    turning, mirroring = torch.hypot(a + d, c - b) / 2, torch.hypot(a - d, c + b) / 2
-    return turning + mirroring, (turning - mirroring).abs()
 
 
 def _coated(lens: Lens, i: int) -> bool:

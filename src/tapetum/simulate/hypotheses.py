@@ -1,5 +1,8 @@
 """Can one frame tell where a camera looks from where it does not? Two-hypothesis tests on mean electrons."""
 
+# Torch types lstsq in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
+
 from __future__ import annotations
 
 import torch
@@ -7,7 +10,7 @@ import torch
 from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.camera import Camera
-from tapetum.simulate.exposure import gain_of
+from tapetum.simulate.exposure import readout_variance
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 
@@ -69,32 +72,21 @@ def sign_dprime(
     output = rough.window(margin=True)
     camera = Camera(scene, steepest, accuracy=accuracy, output=output, edge="dimmed")
     sensor, wavelength = scene.probe.sensor, scene.illumination.wavelength
-    # A digital number's rounding adds a uniform error of one step.
-    step = 1 / gain_of(sensor)
-    noise = sensor.read_noise**2 + step**2 / 12
     results: list[torch.Tensor] = []
     x, y = output.x(), output.y()
     for both in sines:
-        light = camera(both).double()
+        light = camera(both).double().cpu()
         total = light.sum((1, 2)).clamp_min(torch.finfo(torch.float64).tiny)
         middle = torch.stack([(light.sum(1) @ x) / total, (light.sum(2) @ y) / total], -1)
-        light = camera(both, -middle).double()
+        light = camera(both, -middle).double().cpu()
         plus, minus = electrons(light, sensor, wavelength)
-        results.append(_dprime(plus, minus, noise))
+        results.append(_dprime(plus, minus, readout_variance(sensor)))
     return torch.stack(results)
 
 
 def _dprime(plus: torch.Tensor, minus: torch.Tensor, noise: float) -> torch.Tensor:
     mean = (plus + minus) / 2
     weight = 1 / (mean + noise).sqrt()
-    dy, dx = torch.gradient(mean)
-    rest = ((plus - minus) * weight).flatten()
-    across, down = (dx * weight).flatten(), (dy * weight).flatten()
-    down = _without(down, across)
-    return _without(_without(rest, across), down).square().sum().sqrt()
-
-
-def _without(values: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-    """What is left of `values` once its part along `direction` is taken out."""
-    length = direction.square().sum()
-    return values - direction * ((values * direction).sum() / length) if float(length) > 0 else values
+    shifts = torch.stack([(slope * weight).flatten() for slope in torch.gradient(mean)], 1)
+    apart = ((plus - minus) * weight).flatten()[:, None]
+    return (apart - shifts @ torch.linalg.lstsq(shifts, apart).solution).norm()

@@ -1,4 +1,4 @@
-"""How well could anybody tell? Fisher information and Cramér-Rao bounds of one frame, from scene to electrons."""
+"""Fisher information and Cramér-Rao bounds of one frame: how precisely any estimate can know a scene's parameters."""
 
 # Torch types autograd.grad, linalg and tolist in part only.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -6,34 +6,23 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
-from tapetum.bench import PhoneTarget, PrescriptionLens, ProbeSensor, Scene, as_scene
+from tapetum.bench import PrescriptionLens, ProbeSensor, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
-from tapetum.simulate.exposure import count_moments, gain_of, hot_currents
+from tapetum.simulate.exposure import count_moments, hot_currents, most_electrons
 from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
-from tapetum.simulate.radiometry import beam_radius, electrons
-from tapetum.simulate.reflections import only_sensor
-from tapetum.simulate.traced_information import TRACED, TracedSlopes
+from tapetum.simulate.radiometry import electrons
+from tapetum.simulate.traced_information import TracedSlopes, sensor_part
+from tapetum.simulate.unknowns import NUISANCES, PARAMETERS, checked_parameters, not_told
 
 __all__ = ["PARAMETERS", "FisherInformation", "checked_parameters", "expected_electrons", "fisher", "information_of"]
-__all__ += ["not_told", "true_values"]
-
-PARAMETERS = {
-    "gaze_x": "fraction of the field",
-    "gaze_y": "fraction of the field",
-    "object_distance": "m",
-    "focal_length": "m",
-    "distance": "m",
-    "power": "W",
-    "place_x": "m on the probe's sensor",
-    "place_y": "m on the probe's sensor",
-}
+__all__ += ["not_told", "slopes_of", "true_values"]
 
 
 @dataclass(frozen=True)
@@ -68,21 +57,21 @@ class FisherInformation:
     @property
     def units(self) -> dict[str, str]:
         """Of each parameter."""
-        return {name: PARAMETERS[name] for name in self.parameters}
+        return {name: (PARAMETERS | NUISANCES)[name] for name in self.parameters}
 
     @property
     def bounds(self) -> dict[str, float]:
-        """Standard deviation that no unbiased estimate undercuts while all parameters are unknown.
+        """Cramér-Rao bound of each parameter's standard deviation while all parameters are unknown.
 
-        Infinite where the frame cannot tell a parameter from the others: where they can imitate what it changes in the
-        frame to 1 part in 10⁵.
+        Infinite for a parameter whose effect on the frame equals that of some combination of the others, to 1 part in
+        10⁵.
         """
         own = self.information.diagonal().clamp_min(0).sqrt()
         deviations = torch.full_like(own, torch.inf)
         told = own > 0
         # Parameters differ by many powers of ten: each in units of what it would be known to alone.
         shared = self.information[told][:, told] / (own[told, None] * own[None, told])
-        deviations[told] = 1 / (own[told] * _not_shared(shared).sqrt())
+        deviations[told] = 1 / (own[told] * _independent_shares(shared).sqrt())
         return dict(zip(self.parameters, deviations.tolist(), strict=True))
 
     @property
@@ -145,25 +134,48 @@ def fisher(
     """
     scene = as_scene(scene)
     names = checked_parameters(scene, parameters)
-    start = true_values(scene, names)
+    gaze = torch.tensor([list(true_values(scene, ("gaze_x", "gaze_y")).values())], dtype=torch.float64)
+    slopes = slopes_of(scene, names, gaze, accuracy=accuracy, device=device)
+    information = information_of(*slopes(0), scene.probe.sensor)
+    return FisherInformation(names, tuple(true_values(scene, names).values()), information)
+
+
+def slopes_of(
+    scene: Scene,
+    names: Sequence[str],
+    gazes: torch.Tensor,
+    *,
+    accuracy: float | None = None,
+    dtype: torch.dtype = torch.complex128,
+    device: torch.device | str = "auto",
+) -> Callable[[int], tuple[torch.Tensor, torch.Tensor]]:
+    """How a frame changes at any of many gazes: by automatic differentiation, or for a traced lens by differences.
+
+    Arguments as for `TracedSlopes`, errors as of `fisher`. Returns what gives, by a gaze's number, the mean electrons
+    [H, W], hot pixels' left out, and their slopes [P, H W]. The fields of a thin lens are complex128 whatever `dtype`.
+    """
     if isinstance(scene.target.lens, PrescriptionLens):
-        gaze = torch.tensor([list(true_values(scene, ("gaze_x", "gaze_y")).values())], dtype=torch.float64)
-        mean, jacobian = TracedSlopes(scene, names, gaze, accuracy=accuracy, device=device)(0)
-        return FisherInformation(names, tuple(start.values()), information_of(mean, jacobian, scene.probe.sensor))
-    scales = [abs(value) if name not in _FREE and value else _FREE.get(name, 1.0) for name, value in start.items()]
-    steps = torch.zeros(len(names), dtype=torch.float64, requires_grad=True)
-    values = {n: v + step * s for (n, v), step, s in zip(start.items(), steps, scales, strict=True)}
-    window = _where_it_matters(scene)
-    mean = expected_electrons(scene, values, output=window, accuracy=accuracy, device=device)
-    jacobian = _jacobian(mean.flatten(), steps)
-    information = information_of(mean.detach(), jacobian, scene.probe.sensor)
-    units = torch.tensor(scales, dtype=torch.float64)
-    return FisherInformation(names, tuple(start.values()), information / (units[:, None] * units[None, :]))
+        return TracedSlopes(scene, names, gazes, accuracy=accuracy, dtype=dtype, device=device)
+    names = checked_parameters(scene, names)
+
+    def at(number: int) -> tuple[torch.Tensor, torch.Tensor]:
+        gaze = gazes[number].to(torch.float64)
+        start = true_values(scene, names) | dict(zip(("gaze_x", "gaze_y"), gaze.tolist(), strict=True))
+        scales = {name: _FREE.get(name, abs(value) or 1.0) for name, value in start.items()}
+        steps = torch.zeros(len(names), dtype=torch.float64, requires_grad=True)
+        given: dict[str, torch.Tensor | float] = {**start}
+        given |= {name: start[name] + step * scales[name] for name, step in zip(names, steps, strict=True)}
+        window = _where_it_matters(scene, tilt_of_gaze(scene, gaze))
+        mean = expected_electrons(scene, given, output=window, accuracy=accuracy, device=device)
+        units = torch.tensor([[scales[name]] for name in names], dtype=torch.float64, device=mean.device)
+        return mean.detach(), _jacobian(mean.flatten(), steps) / units
+
+    return at
 
 
 def information_of(mean: torch.Tensor, jacobian: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
     """Fisher's matrix [P, P] of a frame of mean electrons [H, W], hot pixels' left out, with slopes [P, H W]."""
-    weight = _told_by_pixels(mean, sensor).flatten()
+    weight = _information_of_pixels(mean, sensor).flatten()
     return ((jacobian * weight[None, :]) @ jacobian.T).cpu()
 
 
@@ -245,8 +257,8 @@ def true_values(scene: Scene, names: Iterable[str]) -> dict[str, float]:
     return {name: own[name] for name in names}
 
 
-def _not_shared(shared: torch.Tensor) -> torch.Tensor:
-    """Share of each parameter's information that the others cannot imitate, from a matrix with ones on its diagonal.
+def _independent_shares(shared: torch.Tensor) -> torch.Tensor:
+    """Share of each parameter's information that is independent of the others', from a matrix of unit diagonal.
 
     1/(F⁻¹)_ii for an F that can be inverted; for any other the residual of each derivative's projection on the others'.
     """
@@ -255,13 +267,13 @@ def _not_shared(shared: torch.Tensor) -> torch.Tensor:
         rest = [j for j in range(len(shared)) if j != i]
         values, vectors = torch.linalg.eigh(shared[rest][:, rest])
         along = (shared[i, rest] @ vectors).square()
-        # Along what the others imitate among themselves there is nothing to project on but rounding.
+        # Eigenvalues of zero belong to combinations of the others that change nothing: only rounding is left of them.
         kept = values > _ROUNDING
         left[i] -= (along[kept] / values[kept]).sum()
     return torch.where(left > _ROUNDING, left, torch.zeros_like(left))
 
 
-def _told_by_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
+def _information_of_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
     """Information of each pixel about its own mean electrons, [H, W], in inverse electrons squared."""
     if sensor.hot_pixels:
         columns, rows = sensor.pixels
@@ -285,23 +297,17 @@ def _told_by_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
 
 def _clipped_from(sensor: ProbeSensor) -> float:
     """Mean electrons beyond which every frame is saturated."""
-    top = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor))
-    return max(top, 0.0) + 20 * (max(top, 0.0) + sensor.read_noise**2) ** 0.5 + 400
+    top = max(most_electrons(sensor), 0.0)
+    return top + 20 * (top + sensor.read_noise**2) ** 0.5 + 400
 
 
-def _where_it_matters(scene: Scene) -> Grid | None:
-    """The pixels that hold a mirror's RR, where they are fewer than the sensor's: dark ones tell nothing."""
+def _where_it_matters(scene: Scene, sines: torch.Tensor) -> Grid | None:
+    """The pixels that hold a mirror's RR at a tilt [2], where they are fewer than all: dark ones tell nothing."""
     sensor = scene.target.sensor
     if sensor.layers or any(one is not None for one in (sensor.array, sensor.microlens, sensor.mask, sensor.diffuse)):
         return None
-    tilt = torch.sin(torch.tensor([scene.target.rotation], dtype=torch.float64))
-    window = Camera(scene, largest_sine(tilt), accuracy=1e-2, device="cpu").window(margin=True)
-    columns, rows = scene.probe.sensor.pixels
-    side = 2 * window.rows
-    if side >= min(rows, columns):
-        return None
-    # The sensor's own pixels: an even number of them has a border in the middle, an odd one a pixel.
-    return Grid(side - (side + rows) % 2, side - (side + columns) % 2, window.pitch)
+    window = Camera(scene, largest_sine(sines[None]), accuracy=1e-2, device="cpu").window(margin=True)
+    return sensor_part(scene, 2 * window.rows, window.pitch)
 
 
 # Spacing of the table of a pixel's moments, in roots of electrons: a 25th of the shot noise's standard deviation.
@@ -310,67 +316,6 @@ _STEP = 0.02
 _ROUNDING = 1e-10
 # What may be zero is counted in units of its own.
 _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
-
-
-def not_told(scene: Scene, name: str) -> str | None:
-    """Why there is no limit for a parameter in a scene; None where there is one."""
-    target = scene.target
-    if isinstance(target, PhoneTarget):
-        return "not computed for a phone, of which several cameras may answer"
-    if isinstance(target.lens, PrescriptionLens) and name not in TRACED:
-        return "not differentiated through a traced lens"
-    lengths = ("object_distance", "focal_length")
-    if isinstance(target.lens, PrescriptionLens) and name in lengths and not only_sensor(scene):
-        return "light off layers, off lens surfaces or scattered is not followed as a traced lens changes focus"
-    if name == "object_distance" and target.object_distance == float("inf"):
-        return "the target is focused at infinity"
-    return None
-
-
-def checked_parameters(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
-    """Names of parameters as `fisher` takes them; what it would refuse in a scene is refused."""
-    names = (parameters,) if isinstance(parameters, str) else tuple(parameters)
-    for name in names:
-        if name not in PARAMETERS:
-            raise InputError(f"unknown parameter {name!r}", where="parameters", remedy=f"use {', '.join(PARAMETERS)}")
-    if not names or len(set(names)) < len(names):
-        raise InputError(f"{list(names)} names none, or one twice", where="parameters", remedy="name each once")
-    for name in names:
-        why = not_told(scene, name)
-        if why is not None:
-            other = "focus where it is not infinite" if "infinity" in why else "take a thin lens"
-            if isinstance(scene.target, PhoneTarget):
-                other = "take one of its cameras for the target"
-            raise InputError(f"{name}: {why}", where="parameters", remedy=f"leave {name} out, or {other}")
-    _check_derivatives(scene, names)
-    return names
-
-
-def _check_derivatives(scene: Scene, names: tuple[str, ...]) -> None:
-    """Refuse what the chain does not differentiate."""
-    if isinstance(scene.target.lens, PrescriptionLens):
-        return
-    sensor, light = scene.target.sensor, scene.illumination
-    scattering = [one for one in (sensor.diffuse, *(layer.diffuse for layer in sensor.layers)) if one is not None]
-    fixed = [name for name in names if name not in ("gaze_x", "gaze_y", "power")]
-    if fixed and any(one.albedo > 0 for one in scattering):
-        raise InputError(
-            f"how scattered light changes with {', '.join(fixed)} is not differentiated",
-            where="parameters",
-            remedy="ask for gaze_x, gaze_y and power, or leave diffuse out of the scene",
-        )
-    if "distance" in names and light.mode == "diverging" and beam_radius(scene) < scene.target.lens.aperture_radius:
-        raise InputError(
-            "the beam does not fill the target, and how its edge moves with the distance is not differentiated",
-            where="parameters",
-            remedy="leave distance out, or widen illumination.divergence",
-        )
-    if "distance" in names and sensor.mask is not None and light.mode != "collimated" and light.vergence is None:
-        raise InputError(
-            "how light off a mask changes with the distance of its source is not differentiated",
-            where="parameters",
-            remedy="leave distance out, or give illumination.vergence",
-        )
 
 
 def _jacobian(outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:

@@ -108,8 +108,8 @@ class PhoneCamera:
 
     def metadata(self) -> dict[str, Any]:
         """Of the first camera, with the places of all."""
-        told = self.units[0][0].metadata()
-        return {**told, "expected_error": self.plan.expected_error, "cameras": [unit.place for _, unit in self.units]}
+        first = self.units[0][0].metadata()
+        return {**first, "expected_error": self.plan.expected_error, "cameras": [unit.place for _, unit in self.units]}
 
 
 def open_camera(scene: Scene, steepest: float, **options: Any) -> Camera | PhoneCamera:

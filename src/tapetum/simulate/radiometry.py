@@ -14,7 +14,6 @@ from scipy.special import j0, j1
 
 from tapetum.bench import Layer, ProbeSensor, Scene, TargetSensor, at_wavelength
 from tapetum.errors import InputError
-from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.sensor_plane import orders_of
 
 __all__ = [
@@ -28,7 +27,6 @@ __all__ = [
     "line_of",
     "photoelectrons",
     "photon_energy",
-    "return_radius_at_probe",
     "return_radius_by_rays",
     "share_in_disc",
     "specular_reflectance",
@@ -81,18 +79,6 @@ def return_radius_by_rays(
     gain = 1 - 2 * image_distance * slope_in
     slope_out = slope_in + gain / focal_length
     return radius / max(1.0, abs(gain)) * abs(gain - distance * slope_out)
-
-
-def return_radius_at_probe(scene: Scene) -> float:
-    """Radius of the returning beam at the probe, by rays and diffraction, in metres.
-
-    Above the probe's aperture radius part of the return misses the probe.
-    """
-    lens = scene.target.lens
-    z, _ = lens_numbers(lens.focal_length, scene.target.object_distance)
-    curvature = illumination_curvature(scene)
-    rays = return_radius_by_rays(lens.aperture_radius, lens.focal_length, z, curvature, scene.distance)
-    return rays + 1.22 * scene.illumination.wavelength * scene.distance / (2 * lens.aperture_radius)
 
 
 def encircled_energy(disc: float, radius: float, wavelength: float, distance: float) -> float:

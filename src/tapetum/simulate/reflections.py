@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -79,6 +81,8 @@ def specular_groups(
     """
     planes = sorted(_planes(scene, wavelength, image_distance, widest), key=lambda plane: plane.nearer)
     planes = [plane for plane in planes if plane.orders]
+    parts = _chains([plane.nearer for plane in planes], reach_of_interference(scene.illumination))
+    chains = [planes[part] for part in parts]
     k = 2 * math.pi / wavelength
     return [
         tuple(
@@ -93,32 +97,26 @@ def specular_groups(
             for plane, share in zip(chain, column, strict=True)
             if share != 0
         )
-        for chain in _chains(planes, reach_of_interference(scene.illumination))
+        for chain in chains
         for column in _coherent_sets(chain, scene)
     ]
 
 
 def longest_path(scene: Scene) -> float:
     """The largest difference of paths between planes that are summed as fields, in metres."""
-    depths = sorted(layer.index * layer.depth for layer in scene.target.sensor.layers)
-    places = [_Plane(torch.zeros(()), nearer, 1.0, (), None) for nearer in (0.0, *depths)]
-    chains = _chains(places, reach_of_interference(scene.illumination))
-    return max(2 * (chain[-1].nearer - chain[0].nearer) for chain in chains)
+    nearer = [0.0, *sorted(layer.index * layer.depth for layer in scene.target.sensor.layers)]
+    chains = [nearer[part] for part in _chains(nearer, reach_of_interference(scene.illumination))]
+    return max(2 * (chain[-1] - chain[0]) for chain in chains)
 
 
-def _chains(planes: list[_Plane], reach: float) -> list[list[_Plane]]:
-    """Planes, by their paths, in chains whose neighbours are nearer to each other than the reach of interference.
+def _chains(nearer: Sequence[float], reach: float) -> list[slice]:
+    """Parts of planes, by their ascending paths, whose neighbours are within the reach of interference.
 
-    The ends of a chain may be farther apart: their degree of coherence, or the sum over the line's wavelengths, says
+    The ends of a part may be farther apart: their degree of coherence, or the sum over the line's wavelengths, says
     that they do not interfere.
     """
-    chains: list[list[_Plane]] = []
-    for plane in planes:
-        if chains and 2 * (plane.nearer - chains[-1][-1].nearer) < reach:
-            chains[-1].append(plane)
-        else:
-            chains.append([plane])
-    return chains
+    apart = {i for i in range(1, len(nearer)) if 2 * (nearer[i] - nearer[i - 1]) >= reach}
+    return [slice(first, end) for first, end in itertools.pairwise(sorted({0, *apart, len(nearer)}))]
 
 
 def _coherent_sets(chain: list[_Plane], scene: Scene) -> list[list[float]]:

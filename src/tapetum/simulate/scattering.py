@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Required, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -17,16 +18,16 @@ from scipy.special import j0
 from tapetum.errors import InputError
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["AT_ONCE", "NOTHING", "Real", "ScatteringPlane", "autocorrelation", "legendre", "radiance"]
-__all__ += ["scattering_plane", "transformed"]
+__all__ = ["AT_ONCE", "NOTHING", "PlaneOptions", "Real", "ScatteringPlane", "autocorrelation", "legendre"]
+__all__ += ["radiance", "scattering_plane", "transformed"]
 
 Real = npt.NDArray[np.floating]
 
 NOTHING = 14.0
-"""Exponent at which a Gaussian counts as nothing."""
+"""Exponent beyond which a Gaussian is neglected: exp(-14) is 8e-7."""
 
 AT_ONCE = 1 << 21
-"""Numbers of a block of work."""
+"""Numbers that are computed at once, to bound the memory."""
 
 # Nodes of one panel of a Gauss-Legendre rule, and radians that its integrand may turn: π a sample is the limit.
 _NODES, _RADIANS = 32, 36.0
@@ -43,6 +44,7 @@ class ScatteringPlane:
     inward: float
     outward: float
     spread: float
+    albedo: float
 
     @property
     def wavenumber(self) -> float:
@@ -71,14 +73,24 @@ class ScatteringPlane:
         return spot * np.exp(-((self.wavenumber * self.spread * apart / self.z) ** 2) / 2)
 
 
+class PlaneOptions(TypedDict, total=False):
+    """What says how a plane scatters; parameters of `diffuse_return`."""
+
+    albedo: Required[float]
+    spread: float
+    image_distance: float | None
+    lit_radius: float | None
+
+
 def scattering_plane(
     geometry: DoublePassGeometry,
     distance: float,
     probe_radius: float,
+    *,
     albedo: float,
-    spread: float,
-    image_distance: float | None,
-    lit_radius: float | None,
+    spread: float = 0.0,
+    image_distance: float | None = None,
+    lit_radius: float | None = None,
 ) -> ScatteringPlane:
     """Check what is known of a plane: parameters and errors of `diffuse_return`."""
     z = geometry.image_distance if image_distance is None else image_distance
@@ -97,7 +109,8 @@ def scattering_plane(
         raise InputError(what, where="lit_radius", remedy="give a length in metres, or None for the whole aperture")
     lit = geometry.radius if lit_radius is None else min(lit_radius, geometry.radius)
     outward = 1 / z - 1 / geometry.focal_length
-    return ScatteringPlane(geometry.wavelength, geometry.radius, lit, z, outward + geometry.curvature, outward, spread)
+    inward = outward + geometry.curvature
+    return ScatteringPlane(geometry.wavelength, geometry.radius, lit, z, inward, outward, spread, albedo)
 
 
 def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
@@ -133,11 +146,11 @@ def transformed(values: Real, apart: Real, weights: Real, slopes: Real, wavenumb
     return np.concatenate(parts)
 
 
-def radiance(plane: ScatteringPlane, albedo: float, reach: float) -> CubicSpline:
+def radiance(plane: ScatteringPlane, reach: float) -> CubicSpline:
     """L(v) up to v = reach, in W/m²."""
     k, z = plane.wavenumber, plane.z
     apart, weights = legendre(0.0, plane.limit, k * plane.limit * (reach / z + plane.lit * abs(plane.inward)))
     step = plane.wavelength * z / (12 * plane.limit)
     v = np.arange(math.ceil(reach / step) + 3) * step
     spot = transformed(plane.coherence(apart), apart, weights, v / z, k) / (plane.wavelength * z) ** 2
-    return CubicSpline(v, spot * albedo / math.pi)
+    return CubicSpline(v, spot * plane.albedo / math.pi)

@@ -23,7 +23,8 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
 
-__all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "spot_middles", "trace_bundle"]
+__all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "mirrored", "right_half", "spot_middles"]
+__all__ += ["trace_bundle"]
 
 # Rays a side of a bundle, and of the coarse one that finds the pupil.
 _COARSE = 49
@@ -53,7 +54,7 @@ class Bundle:
     s, psi
         [F, N, 2] and [F, N], see the module.
     jacobian
-        [F, N] |∂s/∂e|, in 1/m².
+        [F, N] |∂s/∂e|, in 1/m²; NaN where it was not asked for.
     landing
         [F, N, 2] where they meet the sensor.
     middle
@@ -105,6 +106,7 @@ def trace_bundle(
     middle: torch.Tensor | None = None,
     count: int = 37,
     box: tuple[torch.Tensor, torch.Tensor] | None = None,
+    sloped: bool = True,
 ) -> Bundle:
     """Trace the light of a far source (or of one at 1/curvature) under tilts along y.
 
@@ -121,24 +123,59 @@ def trace_bundle(
     count
         Rays a side of each bundle.
     box
-        Corners [F, 2] of where rays start on the entrance pupil, in metres; all of it when left out.
+        Corners [F, 2] of where rays start on the entrance pupil, in metres, as far to the left as to the right; all of
+        it when left out.
+    sloped
+        Whether to compute the `jacobian`, which takes more than half of the time.
 
     Raises
     ------
     InputError
         Where no ray gets through.
     """
-    e = _starts(focused, sines, curvature, count, box).requires_grad_()
-    with torch.enable_grad():
-        rays, before, s, psi, landing, middle, chief = _followed(focused, e, sines, curvature, middle)
+    e = _starts(focused, sines, curvature, count, box)
+    right = right_half(e).requires_grad_(sloped)
+    with torch.set_grad_enabled(sloped):
+        start, way, before = _incoming(focused, right, sines, curvature)
+        rays, before = mirrored(trace(focused.lens, start, way), count), _both(before, count)
+        s, psi, landing, middle, chief = _followed(focused, rays, before, middle)
+    jacobian = torch.full_like(psi, torch.nan)
+    if sloped:
         # Every ray's s depends on its own e alone: two sums give the whole map's derivative.
-        x = torch.autograd.grad(s[..., 0].sum(), e, retain_graph=True)[0]
-        y = torch.autograd.grad(s[..., 1].sum(), e)[0]
-    jacobian = (x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]).abs()
+        own = right_half(s)
+        x = torch.autograd.grad(own[..., 0].sum(), right, retain_graph=True)[0]
+        y = torch.autograd.grad(own[..., 1].sum(), right)[0]
+        jacobian = _both((x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]).abs(), count)
     found = [one.detach() for one in (e, s, psi, jacobian, landing, middle, chief, before)]
     where = {name: value.detach() for name, value in vars(rays).items()}
-    where["good"] = rays.good & torch.isfinite(jacobian)
+    where["good"] = rays.good & (torch.isfinite(jacobian) if sloped else torch.isfinite(s).all(-1))
     return Bundle(*found, rays=Rays(**where))
+
+
+def right_half(values: torch.Tensor) -> torch.Tensor:
+    """Of values [F, n², …] on a square of rays, those from its middle column to the right: tilts are along y."""
+    count = math.isqrt(values.shape[1])
+    square = values.reshape(values.shape[0], count, count, *values.shape[2:])
+    return square[:, :, count // 2 :].flatten(1, 2)
+
+
+def mirrored(rays: Rays, count: int) -> Rays:
+    """All n² rays from those of the `right_half`."""
+    turn = rays.position.new_tensor([-1.0, 1.0, 1.0])
+    return Rays(
+        _both(rays.position, count, turn),
+        _both(rays.direction, count, turn),
+        _both(rays.path, count),
+        _both(rays.height, count),
+        _both(rays.good, count),
+    )
+
+
+def _both(values: torch.Tensor, count: int, turn: torch.Tensor | None = None) -> torch.Tensor:
+    """Values [F, n², …] from those of the right half, mirrored to the left; vectors are turned."""
+    right = values.reshape(values.shape[0], count, -1, *values.shape[2:])
+    left = right[:, :, count % 2 :].flip(2)
+    return torch.cat([left if turn is None else left * turn, right], 2).flatten(1, 2)
 
 
 def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> torch.Tensor:
@@ -146,9 +183,7 @@ def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> to
 
     It takes half the time, for nothing is differentiated. Parameters and errors are the same.
     """
-    with torch.no_grad():
-        start, way, _ = _incoming(focused, _starts(focused, sines, 0.0, count, None), sines, 0.0)
-        return _landed(focused, trace(focused.lens, start, way))[1]
+    return trace_bundle(focused, sines, count=count, sloped=False).middle
 
 
 def _starts(
@@ -176,10 +211,8 @@ def _landed(focused: FocusedLens, rays: Rays) -> tuple[torch.Tensor, torch.Tenso
 
 
 def _followed(
-    focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float, middle: torch.Tensor | None
-) -> tuple[Rays, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    start, way, before = _incoming(focused, e, sines, curvature)
-    rays = trace(focused.lens, start, way)
+    focused: FocusedLens, rays: Rays, before: torch.Tensor, middle: torch.Tensor | None
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     landing, found = _landed(focused, rays)
     middle = found if middle is None else middle
     p, back = to_plane(rays.position, rays.direction, _exit_plane(focused))
@@ -190,7 +223,7 @@ def _followed(
     # The index behind the lens is 1: the sensor stands in air.
     psi = before + rays.path + back + radius
     chief = torch.hypot(middle, torch.full_like(middle, focused.image - _exit_plane(focused)))
-    return rays, before, s, psi, landing[..., :2], middle, chief
+    return s, psi, landing[..., :2], middle, chief
 
 
 def _exit_plane(focused: FocusedLens) -> float:
@@ -237,7 +270,8 @@ def _searched_boxes(
     upper = -lower
     for _ in range(2):
         line = torch.linspace(-1, 1, _COARSE, dtype=torch.float64)
-        grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
+        # Left and right are alike: x from the middle on.
+        grid = torch.stack(torch.meshgrid(line[_COARSE // 2 :], line, indexing="xy"), -1).reshape(-1, 2)
         centre, half = (upper + lower) / 2, (upper - lower) / 2
         e = centre[:, None, :] + half[:, None, :] * grid
         start, way, _ = _incoming(focused, e, sines, curvature)
@@ -255,9 +289,7 @@ def _searched_boxes(
         big = torch.full_like(e, math.inf)
         lower = torch.where(passing[..., None], e, big).amin(1) - step
         upper = torch.where(passing[..., None], e, -big).amax(1) + step
-    # Left and right are alike.
-    wide = torch.maximum(upper[:, 0], -lower[:, 0])
-    lower, upper = torch.stack([-wide, lower[:, 1]], -1), torch.stack([wide, upper[:, 1]], -1)
+        lower[:, 0] = -upper[:, 0]
     return lower, upper
 
 

@@ -1,8 +1,8 @@
 """How a frame of a traced lens changes with what is unknown, by differences of pictures on the very same samples.
 
-A traced lens is not differentiated: its picture has no azimuth to differentiate by in the middle, its focus is found by
-iteration. What a sampling misses is much the same on either side of a difference, so long as both are sampled alike:
-lenses that are focused or zoomed a little differently get the samples that were planned for the scene's own.
+A traced lens is not differentiated automatically: on the axis its picture has no azimuth to differentiate by, and its
+focus is found by iteration. The errors of sampling nearly cancel in a difference of two pictures on the same samples:
+so lenses that are focused or zoomed a little differently get the samples that were planned for the scene's own.
 """
 
 # Torch types argmax and stack in part only.
@@ -26,26 +26,14 @@ from tapetum.simulate.camera import Camera
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import dark_electrons, illumination_curvature, photoelectrons
-from tapetum.simulate.reflections import only_sensor
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.traced_return import corrected
+from tapetum.simulate.unknowns import NUISANCES, PHOTOSITES, TRACED, checked_parameters, has_photosites
 
-__all__ = ["NUISANCES", "TRACED", "TracedSlopes"]
+__all__ = ["NUISANCES", "TRACED", "TracedSlopes", "sensor_part"]
 
-TRACED = ("gaze_x", "gaze_y", "object_distance", "focal_length", "power", "place_x", "place_y")
-"""What a traced lens's frame is differentiated by."""
-
-NUISANCES = {
-    "roll": "rad",
-    "photosite_x": "m on the target's sensor",
-    "photosite_y": "m on the target's sensor",
-}
-"""What else may be unknown: the turn of the target about the line of sight, from x to y, and where among the photosites
-its sensor's spot falls, the gaze left as it is."""
-
-_SITES = {"photosite_x", "photosite_y"}
 # Share of the finest thing on a traced lens's sensor, spot or photosite, and of the probe's fringes, by which gaze and
 # place are stepped. Smaller steps take the picture's own sampling for change, larger ones miss the change.
 _SHARE = 1 / 25
@@ -71,10 +59,8 @@ class TracedSlopes:
         Of `TRACED` and `NUISANCES`: what to differentiate by.
     gazes
         [G, 2] in fractions of the field.
-    window
-        Whether to compute no more pixels than hold both beams' RR but for its faintest rings.
     step
-        Factor on all steps, to see how much the differences hang on them.
+        Factor on all steps, to check that the differences do not depend on them.
     accuracy, dtype, device
         As for `Camera`.
 
@@ -104,16 +90,18 @@ class TracedSlopes:
         names: Sequence[str],
         gazes: torch.Tensor,
         *,
-        window: bool = True,
         step: float = 1.0,
         accuracy: float | None = None,
         dtype: torch.dtype = torch.complex128,
         device: torch.device | str = "auto",
     ) -> None:
-        _check(scene, names)
+        if not isinstance(scene.target, PhoneTarget) and not isinstance(scene.target.lens, PrescriptionLens):
+            what = f"a lens of kind {scene.target.lens.kind!r} is differentiated, not traced"
+            raise InputError(what, where="target.lens", remedy="use fisher, or a lens by prescription")
+        checked_parameters(scene, names, (*TRACED, *NUISANCES))
         self.scene, self.names, self._gazes = scene, tuple(names), gazes.to(torch.float64)
         self._steps = _Steps.of(scene, step)
-        self._by_sites = bool(_SITES & set(self.names))
+        self._by_sites = bool(PHOTOSITES & set(self.names))
         if self._by_sites:
             # From one photosite to the next, where the spot falls as it fell: what is left is not theirs.
             wide, high = _field(scene)
@@ -122,7 +110,8 @@ class TracedSlopes:
         self._tilts = tilt_of_gaze(scene, self._gazes[:, None] + around * torch.tensor(self._steps.gaze))
         steepest = largest_sine(self._tilts.reshape(-1, 2)) * (1 + _MARGIN)
         camera = _Camera(scene, steepest, accuracy=accuracy, dtype=dtype, device=device)
-        seen = _inside(camera.window(), scene) if window else None
+        # No more pixels than hold both beams' RR but for its faintest rings.
+        seen = _inside(camera.window(), scene)
         if seen is not None:
             camera = _Camera(scene, steepest, output=seen, accuracy=accuracy, dtype=dtype, device=device)
         self._camera = camera
@@ -153,7 +142,7 @@ class TracedSlopes:
         """Mean electrons [H, W] without those of hot pixels, and their slopes [P, H W], at the gaze of this number."""
         own = self._tilts[number]
         # One batch: no gaze, then two steps of each kind.
-        tilts = own if (_SITES | {"gaze_x", "gaze_y"}) & set(self.names) else own[:1]
+        tilts = own if (PHOTOSITES | {"gaze_x", "gaze_y"}) & set(self.names) else own[:1]
         made = self._electrons(self._camera, tilts)
         slopes: dict[str, torch.Tensor] = {"power": made[0] / self.scene.illumination.power}
         if len(tilts) > 1:
@@ -164,7 +153,7 @@ class TracedSlopes:
         steps = vars(self._steps)
         for name, (more, less) in self._others.items():
             light = [self._electrons(one, one.tilts_like(self._camera, own[:1]))[0] for one in (more, less)]
-            slopes[name] = (light[0] - light[1]) / (2 * (self._steps.photosite if name in _SITES else steps[name]))
+            slopes[name] = (light[0] - light[1]) / (2 * (self._steps.photosite if name in PHOTOSITES else steps[name]))
         if self._by_sites:
             # The array moves under a spot that stands still as the spot moves over the array.
             for axis, side in zip("xy", _field(self.scene), strict=True):
@@ -219,7 +208,7 @@ class _Steps:
         away = k * r**2 * abs(1 / target.object_distance - illumination_curvature(scene))
         # A mirror's picture shears with the pupil only, by two steps of the spot: slowly.
         shear = min(spot / 2, _TURN * r / (4 * away)) if away > 0 else spot / 2
-        finest = _SHARE * min(spot, _period(scene)) if _has_sites(scene) else shear
+        finest = _SHARE * min(spot, _period(scene)) if has_photosites(scene) else shear
         x, y = (factor * finest / side for side in _field(scene))
         far = target.object_distance
         focus = min(_TURN * far / (k * r**2), _LONGEST) * far if math.isfinite(far) else 0.0
@@ -296,10 +285,6 @@ class _Camera(Camera):
         return other
 
 
-def _has_sites(scene: Scene) -> bool:
-    return scene.target.sensor.array is not None or scene.target.sensor.microlens is not None
-
-
 def _period(scene: Scene) -> float:
     """Of the photosites, in metres; the lenses over them repeat alike."""
     sensor = scene.target.sensor
@@ -356,37 +341,15 @@ def _moved_sites(surface: Surface, axis: int, by: float, wavelength: float) -> S
 
 def _inside(window: Grid, scene: Scene) -> Grid | None:
     """The sensor's own pixels that hold a beam's window, the second one's too; None where it has not as many."""
-    columns, rows = scene.probe.sensor.pixels
     second, lens = scene.illumination.second_beam, scene.probe.lens
     apart = lens.focal_length * max(math.tan(abs(one)) for one in second.angle) if second is not None else 0.0
-    side = window.rows + 2 * math.ceil(apart / window.pitch)
+    return sensor_part(scene, window.rows + 2 * math.ceil(apart / window.pitch), window.pitch)
+
+
+def sensor_part(scene: Scene, side: int, pitch: float) -> Grid | None:
+    """The middle of the probe's sensor, `side` of its own pixels or one less; None where it has not as many."""
+    columns, rows = scene.probe.sensor.pixels
     if side >= min(rows, columns):
         return None
     # An even number of pixels has a border in the middle, an odd one a pixel.
-    return Grid(side - (side + rows) % 2, side - (side + columns) % 2, window.pitch)
-
-
-def _check(scene: Scene, names: Sequence[str]) -> None:
-    if isinstance(scene.target, PhoneTarget):
-        what = "several cameras of a phone may answer, and one alone is differentiated"
-        raise InputError(what, where="target", remedy="take one of its cameras for the target")
-    if not isinstance(scene.target.lens, PrescriptionLens):
-        what = f"a lens of kind {scene.target.lens.kind!r} is differentiated, not traced"
-        raise InputError(what, where="target.lens", remedy="use fisher, or a lens by prescription")
-    for name in names:
-        if name not in TRACED and name not in NUISANCES:
-            known = ", ".join((*TRACED, *NUISANCES))
-            raise InputError(f"unknown parameter {name!r}", where="parameters", remedy=f"use {known}")
-    if _SITES & set(names) and not _has_sites(scene):
-        what = "photosite_x, photosite_y: the target's sensor is a mirror without photosites"
-        raise InputError(what, where="parameters", remedy="leave them out, or give the sensor an array")
-    lengths = [name for name in names if name in ("object_distance", "focal_length")]
-    if lengths and not only_sensor(scene):
-        raise InputError(
-            f"how light off layers, off lens surfaces or scattered changes with {', '.join(lengths)} is not followed",
-            where="parameters",
-            remedy=f"leave {', '.join(lengths)} out, or take layers, diffuse and coating out of the scene",
-        )
-    if "object_distance" in names and math.isinf(scene.target.object_distance):
-        what = "object_distance: the target is focused at infinity"
-        raise InputError(what, where="parameters", remedy="leave it out, or focus where it is not infinite")
+    return Grid(side - (side + rows) % 2, side - (side + columns) % 2, pitch)

@@ -61,24 +61,22 @@ class TracedLens:
         second = math.hypot(*light.second_beam.angle) if light.second_beam is not None else 0.0
         self._steepest = min(1.0, steepest + second + light.source_size / 2)
         self._curvature = illumination_curvature(scene)
-        self._known: dict[float, tuple[FocusedLens, PupilFits]] = {}
-        focused, fits = self._at(light.wavelength)
         depths = [0.0] if scene.target.sensor.reflectance > 0 else []
         depths += [
             layer.depth / layer.index
             for layer in scene.target.sensor.layers
             if at_wavelength(layer.reflectance, light.wavelength) > 0
         ]
-        self.exit_angle = return_angle(focused, fits, depths or [0.0], self._curvature)
+        self.exit_angle = _return_angle(*self._asked(light.wavelength), tuple(depths or [0.0]))
         """Largest angle of a returning ray against its field's direction, in radians."""
         self.return_radius = lens.aperture_radius + self.exit_angle * scene.distance
         """Radius of the widest return at the probe, by rays, in metres."""
 
     def _at(self, wavelength: float) -> tuple[FocusedLens, PupilFits]:
-        if wavelength not in self._known:
-            asked = self._lens, wavelength, self._object_distance, self._steepest, self._curvature
-            self._known[wavelength] = _fitted(*asked)
-        return self._known[wavelength]
+        return _fitted(*self._asked(wavelength))
+
+    def _asked(self, wavelength: float) -> tuple[PrescriptionLens, float, float, float, float]:
+        return self._lens, wavelength, self._object_distance, self._steepest, self._curvature
 
     def aperture_sine(self, wavelength: float) -> float:
         """Largest half width of the pupil in direction sines."""
@@ -127,7 +125,9 @@ class TracedLens:
             device=device,
         )
 
-    def glints(self, output: Grid, wavelength: float, distance: float | None) -> Glints | None:
+    def glints(
+        self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype = torch.float64
+    ) -> Glints | None:
         """What its surfaces themselves send back; None where they are not said to reflect.
 
         Raises
@@ -152,6 +152,7 @@ class TracedLens:
             distance=distance,
             probe_radius=probe.aperture_radius,
             probe_focal_length=probe.focal_length,
+            dtype=dtype,
         )
 
 
@@ -168,12 +169,26 @@ def _fitted(
     return focused, fit_pupils(focused, _covered(focused, steepest, curvature), curvature=curvature)
 
 
+@functools.lru_cache(maxsize=16)
+def _return_angle(
+    lens: PrescriptionLens,
+    wavelength: float,
+    object_distance: float,
+    steepest: float,
+    curvature: float,
+    depths: tuple[float, ...],
+) -> float:
+    focused, fits = _fitted(lens, wavelength, object_distance, steepest, curvature)
+    return return_angle(focused, fits, depths, curvature)
+
+
 def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
     """Sine of the steepest tilt, up to `steepest`, that a lens lets any light through at: none returns beyond."""
 
     def passes(sine: float) -> bool:
         try:
-            trace_bundle(focused, torch.tensor([sine], dtype=torch.float64), curvature=curvature, count=_COUNT)
+            at = torch.tensor([sine], dtype=torch.float64)
+            trace_bundle(focused, at, curvature=curvature, count=_COUNT, sloped=False)
         except InputError:
             return False
         return True

@@ -8,6 +8,7 @@ there is what that ray's path has more (`corrected`).
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -26,12 +27,22 @@ from tapetum.simulate.pupil_fits import (
     fit_pupils,
     values_at,
 )
-from tapetum.simulate.traced_bundle import BEYOND, Bundle, length, limiting_surfaces, trace_bundle
+from tapetum.simulate.traced_bundle import (
+    BEYOND,
+    Bundle,
+    length,
+    limiting_surfaces,
+    mirrored,
+    right_half,
+    trace_bundle,
+)
 
 __all__ = ["Returned", "TracedReturn", "check_return", "corrected", "trace_return"]
 
 # Share of a bundle below which a return is not worth fitting: its few rays say little of it, and it is faint.
-_LEAST_SHARE, _BISECTIONS = 0.03, 7
+_LEAST_SHARE = 0.03
+# Of the tilt from which light still returns.
+_HALVINGS = (4, 3)
 # Rays that a fit needs, and how far beyond the accepted angles light is kept.
 _FEWEST_RAYS, _KEPT = 60, 4.0
 _COARSE, _NARROWINGS = 25, 2
@@ -122,15 +133,15 @@ def trace_return(
     count
         Rays a side.
     """
-    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count, sloped=False)
     return _sent_back(focused, bundle, sines)
 
 
 def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor) -> Returned:
     rays = bundle.rays
     at, way = to_plane(rays.position, rays.direction, focused.image)
-    mirrored = torch.stack([rays.direction[..., 0], rays.direction[..., 1], -rays.direction[..., 2]], -1)
-    back = trace_out(focused.lens, at, mirrored)
+    reflected = rays.direction * rays.direction.new_tensor([1.0, 1.0, -1.0])
+    back = mirrored(trace_out(focused.lens, right_half(at), right_half(reflected)), math.isqrt(at.shape[1]))
     out, more = to_plane(back.position, back.direction, focused.entrance_pupil)
     path = bundle.before + rays.path + way + back.path + more + sines[:, None] * out[..., 1]
     turned = back.direction[..., :2] + torch.stack([torch.zeros_like(sines), sines], -1)[:, None, :]
@@ -199,8 +210,8 @@ def corrected(
     nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
     middle = tilt @ fits.middle
-    box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, middle, accepted)
-    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box)
+    box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, accepted)
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box, sloped=False)
     back = _sent_back(focused, bundle, nodes.sines)
     # Of a part of the pupil all rays near it are fitted, whether a rim stops them or not: it may end within.
     passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
@@ -273,8 +284,9 @@ def _between(
     sines = ((nodes.sines[1:] + nodes.sines[:-1]) / 2)[1::2]
     tilt = fits.nodes.terms(sines)
     middle = tilt @ fits.middle
-    box = None if accepted is None else _accepted_box(focused, sines, curvature, middle, accepted)
-    back = _sent_back(focused, trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box), sines)
+    box = None if accepted is None else _accepted_box(focused, sines, curvature, accepted)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, sloped=False)
+    back = _sent_back(focused, bundle, sines)
     passing = back.passing
     if accepted is not None:
         passing = back.good & (back.height <= 1).all(-1) & (length(back.turned) <= accepted)
@@ -288,13 +300,12 @@ def _accepted_box(
     focused: FocusedLens,
     sines: torch.Tensor,
     curvature: float,
-    middle: torch.Tensor,
     accepted: float,
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Corners [F, 2] of where light enters that leaves under accepted angles, found by narrowing down."""
     box = None
     for _ in range(_NARROWINGS):
-        bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, count=_COARSE)
+        bundle = trace_bundle(focused, sines, curvature=curvature, box=box, count=_COARSE, sloped=False)
         back = _sent_back(focused, bundle, sines)
         # Far outside its rims a lens may send light back as well, by surfaces that are not there.
         good = back.good & (back.height <= _STRAY).all(-1)
@@ -324,28 +335,37 @@ def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Te
 
 
 def _last_return(focused: FocusedLens, steepest: float, curvature: float, accepted: float | None) -> float:
-    """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns."""
+    """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns, by bisection.
+
+    Tilts are traced together, for rays in hundreds cost little more than one: four halvings at once, then the rest.
+    """
     low, high = 0.0, steepest
-    for tried in (steepest, *[None] * _BISECTIONS):
-        sine = (low + high) / 2 if tried is None else tried
-        at = torch.tensor([sine], dtype=torch.float64)
-        if accepted is None:
-            back = trace_return(focused, at, curvature=curvature, count=_COARSE)
-            share = int(back.passing.sum()) / int(back.bundle.passing.sum())
-        else:
-            middle = trace_bundle(focused, at, curvature=curvature, count=_COARSE).middle
-            box = _accepted_box(focused, at, curvature, middle, accepted)
-            bundle = trace_bundle(focused, at, curvature=curvature, middle=middle, box=box, count=_COARSE)
-            back = _sent_back(focused, bundle, at)
-            near = back.good & (length(back.turned) <= _KEPT * accepted)
-            share = int((near & back.passing).sum()) / max(1, int(near.sum()))
-        if share > _LEAST_SHARE:
-            low = sine
-            if tried is not None:
-                break
-        else:
-            high = sine
+    if _returns(focused, torch.tensor([steepest], dtype=torch.float64), curvature, accepted)[0]:
+        return steepest
+    for halvings in _HALVINGS:
+        tried = [low + (high - low) * i / 2**halvings for i in range(1, 2**halvings)]
+        returns = _returns(focused, torch.tensor(tried, dtype=torch.float64), curvature, accepted)
+        first, behind = 0, 2**halvings
+        while behind - first > 1:
+            middle = (first + behind) // 2
+            first, behind = (middle, behind) if returns[middle - 1] else (first, middle)
+        ends = [low, *tried, high]
+        low, high = ends[first], ends[behind]
     return low
+
+
+def _returns(focused: FocusedLens, sines: torch.Tensor, curvature: float, accepted: float | None) -> list[bool]:
+    """Whether enough light returns from each of these tilts [F]."""
+    if accepted is None:
+        back = trace_return(focused, sines, curvature=curvature, count=_COARSE)
+        share = back.passing.sum(-1) / back.bundle.passing.sum(-1)
+    else:
+        box = _accepted_box(focused, sines, curvature, accepted)
+        bundle = trace_bundle(focused, sines, curvature=curvature, box=box, count=_COARSE, sloped=False)
+        back = _sent_back(focused, bundle, sines)
+        near = back.good & (length(back.turned) <= _KEPT * accepted)
+        share = (near & back.passing).sum(-1) / near.sum(-1).clamp_min(1)
+    return [bool(one) for one in share > _LEAST_SHARE]
 
 
 @dataclass(frozen=True)
