@@ -28,7 +28,6 @@ __all__ = [
     "EMBARGO",
     "FORMAT",
     "QUANTITIES",
-    "SEED",
     "TEST",
     "TRAIN",
     "TRUE_GAZE",
@@ -43,9 +42,6 @@ __all__ = [
 
 FORMAT, VERSION = "tapetum-dataset", 1
 TRAIN, TEST, EMBARGO = 0, 1, 2
-SEED = 1
-"""Default seed of everything random in this room, and of the sets behind the paper's figures and tables."""
-
 QUANTITIES = {
     "gaze_x": "fraction of the field of view",
     "gaze_y": "fraction of the field of view",

@@ -25,8 +25,14 @@ compressed, shifted by some counts, or scaled. Images without noise are near by 
 CELLS = 16
 """Rows of the fingerprint's mosaic, and comparisons in each."""
 
-# Pairs that a summary names, so that a person can look at them; frames compared with all earlier ones at once.
-_PAIRS_KEPT, _STEP = 20, 512
+# More frames than any set has; and pairs compared at once, which bounds the memory.
+_FRAMES = 1 << 40
+_FAR = (NEAR_BITS + 1) * _FRAMES
+_AT_ONCE = 1 << 18
+# Time of a pair that shares a part, over that of a pair in a matrix product (measured: some 4).
+_DEARER = 4
+# Pairs that a summary names, so that a person can look at them.
+_PAIRS_KEPT = 20
 
 
 @dataclass(frozen=True)
@@ -57,21 +63,60 @@ def exact_pairs(digests: NDArray[np.uint8], split: NDArray[np.integer]) -> list[
 
 
 def near_pairs(prints: NDArray[np.bool_], wanted: NDArray[np.bool_], progress: Progress) -> Iterator[tuple[int, int]]:
-    """Yield (earlier, later) for every wanted frame whose fingerprint [N, 256] is near an earlier one's, nearest first.
+    """Yield (earlier, later) for every wanted frame whose fingerprint is near an earlier one's, nearest first.
 
-    Every frame is compared with all earlier ones, by matrix products: for a hundred thousand frames that takes a
-    fraction of the time in which their images are read.
+    Two fingerprints that differ in at most `NEAR_BITS` bits share one of `NEAR_BITS` + 1 parts whole (multi-index
+    hashing: Norouzi, Punjani and Fleet, CVPR 2012), so only frames that share a part are compared: of frames with noise
+    few do. Where all are much alike, every pair is.
     """
     frames = np.flatnonzero(wanted)
-    signs = np.where(prints[frames], np.float32(1), np.float32(-1))
-    for start in progress(range(0, len(signs), _STEP), "comparing them", total=-(-len(signs) // _STEP)):
-        later = np.arange(start, min(start + _STEP, len(signs)))
+    bits = prints[frames]
+    # Every 17th bit: neighbouring cells of the mosaic hang together, and would fall into one part.
+    parts = [_numbered(bits[:, part :: NEAR_BITS + 1]) for part in range(NEAR_BITS + 1)]
+    shared = sum(int((np.unique(part, return_counts=True)[1].astype(np.int64) ** 2).sum()) for part in parts)
+    few = _DEARER * shared < len(frames) ** 2
+    nearest = _near_by_parts(bits, parts, progress) if few else _near_of_all(bits, progress)
+    for n in np.flatnonzero(nearest < _FAR).tolist():
+        yield int(frames[nearest[n] % _FRAMES]), int(frames[n])
+
+
+def _numbered(bits: NDArray[np.bool_]) -> NDArray[np.int64]:
+    return bits @ (1 << np.arange(bits.shape[1], dtype=np.int64))
+
+
+def _near_by_parts(bits: NDArray[np.bool_], parts: list[NDArray[np.int64]], progress: Progress) -> NDArray[np.int64]:
+    """Each frame's nearest earlier one of those that share a part, as `_FRAMES` times the distance and its number."""
+    packed = np.packbits(bits, axis=1).view(np.uint64)
+    nearest = np.full(len(bits), _FAR, dtype=np.int64)
+    for part in progress(parts, "comparing them", total=len(parts)):
+        order = np.argsort(part, kind="stable")
+        key, first, lag = part[order], np.arange(len(part)), 0
+        while len(first):
+            lag += 1
+            first = first[first + lag < len(key)]
+            first = first[key[first] == key[first + lag]]
+            for some in np.array_split(first, -(-len(first) // _AT_ONCE) or 1):
+                earlier, later = order[some], order[some + lag]
+                apart = np.bitwise_count(packed[earlier] ^ packed[later]).sum(axis=1, dtype=np.int64)
+                near = apart <= NEAR_BITS
+                np.minimum.at(nearest, later[near], apart[near] * _FRAMES + earlier[near])
+    return nearest
+
+
+def _near_of_all(bits: NDArray[np.bool_], progress: Progress) -> NDArray[np.int64]:
+    """The same among all earlier frames, by matrix products."""
+    signs = np.where(bits, np.float32(1), np.float32(-1))
+    nearest = np.full(len(bits), _FAR, dtype=np.int64)
+    step = 512
+    for start in progress(range(0, len(signs), step), "comparing them", total=-(-len(signs) // step)):
+        later = slice(start, min(start + step, len(signs)))
         # Equal bits add 1 to the product, others take 1 away.
-        apart = (signs.shape[1] - signs[later] @ signs[: later[-1] + 1].T) / 2
-        apart[np.arange(later[-1] + 1) >= later[:, None]] = np.inf
+        apart = (signs.shape[1] - signs[later] @ signs[: later.stop].T) / 2
+        apart[np.arange(later.stop)[None, :] >= np.arange(start, later.stop)[:, None]] = np.inf
         least, best = apart.min(axis=1), apart.argmin(axis=1)
-        for n in np.flatnonzero(least <= NEAR_BITS):
-            yield int(frames[best[n]]), int(frames[later[n]])
+        near = least <= NEAR_BITS
+        nearest[later][near] = least[near].astype(np.int64) * _FRAMES + best[near]
+    return nearest
 
 
 def summed_up(pairs: list[tuple[int, int]], split: NDArray[np.integer]) -> Doubles:

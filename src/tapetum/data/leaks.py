@@ -60,8 +60,9 @@ from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 
 from tapetum.data.chance import deals_possible, dealt_blocks, dealt_recordings, shifted, shifts_possible
 from tapetum.data.corners import FALL_OFFS, Corners, read_corners
-from tapetum.data.dataset import SEED, TEST, TRAIN
+from tapetum.data.dataset import TEST, TRAIN
 from tapetum.data.embargo import meeting, reach_of
+from tapetum.defaults import SEED
 from tapetum.progress import Progress, quiet
 
 __all__ = ["Leak", "find_leaks", "score_leaks"]

@@ -208,7 +208,8 @@ def at_times(series: Series, times: Array, max_gap: float | None = None) -> tupl
     rows = series.measured
     known = series.times[rows]
     if not len(known):
-        return (np.full(len(times), np.nan),) * 3
+        unknown = np.full(len(times), np.nan)
+        return unknown, unknown, unknown
     if max_gap is None:
         max_gap = 3 * float(np.median(np.diff(known))) if len(known) > 1 else 0.0
     after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from tapetum.bench import Scene, load_scene, scene_dict, with_values
-from tapetum.data.dataset import DEVICE, SEED
+from tapetum.data.dataset import DEVICE
 from tapetum.data.write import CHUNK, Rules
 from tapetum.defaults import SEED
 from tapetum.errors import one_of
