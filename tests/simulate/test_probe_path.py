@@ -62,7 +62,7 @@ def plain(
     if aperture is None:
         seen = phasor(-K / PROBE_FOCAL * (q @ shortening.T) @ place.T) @ value * constant
         return seen.reshape(OUTPUT.rows, OUTPUT.columns)
-    disc = disc_quadrature(aperture.radius, aperture.samples, aperture.samples)
+    disc = disc_quadrature(aperture.radius, aperture.columns, aperture.rows)
     far = torch.stack(torch.meshgrid(disc.x, disc.y, indexing="xy"), -1).reshape(-1, 2)
     weights = disc.weights.reshape(-1)
     shown, seen = weights != 0, place @ shortening
