@@ -112,8 +112,8 @@ def test_overwrite_replaces_only_its_own_kind(run, chain, tmp_path: Path, comman
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "dear").write_text("letter")
-    assert "pass --force" in run(*arguments, mine).complaint
-    ran = run(*arguments, mine, "--force")
+    assert "pass --overwrite" in run(*arguments, mine).complaint
+    ran = run(*arguments, mine, "--overwrite")
     assert ran.code == 2 and "may be replaced" in ran.complaint and (mine / "dear").exists()
     own = tmp_path / "own"
     assert run(*arguments, own).code == 0

@@ -32,17 +32,17 @@ def test_an_option_of_one_name_means_one_thing() -> None:
     for _, command in leaves():
         for option in command.params:
             for spelling in option.opts:
-                if spelling in ("--model", "--device", "--processes", "--cluster", "--force", "--json", "--set"):
+                if spelling in ("--model", "--device", "--processes", "--cluster", "--overwrite", "--json", "--set"):
                     shared.setdefault(spelling, set()).add(option.help)
     assert shared and all(len(meanings) == 1 for meanings in shared.values()), shared
     everything = " ".join(" ".join(option.opts) for _, command in leaves() for option in command.params)
-    assert not {"--overwrite", "--workers", "--target"} & set(everything.split())
+    assert not {"--force", "--workers", "--target"} & set(everything.split())
 
 
 def test_every_command_that_writes_has_one_rule() -> None:
     for words, command in leaves():
         spellings = {spelling for option in command.params for spelling in option.opts}
-        assert ("--force" in spellings) == ("--out" in spellings or "--sheet" in spellings), words
+        assert ("--overwrite" in spellings) == ("--out" in spellings or "--sheet" in spellings), words
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_what_exists_is_refused_before_any_work(run, chain, tmp_path: Path, comm
         stands = folder / "report.html"
     stands.write_text("dear")
     ran = run(*words)
-    assert ran.code == 2 and f"{stands}: exists already; choose another name or pass --force" in ran.complaint
+    assert ran.code == 2 and f"{stands}: exists already; choose another name or pass --overwrite" in ran.complaint
     assert stands.read_text() == "dear" and ran.out.count("\n") <= 1
     assert {path.name for path in tmp_path.rglob("*")} == {"in", stands.name}
 
@@ -89,12 +89,12 @@ def test_force_replaces_a_file_once_the_new_one_is_whole(run, chain, tmp_path: P
 
     with monkeypatch.context() as patched:
         patched.setattr("tapetum.track.Tracker.update", broken)
-        assert run("track", chain.recording, "-o", out, "--force").code == 130
+        assert run("track", chain.recording, "-o", out, "--overwrite").code == 130
     assert out.read_text() == "of an earlier run"
-    assert run("track", chain.recording, "-o", out, "--force").code == 0
+    assert run("track", chain.recording, "-o", out, "--overwrite").code == 0
     assert read_tracks(out).num_rows == 20
     assert run("simulate", "thin-lens", *LITTLE, "-o", tmp_path / "x.zarr").code == 0
-    assert run("simulate", "thin-lens", *LITTLE, "-o", tmp_path / "x.zarr", "--force").code == 0
+    assert run("simulate", "thin-lens", *LITTLE, "-o", tmp_path / "x.zarr", "--overwrite").code == 0
 
 
 def test_a_folder_that_was_being_filled_is_filled_on(run, tmp_path: Path, monkeypatch) -> None:
@@ -106,18 +106,19 @@ def test_a_folder_that_was_being_filled_is_filled_on(run, tmp_path: Path, monkey
         def make(work: object) -> object:
             if error is not None:
                 raise error
-            return new_figure(1, 1), "# made\n", {}
+            return new_figure(1, 1), {}
 
         return make
 
+    monkeypatch.setattr(writing, "render", lambda name, numbers: f"# {name}\n")
     monkeypatch.setitem(writing._MAKERS, "fig4", maker(None))
     monkeypatch.setitem(writing._MAKERS, "fig5", maker(KeyboardInterrupt()))
     assert run("paper", "fig4", "fig5", "-o", tmp_path / "o").code == 130
     assert (tmp_path / "o" / "fig4.md").exists()
     monkeypatch.setitem(writing._MAKERS, "fig5", maker(None))
     assert run("paper", "fig4", "fig5", "-o", tmp_path / "o").code == 0
-    assert "pass --force" in run("paper", "fig5", "-o", tmp_path / "o").complaint
-    assert run("paper", "fig5", "-o", tmp_path / "o", "--force").code == 0
+    assert "pass --overwrite" in run("paper", "fig5", "-o", tmp_path / "o").complaint
+    assert run("paper", "fig5", "-o", tmp_path / "o", "--overwrite").code == 0
     assert not [path for path in (tmp_path / "o").iterdir() if path.name.startswith(".")]
     # A run that made nothing leaves nothing.
     monkeypatch.setitem(writing._MAKERS, "fig5", maker(KeyboardInterrupt()))
@@ -127,7 +128,7 @@ def test_a_folder_that_was_being_filled_is_filled_on(run, tmp_path: Path, monkey
 def test_old_spellings_mean_what_they_meant(run, chain, tmp_path: Path) -> None:
     command = typer.main.get_command(app)
     for words, old, new in (
-        ("train x -o y", "--model resnet18 --target=focus --overwrite", "--kind resnet18 --label=focus --force"),
+        ("train x -o y", "--model resnet18 --target=focus", "--kind resnet18 --label=focus"),
         ("record a -o y", "--target b", "--target-source b"),
         ("dataset synth rotation -o y", "--workers 2", "--processes 2"),
         ("paper -o y", "--workers 2 --model m", "--processes 2 --model m"),

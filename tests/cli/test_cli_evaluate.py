@@ -23,8 +23,8 @@ def test_writes_a_report_and_never_over_what_is_dear(run, chain, tmp_path: Path)
     printed = json.loads(run("evaluate", chain.model, chain.dataset, "--json").out)
     assert {key: numbers[key] for key in printed} == printed
     again = run("evaluate", chain.model, chain.dataset, "-o", out)
-    assert again.code == 2 and "pass --force" in again.complaint
-    assert run("evaluate", chain.model, chain.dataset, "-o", out, "--force").code == 0
+    assert again.code == 2 and "pass --overwrite" in again.complaint
+    assert run("evaluate", chain.model, chain.dataset, "-o", out, "--overwrite").code == 0
     dear = tmp_path / "dear"
     dear.mkdir()
     (dear / "letter").write_text("dear")

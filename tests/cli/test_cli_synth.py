@@ -44,7 +44,7 @@ def test_synth_makes_a_dataset(run, tmp_path: Path) -> None:
     assert open_dataset(out).attrs["synth"]["seed"] == 3
     again = run("dataset", "synth", "rotation", "-o", out, "--seed", 3)
     assert again.code == 2 and "exists already" in again.complaint
-    assert run("dataset", "synth", "rotation", "-o", out, "--seed", 4, "--force").code == 0
+    assert run("dataset", "synth", "rotation", "-o", out, "--seed", 4, "--overwrite").code == 0
     assert open_dataset(out).attrs["synth"]["seed"] == 4
 
 

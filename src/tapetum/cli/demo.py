@@ -33,7 +33,7 @@ def demo(
 ) -> None:
     """Film a target, label it, train, track a held-out part, and write report.html.
 
-    After an interruption the same command goes on. With --force it is made again, from the recording that is there
+    After an interruption the same command goes on. With --overwrite it is made again, from the recording that is there
     where its seed and length are the same.
     """
     # Torch, scikit-learn and Matplotlib take seconds to import: say something first.
@@ -61,4 +61,4 @@ def demo(
             f"  {name:<20} MAE x {one.mae[0]:.3f}  y {one.mae[1]:.3f}   RMSE x {one.rmse[0]:.3f}  y {one.rmse[1]:.3f}"
         )
     typer.echo(f"\nOpen  {outcome.report}\nThen  tapetum simulate thin-lens --sweep rotation=0,0.5,1 -o rr.png")
-    typer.echo(f"      tapetum demo --train --force -o {out}" if not train else "      tapetum demo --seed 7 -o demo-7")
+    typer.echo(f"      tapetum demo --train --overwrite -o {out}" if not train else "      tapetum demo --seed 7 -o demo-7")

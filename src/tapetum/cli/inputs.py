@@ -29,14 +29,14 @@ _UNFINISHED = ".tapetum-unfinished"
 def check_output(out: Path | None, force: bool, holds: str | None = None) -> None:
     """Refuse to replace an output that exists, before any work: one rule for all commands.
 
-    Without `--force` whatever stands at `out` stays. With it a file may be replaced by a file, and a folder by one that
+    Without `--overwrite` whatever stands at `out` stays. With it a file may be replaced by a file, and a folder by one that
     `holds` the same, a key of `_MARKERS`. The writers see to the rest: what stands there stays until the new one is
     whole. Nothing is checked where `out` is None.
     """
     if out is None or not (out.exists() or out.is_symlink()):
         return
     if not force:
-        raise InputError("exists already", where=out, remedy="choose another name or pass --force")
+        raise InputError("exists already", where=out, remedy="choose another name or pass --overwrite")
     known = not out.is_dir()
     if holds is not None:
         try:

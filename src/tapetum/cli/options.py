@@ -39,7 +39,7 @@ SeedIfGiven = Annotated[int | None, _SEED]
 Device = Annotated[str, option("NAME", "Where to compute: auto, cpu, cuda or cuda:1.")]
 Processes = Annotated[str | None, option("N", "On this machine; auto: to film one a core, to train one a GPU.")]
 Cluster = Annotated[str | None, option("ADDRESS", "A Dask scheduler, tcp://HOST:8786 (extra: cluster).")]
-Force = Annotated[bool, typer.Option("--force", help="Replace an output that exists, once the new one is whole.")]
+Force = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists, once the new one is whole.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 
 _OLD_SPELLINGS: dict[str, dict[str, str]] = {
@@ -48,7 +48,7 @@ _OLD_SPELLINGS: dict[str, dict[str, str]] = {
     "synth": {"--workers": "--processes"},
     "paper": {"--workers": "--processes"},
 }
-"""By command; understood for one release. `--overwrite` was `--force` in all of them."""
+"""By command; understood for one release."""
 
 
 class Command(TyperCommand):
@@ -56,7 +56,7 @@ class Command(TyperCommand):
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Read the command line, old spellings replaced by new ones."""
-        now = {"--overwrite": "--force", **_OLD_SPELLINGS.get(self.name or "", {})}
+        now = _OLD_SPELLINGS.get(self.name or "", {})
         end = args.index("--") if "--" in args else len(args)
         options = [arg.partition("=") for arg in args[:end]]
         return super().parse_args(

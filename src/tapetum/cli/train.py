@@ -94,7 +94,7 @@ def train(
     check_output(out, force, "tapetum-model")
     checkpoint = out.with_name(f"{out.name}.checkpoint")
     if network and checkpoint.exists() and not (resume or force):
-        remedy = "go on with --resume, or start over with --force"
+        remedy = "go on with --resume, or start over with --overwrite"
         raise InputError("an unfinished training is kept here", where=checkpoint, remedy=remedy)
     from tapetum.data import open_dataset
     from tapetum.models import ZernikeRidge, save_model

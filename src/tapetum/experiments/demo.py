@@ -361,7 +361,7 @@ def _content(
             ),
             ("tapetum track FOLDER -o tracks.csv", "find the spots in photographs of your own"),
             (
-                "tapetum demo --seed 7 -o demo-7" if train else "tapetum demo --train --force",
+                "tapetum demo --seed 7 -o demo-7" if train else "tapetum demo --train --overwrite",
                 "another recording" if train else "train the ResNet-18 before your eyes (about half an hour)",
             ),
         ],
