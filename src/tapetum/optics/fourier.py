@@ -127,21 +127,23 @@ class BandLimitedFourier:
         self, nodes: torch.Tensor, down: torch.Tensor | None = None, across: torch.Tensor | None = None
     ) -> torch.Tensor:
         """From the nodes to the pixels wanted, [..., V', U'] to [..., V, U]; times factors of rows and columns."""
-        if self._lift_y is not None:
-            nodes = _weighed(self._lift_y, down).to(nodes.dtype) @ nodes
-        elif down is not None:
-            nodes = nodes * down[..., :, None]
         if self._lift_x is not None:
-            return nodes @ _weighed(self._lift_x, across).to(nodes.dtype).mT
-        return nodes if across is None else nodes * across[..., None, :]
+            nodes = _lifted(self._lift_x, nodes.mT).mT
+        if across is not None:
+            nodes = nodes * across[..., None, :]
+        if self._lift_y is not None:
+            nodes = _lifted(self._lift_y, nodes)
+        return nodes if down is None else nodes * down[..., :, None]
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Transform [..., Y, X] to [..., V, U]."""
         return self.lift(self.at_nodes(field))
 
 
-def _weighed(matrix: torch.Tensor, factor: torch.Tensor | None) -> torch.Tensor:
-    return matrix if factor is None else matrix * factor[..., :, None]
+def _lifted(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
+    """A real matrix [V, V'] times complex fields [..., V', U]: half the multiplications of a complex one."""
+    parts = torch.view_as_real(field.contiguous()).flatten(-2)
+    return torch.view_as_complex((matrix @ parts).unflatten(-1, (-1, 2)))
 
 
 class _Blocks:
@@ -207,7 +209,7 @@ def _nodes(
     if len(nodes) > 0.75 * len(u):
         return u, None
     places = nodes * half + float(u.max() + u.min()) / 2
-    return places, _barycentric(u, places).to(dtype)
+    return places, _barycentric(u, places).to(dtype.to_real())
 
 
 def naive_fourier(

@@ -345,7 +345,7 @@ def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor
 def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
     """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]: a rim is straight there."""
     # A lens may have no rim that covers anything: then there are no heights to take a shape from.
-    total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(torch.float64)
+    total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(heights.dtype)
     for height in heights.unbind(1):
         gx, gy = torch.gradient(height, dim=(2, 1))
         total = torch.minimum(total, _covered(1 - height, gx.abs(), gy.abs()))

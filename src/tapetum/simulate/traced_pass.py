@@ -164,9 +164,11 @@ class TracedPass:
         wave = self._wave(amplitude * (cell * returns)[:, None, None], psi)
 
         v = self._v
-        spot = self._kernel(v, along) @ wave @ self._kernel(v, across).mT
-        bend = (self._square - (chief[:, None, None] * v[None, :, None]) ** 2) / radius[:, None, None]
-        spot = spot * phasor(k * bend, self.dtype) * self._window
+        # A sphere about the exit pupil's middle, seen under the chief ray's angle.
+        bend = k * v**2 / radius[:, None]
+        rows, columns = phasor(bend * (1 - chief[:, None] ** 2), self.dtype), phasor(bend, self.dtype)
+        spot = (self._kernel(v, along) * rows[..., None]) @ wave @ (self._kernel(v, across) * columns[..., None]).mT
+        spot = spot * self._window
         spot = spot * self._reflectance(middle, chief, toward, nearer)
 
         # The way out, on columns and rows of the probe's picture.
@@ -175,21 +177,21 @@ class TracedPass:
         x, y, even, odd, inside = on_grid(fits.leaving, tilt, turned, self.grids.leaving or self.grids.pupil)
         out = torch.sqrt(even[:, 2].clamp_min(_DARK))
         if odd.shape[1] > 1:
-            out = out * open_share(even[:, 4:], inside) * self._accept(even[:, 3], odd[:, 1])
+            out = out * open_share(even[:, 4:].to(self._real), inside) * self._accept(even[:, 3], odd[:, 1])
         else:
-            out = out * open_share(even[:, 3:], inside)
+            out = out * open_share(even[:, 3:].to(self._real), inside)
         s_along, s_across = even[:, 1], odd[:, 0]
         psi = even[:, 0] + self._taken(s_along**2 + s_across**2, s_along, chief, nearer)
 
         # Where the pupil sees it, then at each sample's own direction.
         columns, low_x, wide_x = self._line(s_across, inside)
         rows, low_y, wide_y = self._line(s_along, inside)
-        back = self._kernel(rows, v[None]) @ spot @ self._kernel(columns, v[None]).mT
         # Out of focus the field turns with the square of s': taken out before, put back after the interpolation.
         bend = k / 2 * fits.defocus
-        centre = chief[:, None, None]
-        back = back * phasor(bend * ((rows[:, :, None] + centre) ** 2 + columns[:, None, :] ** 2), self.dtype)
-        psi = psi - bend / k * ((s_along + centre) ** 2 + s_across**2)
+        down = self._kernel(rows, v[None]) * phasor(bend * (rows + chief[:, None]) ** 2, self.dtype)[..., None]
+        right = self._kernel(columns, v[None]) * phasor(bend * columns**2, self.dtype)[..., None]
+        back = down @ spot @ right.mT
+        psi = psi - bend / k * ((s_along + chief[:, None, None]) ** 2 + s_across**2)
         at = torch.stack(
             [
                 2 * (s_across - low_x[:, None, None]) / wide_x[:, None, None] - 1,
@@ -217,7 +219,7 @@ class TracedPass:
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Columns across and rows along the tilt, path and amplitude there, and the area of a sample."""
         across, along, values = on_tilt_grid(self.fits.entering, tilt, self.grids.pupil)
-        share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:])
+        share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:].to(self._real))
         cell = (across[:, 1] - across[:, 0]) * (along[:, 1] - along[:, 0])
         # A tilted pupil catches less.
         return across, along, values[:, 0], share * ((1 - size**2) ** 0.25)[:, None, None], cell
@@ -298,8 +300,11 @@ def _window(distance: torch.Tensor, grids: TracedGrids, chirp: float) -> torch.T
     """
     low, high = grids.flat, grids.half_width
     place = math.pi * ((distance - low) / (high - low)).clamp(0, 1)
+    # Nothing at all beyond the end: cos² of a rounded right angle would leave numbers so small that the processor
+    # multiplies them a hundred times slower than others.
+    fade = torch.where(distance < high, torch.cos(place / 2) ** 2, 0.0)
     if low > _LATEST_FADE * high:
-        return torch.cos(place / 2) ** 2
+        return fade
     v = np.linspace(low, high, _FADE_SAMPLES + 2)[1:-1]
     turned = np.exp(1j * chirp * v**2) / v**2 * (v[1] - v[0])
     share = math.pi * (v - low) / (high - low)
@@ -308,7 +313,7 @@ def _window(distance: torch.Tensor, grids: TracedGrids, chirp: float) -> torch.T
     rest = 0.5 - cosine + 1j * (0.5 - sine)
     beyond = np.exp(1j * chirp * high**2) / high + 2j * chirp * math.sqrt(math.pi / (2 * chirp)) * rest
     bump = complex((np.sin(share / 2) ** 2 * turned).sum() + beyond) / complex((np.sin(share) ** 2 * turned).sum())
-    return torch.cos(place / 2) ** 2 + bump * torch.sin(place) ** 2
+    return fade + bump * torch.where(distance < high, torch.sin(place) ** 2, 0.0)
 
 
 def tilt_and_azimuth(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
