@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 def ablations(work: Workshop) -> dict[str, Any]:
     """Leave out scales and powers of the Zernike features, and the network's brightest spot.
 
-    A row has the `name` of what is left, its `features` of an image (None for a network), and `mae` and `rmse` over
-    both axes, in fractions of the field.
+    A row has the `name` of the remaining parts, the number of `features` of an image (None for a network), and `mae`
+    and `rmse` over both axes, in fractions of the field.
     """
     dataset = work.dataset("rotation")
     model = RECIPES["rotation-zernike"].make(work.size)
@@ -69,12 +69,11 @@ def _ablation(name: str, features: int | None, truth: Array, said: Array) -> dic
 
 
 def development(work: Workshop) -> dict[str, Any]:
-    """Let the Rotation set's models, and one that learned from varied recordings, predict the development ones.
+    """Score the Rotation set's models, and one trained on varied recordings, on the development recordings.
 
-    A row has the `model`'s title, `own`, its MAE over both axes on its set's own test part in fractions of the field,
-    the `distance` of each development recording in metres and the `mae` there, their mean over `own` as `ratio`, the
-    `guess`, the MAE of predicting the mean of the labels trained on, and the `coverage` of its 90 % intervals (None
-    without).
+    A row has the `model`'s title; `own`, its MAE over both axes on its set's own test part in fractions of the field;
+    the `distance` of each development recording in metres and the `mae` there; their mean over `own` as `ratio`; the
+    `guess`, the MAE of predicting the mean training label; and the `coverage` of its 90 % intervals (None without).
     """
     found, rows = work.dataset("development"), list[dict[str, Any]]()
     for name in (*ROTATION_MODELS, VARIED_MODEL):
@@ -115,12 +114,11 @@ def unseen(work: Workshop) -> dict[str, Any]:
 def untrained(work: Workshop) -> dict[str, Any]:
     """Fit the simulation to `frames` of the Rotation set's test part, evenly spread over the centre half of the field.
 
-    `filmed` are those frames, which the film rotates by an approximation (error 1 % of the peak); `exact` are frames of
-    the same gazes, rotated exactly, with the same sensor's noise and unevenness. Each has the `rmse` over both axes in
-    fractions of the field, the `median` of a frame's error (a few frames that it takes for others decide the RMSE
-    alone), the frames `lost` by more than ten times the limit, and the `coverage` of its 90 % intervals. `limit` is the
-    root mean square of the Cramér-Rao limits at their gazes, photosites unknown; `network_rmse` is ResNet-18's on the
-    filmed frames.
+    `filmed` are those frames, rotated by the film's approximation (error 1 % of the peak); `exact` are frames at the
+    same gazes, rotated exactly, with the same sensor's noise and non-uniformity. Each has the `rmse` over both axes in
+    fractions of the field, the `median` of a frame's error (a few ambiguous frames dominate the RMSE), the frames
+    `lost` by more than ten times the limit, and the `coverage` of its 90 % intervals. `limit` is the root mean square
+    of the Cramér-Rao bounds at their gazes, photosites unknown; `network_rmse` is ResNet-18's on the filmed frames.
     """
     network = work.outcome("rotation-resnet18")
     truth, said = network.pair()

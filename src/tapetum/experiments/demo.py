@@ -86,26 +86,12 @@ def run_demo(
     progress: Progress = quiet,
     say: Callable[[str], None] = lambda _: None,
 ) -> DemoOutcome:
-    """Do the package's main job on a new recording of the virtual bench.
+    """Film, label, train and track on a new recording of the virtual bench, and write the report into the folder `out`.
 
-    Parameters
-    ----------
-    out
-        Folder for the recording, dataset, ridge model, tracks and report. A finished recording of the same seed and
-        length in it is used again; everything else is made again.
-    seconds, seed
-        Length and seed of the recording. The bundled model's own seeds are refused: it has seen them.
-    train
-        Train the ResNet-18 here instead of taking the bundled one. An interrupted training goes on where it stopped.
-    device
-        Where the ResNet-18 is trained and asked: "auto", "cpu", "cuda" or "cuda:1".
-    progress, say
-        Show how far it is.
-
-    Raises
-    ------
-    InputError
-        For a seed the model was trained on, a recording too short to split, or a full disk.
+    A finished recording of the same `seed` and length in `out` is used again. The bundled ResNet-18 predicts the gaze,
+    and the seeds it was trained on are refused; with `train`, another is trained on `device` ("auto", "cpu", "cuda" or
+    "cuda:1"), and resumes after an interruption. Raises an InputError for a recording too short to split or a full
+    disk.
     """
     if seed in (*pretrain.TRAIN_SEEDS, pretrain.FRESH_SEED):
         raise InputError(f"{seed} is one of the bundled model's own", where="seed", remedy="choose another")

@@ -44,9 +44,9 @@ _TONE = "Each image to its own peak; brightness is the square root of the irradi
 
 
 def draw_fig4(found: Fig4) -> Figure:
-    """Blocks of images, one a focal length: a row for each object distance, a column for each rotation.
+    """One block of images for each focal length: a row for each object distance, a column for each rotation.
 
-    The first block is drawn large, the others small beside it; each row has its own scale bar.
+    The first block is large, the others small beside it; each row has its own scale bar.
     """
     blocks = len(found.images)
     figure = new_figure(9.9 if blocks > 1 else 6.6, 6.75)

@@ -41,18 +41,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sample:
-    """One picture of a set: a crop of the frame as its camera takes it, and what was measured on the light.
+    """One image of a set: a crop of a camera frame and its measurements.
 
-    Parameters
-    ----------
-    name
-        What changes along its row.
-    counts
-        [400, 400] digital numbers, black where the target cannot be simulated.
-    refused
-        Why it cannot; empty where it can.
-    row
-        What was measured; lengths in micrometres on the probe's sensor.
+    `counts` are [400, 400] digital numbers, black where the target cannot be simulated for the reason in `refused`.
+    `row` holds the measurements of the light, lengths in micrometres on the probe's sensor; `name` is what changes
+    along its row.
     """
 
     name: str
@@ -91,17 +84,7 @@ class Fig7:
 
 
 def simulate_fig7(*, size: str = "paper", seed: int = 1, progress: Progress = quiet) -> Fig7:
-    """Take the samples of the paper's section 4.4.
-
-    Parameters
-    ----------
-    size
-        `paper`, or `laptop` or `small` for fewer.
-    seed
-        Of the noise.
-    progress
-        Shows how far it is.
-    """
+    """Take the samples of the paper's section 4.4: size `paper`, or `laptop` or `small` for fewer."""
     # Sampled as the set is, which has the longest lens in it.
     rotation, focusing = load_scene("rotation"), load_scene("focusing", FOCUSING_SAMPLING)
     cases = [("a", f"{gaze:g}", rotation, (0.0, gaze)) for gaze in GAZES[size]]

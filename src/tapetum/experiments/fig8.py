@@ -57,18 +57,9 @@ class Fig8:
 def simulate_fig8(
     *, size: str = "paper", names: tuple[str, ...] | None = None, seed: int = 1, progress: Progress = quiet
 ) -> Fig8:
-    """Take the samples of the paper's section 4.5.
+    """Take the samples of the paper's section 4.5, of all phones in the catalogue or those in `names`.
 
-    Parameters
-    ----------
-    size
-        `paper`, or `laptop` or `small` for fewer with the app shut.
-    names
-        Of phones in the catalogue; all of them when left out.
-    seed
-        Of the noise.
-    progress
-        Shows how far it is.
+    The sizes `laptop` and `small` take fewer samples with the app closed than `paper`.
     """
     base, wanted = load_scene("phones"), names or tuple(phone_names())
     opened, shut = list[Sample](), list[Sample]()

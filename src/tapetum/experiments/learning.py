@@ -68,11 +68,11 @@ def _rows(outcome: Outcome, model: str, tasks: Sequence[Task]) -> list[dict[str,
 
 
 def table1(work: Workshop) -> dict[str, Any]:
-    """Return `rows` of Table 1 and `classes`, the scores of the phones' classes.
+    """Return the `rows` of Table 1 and `classes`, the scores of the phone classification.
 
     A row has its `task` as the paper calls it, `model`, `unit` of the errors, `frames` scored, `mae`, `rmse`,
-    `guess_mae` and `guess_rmse` of predicting the training part's mean, `coverage` (None without intervals), and what
-    is `printed` in the paper's text; its table is a picture that is not at hand.
+    `guess_mae` and `guess_rmse` of predicting the training part's mean, `coverage` (None without intervals), and the
+    `printed` numbers of the paper's text (its table is an image that is not available).
     """
     field, said = "fraction of the field", "MAE 0.095, the axes not separated"
 
@@ -120,9 +120,9 @@ LIMIT, FINE_LIMIT = "Cramér–Rao limit", "the same, photosites known"
 def fig10(work: Workshop) -> tuple[Figure, dict[str, Any]]:
     """Draw the error by distance from the centre for all models, with the Cramér-Rao limit of one frame.
 
-    The numbers are the rings' `errors` by model; the `limits` by what an estimate knows beforehand; ResNet-18's
-    `rmse_over_limit`, the first, at that limit's distances (None where there is no frame); and the same for the frames
-    of the `centre` half together, with the labels' own error there (None where the true gaze is not known).
+    The numbers are the rings' `errors` by model; the `limits` by prior knowledge; `rmse_over_limit`, ResNet-18's RMSE
+    over the first limit at that limit's distances (None without frames); and the same for all frames of the `centre`
+    half, with the labels' own error there (None where the true gaze is not known).
     """
     outcomes = {RECIPES[name].title: work.outcome(name) for name in ROTATION_MODELS}
     errors = {title: error_by_distance(*outcome.pair(), edges=_RINGS) for title, outcome in outcomes.items()}
@@ -193,8 +193,8 @@ def fig11(work: Workshop) -> tuple[Figure, dict[str, Any]]:
 def fig12(work: Workshop) -> tuple[Figure, dict[str, Any]]:
     """Map the error of ResNet-18 over object distance and focal length, with the Cramér-Rao limit of one frame.
 
-    `mae` and `limit_mae` are [F, D] by quantity, in metres, over the `focal_lengths` and `object_distances`; None where
-    there is no frame.
+    `mae` and `limit_mae` are [F, D] by quantity, in metres, over `focal_lengths` and `object_distances`; None without
+    frames.
     """
     outcome = work.outcome(FOCUS_MODELS[0])
     maps = {name: error_map(outcome, name) for name in outcome.quantities}

@@ -67,20 +67,10 @@ def make_pretrained(
     progress: Progress = quiet,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> ResNet18:
-    """Film the training recordings, train a ResNet-18 on all of them, score it on a fresh one, save it.
+    """Film the training recordings, train a ResNet-18 on all of them, score it on a fresh one, and save it in `out`.
 
-    Parameters
-    ----------
-    work
-        Keeps recordings, datasets and the checkpoint: an interrupted run goes on where it stopped.
-    out
-        The model's folder: half precision, its card with seeds, command and figures.
-    epochs
-        Passes over the training frames.
-    device
-        Where to train, as of `ResNet18`.
-    progress, on_epoch
-        Show how far it is.
+    The folder `work` keeps recordings, datasets and the checkpoint, from which an interrupted run resumes. The model is
+    stored in half precision; its card holds seeds, command and scores.
     """
     work.mkdir(parents=True, exist_ok=True)
     for seed in (*TRAIN_SEEDS, FRESH_SEED):

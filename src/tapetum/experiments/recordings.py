@@ -29,7 +29,8 @@ _VARIED_BACKGROUND, _VARIED_ROOM = (20.0, 160.0), (3.0, 60.0)
 def development_plan(size: str) -> Plan:
     """Return the plan of development recordings: other seeds, distances and background than the Rotation set's.
 
-    They were looked at while the method was made: what is measured on them is no test of it."""
+    They were used to develop the method, so they are no independent test.
+    """
     scene = load_scene("rotation")
     videos = [
         before_room(
@@ -47,9 +48,9 @@ def development_plan(size: str) -> Plan:
 
 
 def varied_plan(size: str) -> Plan:
-    """Return the plan of recordings to learn from, each at another distance and before another room.
+    """Return the plan of varied training recordings, each at another distance and before another room.
 
-    Together they are as long as the Rotation set's. Distances go evenly over those of the development recordings.
+    In total they are as long as the Rotation set's. Distances cover the development recordings' range evenly.
     """
     scene = load_scene("rotation")
     base = [video for seed in _VARIED_SEEDS for video in rotation_plan(scene, size, seed).videos]
@@ -63,10 +64,9 @@ def varied_plan(size: str) -> Plan:
 
 
 def before_room(video: Video, name: str, distance: float, seconds: float, *, background: float, room: float) -> Video:
-    """The video filmed from elsewhere, before a dimly lit room.
+    """The video filmed from another distance, before a dimly lit room.
 
-    The exposure is set as anyone would, so that the picture is as bright as before: it goes with the square of the
-    distance, and with it what is not the laser's.
+    The exposure grows with the square of the distance so that the RR stays as bright; so does all other light.
     """
     scene = video.scene
     longer = (distance / scene.distance) ** 2

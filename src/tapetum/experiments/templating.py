@@ -88,15 +88,7 @@ def _environment() -> Environment:
 
 
 def render(name: str, numbers: Mapping[str, Any]) -> str:
-    """Return the page NAME.md of what NAME.json holds.
-
-    Parameters
-    ----------
-    name
-        Of the figure or table.
-    numbers
-        As the JSON file holds them.
-    """
+    """Return the page NAME.md from the numbers of NAME.json."""
     return filled(_environment().get_template(f"{name}.md").render(numbers=numbers, **numbers))
 
 

@@ -34,23 +34,19 @@ Model = ZernikeRidge | NetworkEstimator
 
 @dataclass(frozen=True)
 class Recipe:
-    """A model that the paper's section 5, or what goes beyond it, needs.
+    """A model that the paper's section 5, or an experiment beyond it, needs.
 
     Parameters
     ----------
-    name
-        Of its folder.
-    set
-        The set it learns from.
-    title
-        In figures and tables.
+    name, title
+        Of its folder, and in figures and tables.
+    set, without
+        The training set, and devices whose frames are left out of it.
     make
-        Returns it, not fitted, for a size of the sets.
-    without
-        Devices whose frames are kept from it.
+        Returns the unfitted model for a size of the sets.
     reason
-        How its settings were chosen, for its card: by training recordings alone, or what else was looked at. By size
-        where that differs.
+        How its settings were chosen, for its card: by training recordings alone, or by which other data. By size where
+        that differs.
     """
 
     name: str
@@ -157,24 +153,22 @@ RECIPES = {recipe.name: recipe for recipe in _ALL}
 
 @dataclass
 class Workshop:
-    """What is made for the paper's section 5, once.
+    """Sets and models of the paper's section 5, made on first use.
 
     Parameters
     ----------
     folder
-        Keeps sets and models; what is whole there is not made again, what was interrupted is taken up.
+        Keeps sets and models: complete ones are used again, interrupted ones resumed.
     size
         Of the sets and networks: `laptop`, `paper`, or `small`, a smoke test.
-    workers
-        Processes that film; None for this one alone.
-    cluster
-        Address of a Dask scheduler whose workers film, in place of such processes.
+    workers, cluster
+        Number of processes that film (None for this one alone), or the address of a Dask scheduler to film instead.
     device
-        Where networks are trained and asked: "auto", "cpu", "cuda" or "cuda:1".
+        Where networks are trained and run: "auto", "cpu", "cuda" or "cuda:1".
     sets
         Datasets to use in place of synthesised ones, by the name of the set.
     progress, on_epoch
-        Show how far it is.
+        Progress callbacks.
     """
 
     folder: Path
@@ -206,13 +200,7 @@ class Workshop:
         return dataset
 
     def model(self, name: str) -> Model:
-        """Return a fitted model, training it first where it is not there.
-
-        Raises
-        ------
-        InputError
-            For a name that is none of `RECIPES`.
-        """
+        """Return a fitted model, trained first if needed; refuses a name that is none of `RECIPES`."""
         if name not in RECIPES:
             raise InputError(f"no model is called {name!r}", remedy=f"there are: {', '.join(RECIPES)}")
         recipe = RECIPES[name]

@@ -100,14 +100,14 @@ def reproduce(
     figures
         Of `FIGURES` and `GROUPS`; each is made once.
     out
-        The folder; it is made where it is not there. Files of these names in it are replaced, others stay.
+        The folder, created if needed. Files of these names in it are replaced, others stay.
     size
-        `laptop`, `paper`, or `small`, a smoke test: fewer images in the figures of samples, 7 and 8, and shorter
-        videos behind 9 to 12 and the tables. Pages, pictures and numbers of what is learned name it.
+        `laptop`, `paper`, or `small`, a smoke test: fewer images in figures 7 and 8, and shorter videos behind 9 to 12
+        and the tables. Pages, pictures and numbers of section 5 state it.
     work
-        Where sets and models are kept; the folder `work` in `out` where left out.
+        Where sets and models are kept; by default the folder `work` in `out`.
     progress
-        Shows how far it is.
+        Progress callback.
 
     Raises
     ------

@@ -19,14 +19,9 @@ _NEAR = 0.05
 def against_mean(
     mae: float, guess_mae: float | None, rmse: float | None = None, guess_rmse: float | None = None
 ) -> str | None:
-    """Say how errors compare with those of predicting the training part's mean; None where there is none.
+    """Compare errors with those of predicting the training part's mean, in words; None without such a guess.
 
-    Parameters
-    ----------
-    mae, guess_mae
-        Mean absolute error of the model and of the guess, in one unit.
-    rmse, guess_rmse
-        Root mean square errors, where they count too: worse by one of the two is worse.
+    If RMSEs are given, a model that is worse by either measure counts as worse.
     """
     if guess_mae is None:
         return None

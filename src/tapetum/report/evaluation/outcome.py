@@ -31,35 +31,27 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Truth and prediction of N frames that took no part in training.
+    """Truth and prediction of N frames that were not used in training.
 
     Parameters
     ----------
-    dataset
-        The dataset's name.
-    prediction
-        Of the N frames.
-    truth
-        [N] for each quantity that is predicted.
+    dataset, simulated
+        The dataset's name, and whether the virtual bench filmed it; None where the dataset does not say.
+    prediction, truth
+        Of the N frames; the truth is [N] for each predicted quantity.
     recording, recordings
-        [N] number of each frame's recording, and the name of every number.
-    time
-        [N] seconds in the recording.
-    snr
-        [N] of `tapetum.models.snr.crop_snr`.
-    guess
-        Mean of the training part for each quantity: a guess that looks at no image. None where nothing trains.
+        [N] index of each frame's recording, and the recordings' names.
+    time, snr
+        [N] seconds in the recording, and signal-to-noise ratio by `tapetum.models.snr.crop_snr`.
+    guess, commonest
+        Baselines from the training part, which look at no image: the mean of each quantity (None without training
+        frames) and the commonest device.
     device
-        [N] names of the true devices; None where the dataset does not tell them. Names that the model does not know
-        are allowed.
-    commonest
-        Commonest device of the training part: the guess at the class.
+        [N] names of the true devices, which the model may not know; None where the dataset does not hold them.
     covariates
         [N] of some of `COVARIATES`; absent where unknown.
     true_gaze
-        [N, 2] where the target really looked, which a label misses by its own error; None where nobody knows.
-    simulated
-        True where the virtual bench filmed it; None where the dataset does not say.
+        [N, 2] true gaze, from which the labels differ by the label error; None where unknown.
     """
 
     dataset: str
@@ -134,16 +126,14 @@ def gather(
     covariates: Mapping[str, ArrayLike] | None = None,
     progress: Progress = quiet,
 ) -> Outcome:
-    """Let a model predict a dataset's test part, and put beside it what is known of those frames.
+    """Predict a dataset's test part and collect the truth and baselines of those frames.
 
     Parameters
     ----------
-    model
-        Fitted.
-    dataset
-        Whole, so that its training part gives the guess that the model must beat.
+    model, dataset
+        A fitted model and the whole dataset: its training part gives the baselines.
     covariates
-        [N] values of `COVARIATES` for the test frames, where the dataset does not tell them.
+        [N] values of `COVARIATES` for the test frames, where the dataset does not hold them.
     progress
         Shown over the frames.
 

@@ -29,21 +29,7 @@ _STEPS = 12
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure, and the words that go with it.
-
-    Parameters
-    ----------
-    name
-        Of its file, without ending.
-    section
-        Title of the section of the page it stands in.
-    figure
-        The figure.
-    alt
-        What it shows, for those who do not see it.
-    caption
-        How to read it.
-    """
+    """A figure with its file `name` (without suffix), the page's `section`, `alt` text and `caption`."""
 
     name: str
     section: str
@@ -55,17 +41,7 @@ class Picture:
 def pictures(
     outcome: Outcome, name: str, rrs: Sequence[ArrayLike] = (), rrs_at: Sequence[int] = ()
 ) -> Iterator[Picture]:
-    """Draw what an outcome calls for.
-
-    Parameters
-    ----------
-    outcome
-        What is drawn.
-    name
-        Of the model, as people call it.
-    rrs, rrs_at
-        Some RRs to show beside the path of the gaze, and the frames they belong to.
-    """
+    """Draw the figures that an outcome has data for; `rrs` stand beside the path of the gaze, at frames `rrs_at`."""
     if outcome.has_gaze:
         yield _path(outcome, name, rrs, rrs_at)
         yield _by_distance(outcome, name)

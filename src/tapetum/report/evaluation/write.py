@@ -36,16 +36,16 @@ _SAMPLE_SIDE = 200
 
 @dataclass(frozen=True)
 class Subject:
-    """What was evaluated on what, in words.
+    """What was evaluated.
 
     Parameters
     ----------
     name
-        Of the model, as people call it.
+        The model's usual name.
     model, data
-        (name, value) of the model and of the dataset.
+        (name, value) rows on the model and the dataset.
     command
-        That makes the report again.
+        Command that reproduces the report.
     """
 
     name: str
@@ -58,19 +58,7 @@ class Subject:
 def subject_of(
     model: Predictor, dataset: xr.Dataset, *, model_name: str = "", card: Mapping[str, Any] | None = None
 ) -> Subject:
-    """Say what model and what data an evaluation is about.
-
-    Parameters
-    ----------
-    model
-        Fitted.
-    dataset
-        Whole.
-    model_name
-        The folder or name it was loaded by.
-    card
-        Of the model, where there is one.
-    """
+    """Describe model and dataset; `model_name` is the folder or name the model was loaded by."""
     kind = _NAMES.get(model.kind, model.kind)
     # Models of earlier versions name the whole set's hash of that time, which its store still states.
     own = {dataset.tp.train.tp.hash, dataset.attrs.get("sha256")}
@@ -143,7 +131,7 @@ def write_evaluation(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Write the report of an evaluation into a folder, whole or not at all.
+    """Write the report of an evaluation into a folder, whole or not at all, and return its numbers.
 
     Parameters
     ----------
@@ -152,16 +140,11 @@ def write_evaluation(
     outcome, subject
         What is reported.
     rrs, rrs_at
-        See `samples`.
+        RRs [h, w] beside the path of the gaze, and their frames.
     overwrite
-        Replace a folder that is there already.
+        Replace an existing folder.
     progress
         Shown over the figures.
-
-    Returns
-    -------
-    dict
-        The numbers.
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""One look for every figure: colours that colour-blind readers can distinguish, quiet axes, no global state.
-
-Nothing here touches pyplot or rcParams, so figures may be drawn from any thread of any program.
-"""
+"""One style for all figures: colours for colour-blind readers, thread-safe without pyplot and rcParams."""
 
 from __future__ import annotations
 
@@ -87,13 +84,7 @@ def part_of(name: str, low: float, high: float) -> Colormap:
 
 
 def grey_picture(picture: ArrayLike, where: str) -> NDArray[np.float64]:
-    """Return a picture [H, W] as 0..1, from its 0.5th to its 99.7th percentile.
-
-    Raises
-    ------
-    InputError
-        When it is not [H, W] or not finite.
-    """
+    """Return a picture [H, W] as 0..1, from its 0.5th to its 99.7th percentile; it must be finite."""
     image = np.asarray(picture, dtype=np.float64)
     if image.ndim != 2 or image.size == 0 or not np.isfinite(image).all():
         raise InputError(f"expected one finite picture [H, W], got shape {image.shape}", where=where)

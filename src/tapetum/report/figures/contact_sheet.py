@@ -37,27 +37,11 @@ _RIM = 0.08
 def fig_contact_sheet(
     dataset: xr.Dataset, quality: DatasetQuality, *, name: str = "", notes: Sequence[str] = ()
 ) -> Figure:
-    """Draw a dataset: retro-reflections in the order of their labels, what the labels cover, and what was noticed.
+    """Draw a dataset: retro-reflections in the order of their labels, the range of the labels, notes on its quality.
 
-    Sets labelled with gaze only show each RR at its place in the target's field of view. Sets with a class or with
-    focal length and object distance have a row a class (or a focal length) and columns of growing object distance
-    or distance of the gaze from the middle.
-
-    Parameters
-    ----------
-    dataset
-        A dataset, stored or in memory.
-    quality
-        What `inspect_dataset` found in it.
-    name
-        Of the set, for the title.
-    notes
-        Lines said below, what was noticed.
-
-    Raises
-    ------
-    InputError
-        When the set has no labels.
+    With gaze labels only, each RR is drawn at its place in the target's field of view. With a class, or with focal
+    length and object distance, there is a row for each class (or focal length), and columns by object distance or by
+    the gaze's distance from the centre. Refuses a set without labels.
     """
     if not dataset.tp.targets:
         raise InputError("has no labels to sort the pictures by", where=name or "dataset", remedy="label it first")

@@ -59,17 +59,16 @@ def fig_error_by_distance(
     Parameters
     ----------
     errors
-        For each name its `ErrorByDistance`, all with the same rings.
+        `ErrorByDistance` by name, all with the same rings.
     baseline
-        The name among them that looks at no image: drawn in grey.
+        The name of the guess that looks at no image: drawn in grey.
     bounds
-        For each name of a bound (distance from the centre [M], value [M]), in the measure of the errors: where these
-        are mean absolute errors, a standard deviation times sqrt(2/pi), which is the mean absolute value of a normal
-        error of that deviation.
+        By name (distance from the centre [M], value [M]), in the measure of the errors: for mean absolute errors, a
+        standard deviation times sqrt(2/pi), the mean absolute value of a normal error.
     log
-        Whether the error's axis is logarithmic: a bound far below the errors would lie on the axis of a linear one.
+        Whether the error's axis is logarithmic, for bounds far below the errors.
     measure
-        What the errors are, for the axis.
+        Label of the error's axis.
 
     Raises
     ------
@@ -148,18 +147,9 @@ def fig_error_by(
     log_x: bool = False,
     log_y: bool = False,
 ) -> Figure:
-    """Draw the error against anything else that is known of the frames: SNR, distance, exposure.
+    """Draw `Binned` errors by model name against another quantity, such as SNR; `x` and `y` label the axes with units.
 
-    Parameters
-    ----------
-    errors
-        For each name its `tapetum.report.evaluation.Binned`.
-    x, y
-        Labels of the axes, with units.
-    baseline
-        The name that looks at no image: drawn in grey.
-    log_x, log_y
-        Whether the axes are logarithmic.
+    `baseline` names the guess that looks at no image; it is drawn in grey.
     """
     if not errors:
         raise InputError("no error to draw", where="errors")
@@ -189,16 +179,9 @@ def fig_error_by(
 
 
 def fig_coverage(groups: Mapping[str, Sequence[Group]], quantities: Sequence[str], *, wanted: float = 0.9) -> Figure:
-    """Draw the share of truths inside the intervals, for all frames and for parts of them.
+    """Draw the share of truths inside the intervals for `Group`s under headings ("by recording").
 
-    Parameters
-    ----------
-    groups
-        For each heading ("by recording") its `tapetum.report.evaluation.Group`s.
-    quantities
-        Names of the quantities, in the groups' order.
-    wanted
-        The share the intervals are meant to hold; the band shows 88 ... 92 %.
+    `quantities` are in the groups' order; a line marks the `wanted` share, a band the accepted 88 to 92 %.
     """
     rows = [(heading, one) for heading, found in groups.items() for one in found]
     if not rows or not quantities:

@@ -55,12 +55,10 @@ def fig_gaze_over_time(
 
     Parameters
     ----------
-    time
-        [N] seconds; stretches of several videos are laid one after another.
-    truth
-        [N, 2] gaze, fractions of the field.
+    time, truth
+        [N] seconds, several videos one after another; and [N, 2] gaze, fractions of the field.
     predicted
-        For each model's name [N, 2]; the first is drawn in front, and has the interval.
+        [N, 2] by model name; the first is drawn in front.
     interval
         (lower, upper), each [N, 2]: the first model's.
     limit
@@ -133,14 +131,12 @@ def fig_gaze_over_time(
 
 
 def fig_label_error(found: ArrayLike, true: ArrayLike) -> Figure:
-    """Draw how far the laser spots found lie from the true ones.
+    """Draw the distances of the detected laser spots from the true ones.
 
     Parameters
     ----------
-    found
-        [N, 2] pixels of the target's video; NaN where none was found.
-    true
-        [N, 2] pixels.
+    found, true
+        [N, 2] pixels of the target's video; NaN where no spot was found.
     """
     a, b = np.asarray(found, dtype=np.float64), np.asarray(true, dtype=np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 2:

@@ -35,28 +35,11 @@ def fig_error_map(
     y: str = "focal_length",
     bound_name: str = "Cramér–Rao bound",
 ) -> Figure:
-    """Map the mean absolute error over object distance and focal length (the paper's Fig. 12).
+    """Map the mean absolute error over two labels (the paper's Fig. 12): a row for each quantity, a column a model.
 
-    A row for each quantity, a column for each model; within a row all models and the bound have one scale of colour.
-
-    Parameters
-    ----------
-    maps
-        For each model, for each quantity its `tapetum.report.evaluation.ErrorMap`, all over the same labels.
-    bounds
-        For each quantity the least possible error [Y, X] in SI units, in the measure of the errors (see
-        `fig_error_by_distance`): a column of its own.
-    ratio
-        Whether the first model's error over the bound gets a column as well.
-    x, y
-        The labels the maps lie over.
-    bound_name
-        Above the bound's column.
-
-    Raises
-    ------
-    InputError
-        When there is none, a quantity is missing, or shapes differ.
+    `maps` are by model and quantity, all over the same labels; each row has one colour scale. `bounds` adds a
+    column, [Y, X] by quantity in SI units and in the measure of the errors (see `fig_error_by_distance`); `ratio` adds
+    another, the first model's error over the bound.
     """
     if not maps or not next(iter(maps.values())):
         raise InputError("no map to draw", where="maps")

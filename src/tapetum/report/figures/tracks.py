@@ -30,16 +30,10 @@ def fig_tracks(
     ----------
     frame
         [H, W] one probe frame.
-    track
-        [N] the track each row belongs to.
-    x, y
-        [N] place in the probe's picture, pixels.
-    time
-        [N] seconds.
-    snr
-        [N] signal-to-noise ratio; NaN where the tracker coasted without a detection.
+    track, x, y, time, snr
+        [N] a row each: track, place (pixels), seconds, signal-to-noise ratio (NaN while coasting).
     longest
-        Tracks drawn; the others are counted.
+        Number of tracks drawn; the others are counted.
 
     Raises
     ------
