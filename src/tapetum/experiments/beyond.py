@@ -1,4 +1,4 @@
-"""What the paper's section 5 lacks: ablations, development recordings, phones never seen, a fit without training."""
+"""Beyond the paper's section 5: ablations, development recordings, unknown phones, a fit without training."""
 
 from __future__ import annotations
 
@@ -105,7 +105,7 @@ def _mae(outcome: Outcome) -> float:
 
 
 def unseen(work: Workshop) -> dict[str, Any]:
-    """Ask a model for devices that it was not trained on, and score its answer "none of these"; see `ClassScores`."""
+    """Let a model classify devices that it was not trained on, and score its answers by `ClassScores`."""
     scores = score_classes(work.outcome("phones-resnet18-unseen"))
     assert scores is not None
     return scores.to_dict()
@@ -123,7 +123,7 @@ def untrained(work: Workshop) -> dict[str, Any]:
     network = work.outcome("rotation-resnet18")
     truth, said = network.pair()
     if network.true_gaze is not None:
-        # What a label says is off by more than the fit is.
+        # The label error exceeds the fit's.
         truth = network.true_gaze
     centre = np.flatnonzero(np.hypot(*truth.T) < CENTRE)
     chosen = centre[np.linspace(0, len(centre) - 1, min(_FITTED[work.size], len(centre))).round().astype(int)]
@@ -131,7 +131,7 @@ def untrained(work: Workshop) -> dict[str, Any]:
     video = plan_of("rotation", work.size).videos[0]
     scene, session = video.scene, video.session
     nuisances = (*FRAME, "background", "roll", "phase_x", "phase_y")
-    # How uneven a sensor is can be measured before a lamp; which pixel is which is left unknown.
+    # A sensor's non-uniformity can be measured with a lamp; the individual pixels' responses stay unknown.
     sensor = next(one for one in session.stray if isinstance(one, FixedPattern))
     offsets = sensor.columns, sensor.rows
     model = SimulationFit(scene, nuisances=nuisances, unevenness=sensor.gain, offsets=offsets)
@@ -159,7 +159,7 @@ def untrained(work: Workshop) -> dict[str, Any]:
 def _exact(
     scene: Scene, gazes: Array, pattern: FixedPattern, turned: float, side: int = 200
 ) -> NDArray[np.uint8 | np.uint16]:
-    """Crops [N, side, side] of some gazes, a little off their middle and turned by some radians (RMS)."""
+    """Crops [N, side, side] at some gazes, slightly off-centre and rotated by some radians (RMS)."""
     rng = np.random.default_rng(0)
     pictures, sensor = Pictures(scene, side), scene.probe.sensor
     offset, gain = (np.asarray(one, np.float64) for one in pattern.draw(scene))

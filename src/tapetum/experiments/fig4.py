@@ -1,4 +1,4 @@
-"""Fig. 4: the thin lens, turned and refocused."""
+"""Fig. 4: the thin lens, rotated and refocused."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def simulate_fig4(
                 "probe.sensor.pixels": [pixels, pixels],
                 "probe.sensor.pitch": pitch,
                 "sampling.accuracy": accuracy,
-                # Up to 26 mm wide at the probe, the return may miss its 25 mm: all of it is to be seen.
+                # The return, up to 26 mm wide at the probe, may exceed its 25 mm aperture; collect all of it.
                 "sampling.propagation": "far field",
             },
         )

@@ -1,4 +1,4 @@
-"""Fig. 5: what the distance does to a head-on retro-reflection in diverging light."""
+"""Fig. 5: a head-on retro-reflection in diverging light, against the distance."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Fig5:
-    """All strips; `window` is an image's width and `beam_area` [N] the lit disc's area, in metres and m²."""
+    """All strips; `window` is an image's width and `beam_area` [N] the illuminated disc's area, in metres and m²."""
 
     distances: tuple[float, ...]
     strips: list[Strip]

@@ -18,7 +18,7 @@ from tapetum.simulate import retroreflect
 __all__ = ["DISTANCES", "SURFACES", "Fig6", "Surface", "simulate_fig6"]
 
 DISTANCES = (1.5, 2.0, 3.0, 4.0, 5.0)
-# Assumed: the paper gives neither the reflectances nor how far cardboard carries light sideways.
+# Assumed: the paper gives neither the reflectances nor the lateral scattering of cardboard.
 MIRROR = {"reflectance": 0.9}
 CARDBOARD = {"reflectance": 0.0, "diffuse": {"albedo": 0.8, "spread": 0.3e-3}}
 NO_SPREAD = {"reflectance": 0.0, "diffuse": {"albedo": 0.8, "spread": 0.0}}
@@ -29,10 +29,10 @@ SURFACES: tuple[tuple[str, dict[str, Any], float, dict[str, Any]], ...] = (
     ("mirror, flat wave", MIRROR, 0.6e-3, {"illumination": {**LIGHT, "vergence": 0.0}}),
     ("white cardboard", CARDBOARD, 3.5e-3, {}),
     ("white, no spread", NO_SPREAD, 1.2e-3, {}),
-    # The beam of a layer overfills the probe where the sensor's own would not: over the distance it must go.
+    # The beam from a layer overfills the probe where the sensor's does not: propagate over the finite distance.
     ("filter 0.2 mm before the focus", FILTER, 3.5e-3, {"sampling.propagation": "finite", "sampling.accuracy": 1e-2}),
 )
-# What a beam splitter 20 mm wide leaves: assumed, the paper does not give its probe's aperture.
+# Aperture of a beam splitter 20 mm wide: assumed, the paper does not give its probe's aperture.
 PROBE_RADIUS = 10e-3
 _FOCUS = 5.0
 _SHARE = 0.5

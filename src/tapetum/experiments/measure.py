@@ -1,4 +1,4 @@
-"""What a picture of a retro-reflection is measured by: sizes, symmetry, and power laws."""
+"""Measures of an image of a retro-reflection: size, symmetry, and power laws."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
         raise InputError("hold a value that is not positive", where="x and y", remedy="give positive, finite values")
     if not np.ptp(a):
         raise InputError("are all the same", where="x", remedy="give different values")
-    # Not SciPy's linregress: of values that are all alike it gives no error of the slope.
+    # SciPy's linregress gives no error of the slope for constant values.
     (exponent, level), covariance = np.polyfit(np.log(a), np.log(b), 1, cov=True)
     return PowerLaw(float(exponent), float(np.sqrt(covariance[0, 0])), float(np.exp(level)))
 
@@ -66,7 +66,7 @@ def holding_diameter(image: ArrayLike, pitch: float, share: float) -> float:
     area = (y[:, None] ** 2 + x[None, :] ** 2).ravel()
     order = np.argsort(area, kind="stable")
     held = np.cumsum(values.ravel()[order])
-    # Pixels by distance: the light inside a pixel's distance counts that pixel by half.
+    # The light within a pixel's distance includes half of that pixel.
     inside = (held - values.ravel()[order] / 2) / held[-1]
     return 2 * float(np.sqrt(np.interp(share, inside, area[order])))
 

@@ -1,4 +1,4 @@
-"""Recordings of the Rotation set's camera that the paper has not: to develop by, and to learn from as varied ones."""
+"""Recordings of the Rotation set's camera beyond the paper's: for development, and varied ones for training."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ __all__ = ["DISTANCES", "before_room", "development_plan", "varied_plan"]
 DISTANCES = (3.0, 4.0, 5.5, 7.0, 8.0)
 """Of the development recordings, in metres; the Rotation set was filmed at 5.5."""
 
-# Of the development recordings and, seven each, of the varied ones: neither the set's own nor each other's.
+# Of the development recordings and, seven each, of the varied ones: all different, none of the set's.
 _DEVELOPMENT_SEED, _VARIED_SEEDS = 2, range(3, 7)
 _DEVELOPMENT_SECONDS = {"paper": 20.0, "laptop": 8.0, "small": 2.0}
 _DEVELOPMENT_BACKGROUND, _DEVELOPMENT_ROOM = 80.0, 30.0
 # Together about as long as the Rotation set.
 _VARIED_SECONDS = {"paper": 25.0, "laptop": 8.0, "small": 1.0}
-# Electrons of the even background and of the room at 5.5 m: evenly drawn logarithms.
+# Electrons of the uniform background and of the room at 5.5 m: drawn log-uniformly.
 _VARIED_BACKGROUND, _VARIED_ROOM = (20.0, 160.0), (3.0, 60.0)
 
 

@@ -38,17 +38,17 @@ from tapetum.report.verdicts import against_mean
 __all__ = ["RESULTS", "SALT", "append_results", "read_results", "run_sealed", "score_sealed", "sealed_plan"]
 
 SALT = "tapetum/sealed/2026-11"
-"""What the recordings are drawn from. No test and no other set may use it."""
+"""Seed text of the recordings. No test and no other set may use it."""
 
 RESULTS, PAGE = "sealed.jsonl", "sealed.md"
 MODELS = ("rotation-resnet18", "rotation-resnet18-varied", "rotation-zernike", "rotation-zernike-tuned")
-"""Scored where none are named."""
+"""Models scored by default."""
 
 _COUNT = {"paper": 12, "laptop": 6, "small": 2}
 _SECONDS = {"paper": 20.0, "laptop": 8.0, "small": 2.0}
-# Largest values that makers of machine-vision cameras give: Basler pilot, Prosilica GT.
+# Largest tolerances in data sheets of machine-vision cameras: Basler pilot, Prosilica GT.
 _TILT, _DECENTRE = np.radians(0.63), 0.25e-3
-# Assumed: how well a hand focuses and a diaphragm closes, and how beam splitters differ.
+# Assumed: accuracy of manual focus and of the aperture, and variation of beam splitters.
 _FOCUS, _STOP, _RATIO, _ANGLE = 0.1, 1.15, (0.05, 0.15), 0.2
 _DISTANCES, _BACKGROUND, _ROOM = (3.0, 8.0), (20.0, 160.0), (3.0, 60.0)
 
@@ -137,7 +137,7 @@ def score_sealed(
 
 
 def _scored(name: str, model: Predictor, dataset: xr.Dataset, progress: Progress) -> dict[str, Any]:
-    # The mean that it must beat is that of the labels it learned from, not of these.
+    # The baseline is the mean of its own training labels, not of these.
     learned = getattr(model, "training_", None) or {}
     outcome = gather_parts(model, dataset.tp.test, dataset.tp.train, progress=progress)
     outcome = replace(outcome, guess=learned.get("mean"))

@@ -17,7 +17,7 @@ __all__ = ["Binned", "ErrorByDistance", "binned_errors", "error_by_distance"]
 
 Array = NDArray[np.float64]
 
-# As many distinct values as this get a point each, instead of bins.
+# Up to this many distinct values get a point each instead of bins.
 _FEW = 12
 
 
@@ -142,7 +142,7 @@ def binned_errors(
 def _block_means(
     place: NDArray[np.int64], bins: int, error: Array, block: int, repeats: int, level: float, seed: int
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Return count, mean and interval [B] of the errors [N] in the bins that `place` [N] names; others are left out."""
+    """Return count, mean and interval [B] of the errors [N] in the bins given by `place` [N], others left out."""
     inside = (place >= 0) & (place < bins)
     blocks = -(-len(error) // block)
     total, count = np.zeros((blocks, bins)), np.zeros((blocks, bins))
@@ -151,7 +151,7 @@ def _block_means(
     np.add.at(count, where, 1)
     draws = np.random.default_rng(seed).multinomial(blocks, np.full(blocks, 1 / blocks), size=repeats)
     drawn, mean = _ratio(draws @ total, draws @ count), _ratio(total.sum(axis=0), count.sum(axis=0))
-    # A bin that a sample missed says nothing about that bin; one that all samples missed has its mean.
+    # Resamples that miss a bin do not count for it; a bin missed by all resamples gets its mean.
     drawn[0] = np.where(np.isnan(drawn).all(axis=0), mean, drawn[0])
     tail, empty = (1 - level) / 2, np.isnan(mean)
     drawn[:, empty] = 0.0

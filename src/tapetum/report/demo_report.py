@@ -1,4 +1,4 @@
-"""The page that `tapetum demo` ends with: what was filmed, what was learned, and how far to trust it."""
+"""The report of `tapetum demo`: recording, models, accuracy and limitations."""
 
 from __future__ import annotations
 
@@ -320,7 +320,7 @@ def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict
         "clock": None,
     }
     if content.spots_joined is not None:
-        # Two parts of the labels' error: what the finder missed, and what moved between the two cameras' frames.
+        # Two parts of the label error: the detector's, and motion between the two cameras' frames.
         joined = np.isfinite(content.spots_joined).all(axis=1)
         told["finder"] = score_labels(content.spots_found[joined], content.spots_joined[joined])
         told["clock"] = score_labels(content.spots_joined, content.spots_true)

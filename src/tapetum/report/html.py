@@ -47,7 +47,7 @@ __all__ = [
 
 
 class Html(Markup):
-    """Markup that was made here, safe to put in a page as it stands."""
+    """Escaped markup, safe to put into a page."""
 
     __slots__ = ()
 
@@ -57,7 +57,7 @@ def text(value: object) -> Html:
     if isinstance(value, Markup):
         return Html(value)
     parts = html.escape(str(value), quote=True).split("`")
-    if len(parts) % 2 == 0:  # an odd backquote is only a character
+    if len(parts) % 2 == 0:  # an unpaired backquote is an ordinary character
         return Html("`".join(parts))
     return Html("".join(f"<code>{part}</code>" if k % 2 else part for k, part in enumerate(parts)))
 
@@ -84,7 +84,7 @@ def bullets(items: Iterable[object]) -> Html:
 
 
 def headline(numbers: Iterable[tuple[object, object]]) -> Html:
-    """Return the numbers a reader came for, large: (value, what it is)."""
+    """Return the main numbers in large type, from (value, what it is)."""
     cells = (f"<div><b>{text(value)}</b><span>{text(what)}</span></div>" for value, what in numbers)
     return Html(f'<div class="numbers">{"".join(cells)}</div>')
 
@@ -193,7 +193,7 @@ def _anchor(title: str) -> str:
 
 
 def share(value: float | None, digits: int = 0) -> str:
-    """Return a part of one in percent; a dash where there is none."""
+    """Return a fraction in percent; a dash for None."""
     return "–" if value is None else f"{100 * value:.{digits}f} %"
 
 
@@ -218,7 +218,7 @@ def _environment() -> Environment:
 
 
 def render(template: str, **values: object) -> Html:
-    """Return what a template of `tapetum/report/templates` makes of some values, escaped where they are not `Html`."""
+    """Render a template of `tapetum/report/templates`; values are escaped where they are not `Html`."""
     return Html(_environment().get_template(template).render(**values))
 
 

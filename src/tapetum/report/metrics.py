@@ -33,7 +33,7 @@ __all__ = [
 ]
 
 SIGN_THRESHOLD = 0.05
-"""Gaze (fraction of the field) from which its sign counts: nearer to the axis a sign means nothing."""
+"""Gaze (fraction of the field) from which its sign counts; nearer to the axis it is meaningless."""
 
 THIRDS = (0.0, 0.5 / 3, 1.0 / 3, np.inf)
 """Edges of the thirds of the half field, by distance from its centre; the corners belong to the outer one."""
@@ -189,7 +189,7 @@ class GazeScores:
     sign_threshold: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, fit for JSON (the outermost edge, infinite, becomes None)."""
+        """Return JSON values; the infinite outermost edge becomes None."""
         table = asdict(self)
         for part in table["thirds"]:
             part["outer"] = part["outer"] if np.isfinite(part["outer"]) else None

@@ -1,4 +1,4 @@
-"""What numbers say in words: computed in one place, so that no page praises what its own table does not."""
+"""Verdicts on numbers in words, computed in one place so that text and tables agree."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ __all__ = ["MEAN", "NARROW", "NOT_TO_USE", "against_mean", "intervals", "warning
 MEAN = "the training mean"
 NOT_TO_USE, NARROW = "do not use such estimates", "too narrow"
 
-# Errors smaller by less than this factor are not worth speaking of.
+# Improvements by less than this factor are not reported.
 _WORTH = 1.1
 # Shares of intervals nearer to what is wanted than this are called right: frames of a video err alike, and the share of
 # one video scatters by some hundredths.
@@ -34,12 +34,12 @@ def against_mean(
 
 
 def intervals(held: float, wanted: float = COVERAGE) -> str:
-    """Say whether intervals hold as many true values as they are meant to."""
+    """Compare the coverage of intervals with the nominal one, in words."""
     if held < wanted - _NEAR:
         return NARROW
     return "wider than they need be" if held > wanted + _NEAR else "as wide as they should be"
 
 
 def warnings(verdict: str | None) -> str:
-    """Return what to do about a verdict of `against_mean`; empty where all is well."""
+    """Return the remedy for a verdict of `against_mean`; empty if none is needed."""
     return "" if verdict is None or verdict.startswith("better") else NOT_TO_USE

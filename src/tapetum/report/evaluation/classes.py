@@ -1,4 +1,4 @@
-"""How well devices are classified, and whether probabilities mean what they say."""
+"""Accuracy of the device classification and calibration of its probabilities."""
 
 from __future__ import annotations
 

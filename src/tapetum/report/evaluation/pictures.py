@@ -1,4 +1,4 @@
-"""The figures of an evaluation: which ones an outcome calls for, with what a reader must know to read them."""
+"""The figures of an evaluation, with captions."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tapetum.report.verdicts import MEAN
 __all__ = ["MEAN", "Picture", "pictures"]
 
 FOCUS = ("object_distance", "focal_length")
-# A label that changes in more steps than this is no axis of a map or a staircase.
+# A label with more distinct values than this is treated as continuous.
 _STEPS = 12
 
 
@@ -66,7 +66,7 @@ def _steps(outcome: Outcome) -> bool:
 
 
 def path_section(outcome: Outcome, most: int = 120) -> tuple[int, int]:
-    """Return the frames of one recording to draw as a path: the stretch of them whose gaze goes farthest about."""
+    """Return the frames of one recording to draw as a path: the section whose gaze varies most."""
     truth, _ = outcome.pair()
     best, widest = (0, min(2, len(outcome))), -1.0
     for number in np.unique(outcome.recording):
@@ -211,7 +211,7 @@ def _coverage(outcome: Outcome) -> Picture:
 
 
 def _against(outcome: Outcome, name: str) -> Iterator[Picture]:
-    """Draw the error against SNR and whatever else is known of the frames."""
+    """Draw the error against SNR and other covariates of the frames."""
     error, base, label = _error(outcome)
     known: dict[str, tuple[NDArray[np.float64], str]] = {"SNR": (outcome.snr, "signal-to-noise ratio of the crop")}
     known |= {key: (values, f"{key}, {COVARIATES.get(key, '')}") for key, values in outcome.covariates.items()}
@@ -245,7 +245,7 @@ def _error(outcome: Outcome) -> tuple[NDArray[np.float64], NDArray[np.float64] |
         scale = look(outcome.quantities[0]).scale
         unit = look(outcome.quantities[0]).unit
         return scale * off.mean(axis=1), None if guess is None else scale * guess.mean(axis=1), f"MAE, {unit}"
-    # Metres of object distance and of focal length have no common measure but how much each varies.
+    # Object distance and focal length are comparable only relative to their spread.
     each = outcome.targets.std(axis=0) if guess is None else guess.mean(axis=0)
     each = np.maximum(each, np.finfo(float).tiny)
     label = "MAE over the labels' deviation" if guess is None else f"MAE over that of {MEAN}"

@@ -1,4 +1,4 @@
-"""The numbers of an evaluation: errors, what the intervals hold, classes; all and by part."""
+"""The numbers of an evaluation: errors, coverage and classes, for all frames and by part."""
 
 from __future__ import annotations
 
@@ -81,13 +81,13 @@ def group(outcome: Outcome, name: str, frames: NDArray[np.bool_]) -> Group:
 
 
 def by_recording(outcome: Outcome) -> list[Group]:
-    """Score every recording by itself."""
+    """Score every recording separately."""
     numbers = np.unique(outcome.recording)
     return [group(outcome, outcome.recordings[int(n)], outcome.recording == n) for n in numbers]
 
 
 def by_device(outcome: Outcome) -> list[Group]:
-    """Score the frames of every device by themselves (the paper's Table 2); none where devices are not known."""
+    """Score the frames of every device separately (the paper's Table 2); empty without devices."""
     if outcome.device is None:
         return []
     told = np.array(outcome.device)
@@ -150,7 +150,7 @@ class ClassScores:
         return [float(r / n) if n else None for r, n in zip(right, frames, strict=True)]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, fit for JSON."""
+        """Return JSON values."""
         rows = zip(self.names, self.confusion.sum(axis=1).tolist(), self.recall, strict=True)
         bins = {name: values.tolist() for name, values in asdict(self.reliability).items()}
         return {

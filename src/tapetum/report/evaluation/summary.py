@@ -1,4 +1,4 @@
-"""Errors of a fitted model on a dataset, as numbers and as words."""
+"""Errors of a fitted model on a dataset, as numbers and as text."""
 
 from __future__ import annotations
 

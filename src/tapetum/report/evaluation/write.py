@@ -1,4 +1,4 @@
-"""The report of an evaluation: a folder with a page that stands alone, the numbers, and the figures."""
+"""The report of an evaluation: a folder with a self-contained page, the numbers, and the figures."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def subject_of(
 ) -> Subject:
     """Describe model and dataset; `model_name` is the folder or name the model was loaded by."""
     kind = _NAMES.get(model.kind, model.kind)
-    # Models of earlier versions name the whole set's hash of that time, which its store still states.
+    # Models of earlier versions name the former hash of the whole set, which its store still holds.
     own = {dataset.tp.train.tp.hash, dataset.attrs.get("sha256")}
     if model.data_hash_ is None:
         learned = "not known"
@@ -171,7 +171,7 @@ def _heading(outcome: Outcome, subject: Subject) -> dict[str, Any]:
 def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: list[tuple[Picture, bytes]]) -> str:
     shown: defaultdict[str, list[html.Html]] = defaultdict(list)
     for one, data in drawn:
-        # Drawn already, which is what takes the time; shown at the size it was designed for.
+        # The figures are rendered already; show them at their design size.
         width = round(one.figure.get_figwidth() * 96)
         shown[one.section].append(html.figure(data, alt=one.alt, caption=one.caption, width=width))
     body = html.render(

@@ -58,7 +58,7 @@ def fig_by_image(
             for step in steps:
                 ax.axvline(step - 0.5, color=QUIET, linewidth=0.6, linestyle=(0, (2, 3)), zorder=1)
             draw_dots(ax, at, said[sort], limits, column)
-            # In white first: the steps stay visible among thousands of dots.
+            # A white outline keeps the steps visible among thousands of dots.
             effects = [Stroke(linewidth=2.2, foreground="white"), Normal()]
             ax.step(at, level, where="mid", color=INK, linewidth=1.3, zorder=5, path_effects=effects)
             off = int(((said < limits[0]) | (said > limits[1])).sum())

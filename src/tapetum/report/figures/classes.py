@@ -1,4 +1,4 @@
-"""Figures of classes: which device was taken for which, and whether probabilities mean what they say."""
+"""Figures of the classification: confusion matrix and reliability diagram."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def fig_confusion(counts: ArrayLike, names: Sequence[str]) -> Figure:
         where = (column + 0.5, row + 0.5)
         ax.text(*where, f"{table[row, column]}", ha="center", va="center", fontsize=NOTE - 0.5, color=tint)
     dress(ax, grid=None)
-    # A name is a name: dollars in it are no formula.
+    # Escape dollars, which would start a formula.
     shown = [name.replace("$", r"\$") for name in names]
     ax.set_xticks(np.arange(size) + 0.5, shown, rotation=45, ha="right", rotation_mode="anchor")
     ax.set_yticks(np.arange(size) + 0.5, [f"{name}  ({n})" for name, n in zip(shown, total[:, 0], strict=True)])

@@ -59,7 +59,7 @@ def fig_constellation(
         maps.append([light, snr])
         titles.append([f"{name}: illumination, max/min {here.ratio:.3g}", f"SNR, max/min {there.ratio:.3g}"])
 
-    # Squares stay square: a bar below each column takes no width from the maps.
+    # A colour bar below each column takes no width from the maps.
     figure = new_figure(11.0, 1.5 + (5.0 * (top - bottom) / (right - left + 0.8) + 0.5) * len(cases))
     axes = figure.subplots(len(cases), 2, sharex=True, sharey=True, squeeze=False)
     labels = ("illumination (µW/m²)", "SNR of all probes")

@@ -1,4 +1,4 @@
-"""Figures of errors: by distance from the field's centre, by SNR and the like, and what intervals hold."""
+"""Figures of errors by distance from the field's centre and by SNR, and of coverage."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _BOUND_LINES: tuple[tuple[float, tuple[float, ...]], ...] = ((0, (6, 2)), (0, (1
 
 
 def _plain_ticks(ax: Axes) -> None:
-    """Write a logarithmic axis' numbers as they are, as many as help."""
+    """Label a logarithmic axis with plain numbers, as many as are legible."""
     low, high = ax.get_ylim()
     several = high / low < 30
     ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if several else (1,), numticks=12))
@@ -105,11 +105,11 @@ def fig_error_by_distance(
     else:
         ax.set_ylim(bottom=0)
     ax.tick_params(labelbottom=False)
-    # Matplotlib names lines before bars: here the models come first, then the bounds.
+    # Matplotlib lists lines before error bars; list the models first, then the bounds.
     found = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
     labels = [*errors, *(bounds or {})]
     handles = [found[label] for label in labels]
-    # Above the axes: on a logarithmic one no corner is sure to stay free.
+    # Above the axes, because on a logarithmic one no corner is always free.
     figure.legend(handles, labels, loc="outside upper left", ncols=2, frameon=False, fontsize=NOTE, labelcolor=INK)
     below.bar(first.centre, first.count, width=0.92 * np.diff(first.edges), color="#c3c9d2")
     dress(below, x="true distance of the laser from the centre, fraction of the field", y="frames", grid="y")
@@ -121,7 +121,7 @@ def fig_error_by_distance(
 
 
 def _curve(ax: Axes, x: Array, y: Array, ends: tuple[Array, Array], name: str, order: int, plain: bool) -> None:
-    """Draw a curve with bars; a plain one is the guess that looks at no image."""
+    """Draw a curve with error bars; a plain one is the guess that looks at no image."""
     bars = np.abs(np.stack([y - ends[0], ends[1] - y]))
     ax.errorbar(
         x,

@@ -1,4 +1,4 @@
-"""Figures of gaze: over time and against the truth, and how far labels lie from the laser's true place."""
+"""Figures of gaze over time and against the truth, and of the label error."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def _running_axis(time: Array, stretches: Sequence[slice]) -> tuple[Array, list[float]]:
-    """Lay the stretches one after another: the running time of each frame, and where the holes are."""
+    """Concatenate the runs: the running time of each frame, and the places of the gaps."""
     running = np.empty_like(time)
     holes: list[float] = []
     start = 0.0
@@ -145,7 +145,7 @@ def fig_label_error(found: ArrayLike, true: ArrayLike) -> Figure:
     if not len(error):
         raise InputError("no frame has a label", where="labels")
     distance = np.hypot(*error.T)
-    # The bulk is the message; what lies beyond is counted in the last bin, never dropped.
+    # The axis shows the bulk; larger distances are counted in the last bin.
     reach = max(1.6 * float(np.quantile(distance, 0.98)), 1e-3)
     figure = new_figure(8.4, 3.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.65, 1.0))

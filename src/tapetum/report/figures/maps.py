@@ -65,7 +65,7 @@ def fig_error_map(
             panels[bound_name] = limits[quantity] * unit.scale
         known = np.concatenate([values[np.isfinite(values)] for values in panels.values()])
         top, least = float(known.max(initial=1e-12)), float(known[known > 0].min(initial=np.inf))
-        # Where a bound lies decades below the errors, only a logarithmic scale shows both.
+        # A bound may lie decades below the errors: use a logarithmic scale.
         scale = LogNorm(least, top * 1.0001) if least < top / 50 else Normalize(0.0, top)
         drawn = None
         for column, (name, values) in enumerate(panels.items()):
@@ -102,7 +102,7 @@ def _ratio_panel(figure: Figure, ax: Axes, errors: ErrorMap, bound: Array, label
 def _cells(
     ax: Axes, errors: ErrorMap, values: Array, scale: Normalize, x: str, y: str, *, first_column: bool
 ) -> QuadMesh:
-    """Draw one map as cells with their numbers in them; a label's values stand at equal steps."""
+    """Draw one map as cells with their numbers; a label's values are equally spaced."""
     cmap = part_of("YlOrBr", 0.04, 0.93)
     shown = np.ma.masked_invalid(np.maximum(values, scale.vmin or 0.0) if isinstance(scale, LogNorm) else values)
     drawn = ax.pcolormesh(shown, cmap=cmap, norm=scale, edgecolors="white", linewidth=1.2)

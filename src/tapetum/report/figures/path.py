@@ -58,7 +58,7 @@ def _panel(
     """
     ax.set(xlim=(-_FIELD, _FIELD), ylim=(_FIELD, -_FIELD))
     if picture is not None:
-        # Washed out, so that the colours of the path stay what the bar says they are.
+        # Faded, so that the path's colours match the colour bar.
         image = 0.58 + 0.4 * grey_picture(picture, "picture")
         extent = (-_FIELD, _FIELD, _FIELD, -_FIELD)
         ax.imshow(image, cmap="gray", vmin=0, vmax=1, extent=extent, aspect="auto", interpolation="nearest")
@@ -268,7 +268,7 @@ def _coordinates(
             if ends is not None and np.isfinite(ends[0][at, k]).all() and np.isfinite(ends[1][at, k]).all():
                 low, high = (np.clip(e[at, k], -limit, limit) for e in ends)
                 ax.fill_between(frames[at], low, high, color=colour(0), alpha=0.3, linewidth=0, step="mid")
-            # On a white seam: the truth stays visible among thousands of dots.
+            # A white outline keeps the truth visible among thousands of dots.
             seam = [Stroke(linewidth=1.9, foreground="white"), Normal()]
             ax.plot(frames[at], truth[at, k], color=INK, linewidth=1.0, zorder=5, path_effects=seam)
         for cut in cuts[1:-1]:

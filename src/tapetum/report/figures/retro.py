@@ -157,7 +157,7 @@ def fig_grid(
 
 
 def round_length(most: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is at most so long."""
+    """Return the largest of 1, 2 and 5 times a power of ten that is at most `length`."""
     decade = 10.0 ** np.floor(np.log10(most))
     return max(step * decade for step in (1, 2, 5) if step * decade <= most)
 

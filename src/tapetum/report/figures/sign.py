@@ -1,4 +1,4 @@
-"""What the sign of the gaze rests on: how well +gaze and -gaze can be distinguished, and how often models do so."""
+"""Figures of the sign of the gaze: its discriminability, and the models' shares of correct signs."""
 
 from __future__ import annotations
 
@@ -70,9 +70,9 @@ def fig_sign_map(x: ArrayLike, y: ArrayLike, with_beam: ArrayLike, without_beam:
     }
     together = np.concatenate([m[m > 0].ravel() for m in maps.values()])
     high = float(together.max()) if together.size else 1.0
-    # Near the axis both hypotheses are one and d' falls to nothing: three decades say all that matters.
+    # Near the axis both hypotheses coincide and d' falls to 0; show three decades.
     low = float(together.min()) if together.size else 1e-3
-    # Within a decade a logarithm would only spoil the ticks.
+    # Within a decade, a linear scale has better ticks.
     scale = (
         Normalize(0.0, max(high, 1e-12))
         if low > high / 10
