@@ -121,7 +121,7 @@ def _scene(source: str, changes: list[str] | None) -> Scene:
 
 
 def _session(scene: Scene, seconds: float, rate: float, own: dict[str, Any], stray: bool) -> Session:
-    """Return the virtual bench's recording source from the options."""
+    """Return the session of the virtual bench with the given options."""
     from tapetum.record import BlinkCode, HandMotion, Session, draw_clutter, draw_stray
 
     seed = SEED if own["seed"] is None else own["seed"]
@@ -146,7 +146,7 @@ def _film(scene: Scene, session: Session, out: Path, force: bool) -> Recording:
 
 
 def _label(recording: Recording) -> None:
-    """Label a finished recording."""
+    """Label a finished recording, which stays when that fails."""
     from tapetum.record import label_recording
 
     try:

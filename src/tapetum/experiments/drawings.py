@@ -164,7 +164,7 @@ def draw_fig7(found: Fig7) -> Figure:
 
 
 def draw_fig8(found: Fig8) -> Figure:
-    """The phones in two rows, and below them those with the camera app shut."""
+    """The phones in two rows, and below them those with the camera app closed."""
     columns = max(2, -(-len(found.opened) // 2))
     rows = [found.opened[:columns], found.opened[columns:], found.shut]
     names = ["app open", "app open", "app shut"]

@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fig8:
-    """The phones with the app open, and some of them with it shut; `disc` is D_p f_p/d in metres."""
+    """The phones with the app open, and some of them with it closed; `disc` is D_p f_p/d in metres."""
 
     opened: list[Sample]
     shut: list[Sample]

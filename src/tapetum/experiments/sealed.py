@@ -173,7 +173,7 @@ def run_sealed(out: Path, work: Workshop, models: Mapping[str, Predictor] | None
 
 
 def append_results(out: Path, rows: list[dict[str, Any]]) -> Path:
-    """Add results to `sealed.jsonl` in a folder, a line each; what stands there stays."""
+    """Add results to `sealed.jsonl` in a folder, a line each, after the existing ones."""
     file = out / RESULTS
     with told_when_full(out):
         out.mkdir(parents=True, exist_ok=True)

@@ -107,7 +107,7 @@ EFFORTS: dict[str, dict[str, Effort]] = {
 
 # Side of the crop, in pixels. The RR of the Rotation set is 124 pixels wide, its second image 43 pixels beside it, and
 # at 3 m it is half as wide again. At 135 mm and 3 m the RR fills the crop for the focus. A phone's RRs are spread over
-# the crop; a ring of one is 6 pixels wide, and its fine structure tells the phone.
+# the crop; a ring of one is 6 pixels wide, and its fine structure identifies the phone.
 _CROPS = {"gaze": 144, "varied": 200, "focus": 400, "phone": 400, "device": 400}
 
 

@@ -248,7 +248,7 @@ def write_demo_report(path: str | os.PathLike[str], content: DemoReport) -> Demo
         subtitle="Tapetum read a camera's gaze from the light it throws back. The camera, the laser and "
         "the light are simulated; everything after the videos is what real recordings would get.",
         contents=html.headings(body),
-        footer=f"Made by `tapetum demo`, {content.made}. This file stands alone: it asks nothing of any network.",
+        footer=f"Made by `tapetum demo`, {content.made}. This file is self-contained and makes no network requests.",
     )
     html.write_page(Path(path), text)
     return scores
@@ -304,7 +304,7 @@ def _figures(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[
 
 
 def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Any]:
-    """Return the numbers that the page states beside the scores."""
+    """Return the further numbers on the page."""
     begin, end = _section(content)
     known = {name: one.mae[np.isfinite(one.mae)] for name, one in rings.items()}
     told: dict[str, Any] = {

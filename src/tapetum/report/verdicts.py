@@ -11,7 +11,7 @@ NOT_TO_USE, NARROW = "do not use such estimates", "too narrow"
 
 # Improvements by less than this factor are not reported.
 _WORTH = 1.1
-# Shares of intervals nearer to what is wanted than this are called right: frames of a video err alike, and the share of
+# Coverage this close to the nominal one counts as right: errors of a video's frames are correlated, so the coverage of
 # one video scatters by some hundredths.
 _NEAR = 0.05
 

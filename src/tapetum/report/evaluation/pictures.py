@@ -125,9 +125,9 @@ def _by_distance(outcome: Outcome, name: str) -> Picture:
         fig_error_by_distance(rings, baseline=MEAN),
         f"Mean absolute error in rings around the centre of the field: {known[0]:.3f} in the middle, "
         f"{known[-1]:.3f} at the edge.",
-        "As the paper's Fig. 10: mean absolute error, over both axes, of frames whose laser stands so far from the "
-        "centre of the target's field. Grey: a guess that looks at no image. Bars: 95 % bootstrap intervals over "
-        "blocks of 15 neighbouring frames. Below: how many frames each ring holds.",
+        "As the paper's Fig. 10: mean absolute error, over both axes, of frames by the distance of their laser from "
+        "the centre of the target's field. Grey: a guess that looks at no image. Bars: 95 % bootstrap intervals over "
+        "blocks of 15 neighbouring frames. Below: the number of frames in each ring.",
     )
 
 
@@ -184,7 +184,7 @@ def _classes(outcome: Outcome, name: str) -> Iterator[Picture]:
         f"Share correct against the probability given; expected calibration error {scores.reliability.error:.3f}.",
         f"Frames are sorted by the probability of their likeliest device into {len(scores.reliability.count)} bins of "
         "equal numbers. On the dashed line a model is right as often as it says. The expected calibration error is the "
-        "mean distance from that line. Bars: 95 % Wilson intervals that take frames for independent; neighbours in a "
+        "mean distance from that line. Bars: 95 % Wilson intervals that treat frames as independent; neighbours in a "
         "video are not, so they are too short.",
     )
 
@@ -204,9 +204,8 @@ def _coverage(outcome: Outcome) -> Picture:
         "Share of true values inside the 90 % intervals: "
         + ", ".join(f"{q} {c:.1%}" for q, c in zip(outcome.quantities, everything.coverage, strict=True))
         + ".",
-        "How often the truth lies inside the model's interval, which is meant to be 90 % of the time. The number of "
-        "frames stands in brackets. Neighbouring frames err alike, so the share in one recording scatters more than "
-        "that number suggests.",
+        "Share of truths inside the model's intervals, nominally 90 %. The number of frames is in brackets. Errors of "
+        "neighbouring frames are correlated, so the share in one recording scatters more than that number suggests.",
     )
 
 
@@ -226,12 +225,12 @@ def _against(outcome: Outcome, name: str) -> Iterator[Picture]:
         wide = float(values.min()) > 0 and bool(ends[-1] > 6 * ends[0])
         yield Picture(
             f"error-by-{key.lower()}",
-            "What the error hangs on",
+            "What the error depends on",
             fig_error_by(curves, x=text, y=label, baseline=MEAN, log_x=wide),
             f"Mean error against {key}: {low:.3g} where it is least, {high:.3g} where it is most.",
             f"Mean error of frames by their {text.split(',')[0]}, in bins. Bars: 95 % "
-            "bootstrap intervals over blocks of 15 neighbouring frames. It shows what goes together, not what causes "
-            "what: faint frames may be faint because the gaze is far off.",
+            "bootstrap intervals over blocks of 15 neighbouring frames. It shows correlation, not causation: "
+            "faint frames may be faint because the gaze is far from the centre.",
         )
 
 

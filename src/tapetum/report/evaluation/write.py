@@ -190,8 +190,8 @@ def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: li
     return html.page(
         f"{subject.name} on {outcome.dataset}",
         body,
-        subtitle=f"{kind}What the model says of {len(outcome)} frames that it has not learned from, beside the truth.",
+        subtitle=f"{kind}The model's predictions for {len(outcome)} frames that were not used in training.",
         contents=html.headings(body),
-        footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file stands alone: it "
-        "asks nothing of any network.",
+        footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file is "
+        "self-contained and makes no network requests.",
     )

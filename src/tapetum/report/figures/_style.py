@@ -32,7 +32,7 @@ TITLE, LABEL, TICK, NOTE = 10.5, 9.0, 8.0, 8.0
 
 
 def new_figure(width: float, height: float, *, pictures: bool = False) -> Figure:
-    """Return an empty white figure of that size in inches, drawn by Agg; `pictures` stand close together."""
+    """Return an empty white figure of that size in inches, drawn by Agg; `pictures` packs panels closely."""
     figure = Figure(
         figsize=(width, height),
         dpi=110,

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, PercentFormatter
 from numpy.typing import ArrayLike, NDArray
@@ -37,13 +38,12 @@ _WANTED = (0.88, 0.92)
 _BOUND_LINES: tuple[tuple[float, tuple[float, ...]], ...] = ((0, (6, 2)), (0, (1, 1.4)), (0, (6, 2, 1, 2)))
 
 
-def _plain_ticks(ax: Axes) -> None:
-    """Label a logarithmic axis with plain numbers, as many as are legible."""
-    low, high = ax.get_ylim()
-    several = high / low < 30
-    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if several else (1,), numticks=12))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
+def _plain_ticks(axis: Axis, limits: tuple[float, float], most: float) -> None:
+    """Label a logarithmic axis with plain numbers, also at 2 and 5 times powers of ten if it spans less than `most`."""
+    several = limits[1] / limits[0] < most
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if several else (1,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def fig_error_by_distance(
@@ -101,7 +101,7 @@ def fig_error_by_distance(
         ax.plot(x, y, color=INK, linewidth=1.3, linestyle=_BOUND_LINES[k % len(_BOUND_LINES)], label=name)
     dress(ax, y=f"{measure}, fraction of the field")
     if log:
-        _plain_ticks(ax)
+        _plain_ticks(ax.yaxis, ax.get_ylim(), 30)
     else:
         ax.set_ylim(bottom=0)
     ax.tick_params(labelbottom=False)
@@ -166,14 +166,11 @@ def fig_error_by(
         order += 0 if plain else 1
     dress(ax, x=x, y=y)
     if log_y:
-        _plain_ticks(ax)
+        _plain_ticks(ax.yaxis, ax.get_ylim(), 30)
     else:
         ax.set_ylim(bottom=0)
     if log_x:
-        low, high = ax.get_xlim()
-        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 200 else (1,), numticks=12))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.xaxis.set_minor_formatter(NullFormatter())
+        _plain_ticks(ax.xaxis, ax.get_xlim(), 200)
     legend(ax, loc="best")
     return figure
 

@@ -201,7 +201,7 @@ def fig_samples(images: ArrayLike, gaze: ArrayLike, *, columns: int = 6, stretch
 
 
 def _field_map(ax: Axes, x: float, y: float) -> None:
-    """Draw the field as a small frame in the corner, with a dot where the laser stands in it."""
+    """Draw the field as a small frame in the corner, with a dot at the gaze."""
     width, height, left, low = 0.25, 0.19, 0.71, 0.04
     where = ax.transAxes
     ax.add_patch(
