@@ -106,10 +106,11 @@ def test_a_folder_that_was_being_filled_is_filled_on(run, tmp_path: Path, monkey
         def make(work: object) -> object:
             if error is not None:
                 raise error
-            return new_figure(1, 1), "# made\n", {}
+            return new_figure(1, 1), {}
 
         return make
 
+    monkeypatch.setattr(writing, "render", lambda name, numbers: "# made\n")
     monkeypatch.setitem(writing._MAKERS, "fig4", maker(None))
     monkeypatch.setitem(writing._MAKERS, "fig5", maker(KeyboardInterrupt()))
     assert run("paper", "fig4", "fig5", "-o", tmp_path / "o").code == 130
