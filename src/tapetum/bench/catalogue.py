@@ -1,4 +1,4 @@
-"""Files of the bench: those that come with the package by name, anyone's by path."""
+"""Bench files: bundled ones by name, others by path."""
 
 from __future__ import annotations
 
@@ -17,14 +17,10 @@ __all__ = ["Catalogue"]
 
 @dataclass(frozen=True)
 class Catalogue:
-    """The files of one kind that come with the package.
+    """The files of one `kind` (`lens`) that come with the package, in `folder`, with the `schema` they must state.
 
-    Parameters
-    ----------
-    kind, schema, folder
-        What a file describes (`lens`), what its `schema` must say, and where the package has them.
-    suffixes, likeness
-        For messages: what a file may be, and the likeness (0 to 1) from which a name is proposed for an unknown one.
+    For messages: `suffixes` a file may have, and the `likeness` (0 to 1) from which a name is suggested for an unknown
+    one.
     """
 
     kind: str
@@ -40,7 +36,7 @@ class Catalogue:
         return tuple(sorted(file.name.removesuffix(".yaml") for file in files if file.name.endswith(".yaml")))
 
     def path(self, source: str) -> Path:
-        """Return the file that a name or a path means; an InputError with the nearest names where there is none."""
+        """Return the file of a name or path; raises an InputError with the nearest names if there is none."""
         if source in self.names:
             return Path(str(resources.files("tapetum.bench") / self.folder / f"{source}.yaml"))
         if Path(source).is_file():

@@ -1,4 +1,4 @@
-"""The bench's dataclasses from plain values; what pydantic finds wrong is said with field, value and remedy."""
+"""The bench's dataclasses from plain values; pydantic's findings as errors with field, value and remedy."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ __all__ = ["adapter", "build", "first_fault"]
 T = TypeVar("T")
 
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
-# Where pydantic puts the kind that was meant into a path, and the kinds.
+# Fields after whose path pydantic inserts the kind, and those kinds.
 _TAGS = {("target",): ("camera", "phone"), ("target", "lens"): ("thin", "prescription")}
 _RANGE = "{given!r} is out of range"
 _WHOLE = ("must be a whole number{shown}", "give it without a fraction or a unit")
 _NUMBER = ("must be a number{shown}", "give it without a unit")
 _PAIR = ("must be a list of two values{shown}", "write it in brackets, for example [1, 2]")
-# What is wrong and the remedy, by pydantic's name of the fault.
+# Message and remedy by pydantic's error type.
 _SAID = {
     "greater_than": (_RANGE, "give more than {gt:g}"),
     "greater_than_equal": (_RANGE, "give at least {ge:g}"),
@@ -42,12 +42,12 @@ _SAID = {
 
 @functools.cache
 def adapter(kind: type[T]) -> TypeAdapter[T]:
-    """What reads, writes and describes a dataclass."""
+    """Pydantic's adapter of a dataclass: validation, serialisation and schema."""
     return TypeAdapter(kind)
 
 
 def build(kind: type[T], content: Mapping[str, Any], where: str, *, unit: float = 1.0) -> T:
-    """Return a dataclass of nested plain values; `unit` is that of a lens file's bare numbers, in metres.
+    """Return a dataclass of nested plain values; `unit`, in metres, is that of a lens file's bare numbers.
 
     Raises an InputError that names `where`, the field's path, its value and the remedy.
     """
@@ -63,12 +63,12 @@ def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, .
     `where` is the file or argument that the values came from, `paths` are all fields that an unknown key may mean.
     """
     found = error.errors(include_url=False)
-    # A misspelt key makes its field missing as well: the key is what to mend.
+    # A misspelt key also makes its field missing; report the key.
     first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
     steps = _plain(first["loc"])
     kind, given, context = first["type"], first.get("input"), first.get("ctx", {})
     if kind in ("missing", "missing_argument") and steps and isinstance(steps[-1], int):
-        # A list that is too short: its own path helps, that of the absent item does not.
+        # For a list that is too short, name the list, not the absent item.
         count = steps.pop()
         what, remedy = f"has {count} of the values it needs, is {given!r}", "give all of them in brackets"
     elif kind in ("missing", "missing_argument"):
@@ -88,13 +88,13 @@ def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, .
 
 
 def _plain(steps: Sequence[int | str]) -> list[int | str]:
-    """A path as a file has it, without what pydantic puts between its keys: kinds of a union, validators."""
+    """A path as written in the file, without the union kinds and validators that pydantic inserts."""
     found: list[int | str] = []
     tagged: int | None = None
     for step in steps:
         if str(step).startswith(("function-", "tuple[")):
             continue
-        # The key after a kind may well be of the same name.
+        # The key after a kind may have the same name.
         if tagged != len(found) and step in _TAGS.get(tuple(map(str, found)), ()):
             tagged = len(found)
             continue
@@ -103,7 +103,7 @@ def _plain(steps: Sequence[int | str]) -> list[int | str]:
 
 
 def _value_fault(kind: str, message: str, given: object, context: dict[str, Any]) -> tuple[str, str]:
-    """What is wrong with a value, and the remedy."""
+    """Message and remedy for a value."""
     if kind == "value_error":
         what, _, remedy = message.removeprefix("Value error, ").partition("; ")
         return what, remedy or "correct it"

@@ -25,7 +25,7 @@ class Collimated:
     Attributes
     ----------
     takes, needs
-        Which of the fields `divergence` and `diameter` have a meaning, and which must be given, with an example.
+        Which of the fields `divergence` and `diameter` apply, and which are required, with an example.
     spherical, spreads
         Whether the curvature is 1/distance, from a point at the probe; and whether the irradiance falls as 1/distance².
     """
@@ -37,7 +37,7 @@ class Collimated:
 
     @staticmethod
     def radius(divergence: float | None, diameter: float | None, distance: float, aperture_radius: float) -> float:
-        """Radius of the lit disc at a distance from the probe, in metres (angles in radians)."""
+        """Radius of the illuminated disc at a distance from the probe, in metres (angles in radians)."""
         return aperture_radius if diameter is None else diameter / 2
 
 
@@ -66,7 +66,7 @@ MODES: dict[str, type[Collimated]] = {"collimated": Collimated, "diverging": Div
 
 @dataclass(frozen=True, config=STRICT)
 class SecondBeam:
-    """The probe's dim second beam, from an imperfect beam splitter (paper, section 5).
+    """The probe's weak second beam, from an imperfect beam splitter (paper, section 5).
 
     Parameters
     ----------
@@ -105,24 +105,22 @@ class Illumination:
         `divergence`. `fixed_area`: a spherical wave from the probe that fills `diameter` at any distance.
     wavelength, power
         In metres and watts; the power leaves the probe.
-    divergence
-        Full angle in radians.
-    diameter
-        Of the lit disc at the target, in metres.
+    divergence, diameter
+        Full angle in radians, and that of the illuminated disc at the target in metres.
     second_beam
         None for an ideal beam splitter.
     lines
-        Light of further wavelengths, laid over the first.
+        Further wavelengths, added incoherently.
     bandwidth
-        Full width at half maximum of each line, in metres: 0 for a laser, some 20 nm for an LED.
+        Full width at half maximum of each line, in metres: 0 for a laser, about 20 nm for an LED.
     coherence_length
-        Difference of paths from which two reflections no longer interfere, in metres; their degree of coherence falls
-        to it in proportion. Left out, the bandwidth alone decides.
+        Path difference, in metres, from which two reflections no longer interfere; their degree of coherence falls
+        linearly to 0 there. By default the bandwidth alone decides.
     source_size
-        Full angle of the source as the target sees it, in radians: 0 for a laser, an even disc for an LED.
+        Full angle of the source seen from the target, in radians: 0 for a laser, a uniform disc for an LED.
     vergence
-        1/R of the wave that reaches the target, in 1/m, in place of the mode's own: positive from a source at the
-        distance R, negative for light that converges. Sweeping it scans a focus through the target (paper, section 6).
+        1/R of the wave at the target, in 1/m, in place of the mode's own: positive from a source at the distance R,
+        negative for converging light. Sweeping it scans a focus through the target (paper, section 6).
     """
 
     mode: ModeName = "collimated"
@@ -153,7 +151,7 @@ class Illumination:
 
     @property
     def wave(self) -> type[Collimated]:
-        """What the mode says of how the light spreads."""
+        """The mode's rules for the spread of the light."""
         return MODES[self.mode]
 
     @property
@@ -168,7 +166,7 @@ class Illumination:
         return 1 / distance if self.wave.spherical else 0.0
 
     def radius(self, distance: float, aperture_radius: float) -> float:
-        """Radius of the lit disc at a distance from a probe of an aperture's radius, in metres (paper, figure 3)."""
+        """Illuminated radius at a distance from a probe of an aperture's radius, in metres (paper, figure 3)."""
         return self.wave.radius(self.divergence, self.diameter, distance, aperture_radius)
 
     def spread(self, distance: Any, usual: Any) -> Any:

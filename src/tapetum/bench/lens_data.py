@@ -1,4 +1,4 @@
-"""A lens by the numbers of its patent: surfaces, what lies behind each, and the states of a zoom."""
+"""A lens by its patent's data: surfaces, the media behind them, and the states of a zoom."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["LensState", "Prescription", "Surface", "build_lens", "clearance", "with_moves"]
 
-# Published semi-diameters reach a little beyond where two rims touch: by 0.35 % in the worst of the catalogue.
+# Published semi-diameters may overlap slightly at the rims: by at most 0.35 % in the catalogue.
 _TOUCHING = 5e-3
 
 
@@ -28,7 +28,7 @@ def _unit(info: ValidationInfo) -> float:
 
 
 def _in_metres(value: Any, info: ValidationInfo) -> Any:
-    """A bare number is in the file's unit; a text may carry its own."""
+    """A bare number is in the file's unit; a text may have its own."""
     try:
         return float(value) * _unit(info)
     except (TypeError, ValueError):
@@ -38,7 +38,7 @@ def _in_metres(value: Any, info: ValidationInfo) -> Any:
 
 
 def _moves(value: Any, info: ValidationInfo) -> Any:
-    """A file gives moves as a mapping from a surface's number to its new length."""
+    """A file gives changed gaps as a mapping from a surface's number to its new length."""
     if not isinstance(value, dict):
         return value
     moves: list[tuple[Any, float]] = []
@@ -59,7 +59,7 @@ def _terms(value: Any, info: ValidationInfo) -> Any:
         if not str(power).isdigit() or isinstance(coefficient, bool):
             raise ValueError(f"{power!r}: {coefficient!r} is no term; write it as {{4: -1.2e-3, 6: 3.4e-5}}")
         try:
-            # YAML takes 1e-5, without a point, for text.
+            # YAML reads 1e-5, without a point, as text.
             terms.append((int(power), float(coefficient) * _unit(info) ** (1 - int(power))))
         except (TypeError, ValueError, OverflowError) as error:
             raise ValueError(f"coefficient {coefficient!r} of r^{power} is no number; give one, as 1.2e-3") from error
@@ -79,11 +79,11 @@ class Surface:
     Parameters
     ----------
     semi_diameter, stop
-        Beyond which it stops a ray, in metres; and whether it is the aperture stop.
+        Clear semi-diameter in metres, and whether the surface is the aperture stop.
     radius
-        Of curvature, in metres, positive with the centre behind the surface; None for a flat.
+        Of curvature, in metres, positive with the centre behind the surface; None for a plane.
     thickness
-        To the next surface along the axis, in metres. That of the last one is not used: focusing sets it.
+        To the next surface along the axis, in metres. The last one's is unused: focusing sets it.
     nd, vd, index, glass
         Index and Abbe number of the medium behind, or its index at all wavelengths, or one of the bench's glasses.
     conic, asphere
@@ -122,7 +122,7 @@ class Surface:
         return self.nd is None and self.index is None and self.glass is None
 
     def index_at(self, wavelength: float) -> float:
-        """Refractive index of what lies behind it, at a wavelength in metres."""
+        """Refractive index behind it, at a wavelength in metres."""
         if self.nd is not None and self.vd is not None:
             return index_from_abbe(self.nd, self.vd, wavelength)
         if self.glass is not None:
@@ -132,16 +132,10 @@ class Surface:
 
 @dataclass(frozen=True, config=STRICT)
 class LensState:
-    """What differs from the list of surfaces in one state of a lens: a zoom has several, a prime lens one.
+    """A state of a lens, by its differences from the list of surfaces: a zoom has several, a prime lens one (`prime`).
 
-    Parameters
-    ----------
-    name
-        `prime`, or for example `wide`.
-    f_number, half_field
-        As its source states them, where it does: F-number, and half of the field of view in radians.
-    thickness, semi_diameter
-        Pairs (number of a surface, value in metres): the gaps that move, and the opening of the stop.
+    `f_number` and `half_field` (half of the field of view, radians) are as the source states them. `thickness` and
+    `semi_diameter` are pairs (number of a surface, value in metres): the gaps that move, and the opening of the stop.
     """
 
     name: str
@@ -158,7 +152,7 @@ class Prescription:
     Parameters
     ----------
     name, patent, source, use
-        What it is called here, where its numbers come from, and what it stands in for.
+        Its name here, where its numbers come from, and which lens it represents.
     surfaces, states
         In the order in which light meets them; one state, or those of a zoom by rising focal length.
     assumed
@@ -202,7 +196,7 @@ class Prescription:
         return with_moves(self.surfaces, dict(state.thickness), dict(state.semi_diameter))
 
     def _check_gaps(self, number: int) -> None:
-        """No surface may cross the one before it; flats between equal media, such as a stop, are not looked at."""
+        """Refuse a surface that crosses the one before it; planes between equal media, such as a stop, are exempt."""
         lens = build_lens(self.state(number), 587.562e-9)
         n = lens.index.tolist()
         solid = [i for i in range(len(lens)) if n[i] != n[i + 1]]
@@ -228,7 +222,7 @@ def with_moves(
 
 def build_lens(surfaces: tuple[Surface, ...], wavelength: float, scale: float = 1.0) -> Lens:
     """The tensors that rays are traced through, at a wavelength in metres, with all lengths times `scale`."""
-    # Torch takes a second to import: a command's help does not wait for it.
+    # Torch takes a second to import; a command's help must not wait for it.
     import torch
 
     from tapetum.optics.rays import Lens
@@ -255,7 +249,7 @@ def build_lens(surfaces: tuple[Surface, ...], wavelength: float, scale: float = 
 
 
 def clearance(lens: Lens, first: int, second: int) -> tuple[float, float]:
-    """The narrowest gap between two surfaces over the aperture that both have, and how far from the axis it is."""
+    """The narrowest gap between two surfaces over their common aperture, and its distance from the axis."""
     import torch
 
     from tapetum.optics.rays import sag

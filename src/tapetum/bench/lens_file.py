@@ -24,13 +24,13 @@ def lens_names() -> list[str]:
 
 
 def load_lens(source: str) -> Prescription:
-    """A prescription by its name in the catalogue, or from a `.yaml` or `.zmx` file.
+    """Load a prescription by its name in the catalogue, or from a `.yaml` or `.zmx` file.
 
     Raises
     ------
     InputError
-        For an unknown name (with the nearest ones), a file that cannot be read, and a lens that cannot be built: with
-        the file, the field, its value and the remedy.
+        For an unknown name (with the nearest ones), an unreadable file, or a lens that cannot be built: with the file,
+        the field, its value and the remedy.
     MissingExtraError
         For a `.zmx` file without the extra `zemax`.
     """
@@ -41,10 +41,9 @@ def load_lens(source: str) -> Prescription:
 
 
 def prescription_from_dict(content: Mapping[str, Any], where: str = "lens") -> Prescription:
-    """A prescription from nested mappings, as its YAML holds them.
+    """Build a prescription from nested mappings, as read from YAML; raises as `load_lens`.
 
-    Numbers without a unit are in the content's `unit`; coefficients of r^p are in unit^(1 - p). Raises an InputError as
-    `load_lens`.
+    Numbers without a unit are in the content's `unit`; coefficients of r^p are in unit^(1 - p).
     """
     plain = dict(content)
     unit = plain.pop("unit", "m")
@@ -55,7 +54,7 @@ def prescription_from_dict(content: Mapping[str, Any], where: str = "lens") -> P
 
 @functools.lru_cache(maxsize=64)
 def _loaded(source: str, changed: int, size: int) -> Prescription:
-    """The file as it was then: time of its last change and size tell a changed one from it."""
+    """Cached by the file's modification time and size, so that a changed file is read again."""
     if source.lower().endswith(".zmx"):
         from tapetum.bench.zemax import read_zemax
 

@@ -1,4 +1,4 @@
-"""Scenes in and out of YAML, and one value of a scene changed by its name."""
+"""Read and write scenes as YAML, and change values of a scene by name."""
 
 from __future__ import annotations
 
@@ -78,7 +78,7 @@ def scene_from_dict(content: Mapping[str, Any], where: str = "scene") -> Scene:
 def scene_dict(scene: Scene) -> dict[str, Any]:
     """Return the scene as nested plain values in SI units; `scene_from_dict` reads it back.
 
-    Infinity becomes the text `Infinity`, for JSON has no number for it.
+    Infinity becomes the text `Infinity`, because JSON has no number for it.
     """
     return json.loads(adapter(Scene).dump_json(scene, exclude_none=True))
 
@@ -97,12 +97,12 @@ def scene_schema() -> dict[str, Any]:
 
 
 def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -> Scene:
-    """The scene with some of its values replaced and all of it checked again.
+    """Return the scene with some of its values replaced, checked again as a whole.
 
     Parameters
     ----------
     scene, where
-        Stays as it is; what an error names as its origin.
+        The scene, which is not changed, and the origin that an error names.
     values
         By field path, or the path's last words where they are unambiguous (`rotation`, `object_distance`). A single
         angle for `target.rotation` tilts about x, as the paper does; its numbers without a unit are degrees.
@@ -185,7 +185,7 @@ def _rotation(value: object) -> object:
 
 
 def _angle(value: object) -> object:
-    """Degrees in radians, written as text too: YAML takes 1e-1, without a point, for text."""
+    """Degrees in radians, from text too: YAML reads 1e-1, without a point, as text."""
     try:
         return value if isinstance(value, bool) else math.radians(float(value))  # pyright: ignore[reportArgumentType]
     except (TypeError, ValueError):

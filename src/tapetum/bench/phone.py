@@ -1,4 +1,4 @@
-"""Phones: several cameras on one back plate, each with its lens, its filter and its sensor, and a dot projector."""
+"""Phones: several cameras with lens, filter and sensor on one back plate, and a dot projector."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ PHONE_SCHEMA = "tapetum/phone/1"
 _PHONES = Catalogue("phone", PHONE_SCHEMA, "phones")
 Place = Annotated[Length, Field(gt=-0.1, lt=0.1)]
 Wide = Annotated[Angle, Field(gt=0, lt=math.pi)]
-# Two camera modules cannot stand nearer to each other, centre to centre, in metres.
+# Smallest distance of two camera modules, centre to centre, in metres.
 _NEAREST = 4e-3
 
 
@@ -35,12 +35,12 @@ class CameraUnit:
     Parameters
     ----------
     name, position
-        Its purpose (`main`, `wide`, `tele`, `macro`), and where its optical axis is on the back plate, (x, y) in
+        Its purpose (`main`, `wide`, `tele`, `macro`), and the place of its optical axis on the back plate, (x, y) in
         metres: x right and y down as the probe sees it.
     lens, sensor
         Its optics. The filter is the first of the sensor's layers.
     axis
-        Where its lens looks against the plate's normal, as a rotation (x, y) in radians: modules are mounted askew.
+        Misalignment of its optical axis from the plate's normal, as a rotation (x, y) in radians.
     """
 
     name: str
@@ -64,10 +64,9 @@ class Dots:
     position, wavelength
         On the back plate, as a camera's; in metres.
     power, period, pulse
-        Of all beams together while a pulse lasts, in watts; from one pulse to the next, and how long one lasts, in
-        seconds.
+        Power of all beams together during a pulse, in watts; repetition period and pulse duration, in seconds.
     columns, rows, field, tilt
-        Of the grid, the full angles that it spans, and that of its rows against the plate's x, in radians.
+        Of the grid, the full angles that it spans, and the angle of its rows to the plate's x axis, in radians.
     """
 
     position: tuple[Place, Place]
@@ -89,14 +88,14 @@ class Dots:
 
 @dataclass(frozen=True, config=STRICT)
 class Phone:
-    """A model of phone as a probe meets it: its back.
+    """The back of a phone model, as seen by a probe.
 
     Parameters
     ----------
     name, assumed
-        A neutral one; what no source says, and what kind of source the rest has.
+        A neutral name; the values that no source states, and the kind of source of the others.
     cameras, dots
-        One to six, whose positions count from wherever their file says; and the dot projector, if there is one.
+        One to six cameras, positions from an origin of the file's choice; and the dot projector, if there is one.
     """
 
     name: str
@@ -122,13 +121,13 @@ def phone_names() -> list[str]:
 
 
 def load_phone(source: str) -> Phone:
-    """A phone by its name in the catalogue, or from a YAML file.
+    """Load a phone by its name in the catalogue, or from a YAML file.
 
     Raises
     ------
     InputError
-        For an unknown name (with the nearest ones), a file that cannot be read, and a phone that cannot be: with the
-        field's path and the remedy.
+        For an unknown name (with the nearest ones), an unreadable file, or an impossible phone: with the field's path
+        and the remedy.
     """
     return _bundled(source) if source in _PHONES.names else build(Phone, _PHONES.read(source), source)
 

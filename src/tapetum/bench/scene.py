@@ -1,4 +1,4 @@
-"""What stands on the bench: a probe, the target it looks at, and the light between them. All values in SI units."""
+"""A scene: a probe, its target and the illumination, in SI units."""
 
 from __future__ import annotations
 
@@ -43,9 +43,9 @@ STEEPEST = {"thin": math.pi / 6, "prescription": math.pi / 3}
 
 
 def outside_of_model(rotation: tuple[float, float], kind: str) -> str | None:
-    """Why a rotation about y and about x, in radians, is refused before a lens of a kind; None where it is not.
+    """Return why a rotation about y and about x, in radians, is refused for a kind of lens; None where it is not.
 
-    The laser's direction has the sines of both angles for its components along x and y.
+    The laser's direction has the sines of both angles as its components along x and y.
     """
     sine = math.hypot(*(math.sin(angle) for angle in rotation))
     quarter = max(abs(angle) for angle in rotation) >= math.pi / 2 or sine >= 1
@@ -61,16 +61,16 @@ def outside_of_model(rotation: tuple[float, float], kind: str) -> str | None:
 
 @dataclass(frozen=True, config=STRICT)
 class ThinLens:
-    """An ideal lens whose aperture stop lies in it.
+    """An ideal lens with the aperture stop in its plane.
 
     Parameters
     ----------
     focal_length, aperture_radius
         In metres.
     glass
-        Its dispersion: one of the bench's glasses, or None for a lens of the same focal length in all light.
+        Its dispersion: one of the bench's glasses, or None for the same focal length at all wavelengths.
     design_wavelength
-        At which the focal length holds, in metres, where there is a glass.
+        At which the focal length holds, in metres, if there is a glass.
     """
 
     focal_length: Positive
@@ -88,7 +88,7 @@ class ThinLens:
 
 
 def _by_kind(usual: str) -> Discriminator:
-    """What tells the kinds of a union apart: a file may leave out the usual one."""
+    """The discriminator of a union; a file may omit the default kind."""
     return Discriminator(
         lambda value: str(value.get("kind", usual) if isinstance(value, dict) else getattr(value, "kind", usual))
     )
@@ -99,7 +99,7 @@ Lens = Annotated[Annotated[ThinLens, Tag("thin")] | Annotated[PrescriptionLens, 
 
 @dataclass(frozen=True, config=STRICT)
 class Target:
-    """The camera looked at.
+    """The camera that the probe illuminates.
 
     Parameters
     ----------
@@ -135,7 +135,7 @@ class Target:
 
 @dataclass(frozen=True, config=STRICT)
 class PhoneTarget:
-    """A phone looked at: one of its cameras is held on the scene, all of them answer.
+    """A phone as target: one of its cameras is pointed at the scene, all of them reflect.
 
     Parameters
     ----------
@@ -144,11 +144,10 @@ class PhoneTarget:
     object_distance
         Where its cameras are focused, in metres; `inf` for infinity.
     kind
-        What tells it from a single camera.
-    camera
-        Name of the camera whose field the gaze is in; the first one when left out.
-    imaging
-        Whether that camera images (its app is open). Sensors answer while they image, filters always.
+        Distinguishes it from a single camera.
+    camera, imaging
+        Name of the camera whose field the gaze is in (by default the first), and whether it is imaging (its app is
+        open). Sensors reflect while they image, filters always.
     rotation
         As of a `Target`.
     """
@@ -165,7 +164,7 @@ class PhoneTarget:
         names = [unit.name for unit in self.phone.cameras]
         if self.camera is not None and self.camera not in names:
             raise ValueError(f"{self.name} has no camera {self.camera!r}; use {' or '.join(names)}")
-        # Each of them must be able to focus there.
+        # Every camera must be able to focus there.
         self.cameras()
         return self
 
@@ -186,11 +185,11 @@ class PhoneTarget:
 
     @property
     def sensor(self) -> TargetSensor:
-        """That camera's sensor, as it is while it images."""
+        """That camera's sensor, as while imaging."""
         return self.unit.sensor
 
     def cameras(self) -> tuple[tuple[Target, tuple[float, float]], ...]:
-        """Every camera as a target of its own, and its place on the back plate against the one that gazes."""
+        """Every camera as a target, and its position on the back plate relative to the camera that defines the gaze."""
         gazing, found = self.unit, list[tuple[Target, tuple[float, float]]]()
         for unit in self.phone.cameras:
             images = self.imaging and unit.name == gazing.name
@@ -198,7 +197,7 @@ class PhoneTarget:
             if not images:
                 sensor = replace(sensor, reflectance=0.0, array=None, microlens=None, mask=None, diffuse=None)
             place = (unit.position[0] - gazing.position[0], unit.position[1] - gazing.position[1])
-            # Where the gazing camera looks is where the gaze counts from: the others look beside it.
+            # Gaze counts from the axis of its camera; the other axes are offset from it.
             rotation = tuple(
                 angle + (own - its) for angle, own, its in zip(self.rotation, unit.axis, gazing.axis, strict=True)
             )
@@ -211,14 +210,14 @@ AnyTarget = Annotated[Annotated[Target, Tag("camera")] | Annotated[PhoneTarget, 
 
 @dataclass(frozen=True, config=STRICT)
 class Probe:
-    """The laser's companion: a camera focused at infinity behind the same aperture.
+    """The camera beside the laser, focused at infinity behind the same aperture.
 
     Parameters
     ----------
     lens, sensor
         Its optics.
     transmission
-        Power that the way back keeps, beam splitter included.
+        Power transmission of the return path, beam splitter included.
     """
 
     lens: ThinLens
@@ -228,17 +227,17 @@ class Probe:
 
 @dataclass(frozen=True, config=STRICT)
 class Sampling:
-    """How finely to compute.
+    """Accuracy and sampling of the simulation.
 
     Parameters
     ----------
     accuracy
         Largest error of the irradiance, in fractions of the peak; the planner does the rest.
     pupil, sensor
-        Samples a side forced by hand; refused where the field would alias.
+        Samples a side set by hand; refused where the field would alias.
     propagation
-        From target to probe: `far field` (all light that returns is seen), `finite` (over the distance and through the
-        probe's round aperture), or `auto`: finite where the returning beam overfills the aperture.
+        From target to probe: `far field` (the aperture passes all returning light), `finite` (over the distance and
+        through the probe's round aperture), or `auto`: finite where the returning beam overfills the aperture.
     """
 
     accuracy: Annotated[float, Field(gt=0, lt=1)] = 1e-3
@@ -249,7 +248,7 @@ class Sampling:
 
 @dataclass(frozen=True, config=STRICT)
 class Scene:
-    """Everything that decides a retro-reflection.
+    """All parameters of a retro-reflection.
 
     Parameters
     ----------
@@ -277,7 +276,7 @@ class Scene:
         )
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the scene in a line, and all its values folded up."""
+        """The scene as HTML for a notebook: one line, and all values in a folded list."""
         from tapetum.bench.load import scene_yaml
 
         words, values = html.escape(self._words()), html.escape(scene_yaml(self))

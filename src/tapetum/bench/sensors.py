@@ -26,28 +26,28 @@ Offset = Annotated[Length, Field(ge=-0.01, le=0.01)]
 
 @dataclass(frozen=True, config=STRICT)
 class TargetSensor:
-    """The target's image sensor: what it reflects, and what it sees.
+    """The target's image sensor, as reflector and as camera.
 
     Parameters
     ----------
     reflectance
-        Power reflectance of its plane, taken as a mirror.
+        Power reflectance of its plane, treated as a mirror.
     pixels, pitch
-        Columns and rows, and their distance in metres: together the field of view.
+        Columns and rows, and their pitch in metres: together the field of view.
     array, microlens
-        The photosites as a grating, and the lenses over them; a flat mirror without.
+        The photosites as a grating, and the lenses over them; a plane mirror without.
     mask
-        Any complex reflectance in their place.
+        A complex reflectance in place of both.
     diffuse
-        A scattered share, besides.
+        An additional scattered part.
     layers
-        Further reflecting planes before the sensor.
+        Further reflecting planes in front of the sensor.
     tilt
         Of its plane against the lens's image plane, (a_x, a_y) in radians: at the place u from the lens's axis it lies
-        a·u behind it. Layers have tilts of their own. A lens tilted as a whole is the same as its planes tilted the
-        other way and a change of gaze, so it needs no field of its own.
+        a·u behind it. Layers have their own tilts. A tilt of the whole lens is equivalent to the opposite tilt of these
+        planes and a change of gaze, so it has no field of its own.
     decentre
-        Where the lens's axis meets the sensor, (x, y) in metres from its middle. Gaze counts from the sensor's middle.
+        Where the lens's axis meets the sensor, (x, y) in metres from its centre. Gaze counts from the sensor's centre.
     """
 
     reflectance: Share = 0.1
@@ -84,29 +84,22 @@ class ProbeSensor:
     Parameters
     ----------
     pixels, pitch
-        Columns and rows, and their distance in metres.
-    bits
-        Of a digital number.
+        Columns and rows, and their pitch in metres.
+    bits, offset
+        Bit depth, and digital number without light.
     exposure
         In seconds.
     quantum_efficiency
-        Electrons a photon.
+        Electrons per photon.
     full_well, read_noise
         In electrons.
     gain
-        Digital numbers an electron; where it is left out the digital range spans the full well.
-    background
-        Mean stray light a pixel and frame, in electrons.
-    dark_current
-        Electrons a pixel and second.
-    offset
-        Digital number of no light.
-    hot_pixels
-        Share of pixels with a dark current far above the others', at places that belong to the sensor.
-    hot_current
-        Mean of the hot pixels' dark current, exponentially distributed, in electrons a pixel and second.
-    serial
-        Number of the sensor: it decides where its hot pixels are.
+        Digital numbers per electron; by default the digital range spans the full well.
+    background, dark_current
+        Mean stray light in electrons per pixel and frame; dark current in electrons per pixel and second.
+    hot_pixels, hot_current, serial
+        Share of pixels with a much larger dark current, its mean (exponentially distributed) in electrons per pixel and
+        second, and the number of the sensor, which decides where they are.
     """
 
     pixels: Pixels = (256, 256)
@@ -114,7 +107,7 @@ class ProbeSensor:
     bits: Annotated[int, Field(ge=1, le=16)] = 8
     exposure: Time = 1e-5
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.5
-    # Inferred for the MT9P031, the likely sensor of the paper's cameras: not confirmed by its maker.
+    # Inferred for the MT9P031, the likely sensor of the paper's cameras; not confirmed by the manufacturer.
     full_well: Annotated[float, Field(ge=1, le=1e9)] = 6500.0
     read_noise: Annotated[float, Field(ge=0, le=1e6)] = 2.0
     background: Annotated[float, Field(ge=0, le=1e9)] = 0.0

@@ -1,4 +1,4 @@
-"""A prescription at the focal length that was asked for: scaled, or between two states of a zoom."""
+"""A prescription at a given focal length: scaled, or interpolated between states of a zoom."""
 
 from __future__ import annotations
 
@@ -12,15 +12,15 @@ from tapetum.errors import InputError
 
 __all__ = ["focal_range", "surfaces_at"]
 
-# Focal lengths are typed with a few digits: this much beyond the ends is meant to be the end.
+# Focal lengths are typed with few digits: a value this little beyond an end means the end.
 _SLACK = 1e-3
 
 
 @functools.lru_cache(maxsize=256)
 def focal_range(prescription: Prescription, wavelength: float) -> tuple[float, ...]:
-    """Paraxial focal length of every state, in metres, at a wavelength.
+    """Return the paraxial focal length of every state, in metres, at a wavelength.
 
-    Raises an InputError for a lens without a positive focal length, and for states that are not in the order of theirs.
+    Refuses a lens without a positive focal length, and states that are not in the order of theirs.
     """
     from tapetum.optics.paraxial import paraxial
 
@@ -39,11 +39,11 @@ def focal_range(prescription: Prescription, wavelength: float) -> tuple[float, .
 def surfaces_at(
     prescription: Prescription, focal_length: float | None, wavelength: float
 ) -> tuple[tuple[Surface, ...], float]:
-    """The surfaces for a focal length, and the factor on all of their lengths.
+    """Return the surfaces for a focal length, and the factor on all of their lengths.
 
-    A prime lens is scaled. In a zoom the gaps that move, and the stop's opening, run smoothly with the logarithm of the
-    focal length through the states (monotone cubics, so that no two groups meet between them). Raises an InputError for
-    a zoom without a focal length, or one beyond its range.
+    A prime lens is scaled. In a zoom the gaps that move, and the stop's opening, are interpolated over the logarithm of
+    the focal length by monotone cubics, so that no two groups meet between states. Refuses a zoom without a focal
+    length, or one beyond its range.
     """
     own = focal_range(prescription, wavelength)
     if len(own) == 1:
@@ -74,7 +74,7 @@ def surfaces_at(
         return math.log(paraxial(lens).focal_length) - wanted
 
     wanted = min(max(math.log(focal_length), logs[0]), logs[-1])
-    # At its ends the curve gives the states but for rounding: no sign changes there.
+    # At the ends rounding may leave no sign change.
     ends = miss(logs[0]), miss(logs[-1])
     if ends[0] >= 0 or ends[1] <= 0:
         return states[0 if ends[0] >= 0 else -1], 1.0

@@ -29,14 +29,13 @@ from tapetum.errors import InputError, StoppedError, TapetumError
 
 __all__ = ["app", "main"]
 
-# Typer raises the errors of Click, which newer versions of it carry inside and older ones import: its own public
-# error leads to the classes of both.
+# Typer raises Click's errors, from its own copy of Click in newer versions: take the classes from its public error.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 _ClickException: type[Exception] = _UsageError.__bases__[0]
 _INTERRUPTED = 130
 
 
-# By its words: what it runs, what the list of commands says of it, and an example for its help.
+# By command: the function, its line in the list of commands, and an example for its help.
 _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
     "demo": (demo, "The main job end to end, with a report.", "--out demo-out"),
     "simulate": (
@@ -68,7 +67,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
 
 
 class _InOrder(TyperGroup):
-    """Lists the commands in the order in which a person needs them; Typer lists groups first."""
+    """Lists the commands in the order of a typical session; Typer would list groups first."""
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
         order = [words.split()[0] for words in _COMMANDS]
@@ -110,10 +109,10 @@ def _root(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line: 0 done, 1 a check said no, 2 bad input, 130 interrupted."""
+    """Run the command line and return 0 for success, 1 for a failed check, 2 for bad input, 130 when interrupted."""
     keep_big_blocks()
     code, line = _run(arguments)
-    # Only now, when the error and the frames it held are gone, is a bar that it cut short off the screen.
+    # An interrupted progress bar leaves the screen only once the error and its stack frames are released.
     if line:
         typer.echo(line, err=True)
     return code
@@ -126,7 +125,7 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
             args=list(arguments) if arguments is not None else None, prog_name="tapetum", standalone_mode=False
         )
         code = result if isinstance(result, int) else 0
-        # Typer may turn Ctrl-C into this code by itself.
+        # Typer may return this code for Ctrl-C itself.
         return code, "interrupted" if code == _INTERRUPTED else ""
     except InputError as error:
         return 2, f"error: {error}"
@@ -137,11 +136,11 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
     except (KeyboardInterrupt, typer.Abort):
         return _INTERRUPTED, "interrupted"
     except BrokenPipeError:
-        # Whoever read our output has left (`tapetum ... | head`): nothing to say, and nowhere to flush it to.
+        # The reader of the output has closed it (`tapetum ... | head`): neither report nor flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1, ""
     except OSError as error:
-        # A file that the system would not read or write; errors without a file's name are ours to mend.
+        # A file that cannot be read or written; an error without a file name is a bug.
         if error.filename is None:
             raise
         return 2, f"error: {error.filename}: {error.strerror or error}; check the path and its permissions"
@@ -150,7 +149,7 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
 
 
 def _usage(error: Exception) -> str:
-    """What Click says of a command line that it cannot read."""
+    """Click's message about an invalid command line."""
     context = getattr(error, "ctx", None)
     command = "tapetum" if context is None else context.command_path
     if type(error).__name__ == "NoArgsIsHelpError":

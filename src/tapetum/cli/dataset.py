@@ -21,7 +21,7 @@ _SIZES = "paper; laptop: 8 to 30 s of every video; small: 2 to 4 s, a smoke test
 
 
 def say_split(out: Path, before: str = "") -> None:
-    """Print how many frames of a new dataset train and test."""
+    """Print the numbers of training and test frames of a new dataset."""
     from tapetum.data import open_dataset
 
     dataset = open_dataset(out)

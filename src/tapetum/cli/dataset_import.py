@@ -58,7 +58,7 @@ def import_data(
 
 
 def _proposed(sources: list[Path], out: Path, yes: bool) -> ImportMapping | None:
-    """Say what was found and propose a mapping of it; None where a person would not have it."""
+    """Print what was found and propose a mapping; None if the user declines it."""
     from tapetum.data.importing import look_into, propose
 
     found = look_into(sources)

@@ -1,4 +1,4 @@
-"""What `tapetum dataset info` says: lines for a person, one JSON object for a program."""
+"""Output of `tapetum dataset info`: text lines or one JSON object."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LEVELS, _PLAIN = "▁▂▃▄▅▆▇█", ".:-=+*#@"
 
 
 def as_told(dataset: xr.Dataset, quality: DatasetQuality, leaks: list[Leak]) -> dict[str, Any]:
-    """Return everything as what JSON can hold; numbers that are not finite become null."""
+    """Return all results as JSON values; infinite and NaN numbers become null."""
     told = asdict(quality)
     labels = {
         name: {**asdict(label), **{word: getattr(label.spread, word) for word in ("least", "mean", "most")}}
@@ -40,13 +40,13 @@ def _plain(value: Any) -> Any:
 
 
 def left_out(recording: Mapping[str, Any]) -> str:
-    """Return how many pictures of a recording were left out, and why; nothing where none was."""
+    """Return the number of images of a recording that were left out, and why; empty for none."""
     left = ", ".join(f"{why} {count}" for why, count in recording.get("left_out", {}).items() if count)
     return f" (left out: {left})" if left else ""
 
 
 def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[Leak]) -> Iterator[str]:
-    """Yield what a person reads."""
+    """Yield the lines of text."""
     split = f"{quality.train} to train on, {quality.test} to test"
     if quality.embargo:
         split += f", {quality.embargo} between them to neither"
@@ -74,7 +74,7 @@ def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[L
 
 
 def noticed(quality: DatasetQuality, leaks: list[Leak]) -> list[str]:
-    """Return a line for each thing that is wrong, and one for what was looked for and not found."""
+    """Return a line for each fault, and one for the checks that found none."""
     from tapetum.data.doubles import NEAR_BITS
     from tapetum.data.quality import EMPTY_SNR, OFF_CENTRE, SATURATED_SHARE
 

@@ -36,7 +36,7 @@ def demo(
     After an interruption the same command goes on. With --overwrite it is made again, from the recording that is there
     where its seed and length are the same.
     """
-    # Torch, scikit-learn and Matplotlib take seconds to import: say something first.
+    # Torch, scikit-learn and Matplotlib take seconds to import; print a line first.
     typer.echo(
         "Tapetum films a hand-held camera on the virtual bench and reads its gaze from the light it throws back."
     )

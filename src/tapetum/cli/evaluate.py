@@ -14,7 +14,7 @@ from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, optio
 from tapetum.errors import InputError
 from tapetum.progress import bar
 
-# Endings that promise another kind of file than a folder.
+# Suffixes of files; the output is a folder.
 _FILES = (".html", ".htm", ".pdf", ".md", ".txt", ".csv", ".png", ".yaml", ".zip")
 
 

@@ -1,4 +1,4 @@
-"""`tapetum fuse`: one track of what several probes say of the same target."""
+"""`tapetum fuse`: one track of a target from several probes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What several commands ask of their arguments: what may stand at an output's name, and which model is meant."""
+"""Checks and look-ups shared by several commands: existing outputs, and models by name."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 __all__ = ["check_output", "filling", "find_model", "says_what_is_kept"]
 
-# By what a folder holds: the file in it that shows this, and the word to find there.
+# By content of a folder: the file in it that identifies the content, and the word to find there.
 _MARKERS = {
     "tapetum-dataset": ("zarr.json", "tapetum-dataset"),
     "tapetum-recording": ("recording.json", "tapetum-recording"),
@@ -27,11 +27,10 @@ _UNFINISHED = ".tapetum-unfinished"
 
 
 def check_output(out: Path | None, force: bool, holds: str | None = None) -> None:
-    """Refuse to replace an output that exists, before any work: one rule for all commands.
+    """Refuse to replace an existing output, before any work; no check for None.
 
-    Without `--overwrite` whatever stands at `out` stays. With it a file may be replaced by a file, and a folder by one that
-    `holds` the same, a key of `_MARKERS`. The writers see to the rest: what stands there stays until the new one is
-    whole. Nothing is checked where `out` is None.
+    With `--overwrite` a file may be replaced by a file, and a folder by one that `holds` the same, a key of `_MARKERS`. The
+    writers keep the existing output until the new one is complete.
     """
     if out is None or not (out.exists() or out.is_symlink()):
         return
@@ -51,9 +50,9 @@ def check_output(out: Path | None, force: bool, holds: str | None = None) -> Non
 
 @contextlib.contextmanager
 def filling(folder: Path, names: Mapping[str, str | None], force: bool) -> Iterator[None]:
-    """Apply the rule of `check_output` to all that a command fills a folder with: names, with what each holds.
+    """Apply `check_output` to all that a command writes into a folder: names, each with what it holds.
 
-    What an interrupted run left is not refused: until the work is done a hidden file in the folder lists its names.
+    Outputs of an interrupted run are not refused: a hidden file in the folder lists their names until the work is done.
     """
     begun = folder / _UNFINISHED
     left = begun.read_text(encoding="utf-8").splitlines() if begun.is_file() else []
@@ -71,7 +70,7 @@ def filling(folder: Path, names: Mapping[str, str | None], force: bool) -> Itera
         if not any((folder / name).exists() for name in names):
             begun.unlink(missing_ok=True)
             if not stood:
-                # Something else may be in it by now.
+                # The folder may hold something else by now.
                 with contextlib.suppress(OSError):
                     folder.rmdir()
         raise
@@ -80,9 +79,9 @@ def filling(folder: Path, names: Mapping[str, str | None], force: bool) -> Itera
 
 @contextlib.contextmanager
 def says_what_is_kept(how: str = "") -> Iterator[None]:
-    """Put what work that ended early has kept, the notes on its error, into the one line that a person sees.
+    """Add the notes of an error, which say what interrupted work has kept, to its one-line message.
 
-    `how` says how to go on, for what Ctrl-C ended.
+    `how` says how to resume after Ctrl-C.
     """
     try:
         yield
@@ -99,7 +98,7 @@ def says_what_is_kept(how: str = "") -> Iterator[None]:
 def find_model(name: str, device: str = "auto") -> Predictor:
     """Load a model by its folder, by its exported file NAME.onnx or by the name of a bundled one.
 
-    A network computes on `device`; an InputError says where there is no such model, or it knows the processor alone.
+    A network computes on `device`. Raises an InputError for an unknown model or one that runs on the CPU only.
     """
     from tapetum.models import NetworkEstimator, load_predictor, pretrained
 

@@ -1,4 +1,4 @@
-"""Options that several commands have, each described once, and the spellings that options had one release ago."""
+"""Options shared by several commands, and their deprecated spellings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tapetum.errors import InputError
 
 
 def option(metavar: str, told: str, *spellings: str, **limits: Any) -> Any:
-    """Describe an option that takes a value: what it is called in the help, what it does, and its limits."""
+    """Describe an option with a value: its name in the help, its effect, and its limits."""
     return typer.Option(*spellings, metavar=metavar, help=told, **limits)
 
 
@@ -48,14 +48,14 @@ _OLD_SPELLINGS: dict[str, dict[str, str]] = {
     "synth": {"--workers": "--processes"},
     "paper": {"--workers": "--processes"},
 }
-"""By command; understood for one release."""
+"""Deprecated spellings by command, accepted for one release."""
 
 
 class Command(TyperCommand):
-    """A command that also understands the old spellings of its options, which its help does not show."""
+    """A command that also accepts deprecated spellings of its options, hidden from its help."""
 
     def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Read the command line, old spellings replaced by new ones."""
+        """Parse the command line with deprecated spellings replaced."""
         now = _OLD_SPELLINGS.get(self.name or "", {})
         end = args.index("--") if "--" in args else len(args)
         options = [arg.partition("=") for arg in args[:end]]
@@ -65,13 +65,7 @@ class Command(TyperCommand):
 
 
 def count_of(processes: str | None) -> int | Literal["auto"] | None:
-    """Return a number of processes as it was asked for.
-
-    Raises
-    ------
-    InputError
-        For anything else than a positive number or auto.
-    """
+    """Return the number of processes asked for; refuses anything but a positive number or auto."""
     if processes is None or processes == "auto":
         return processes
     if not (processes.isascii() and processes.isdigit() and int(processes)):
@@ -81,7 +75,7 @@ def count_of(processes: str | None) -> int | Literal["auto"] | None:
 
 
 def film_count(processes: str | None) -> int | None:
-    """Return how many processes film: auto stands for the cores that this one may use, as far as the system says."""
+    """Return the number of processes that film; auto means the cores available to this one."""
     count = count_of(processes)
     if count != "auto":
         return count

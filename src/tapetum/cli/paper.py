@@ -1,4 +1,4 @@
-"""`tapetum paper`: the paper's figures and tables reproduced, with what it reports and what differs."""
+"""`tapetum paper`: reproduce the paper's figures and tables, with its own numbers and the differences."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tapetum.experiments import Workshop
     from tapetum.models import Predictor
 
-# Known without torch, for the help: a test holds them to those of the report.
+# Repeated for the help, which must not import torch; a test compares them with the experiments'.
 FIGURES = ("fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "fig10", "fig11", "fig12", "table1", "table2")
 FIGURES += ("ablations", "development", "unseen", "fit")
 SEALED = "sealed"
@@ -77,7 +77,7 @@ def paper(
 
     Each other becomes NAME.png (not the tables), NAME.md and NAME.json. The networks' and the sets' seeds are fixed.
     """
-    # What it was called until now; understood for one release.
+    # The deprecated name, accepted for one release.
     wanted = ["development" if figure == "fresh" else figure for figure in figures]
     for figure in wanted:
         one_of(figure, (*FIGURES, *GROUPS, SEALED), "FIGURE")
@@ -113,7 +113,7 @@ def paper(
 def _sealed(out: Path, work: Workshop, models: dict[str, Predictor], as_json: bool) -> None:
     from tapetum.experiments.sealed import run_sealed
 
-    # The results are kept and shown: where a model lies on this machine does not belong there.
+    # Results are published, so they must not contain local paths of models.
     short = {Path(name).name: model for name, model in models.items()}
     rows = run_sealed(out, work, (short if len(short) == len(models) else models) or None)
     if as_json:

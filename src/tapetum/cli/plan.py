@@ -1,4 +1,4 @@
-"""`tapetum plan`: what a scene would give, before it is simulated or built."""
+"""`tapetum plan`: the expected performance of a scene, before it is simulated or built."""
 
 from __future__ import annotations
 

@@ -96,7 +96,7 @@ def record(
 
 
 def _is_real(source: str) -> bool:
-    """Whether a source is a camera or frames on disk; anything else is a scene, or nothing."""
+    """Whether a source is a camera or frames on disk, not a scene."""
     from tapetum.record.camera import is_camera
 
     path = Path(source)
@@ -121,7 +121,7 @@ def _scene(source: str, changes: list[str] | None) -> Scene:
 
 
 def _session(scene: Scene, seconds: float, rate: float, own: dict[str, Any], stray: bool) -> Session:
-    """Return the take of the virtual bench that a person asks for."""
+    """Return the session of the virtual bench with the given options."""
     from tapetum.record import BlinkCode, HandMotion, Session, draw_clutter, draw_stray
 
     seed = SEED if own["seed"] is None else own["seed"]
@@ -146,7 +146,7 @@ def _film(scene: Scene, session: Session, out: Path, force: bool) -> Recording:
 
 
 def _label(recording: Recording) -> None:
-    """Label a recording that is whole already."""
+    """Label a finished recording, which stays when that fails."""
     from tapetum.record import label_recording
 
     try:
@@ -159,7 +159,7 @@ def _label(recording: Recording) -> None:
 
 
 def _same(probe: str, target: str) -> bool:
-    """Whether two sources are one; a recording holds both streams."""
+    """Whether two sources are the same; a recording holds both streams."""
     if Path(probe).exists() and Path(target).exists():
         return Path(probe).samefile(target) and not (Path(probe) / "recording.json").exists()
     return probe == target

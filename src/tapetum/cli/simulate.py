@@ -36,7 +36,7 @@ class Sweep:
     values: tuple[Any, ...]
 
     def labels(self) -> list[str]:
-        """How a picture names them."""
+        """Their labels in a figure."""
         form = _SHOWN_AS.get(self.key.rsplit(".", 1)[-1], self.key + " = {}")
         return [form.format(f"{value:g}" if isinstance(value, float) else value) for value in self.values]
 
@@ -91,13 +91,7 @@ def simulate(
 
 
 def parse_sweep(text: str) -> Sweep:
-    """Read `KEY=V1,V2,…` or `KEY=A:B:N`.
-
-    Raises
-    ------
-    InputError
-        For another form, an unknown key, or fewer than one value.
-    """
+    """Read `KEY=V1,V2,…` or `KEY=A:B:N`; refuses another form, an unknown key, and an empty sweep."""
     key, sign, values = text.partition("=")
     if not sign or not values.strip():
         raise InputError(f"{text!r} is no sweep", where="--sweep", remedy="write KEY=V1,V2,... or KEY=A:B:N")
@@ -138,14 +132,14 @@ def _grid(base: Scene, axes: list[Sweep], imaged: Callable[..., Image]) -> Image
             [with_values(scene, {inner.key: value}, where="--sweep") for value in inner.values] if inner else [scene]
         )
         if turning:
-            # The checks of a scene's own rotation hold for each.
+            # Check every rotation as the scene's own.
             images.append(imaged(scene, np.degrees(np.array([one.target.rotation for one in scenes]))))
         else:
             images += [imaged(one) for one in scenes]
     if len({(image.irradiance.shape[1:], image.pitch) for image in images}) > 1:
         what = "the sweep changes the number or the pitch of the probe's pixels"
         raise InputError(what, where="--sweep", remedy="run it once for each")
-    # The frame as a whole is as good as its worst part.
+    # The accuracy of the whole is that of its worst part.
     worst = max(images, key=lambda image: image.metadata["expected_error"])
     rotations = [r for image in images for r in image.metadata["rotation_deg"]]
     metadata = {**worst.metadata, "rotation_deg": rotations}

@@ -1,4 +1,4 @@
-"""`tapetum track`: find, follow and read the retro-reflections of a video, a folder of images or a recording."""
+"""`tapetum track`: detect and track the retro-reflections of a video, a folder of images or a recording."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def track(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Track every retro-reflection, and let models say where its camera looks."""
+    """Track every retro-reflection, and estimate its camera's gaze with models."""
     if detections is not None and detections.resolve() == out.resolve():
         raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
     if smooth is not None:
@@ -99,7 +99,7 @@ def track(
 
 
 def _smoothed(table: pa.Table, way: str | None, systematic: float) -> pa.Table:
-    """Smooth a table of tracks; one without a row, or whose models refuse every row, needs no smoothing."""
+    """Smooth a table of tracks; one without rows, or whose models refuse every row, stays as it is."""
     from tapetum.track.smooth import smooth_tracks
 
     applies = set(table["applies"].to_pylist() if "applies" in table.column_names else ()) - {None}
@@ -109,7 +109,7 @@ def _smoothed(table: pa.Table, way: str | None, systematic: float) -> pa.Table:
 
 
 def _again(source: Path, out: Path, smooth: str | None, systematic: float) -> None:
-    """Track kept detections again; their estimates come along."""
+    """Track stored detections again, with their estimates."""
     from tapetum.track import retrack, write_tracks
 
     tracks = _smoothed(retrack(source), smooth, systematic)

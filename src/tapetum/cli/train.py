@@ -126,7 +126,7 @@ def train(
 def _fitted_network(
     kind: str, label: str, options: dict[str, Any], data: xr.Dataset, checkpoint: Path
 ) -> NetworkEstimator:
-    """Train a network; where Ctrl-C ends that, say what is kept and how to go on."""
+    """Train a network; after Ctrl-C, report what is kept and how to resume."""
     from tapetum.models import NetworkEstimator
 
     resume = options.pop("resume", False)
@@ -162,7 +162,7 @@ def _evaluate(model: ZernikeRidge | NetworkEstimator, data: xr.Dataset, dataset:
 
 
 def _fitting_scales(side: int) -> tuple[int, ...]:
-    """The paper's scales, or where the crops are smaller as many in the same proportions."""
+    """The paper's scales, reduced in proportion for smaller crops."""
     from tapetum.models.features import SCALES
 
     if side >= max(SCALES):
@@ -173,7 +173,7 @@ def _fitting_scales(side: int) -> tuple[int, ...]:
 
 
 def _fitting_look(options: dict[str, Any], side: int) -> dict[str, Any]:
-    """The options of the network; where it is not said how much it looks at, no more than there is."""
+    """The options of the network; by default its crop is at most the dataset's."""
     from tapetum.models import NetworkEstimator
 
     usual = NetworkEstimator()

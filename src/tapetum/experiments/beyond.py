@@ -1,4 +1,4 @@
-"""What the paper's section 5 lacks: ablations, development recordings, phones never seen, a fit without training."""
+"""Beyond the paper's section 5: ablations, development recordings, unknown phones, a fit without training."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ Array = NDArray[np.float64]
 def ablations(work: Workshop) -> dict[str, Any]:
     """Leave out scales and powers of the Zernike features, and the network's brightest spot.
 
-    A row has the `name` of what is left, its `features` of an image (None for a network), and `mae` and `rmse` over
-    both axes, in fractions of the field.
+    A row has the `name` of the remaining parts, the number of `features` of an image (None for a network), and `mae`
+    and `rmse` over both axes, in fractions of the field.
     """
     dataset = work.dataset("rotation")
     model = RECIPES["rotation-zernike"].make(work.size)
@@ -69,12 +69,11 @@ def _ablation(name: str, features: int | None, truth: Array, said: Array) -> dic
 
 
 def development(work: Workshop) -> dict[str, Any]:
-    """Let the Rotation set's models, and one that learned from varied recordings, predict the development ones.
+    """Score the Rotation set's models, and one trained on varied recordings, on the development recordings.
 
-    A row has the `model`'s title, `own`, its MAE over both axes on its set's own test part in fractions of the field,
-    the `distance` of each development recording in metres and the `mae` there, their mean over `own` as `ratio`, the
-    `guess`, the MAE of predicting the mean of the labels trained on, and the `coverage` of its 90 % intervals (None
-    without).
+    A row has the `model`'s title; `own`, its MAE over both axes on its set's own test part in fractions of the field;
+    the `distance` of each development recording in metres and the `mae` there; their mean over `own` as `ratio`; the
+    `guess`, the MAE of predicting the mean training label; and the `coverage` of its 90 % intervals (None without).
     """
     found, rows = work.dataset("development"), list[dict[str, Any]]()
     for name in (*ROTATION_MODELS, VARIED_MODEL):
@@ -106,7 +105,7 @@ def _mae(outcome: Outcome) -> float:
 
 
 def unseen(work: Workshop) -> dict[str, Any]:
-    """Ask a model for devices that it was not trained on, and score its answer "none of these"; see `ClassScores`."""
+    """Let a model classify devices that it was not trained on, and score its answers by `ClassScores`."""
     scores = score_classes(work.outcome("phones-resnet18-unseen"))
     assert scores is not None
     return scores.to_dict()
@@ -115,17 +114,16 @@ def unseen(work: Workshop) -> dict[str, Any]:
 def untrained(work: Workshop) -> dict[str, Any]:
     """Fit the simulation to `frames` of the Rotation set's test part, evenly spread over the centre half of the field.
 
-    `filmed` are those frames, which the film rotates by an approximation (error 1 % of the peak); `exact` are frames of
-    the same gazes, rotated exactly, with the same sensor's noise and unevenness. Each has the `rmse` over both axes in
-    fractions of the field, the `median` of a frame's error (a few frames that it takes for others decide the RMSE
-    alone), the frames `lost` by more than ten times the limit, and the `coverage` of its 90 % intervals. `limit` is the
-    root mean square of the Cramér-Rao limits at their gazes, photosites unknown; `network_rmse` is ResNet-18's on the
-    filmed frames.
+    `filmed` are those frames, rotated by the film's approximation (error 1 % of the peak); `exact` are frames at the
+    same gazes, rotated exactly, with the same sensor's noise and non-uniformity. Each has the `rmse` over both axes in
+    fractions of the field, the `median` of a frame's error (a few ambiguous frames dominate the RMSE), the frames
+    `lost` by more than ten times the limit, and the `coverage` of its 90 % intervals. `limit` is the root mean square
+    of the Cramér-Rao bounds at their gazes, photosites unknown; `network_rmse` is ResNet-18's on the filmed frames.
     """
     network = work.outcome("rotation-resnet18")
     truth, said = network.pair()
     if network.true_gaze is not None:
-        # What a label says is off by more than the fit is.
+        # The label error exceeds the fit's.
         truth = network.true_gaze
     centre = np.flatnonzero(np.hypot(*truth.T) < CENTRE)
     chosen = centre[np.linspace(0, len(centre) - 1, min(_FITTED[work.size], len(centre))).round().astype(int)]
@@ -133,7 +131,7 @@ def untrained(work: Workshop) -> dict[str, Any]:
     video = plan_of("rotation", work.size).videos[0]
     scene, session = video.scene, video.session
     nuisances = (*FRAME, "background", "roll", "phase_x", "phase_y")
-    # How uneven a sensor is can be measured before a lamp; which pixel is which is left unknown.
+    # A sensor's non-uniformity can be measured with a lamp; the individual pixels' responses stay unknown.
     sensor = next(one for one in session.stray if isinstance(one, FixedPattern))
     offsets = sensor.columns, sensor.rows
     model = SimulationFit(scene, nuisances=nuisances, unevenness=sensor.gain, offsets=offsets)
@@ -161,7 +159,7 @@ def untrained(work: Workshop) -> dict[str, Any]:
 def _exact(
     scene: Scene, gazes: Array, pattern: FixedPattern, turned: float, side: int = 200
 ) -> NDArray[np.uint8 | np.uint16]:
-    """Crops [N, side, side] of some gazes, a little off their middle and turned by some radians (RMS)."""
+    """Crops [N, side, side] at some gazes, slightly off-centre and rotated by some radians (RMS)."""
     rng = np.random.default_rng(0)
     pictures, sensor = Pictures(scene, side), scene.probe.sensor
     offset, gain = (np.asarray(one, np.float64) for one in pattern.draw(scene))

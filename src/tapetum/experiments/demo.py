@@ -1,4 +1,4 @@
-"""The main job end to end on the virtual bench: film, label, learn, track, report."""
+"""The whole chain on the virtual bench: film, label, train, track, report."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ __all__ = ["DEMO_SEED", "DemoOutcome", "run_demo"]
 
 DEMO_SEED = SEED
 SCENE = pretrain.SCENE
-# Gazes across and down, odd both, of the maps of what tells a gaze from its opposite.
+# Columns and rows of gazes, both odd, of the maps of d'.
 _MAP = (7, 5)
 _SIGN_FRAMES = 120
 _SAMPLES = 12
@@ -53,7 +53,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DemoOutcome:
-    """What a demo leaves: its folder, the report in it, the report's numbers, and how long each step took."""
+    """A demo's folder, the report in it, the report's numbers, and the duration of each step."""
 
     folder: Path
     report: Path
@@ -63,7 +63,7 @@ class DemoOutcome:
 
 @dataclass
 class _Stopwatch:
-    """Times of the steps, in order; says each one's name as it begins."""
+    """Durations of the steps, in order; announces each step as it begins."""
 
     say: Callable[[str], None]
     rows: list[tuple[str, float]] = field(default_factory=list[tuple[str, float]])
@@ -86,26 +86,12 @@ def run_demo(
     progress: Progress = quiet,
     say: Callable[[str], None] = lambda _: None,
 ) -> DemoOutcome:
-    """Do the package's main job on a new recording of the virtual bench.
+    """Film, label, train and track on a new recording of the virtual bench, and write the report into the folder `out`.
 
-    Parameters
-    ----------
-    out
-        Folder for the recording, dataset, ridge model, tracks and report. A finished recording of the same seed and
-        length in it is used again; everything else is made again.
-    seconds, seed
-        Length and seed of the recording. The bundled model's own seeds are refused: it has seen them.
-    train
-        Train the ResNet-18 here instead of taking the bundled one. An interrupted training goes on where it stopped.
-    device
-        Where the ResNet-18 is trained and asked: "auto", "cpu", "cuda" or "cuda:1".
-    progress, say
-        Show how far it is.
-
-    Raises
-    ------
-    InputError
-        For a seed the model was trained on, a recording too short to split, or a full disk.
+    A finished recording of the same `seed` and length in `out` is used again. The bundled ResNet-18 predicts the gaze,
+    and the seeds it was trained on are refused; with `train`, another is trained on `device` ("auto", "cpu", "cuda" or
+    "cuda:1"), and resumes after an interruption. Raises an InputError for a recording too short to split or a full
+    disk.
     """
     if seed in (*pretrain.TRAIN_SEEDS, pretrain.FRESH_SEED):
         raise InputError(f"{seed} is one of the bundled model's own", where="seed", remedy="choose another")
@@ -201,7 +187,7 @@ def _stacked(table: pa.Table, *names: str) -> Array:
 
 
 def _labelled(recording: Recording) -> tuple[pa.Table, pa.Table]:
-    """Return the labels of a recording, and what the bench knows to be true."""
+    """Return the labels of a recording, and the virtual bench's truth."""
     labels, truth = recording.labels(), recording.truth()
     if labels is None or truth is None:
         raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo again")
@@ -211,10 +197,10 @@ def _labelled(recording: Recording) -> tuple[pa.Table, pa.Table]:
 def _sign(
     scene: Scene, dataset: xr.Dataset, models: dict[str, Estimator], predictions: dict[str, Any], seed: int
 ) -> SignEvidence:
-    """d' over the field with and without the second beam, and what the models make of held-out gazes without it."""
+    """d' over the field with and without the second beam, and the models' predictions without it."""
     ideal = without_second_beam(scene)
     x, y = (np.linspace(-0.45, 0.45, count) for count in _MAP)
-    # A gaze and its opposite make the same test: half the field shows it all. The middle has no opposite.
+    # d' is equal for a gaze and its opposite, so half the field suffices; the centre has no opposite.
     grid = torch.tensor([[a, b] for b in y for a in x], dtype=torch.float64)
     half = len(grid) // 2
 
@@ -243,7 +229,7 @@ def _rate(name: str, second_beam: bool, truth: Array, predicted: Array) -> SignR
 
 
 def _spots(recording: Recording) -> tuple[Array, Array, Array]:
-    """Laser spots at the probe's frames, in target pixels: found, true, and what a perfect finder would have joined."""
+    """Laser spots at the probe's frames, in target pixels: found, true, and as joined from a perfect detector's."""
     labels, truth = _labelled(recording)
     info = recording.stream("target")
     size = np.array([info.width, info.height], dtype=float)
@@ -383,7 +369,7 @@ def _target_index(recording: Recording, seconds: float) -> int:
 
 
 def _spread(gaze: Array, count: int) -> NDArray[np.int_]:
-    """Frames whose gazes lie far from each other, from the middle of the field outwards."""
+    """Frames with gazes far from each other, from the centre of the field outwards."""
     chosen = [_nearest_to_centre(gaze)]
     while len(chosen) < min(count, len(gaze)):
         away = np.min(np.linalg.norm(gaze[:, None] - gaze[chosen][None], axis=-1), axis=1)

@@ -1,4 +1,4 @@
-"""The paper's Figs. 4 to 8, drawn from what was simulated."""
+"""The paper's Figs. 4 to 8, drawn from the simulations."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ _TONE = "Each image to its own peak; brightness is the square root of the irradi
 
 
 def draw_fig4(found: Fig4) -> Figure:
-    """Blocks of images, one a focal length: a row for each object distance, a column for each rotation.
+    """One block of images for each focal length: a row for each object distance, a column for each rotation.
 
-    The first block is drawn large, the others small beside it; each row has its own scale bar.
+    The first block is large, the others small beside it; each row has its own scale bar.
     """
     blocks = len(found.images)
     figure = new_figure(9.9 if blocks > 1 else 6.6, 6.75)
@@ -73,7 +73,7 @@ def draw_fig5(found: Fig5) -> Figure:
     above, below = _parted(figure.subfigures(2, 1, height_ratios=(len(found.strips) * 1.2 + 0.2, 3.4)))
     rows: list[tuple[str, Array, float]] = []
     for strip in found.strips:
-        # All of a strip's images keep one scale, that of its largest.
+        # One scale for all images of a strip, that of the brightest.
         wanted = min(found.window, 1.45 * float(strip.diameter.max()))
         parts = _middle(strip.frames, wanted / found.window)
         shown = found.window * parts.shape[-1] / strip.frames.shape[-1]
@@ -84,7 +84,7 @@ def draw_fig5(found: Fig5) -> Figure:
     near = float(distances.min())
     fine = np.geomspace(near, float(distances.max()), 50)
     for index, strip in enumerate(found.strips):
-        # By the beam's area from the nearest distance on, as the paper expects it.
+        # Scaled by the beam's area from the nearest distance on, as the paper expects.
         start = strip.signal[int(distances.argmin())]
         left.plot(fine, start * (near / fine) ** 2, color=colour(index), linewidth=0.9, alpha=0.7)
         text = f"{strip.name}: {strip.measured.words}"
@@ -131,7 +131,7 @@ def draw_fig6(found: Fig6) -> Figure:
             1e3 * surface.diameter,
             marker=marker(index),
             color=colour(index),
-            # The filter's marks lie on the cardboard's: both are to be seen.
+            # The filter's markers coincide with the cardboard's; keep both visible.
             markersize=9 if surface.name == "white cardboard" else 4.5,
             linewidth=lines,
             label=surface.name,
@@ -150,7 +150,7 @@ def draw_fig6(found: Fig6) -> Figure:
 
 
 def draw_fig7(found: Fig7) -> Figure:
-    """Three rows: gaze, object distance and focal length; what cannot be simulated is left empty."""
+    """Three rows: gaze, object distance and focal length; cells that cannot be simulated are empty."""
     names = {"a": "gaze below the middle", "b": "object distance, f = 135 mm", "c": "focal length, 5.5 m"}
     columns = max(len(samples) for _, samples in found.rows())
     figure = new_figure(1.42 * columns + 0.4, 5.6)
@@ -164,7 +164,7 @@ def draw_fig7(found: Fig7) -> Figure:
 
 
 def draw_fig8(found: Fig8) -> Figure:
-    """The phones in two rows, and below them those with the camera app shut."""
+    """The phones in two rows, and below them those with the camera app closed."""
     columns = max(2, -(-len(found.opened) // 2))
     rows = [found.opened[:columns], found.opened[columns:], found.shut]
     names = ["app open", "app open", "app shut"]
@@ -180,7 +180,7 @@ def draw_fig8(found: Fig8) -> Figure:
 
 
 def _samples(axes: NDArray[np.object_], samples: Sequence[Sample], full_scale: int, pitch: float) -> None:
-    """A row of crops on one scale of brightness, the square root of the part of the full scale."""
+    """A row of crops on one brightness scale: the square root of the fraction of full scale."""
     for c, ax in enumerate(axes):
         if c >= len(samples):
             ax.set_axis_off()
@@ -210,7 +210,7 @@ def _grid(
     axes = part.subplots(len(rows), len(headings), squeeze=False)
     for r, (name, images, width) in enumerate(rows):
         for ax, image in zip(axes[r], images, strict=True):
-            # Averaged where several of its pixels fall on one of the figure's: rings would beat with these.
+            # Averaged where several pixels fall on one of the figure's, or rings would alias.
             draw_rr(ax, image, interpolation="antialiased", extent=(0, 1, 0, 1))
         axes[r, 0].set_ylabel(name, fontsize=name_size, color=INK)
         _bar(axes[r, 0], width, most, small=small)
@@ -219,13 +219,13 @@ def _grid(
 
 
 def _middle(frames: Array, part: float) -> Array:
-    """Return that part of the frames' width and height about their middle."""
+    """Return the central part of the frames, a fraction of width and height."""
     cut = (frames.shape[-1] - max(2, round(part * frames.shape[-1]))) // 2
     return frames[:, cut:-cut, cut:-cut] if cut > 0 else frames
 
 
 def _parted(found: object) -> list[SubFigure]:
-    # Matplotlib gives one of them or an array, and types them as one.
+    # Matplotlib returns one axis or an array, typed as one.
     return list(np.atleast_1d(np.asarray(found, dtype=object)).ravel())
 
 
@@ -240,7 +240,7 @@ def _bar(ax: Axes, width: float, most: float, *, small: bool) -> None:
 
 
 def _plain_x(ax: Axes, distances: NDArray[np.float64]) -> None:
-    """Name a logarithmic axis' distances as they are, those that leave room for it."""
+    """Label a logarithmic axis with the plain distances that have room."""
     ticks = [d for d in (0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0) if distances.min() <= d <= distances.max()]
     ax.set_xticks(ticks, labels=[f"{d:g}" for d in ticks])
     ax.xaxis.set_minor_formatter(NullFormatter())

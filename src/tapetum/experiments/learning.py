@@ -1,4 +1,4 @@
-"""Figs. 9 to 12 and Tables 1 and 2: what the models make of the three sets, beside the Cramér-Rao limit."""
+"""Figs. 9 to 12 and Tables 1 and 2: the models' errors on the three sets, with the Cramér-Rao limit."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ PHONES_MODEL = "phones-resnet18"
 
 GUESS = MEAN
 RADIAL = "radial"
-"""The distance between the gaze estimated and the true one, in place of a quantity."""
+"""Name of the distance between estimated and true gaze, in place of a quantity."""
 # Rings of the field; the corner lies at 0.707.
 _RINGS = np.array([0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45, 0.5, 0.6, 0.71])
-# Where the bound is computed, and no farther: nothing returns from the corners.
+# The bound is computed up to here; the corners return no light.
 _BOUND_AT = (0.0, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.35, 0.4, 0.45)
 CENTRE = 0.25
 """Distance from the centre, in fractions of the field, of the centre half."""
 
 Array = NDArray[np.float64]
-# As the paper calls it, the quantity, its unit, and what the paper's text says of it.
+# The paper's name, the quantity, its unit, and the numbers in the paper's text.
 Task = tuple[str, str, str, str | None]
 
 
@@ -68,11 +68,11 @@ def _rows(outcome: Outcome, model: str, tasks: Sequence[Task]) -> list[dict[str,
 
 
 def table1(work: Workshop) -> dict[str, Any]:
-    """Return `rows` of Table 1 and `classes`, the scores of the phones' classes.
+    """Return the `rows` of Table 1 and `classes`, the scores of the phone classification.
 
     A row has its `task` as the paper calls it, `model`, `unit` of the errors, `frames` scored, `mae`, `rmse`,
-    `guess_mae` and `guess_rmse` of predicting the training part's mean, `coverage` (None without intervals), and what
-    is `printed` in the paper's text; its table is a picture that is not at hand.
+    `guess_mae` and `guess_rmse` of predicting the training part's mean, `coverage` (None without intervals), and the
+    `printed` numbers of the paper's text (its table is an image that is not available).
     """
     field, said = "fraction of the field", "MAE 0.095, the axes not separated"
 
@@ -88,7 +88,7 @@ def table1(work: Workshop) -> dict[str, Any]:
 
 
 def table2(work: Workshop) -> dict[str, Any]:
-    """Return the errors of the gaze for each of the `phones`, as `tapetum.report.evaluation.Group` has them."""
+    """Return the errors of the gaze for each of the `phones`, as in `tapetum.report.evaluation.Group`."""
     return {"phones": [asdict(one) for one in by_device(work.outcome(PHONES_MODEL))]}
 
 
@@ -120,9 +120,9 @@ LIMIT, FINE_LIMIT = "Cramér–Rao limit", "the same, photosites known"
 def fig10(work: Workshop) -> tuple[Figure, dict[str, Any]]:
     """Draw the error by distance from the centre for all models, with the Cramér-Rao limit of one frame.
 
-    The numbers are the rings' `errors` by model; the `limits` by what an estimate knows beforehand; ResNet-18's
-    `rmse_over_limit`, the first, at that limit's distances (None where there is no frame); and the same for the frames
-    of the `centre` half together, with the labels' own error there (None where the true gaze is not known).
+    The numbers are the rings' `errors` by model; the `limits` by prior knowledge; `rmse_over_limit`, ResNet-18's RMSE
+    over the first limit at that limit's distances (None without frames); and the same for all frames of the `centre`
+    half, with the labels' own error there (None where the true gaze is not known).
     """
     outcomes = {RECIPES[name].title: work.outcome(name) for name in ROTATION_MODELS}
     errors = {title: error_by_distance(*outcome.pair(), edges=_RINGS) for title, outcome in outcomes.items()}
@@ -139,7 +139,7 @@ def fig10(work: Workshop) -> tuple[Figure, dict[str, Any]]:
         bounds={name: (one.distance, one.mae) for name, one in limits.items()},
         log=True,
     )
-    # The limit is of the distance from where the target looked, to which the labels' own error would be added.
+    # The limit applies to the true gaze, without the label error.
     looked = truth if first.true_gaze is None else first.true_gaze
     distance = np.hypot(*looked.T)
     square = np.square(said - looked).mean(axis=1)
@@ -148,7 +148,7 @@ def fig10(work: Workshop) -> tuple[Figure, dict[str, Any]]:
     near = [np.abs(distance - at) <= width for at in limit.distance]
     rmse = np.array([_rms_of(square[one]) for one in near])
     centre = distance < CENTRE
-    # The limit of each frame of the centre half, not that of some place in it.
+    # The limit at each frame's own gaze.
     own = np.interp(distance[centre], limit.distance, limit.rms)
     centre_rmse = _rms_of(square[centre])
     return figure, {
@@ -193,8 +193,8 @@ def fig11(work: Workshop) -> tuple[Figure, dict[str, Any]]:
 def fig12(work: Workshop) -> tuple[Figure, dict[str, Any]]:
     """Map the error of ResNet-18 over object distance and focal length, with the Cramér-Rao limit of one frame.
 
-    `mae` and `limit_mae` are [F, D] by quantity, in metres, over the `focal_lengths` and `object_distances`; None where
-    there is no frame.
+    `mae` and `limit_mae` are [F, D] by quantity, in metres, over `focal_lengths` and `object_distances`; None without
+    frames.
     """
     outcome = work.outcome(FOCUS_MODELS[0])
     maps = {name: error_map(outcome, name) for name in outcome.quantities}
@@ -212,7 +212,7 @@ def fig12(work: Workshop) -> tuple[Figure, dict[str, Any]]:
 
 
 def plain(values: Array) -> list[Any]:
-    """Return an array as lists; what is not finite becomes None."""
+    """Return an array as lists; NaN and infinity become None."""
     told = values.astype(object)
     told[~np.isfinite(values)] = None
     return told.tolist()

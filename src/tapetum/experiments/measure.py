@@ -1,4 +1,4 @@
-"""What a picture of a retro-reflection is measured by: sizes, symmetry, and power laws."""
+"""Measures of an image of a retro-reflection: size, symmetry, and power laws."""
 
 from __future__ import annotations
 
@@ -29,18 +29,7 @@ class PowerLaw:
 
 
 def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
-    """Fit a power law by least squares in logarithms, all points alike.
-
-    Parameters
-    ----------
-    x, y
-        [N] positive values, at least three.
-
-    Raises
-    ------
-    InputError
-        For fewer, or for values that are not positive and finite.
-    """
+    """Fit a power law to [N >= 3] positive values by unweighted least squares in logarithms."""
     a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if a.ndim != 1 or a.shape != b.shape or len(a) < 3:
         remedy = "give [N] of each, three at least"
@@ -49,7 +38,7 @@ def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
         raise InputError("hold a value that is not positive", where="x and y", remedy="give positive, finite values")
     if not np.ptp(a):
         raise InputError("are all the same", where="x", remedy="give different values")
-    # Not SciPy's linregress: of values that are all alike it gives no error of the slope.
+    # SciPy's linregress gives no error of the slope for constant values.
     (exponent, level), covariance = np.polyfit(np.log(a), np.log(b), 1, cov=True)
     return PowerLaw(float(exponent), float(np.sqrt(covariance[0, 0])), float(np.exp(level)))
 
@@ -66,26 +55,9 @@ def _image(image: ArrayLike) -> Array:
 
 
 def holding_diameter(image: ArrayLike, pitch: float, share: float) -> float:
-    """Diameter of the circle about the image's middle that holds a share of its light.
+    """Diameter in metres of the circle about the middle of an image [H, W] that holds a share (0 to 1) of its light.
 
-    Parameters
-    ----------
-    image
-        [H, W], any unit of light.
-    pitch
-        Of its pixels, in metres.
-    share
-        From 0 to 1. An even disc of diameter D gives D·√share.
-
-    Returns
-    -------
-    float
-        In metres. Between pixels it is interpolated by area.
-
-    Raises
-    ------
-    InputError
-        For no image, or a share out of its range.
+    Between pixels (`pitch` in metres) it is interpolated by area; a uniform disc of diameter D gives D·√share.
     """
     values = _image(image)
     if not 0 < share < 1:
@@ -94,7 +66,7 @@ def holding_diameter(image: ArrayLike, pitch: float, share: float) -> float:
     area = (y[:, None] ** 2 + x[None, :] ** 2).ravel()
     order = np.argsort(area, kind="stable")
     held = np.cumsum(values.ravel()[order])
-    # Pixels by distance: the light inside a pixel's distance counts that pixel by half.
+    # The light within a pixel's distance includes half of that pixel.
     inside = (held - values.ravel()[order] / 2) / held[-1]
     return 2 * float(np.sqrt(np.interp(share, inside, area[order])))
 
@@ -112,9 +84,9 @@ def widths(image: ArrayLike, pitch: float, share: float = 0.8) -> tuple[float, f
 
 
 def mirror_error(image: ArrayLike, axis: int) -> float:
-    """Light that an image and its mirrored self do not share, as a part of all its light: 0 symmetric, 1 apart.
+    """Asymmetry under reflection: 0 for a symmetric image, 1 for no overlap with its mirror image.
 
-    Axis 0 mirrors up and down, across the horizontal line; axis 1 left and right.
+    Axis 0 mirrors top to bottom, axis 1 left to right.
     """
     values = _image(image)
     return float(np.abs(values - np.flip(values, axis=axis)).sum() / (2 * values.sum()))

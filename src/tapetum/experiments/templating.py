@@ -1,4 +1,4 @@
-"""Pages of results in Markdown: a template and the numbers that were measured make the whole text."""
+"""Pages of results in Markdown, from templates and measured numbers."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def table_of(names: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
 
 
 def filled(page: str) -> str:
-    """Break a page's paragraphs and points at one width; headings, pictures, tables and code stay as they are."""
+    """Wrap a page's paragraphs and list items at one width; headings, pictures, tables and code stay unchanged."""
     done: list[str] = []
     for block in re.split(r"\n{2,}", page.strip()):
         if block[0] in "#!|" or block.startswith("    "):
@@ -39,7 +39,7 @@ def filled(page: str) -> str:
 
 
 def _number(value: float | None, digits: int = 3) -> str:
-    """Write a number to some digits; a dash where there is none."""
+    """Write a number to some digits; a dash for None."""
     return "–" if value is None or not math.isfinite(value) else f"{value:.{digits}g}"
 
 
@@ -79,7 +79,7 @@ def _environment() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
-        # Markdown, not HTML; every value is ours.
+        # Markdown needs no HTML escaping; no value is user input.
         autoescape=False,
     )
     made.filters |= _FILTERS
@@ -88,18 +88,10 @@ def _environment() -> Environment:
 
 
 def render(name: str, numbers: Mapping[str, Any]) -> str:
-    """Return the page NAME.md of what NAME.json holds.
-
-    Parameters
-    ----------
-    name
-        Of the figure or table.
-    numbers
-        As the JSON file holds them.
-    """
+    """Return the page NAME.md from the numbers of NAME.json."""
     return filled(_environment().get_template(f"{name}.md").render(numbers=numbers, **numbers))
 
 
 def render_text(template: str, numbers: Mapping[str, Any]) -> str:
-    """Return the page that a template's text makes of some numbers."""
+    """Render a template's text with numbers."""
     return filled(_environment().from_string(template).render(numbers=numbers, **numbers))

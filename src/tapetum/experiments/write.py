@@ -1,4 +1,4 @@
-"""Make the paper's figures and tables and write them into a folder: a picture, the text beside it, and the numbers."""
+"""Make the paper's figures and tables and write them into a folder: a picture, its page, and the numbers."""
 
 from __future__ import annotations
 
@@ -71,11 +71,11 @@ _MAKERS: dict[str, Callable[[Workshop], Made]] = {
 }
 FIGURES: tuple[str, ...] = tuple(_MAKERS)
 BEYOND = FIGURES[FIGURES.index("ablations") :]
-"""What the paper does not have."""
+"""Experiments beyond the paper."""
 PRINTED = FIGURES[: FIGURES.index("ablations")]
 """The paper's own figures and tables."""
 LEARNED = FIGURES[FIGURES.index("fig9") :]
-"""Those for which sets are filmed and models trained."""
+"""Figures and tables that need filmed sets and trained models."""
 GROUPS: dict[str, tuple[str, ...]] = {
     "printed": PRINTED,
     "learned": tuple(name for name in PRINTED if name in LEARNED),
@@ -100,14 +100,14 @@ def reproduce(
     figures
         Of `FIGURES` and `GROUPS`; each is made once.
     out
-        The folder; it is made where it is not there. Files of these names in it are replaced, others stay.
+        The folder, created if needed. Files of these names in it are replaced, others stay.
     size
-        `laptop`, `paper`, or `small`, a smoke test: fewer images in the figures of samples, 7 and 8, and shorter
-        videos behind 9 to 12 and the tables. Pages, pictures and numbers of what is learned name it.
+        `laptop`, `paper`, or `small`, a smoke test: fewer images in figures 7 and 8, and shorter videos behind 9 to 12
+        and the tables. Pages, pictures and numbers of section 5 state it.
     work
-        Where sets and models are kept; the folder `work` in `out` where left out.
+        Where sets and models are kept; by default the folder `work` in `out`.
     progress
-        Shows how far it is.
+        Progress callback.
 
     Raises
     ------
@@ -132,7 +132,7 @@ def reproduce(
         figure, numbers = _MAKERS[name](work)
         if name in LEARNED:
             numbers = {"size": work.size, **numbers}
-        # As the file will hold them: the page says what a reader of the numbers finds.
+        # The page must state the numbers as they are in the JSON file.
         numbers = json.loads(json.dumps(numbers, allow_nan=False))
         text = render(name, numbers)
         if name in LEARNED:

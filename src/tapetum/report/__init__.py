@@ -1,4 +1,4 @@
-"""Measures, the paper's figures and tables, and pages that stand alone."""
+"""Measures, the paper's figures and tables, and self-contained pages."""
 
 from tapetum.report.binned import ErrorByDistance, error_by_distance
 from tapetum.report.demo_report import (

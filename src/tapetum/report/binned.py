@@ -1,7 +1,6 @@
-"""Mean errors in rings of the field or in bins of anything else, with intervals from whole blocks of frames.
+"""Mean errors in rings of the field or in bins of another quantity, with intervals from blocks of frames.
 
-Frames of a video resemble their neighbours: intervals from single frames, as SciPy's bootstrap gives, would be too
-short.
+Neighbouring video frames are correlated, so resampling single frames would give intervals that are too short.
 """
 
 from __future__ import annotations
@@ -18,7 +17,7 @@ __all__ = ["Binned", "ErrorByDistance", "binned_errors", "error_by_distance"]
 
 Array = NDArray[np.float64]
 
-# As many distinct values as this get a point each, instead of bins.
+# Up to this many distinct values get a point each instead of bins.
 _FEW = 12
 
 
@@ -28,16 +27,12 @@ class ErrorByDistance:
 
     Parameters
     ----------
-    edges
-        [B + 1] distances from the centre, fractions of the field.
-    count
-        [B] frames.
-    mae
-        [B] mean over both axes, fractions of the field; NaN where there is no frame.
-    low, high
-        [B] ends of the bootstrap interval; NaN where there is no frame.
+    edges, count
+        [B + 1] distances from the centre, fractions of the field; and [B] frames.
+    mae, low, high
+        [B] mean over both axes and the ends of its bootstrap interval, fractions of the field; NaN without frames.
     level
-        Probability the interval is meant to hold.
+        Nominal coverage of the interval.
     """
 
     edges: Array
@@ -55,18 +50,14 @@ class ErrorByDistance:
 
 @dataclass(frozen=True)
 class Binned:
-    """Mean of an error in bins of something else.
+    """Mean error in bins of another quantity.
 
     Parameters
     ----------
-    x
-        [B] median of that in each bin.
-    count
-        [B] frames.
-    mean
-        [B] mean error.
-    low, high
-        [B] ends of its bootstrap interval of 95 %.
+    x, count
+        [B] median of that quantity, and number of frames.
+    mean, low, high
+        [B] mean error and the ends of its 95 % bootstrap interval.
     """
 
     x: Array
@@ -93,15 +84,11 @@ def error_by_distance(
     truth, predicted
         [N, 2] gaze (x, y) in the order of filming, fractions of the field of view.
     edges
-        [B + 1] edges of the rings, rising; ten equal ones from 0 to the largest distance when None.
-    block
-        Neighbouring frames drawn together: 15 is one second of the paper's videos.
-    repeats
-        Bootstrap samples.
+        [B + 1] rising edges of the rings; ten equal rings from 0 to the largest distance when None.
+    block, repeats, seed
+        Bootstrap: consecutive frames drawn together (15 is one second of the paper's videos), resamples, seed.
     level
-        Probability of the interval.
-    seed
-        Of the bootstrap.
+        Nominal coverage of the interval.
 
     Raises
     ------
@@ -126,16 +113,14 @@ def error_by_distance(
 def binned_errors(
     x: ArrayLike, error: ArrayLike, *, bins: int = 8, block: int = 15, repeats: int = 500, seed: int = 0
 ) -> Binned:
-    """Average an error in bins that hold equal numbers of frames; few distinct values get a point each.
+    """Average an error in bins of equal numbers of frames; few distinct values get a bin each.
 
     Parameters
     ----------
-    x
-        [N], in the order of filming.
-    error
-        [N] absolute errors.
+    x, error
+        [N] the quantity that is binned, and absolute errors, both in the order of filming.
     bins
-        Of equal numbers of frames.
+        Number of bins.
     block, repeats, seed
         See `error_by_distance`.
 
@@ -157,7 +142,7 @@ def binned_errors(
 def _block_means(
     place: NDArray[np.int64], bins: int, error: Array, block: int, repeats: int, level: float, seed: int
 ) -> tuple[NDArray[np.int64], Array, Array, Array]:
-    """Return count, mean and interval [B] of the errors [N] in the bins that `place` [N] names; others are left out."""
+    """Return count, mean and interval [B] of the errors [N] in the bins given by `place` [N], others left out."""
     inside = (place >= 0) & (place < bins)
     blocks = -(-len(error) // block)
     total, count = np.zeros((blocks, bins)), np.zeros((blocks, bins))
@@ -166,7 +151,7 @@ def _block_means(
     np.add.at(count, where, 1)
     draws = np.random.default_rng(seed).multinomial(blocks, np.full(blocks, 1 / blocks), size=repeats)
     drawn, mean = _ratio(draws @ total, draws @ count), _ratio(total.sum(axis=0), count.sum(axis=0))
-    # A bin that a sample missed says nothing about that bin; one that all samples missed has its mean.
+    # Resamples that miss a bin do not count for it; a bin missed by all resamples gets its mean.
     drawn[0] = np.where(np.isnan(drawn).all(axis=0), mean, drawn[0])
     tail, empty = (1 - level) / 2, np.isnan(mean)
     drawn[:, empty] = 0.0

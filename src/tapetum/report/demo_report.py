@@ -1,4 +1,4 @@
-"""The page that `tapetum demo` ends with: what was filmed, what was learned, and how far to trust it."""
+"""The report of `tapetum demo`: recording, models, accuracy and limitations."""
 
 from __future__ import annotations
 
@@ -44,18 +44,16 @@ AnyArray = NDArray[np.generic]
 
 @dataclass(frozen=True)
 class ModelResult:
-    """What a model made of the held-out frames.
+    """A model's predictions for the held-out frames.
 
     Parameters
     ----------
-    name
-        As people call it: "ResNet-18".
+    name, training
+        Its usual name ("ResNet-18"), and one sentence on its training data.
     predicted
         [N, 2] gaze, fractions of the field.
-    training
-        One sentence on what it learned from: "bundled; trained on 24 recordings with other seeds".
     lower, upper
-        [N, 2] ends of its 90 % intervals, where it gives any.
+        [N, 2] ends of its 90 % intervals, if it has any.
     """
 
     name: str
@@ -67,7 +65,7 @@ class ModelResult:
 
 @dataclass(frozen=True)
 class SignEvidence:
-    """What the sign of the gaze rests on.
+    """Evidence for the sign of the gaze.
 
     Parameters
     ----------
@@ -76,7 +74,7 @@ class SignEvidence:
     with_beam, without_beam
         [Y, X] d' of +gaze against -gaze in one frame, with and without the probe's second beam.
     rates
-        How often models got the sign right, where measured.
+        Measured shares of correct signs by model.
     beam
         The second beam in words: "10 % of the first, at 0.9 mrad".
     """
@@ -91,18 +89,16 @@ class SignEvidence:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How the whole probe frames of the held-out part were tracked.
+    """Tracks found in the whole probe frames of the held-out part.
 
     Parameters
     ----------
-    frame
-        [H, W] one probe frame.
+    frame, frames
+        [H, W] one probe frame, and the number of frames tracked.
     track, x, y, time, snr
         [M] a row each: track, place (pixels), seconds, signal-to-noise ratio (NaN while coasting).
-    frames
-        Frames given to the tracker.
     truth, predicted
-        [K, 2] gaze of the rows that have a label, and what the model said of them.
+        [K, 2] true and predicted gaze of the rows that have a label.
     file
         Where the tracks were written.
     """
@@ -121,45 +117,40 @@ class Tracking:
 
 @dataclass(frozen=True)
 class DemoReport:
-    """Everything the demo's report shows; every number in it is computed from what stands here.
+    """Content of the demo's report; every number in the report is computed from it.
 
     Parameters
     ----------
     made
-        When, in words.
+        Date and time, in words.
     recording
         (name, value) of how the recording was made: scene, streams, noise, motion.
     picture
         [H, W] a frame of the target's video.
-    time, truth
-        [N] seconds and [N, 2] gaze of the held-out frames, in the order of filming; the truth is the label
-        from the target's video unless `truth_is` says otherwise.
+    time, truth, truth_is
+        [N] seconds and [N, 2] gaze of the held-out frames, in the order of filming; `truth_is` says where the truth
+        comes from, by default labels from the target's video.
     train
         [M, 2] gaze of the training frames: their mean is the baseline.
     models
-        The best known first.
+        The best-known model first.
     samples, sample_gaze
         [S, h, w] and [S, 2]: RRs to show.
     path
-        Frames of the held-out part to draw as a path: (first, last + 1); up to its first hole when None.
+        Held-out frames to draw as a path: (first, last + 1); up to the first gap when None.
     path_rrs, path_rrs_at
-        RRs [h, w] beside the path, and the frames (of the N) they belong to.
-    spots_found, spots_true
-        [L, 2] pixels of the target's video, NaN where none was found; and the bench's own truth.
-    spots_joined
-        [L, 2] what a perfect finder would give: the target's true spots, joined and interpolated as the found ones are.
+        RRs [h, w] beside the path, and their indices among the N frames.
+    spots_found, spots_true, spots_joined
+        [L, 2] pixels of the target's video: spots found (NaN where none), the bench's true spots, and the true spots
+        joined and interpolated as the found ones are, as from a perfect detector.
     sign, tracking
-        The sections of those names, left out when None.
-    truth_is
-        What the models are scored against.
-    timings, seeds, sizes
-        (what, value) rows; timings in seconds.
-    versions
-        (software, version).
+        Optional sections.
+    timings, seeds, sizes, versions
+        (name, value) rows; timings in seconds, versions by software.
     limits
-        Further honest limits, a sentence each.
+        Further limitations, one sentence each.
     files, next_steps
-        (name, what it is) beside the report; (command, what it does).
+        (file beside the report, what it is) and (command, what it does).
     """
 
     made: str
@@ -198,10 +189,8 @@ class DemoScores:
     ----------
     models
         (name, scores), in the report's order.
-    baseline
-        Scores of predicting the training mean.
-    labels
-        Label error.
+    baseline, labels
+        Scores of predicting the training mean, and the label error.
     """
 
     models: tuple[tuple[str, GazeScores], ...]
@@ -232,19 +221,7 @@ def score_demo(content: DemoReport) -> DemoScores:
 
 
 def write_demo_report(path: str | os.PathLike[str], content: DemoReport) -> DemoScores:
-    """Compose the demo's report and write it, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The HTML file.
-    content
-        What it shows.
-
-    Returns
-    -------
-    DemoScores
-        The numbers in it, for the last lines on the terminal.
+    """Write the demo's report as one HTML file and return the numbers in it.
 
     Raises
     ------
@@ -271,7 +248,7 @@ def write_demo_report(path: str | os.PathLike[str], content: DemoReport) -> Demo
         subtitle="Tapetum read a camera's gaze from the light it throws back. The camera, the laser and "
         "the light are simulated; everything after the videos is what real recordings would get.",
         contents=html.headings(body),
-        footer=f"Made by `tapetum demo`, {content.made}. This file stands alone: it asks nothing of any network.",
+        footer=f"Made by `tapetum demo`, {content.made}. This file is self-contained and makes no network requests.",
     )
     html.write_page(Path(path), text)
     return scores
@@ -327,7 +304,7 @@ def _figures(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[
 
 
 def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Any]:
-    """Return the numbers that the page states beside the scores."""
+    """Return the further numbers on the page."""
     begin, end = _section(content)
     known = {name: one.mae[np.isfinite(one.mae)] for name, one in rings.items()}
     told: dict[str, Any] = {
@@ -343,7 +320,7 @@ def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict
         "clock": None,
     }
     if content.spots_joined is not None:
-        # Two parts of the labels' error: what the finder missed, and what moved between the two cameras' frames.
+        # Two parts of the label error: the detector's, and motion between the two cameras' frames.
         joined = np.isfinite(content.spots_joined).all(axis=1)
         told["finder"] = score_labels(content.spots_found[joined], content.spots_joined[joined])
         told["clock"] = score_labels(content.spots_joined, content.spots_true)

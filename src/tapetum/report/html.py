@@ -1,8 +1,7 @@
-"""Report pages that stand alone: one HTML file, styles and pictures inside, nothing asked of any network.
+"""Self-contained report pages: one HTML file with its styles and pictures.
 
-Small functions that each return a piece of `Html`, and templates that write the text around them; `page` makes the
-page of it. Text is escaped wherever it comes in, so that no file name or label can become markup; only what is `Html`
-already passes as it is. A content policy in the page forbids scripts and every outside request.
+Each function returns a piece of `Html`, and `page` assembles them. All text but `Html` is escaped, so no file name or
+label becomes markup. The page's content policy forbids scripts and outside requests.
 """
 
 from __future__ import annotations
@@ -48,7 +47,7 @@ __all__ = [
 
 
 class Html(Markup):
-    """Markup that was made here, safe to put in a page as it stands."""
+    """Escaped markup, safe to put into a page."""
 
     __slots__ = ()
 
@@ -58,7 +57,7 @@ def text(value: object) -> Html:
     if isinstance(value, Markup):
         return Html(value)
     parts = html.escape(str(value), quote=True).split("`")
-    if len(parts) % 2 == 0:  # an odd backquote is only a character
+    if len(parts) % 2 == 0:  # an unpaired backquote is an ordinary character
         return Html("`".join(parts))
     return Html("".join(f"<code>{part}</code>" if k % 2 else part for k, part in enumerate(parts)))
 
@@ -85,7 +84,7 @@ def bullets(items: Iterable[object]) -> Html:
 
 
 def headline(numbers: Iterable[tuple[object, object]]) -> Html:
-    """Return the numbers a reader came for, large: (value, what it is)."""
+    """Return the main numbers in large type, from (value, what it is)."""
     cells = (f"<div><b>{text(value)}</b><span>{text(what)}</span></div>" for value, what in numbers)
     return Html(f'<div class="numbers">{"".join(cells)}</div>')
 
@@ -102,16 +101,12 @@ def table(
 
     Parameters
     ----------
-    columns
-        Headings.
-    rows
-        As many cells each.
+    columns, rows
+        Headings, and rows of as many cells.
     caption
         Below the table.
-    numeric
-        Columns set flush right.
-    best
-        Row set in bold.
+    numeric, best
+        Columns set flush right, and the row set in bold.
 
     Raises
     ------
@@ -151,10 +146,8 @@ def figure(
     ----------
     picture
         A Matplotlib figure, or a PNG file's bytes.
-    alt
-        What the picture shows, for those who do not see it; required.
-    caption
-        Below it.
+    alt, caption
+        Description for readers who cannot see the picture (required), and text below it.
     dpi
         Of a Matplotlib figure.
     width
@@ -200,7 +193,7 @@ def _anchor(title: str) -> str:
 
 
 def share(value: float | None, digits: int = 0) -> str:
-    """Return a part of one in percent; a dash where there is none."""
+    """Return a fraction in percent; a dash for None."""
     return "–" if value is None else f"{100 * value:.{digits}f} %"
 
 
@@ -225,7 +218,7 @@ def _environment() -> Environment:
 
 
 def render(template: str, **values: object) -> Html:
-    """Return what a template of `tapetum/report/templates` makes of some values, escaped where they are not `Html`."""
+    """Render a template of `tapetum/report/templates`; values are escaped where they are not `Html`."""
     return Html(_environment().get_template(template).render(**values))
 
 
@@ -246,18 +239,16 @@ def page(
 
     Parameters
     ----------
-    title
-        Of the page and its first heading.
+    title, subtitle
+        Title of the page and its first heading, and a sentence below it.
     pieces
         Its body.
-    subtitle
-        A sentence below the title.
     contents
         Titles of sections to link to.
     footer
         Below everything.
     language
-        Of the text, for readers aloud.
+        Language code of the text, for screen readers.
     """
     values = {"subtitle": subtitle, "contents": contents, "footer": footer, "language": language}
     return str(render("page.html", title=title, body=join(pieces), **values))

@@ -8,7 +8,7 @@ __all__ = ["Look", "look"]
 
 
 class Look(NamedTuple):
-    """How a quantity is written in figures and pages: its name, its unit, and what its SI value is multiplied with."""
+    """How a quantity is written in figures and pages: its name, its unit, and the factor on its SI value."""
 
     name: str
     unit: str

@@ -1,4 +1,4 @@
-"""Errors of a fitted model on a dataset, as numbers and as words."""
+"""Errors of a fitted model on a dataset, as numbers and as text."""
 
 from __future__ import annotations
 
@@ -18,12 +18,7 @@ __all__ = ["describe", "evaluate_model"]
 def evaluate_model(
     model: Predictor, test: xr.Dataset, train: xr.Dataset, *, progress: Progress = quiet
 ) -> dict[str, Any]:
-    """Score a model on a dataset's test part, beside predicting the mean of its training part.
-
-    Returns
-    -------
-    dict
-        See `tapetum.report.evaluation.score`.
+    """Score a model on a dataset's test part, and the training part's mean as baseline: see `score`.
 
     Raises
     ------

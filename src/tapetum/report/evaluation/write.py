@@ -1,4 +1,4 @@
-"""The report of an evaluation: a folder with a page that stands alone, the numbers, and the figures."""
+"""The report of an evaluation: a folder with a self-contained page, the numbers, and the figures."""
 
 from __future__ import annotations
 
@@ -36,16 +36,16 @@ _SAMPLE_SIDE = 200
 
 @dataclass(frozen=True)
 class Subject:
-    """What was evaluated on what, in words.
+    """What was evaluated.
 
     Parameters
     ----------
     name
-        Of the model, as people call it.
+        The model's usual name.
     model, data
-        (name, value) of the model and of the dataset.
+        (name, value) rows on the model and the dataset.
     command
-        That makes the report again.
+        Command that reproduces the report.
     """
 
     name: str
@@ -58,21 +58,9 @@ class Subject:
 def subject_of(
     model: Predictor, dataset: xr.Dataset, *, model_name: str = "", card: Mapping[str, Any] | None = None
 ) -> Subject:
-    """Say what model and what data an evaluation is about.
-
-    Parameters
-    ----------
-    model
-        Fitted.
-    dataset
-        Whole.
-    model_name
-        The folder or name it was loaded by.
-    card
-        Of the model, where there is one.
-    """
+    """Describe model and dataset; `model_name` is the folder or name the model was loaded by."""
     kind = _NAMES.get(model.kind, model.kind)
-    # Models of earlier versions name the whole set's hash of that time, which its store still states.
+    # Models of earlier versions name the former hash of the whole set, which its store still holds.
     own = {dataset.tp.train.tp.hash, dataset.attrs.get("sha256")}
     if model.data_hash_ is None:
         learned = "not known"
@@ -143,7 +131,7 @@ def write_evaluation(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Write the report of an evaluation into a folder, whole or not at all.
+    """Write the report of an evaluation into a folder, whole or not at all, and return its numbers.
 
     Parameters
     ----------
@@ -152,16 +140,11 @@ def write_evaluation(
     outcome, subject
         What is reported.
     rrs, rrs_at
-        See `samples`.
+        RRs [h, w] beside the path of the gaze, and their frames.
     overwrite
-        Replace a folder that is there already.
+        Replace an existing folder.
     progress
         Shown over the figures.
-
-    Returns
-    -------
-    dict
-        The numbers.
 
     Raises
     ------
@@ -188,7 +171,7 @@ def _heading(outcome: Outcome, subject: Subject) -> dict[str, Any]:
 def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: list[tuple[Picture, bytes]]) -> str:
     shown: defaultdict[str, list[html.Html]] = defaultdict(list)
     for one, data in drawn:
-        # Drawn already, which is what takes the time; shown at the size it was designed for.
+        # The figures are rendered already; show them at their design size.
         width = round(one.figure.get_figwidth() * 96)
         shown[one.section].append(html.figure(data, alt=one.alt, caption=one.caption, width=width))
     body = html.render(
@@ -207,8 +190,8 @@ def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: li
     return html.page(
         f"{subject.name} on {outcome.dataset}",
         body,
-        subtitle=f"{kind}What the model says of {len(outcome)} frames that it has not learned from, beside the truth.",
+        subtitle=f"{kind}The model's predictions for {len(outcome)} frames that were not used in training.",
         contents=html.headings(body),
-        footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file stands alone: it "
-        "asks nothing of any network.",
+        footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file is "
+        "self-contained and makes no network requests.",
     )

@@ -1,4 +1,4 @@
-"""The paper's figures and those that keep them honest: arrays in, a Matplotlib Figure out."""
+"""The paper's figures and diagnostic ones: arrays in, a Matplotlib Figure out."""
 
 from tapetum.report.figures._style import figure_png, save_figure, stamp
 from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance

@@ -26,23 +26,8 @@ def fig_by_image(
 ) -> Figure:
     """Draw predictions by test image (the paper's Fig. 11): a row for each quantity, a column for each model.
 
-    Images are sorted by the true object distance, and for each by the true focal length, so that the truth makes steps.
-
-    Parameters
-    ----------
-    truth
-        [N] for each quantity, SI units.
-    predicted
-        For each model, for each quantity [N].
-    interval
-        The first model's (lower, upper) for each quantity, [N] each.
-    order
-        Quantities that the images are sorted by, the slowest first; those not among `truth` are passed over.
-
-    Raises
-    ------
-    InputError
-        When there is no model or quantity, or lengths differ.
+    `truth` and each model's `predicted` hold [N] by quantity, in SI units; `interval` is the first model's (lower,
+    upper). Images are sorted by the quantities in `order`, the slowest first, so that the truth makes steps.
     """
     columns = {name: np.asarray(values, dtype=np.float64) for name, values in truth.items()}
     lengths = {values.shape for values in columns.values()}
@@ -73,7 +58,7 @@ def fig_by_image(
             for step in steps:
                 ax.axvline(step - 0.5, color=QUIET, linewidth=0.6, linestyle=(0, (2, 3)), zorder=1)
             draw_dots(ax, at, said[sort], limits, column)
-            # In white first: the steps stay visible among thousands of dots.
+            # A white outline keeps the steps visible among thousands of dots.
             effects = [Stroke(linewidth=2.2, foreground="white"), Normal()]
             ax.step(at, level, where="mid", color=INK, linewidth=1.3, zorder=5, path_effects=effects)
             off = int(((said < limits[0]) | (said > limits[1])).sum())

@@ -1,4 +1,4 @@
-"""Figures of gaze: over time and against the truth, and how far labels lie from the laser's true place."""
+"""Figures of gaze over time and against the truth, and of the label error."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ Array = NDArray[np.float64]
 
 
 def _running_axis(time: Array, stretches: Sequence[slice]) -> tuple[Array, list[float]]:
-    """Lay the stretches one after another: the running time of each frame, and where the holes are."""
+    """Concatenate the runs: the running time of each frame, and the places of the gaps."""
     running = np.empty_like(time)
     holes: list[float] = []
     start = 0.0
@@ -55,12 +55,10 @@ def fig_gaze_over_time(
 
     Parameters
     ----------
-    time
-        [N] seconds; stretches of several videos are laid one after another.
-    truth
-        [N, 2] gaze, fractions of the field.
+    time, truth
+        [N] seconds, several videos one after another; and [N, 2] gaze, fractions of the field.
     predicted
-        For each model's name [N, 2]; the first is drawn in front, and has the interval.
+        [N, 2] by model name; the first is drawn in front.
     interval
         (lower, upper), each [N, 2]: the first model's.
     limit
@@ -133,14 +131,12 @@ def fig_gaze_over_time(
 
 
 def fig_label_error(found: ArrayLike, true: ArrayLike) -> Figure:
-    """Draw how far the laser spots found lie from the true ones.
+    """Draw the distances of the detected laser spots from the true ones.
 
     Parameters
     ----------
-    found
-        [N, 2] pixels of the target's video; NaN where none was found.
-    true
-        [N, 2] pixels.
+    found, true
+        [N, 2] pixels of the target's video; NaN where no spot was found.
     """
     a, b = np.asarray(found, dtype=np.float64), np.asarray(true, dtype=np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 2:
@@ -149,7 +145,7 @@ def fig_label_error(found: ArrayLike, true: ArrayLike) -> Figure:
     if not len(error):
         raise InputError("no frame has a label", where="labels")
     distance = np.hypot(*error.T)
-    # The bulk is the message; what lies beyond is counted in the last bin, never dropped.
+    # The axis shows the bulk; larger distances are counted in the last bin.
     reach = max(1.6 * float(np.quantile(distance, 0.98)), 1e-3)
     figure = new_figure(8.4, 3.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.65, 1.0))

@@ -54,12 +54,11 @@ def _panel(
 ) -> PathCollection:
     """Draw the true path [N, 2] as a band that breaks between stretches, and the estimates as dots tied to it.
 
-    Both are coloured by `when` [N]. A line from each estimate to its truth shows the error where it is made; joined
-    estimates would hide it.
+    Both are coloured by `when` [N]; a line from each estimate to its truth shows the error.
     """
     ax.set(xlim=(-_FIELD, _FIELD), ylim=(_FIELD, -_FIELD))
     if picture is not None:
-        # Washed out, so that the colours of the path stay what the bar says they are.
+        # Faded, so that the path's colours match the colour bar.
         image = 0.58 + 0.4 * grey_picture(picture, "picture")
         extent = (-_FIELD, _FIELD, _FIELD, -_FIELD)
         ax.imshow(image, cmap="gray", vmin=0, vmax=1, extent=extent, aspect="auto", interpolation="nearest")
@@ -123,11 +122,11 @@ def fig_gaze_path(
     truth, predicted
         [N, 2] gaze (x right, y down), fractions of the field.
     time
-        [N] seconds; the lines break at holes in it.
+        [N] seconds; the lines break at gaps in it.
     name
-        Of the model that predicted.
+        The model's name.
     rrs, rrs_at
-        Some RRs [h, w] to show beside it, and the frame (0 ... N - 1) each belongs to.
+        RRs [h, w] to show beside it, and their frames (0 ... N - 1).
 
     Raises
     ------
@@ -184,30 +183,10 @@ def fig_path(
 ) -> Figure:
     """Draw predictions of the gaze (the paper's Fig. 9).
 
-    (a) The path of a section over the field of view, coloured by the frame's number. (b, c) x and y of all frames
-    against their numbers, the intervals shaded.
-
-    Parameters
-    ----------
-    truth, predicted
-        [N, 2] gaze (x right, y down), fractions of the field.
-    lower, upper
-        [N, 2] ends of the intervals; infinite ones are not drawn.
-    recording
-        [N] number of the recording of each frame: lines break between them.
-    section
-        Frames drawn as a path: (first, last + 1); the first recording, or 100 frames of it, when None.
-    picture
-        [H, W] a frame of the target's video behind the path; it spans the field.
-    rrs, rrs_at
-        Some RRs [h, w] to show beside it, and the frames (0 ... N - 1) they belong to.
-    name
-        Of the model.
-
-    Raises
-    ------
-    InputError
-        When a shape does not fit, a value is not finite or the section holds no two frames.
+    (a) The path of a section of the frames, coloured by frame number; (b, c) x and y of all frames, with intervals.
+    Gaze and its interval are [N, 2] (x right, y down) in fractions of the field; infinite intervals are not drawn.
+    Lines break between recordings ([N] indices). `section` is (first, last + 1), by default up to 100 frames of the
+    first recording. `picture` and `rrs` are those of `fig_gaze_path`.
     """
     a = gaze_array(truth, "truth")
     b = gaze_array(predicted, "predicted", len(a))
@@ -289,7 +268,7 @@ def _coordinates(
             if ends is not None and np.isfinite(ends[0][at, k]).all() and np.isfinite(ends[1][at, k]).all():
                 low, high = (np.clip(e[at, k], -limit, limit) for e in ends)
                 ax.fill_between(frames[at], low, high, color=colour(0), alpha=0.3, linewidth=0, step="mid")
-            # On a white seam: the truth stays visible among thousands of dots.
+            # A white outline keeps the truth visible among thousands of dots.
             seam = [Stroke(linewidth=1.9, foreground="white"), Normal()]
             ax.plot(frames[at], truth[at, k], color=INK, linewidth=1.0, zorder=5, path_effects=seam)
         for cut in cuts[1:-1]:

@@ -31,13 +31,7 @@ STRETCHES = ("sqrt", "linear", "log")
 
 
 def stretched(image: ArrayLike, peak: float | None = None, stretch: str = "sqrt") -> NDArray[np.float64]:
-    """Return an image as 0..1 of `peak` (its own when None): square root, linear, or four decades of log.
-
-    Raises
-    ------
-    InputError
-        When it is not [H, W] or not finite, or the stretch is unknown.
-    """
+    """Return an image as 0..1 of `peak` (its own when None): square root, linear, or four decades of log."""
     one_of(stretch, STRETCHES, "stretch")
     values = np.asarray(image, dtype=np.float64)
     if values.ndim != 2 or values.size == 0 or not np.isfinite(values).all():
@@ -91,18 +85,14 @@ def fig_grid(
         [R, C, H, W] irradiance, any unit.
     row_labels, col_labels
         R and C labels.
-    extent
-        Width, or (width, height), of an image in `unit`: draws a scale bar.
-    unit
-        Of the extent.
-    row_title, col_title
-        What changes along rows and columns.
+    extent, unit
+        Width, or (width, height), of an image in that unit: draws a scale bar.
+    row_title, col_title, title
+        What changes along rows and columns, and the title of the figure.
     stretch
         "sqrt" (shows rings), "linear" or "log" (four decades).
     shared_peak
-        One scale for all images; else each on its own peak, as the paper's "tone mappings" are.
-    title
-        Above the whole.
+        One scale for all images; else each has its own peak, as the paper's "tone mappings" do.
 
     Raises
     ------
@@ -167,7 +157,7 @@ def fig_grid(
 
 
 def round_length(most: float) -> float:
-    """Return the largest of 1, 2 and 5 times a power of ten that is at most so long."""
+    """Return the largest of 1, 2 and 5 times a power of ten that is at most `length`."""
     decade = 10.0 ** np.floor(np.log10(most))
     return max(step * decade for step in (1, 2, 5) if step * decade <= most)
 
@@ -181,14 +171,12 @@ def _scale_bar(ax: Axes, extent: float, width: int, height: int, unit: str) -> N
 
 
 def fig_samples(images: ArrayLike, gaze: ArrayLike, *, columns: int = 6, stretch: str = "sqrt") -> Figure:
-    """Draw sample RRs, each on its own peak, with the gaze it belongs to in a small map of the field.
+    """Draw sample RRs, each scaled to its own peak, with its gaze in a small map of the field.
 
     Parameters
     ----------
-    images
-        [N, H, W] counts or irradiance.
-    gaze
-        [N, 2] fractions of the field.
+    images, gaze
+        [N, H, W] counts or irradiance, and [N, 2] fractions of the field.
     columns
         Images a row.
     stretch
@@ -213,7 +201,7 @@ def fig_samples(images: ArrayLike, gaze: ArrayLike, *, columns: int = 6, stretch
 
 
 def _field_map(ax: Axes, x: float, y: float) -> None:
-    """Draw the field as a small frame in the corner, with a dot where the laser stands in it."""
+    """Draw the field as a small frame in the corner, with a dot at the gaze."""
     width, height, left, low = 0.25, 0.19, 0.71, 0.04
     where = ax.transAxes
     ax.add_patch(
