@@ -61,4 +61,6 @@ def demo(
             f"  {name:<20} MAE x {one.mae[0]:.3f}  y {one.mae[1]:.3f}   RMSE x {one.rmse[0]:.3f}  y {one.rmse[1]:.3f}"
         )
     typer.echo(f"\nOpen  {outcome.report}\nThen  tapetum simulate thin-lens --sweep rotation=0,0.5,1 -o rr.png")
-    typer.echo(f"      tapetum demo --train --overwrite -o {out}" if not train else "      tapetum demo --seed 7 -o demo-7")
+    typer.echo(
+        f"      tapetum demo --train --overwrite -o {out}" if not train else "      tapetum demo --seed 7 -o demo-7"
+    )
