@@ -29,8 +29,8 @@ _UNFINISHED = ".tapetum-unfinished"
 def check_output(out: Path | None, force: bool, holds: str | None = None) -> None:
     """Refuse to replace an existing output, before any work; no check for None.
 
-    With `--overwrite` a file may be replaced by a file, and a folder by one that `holds` the same, a key of `_MARKERS`. The
-    writers keep the existing output until the new one is complete.
+    With `--overwrite` a file may be replaced by a file, and a folder by one that `holds` the same, a key of `_MARKERS`.
+    The writers keep the existing output until the new one is complete.
     """
     if out is None or not (out.exists() or out.is_symlink()):
         return
