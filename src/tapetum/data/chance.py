@@ -82,9 +82,7 @@ def _deal(chance: NDArray[np.int64], pieces: list[NDArray[np.int64]], rng: np.ra
 
 
 def deals_possible(classes: NDArray[np.integer], group: NDArray[np.integer]) -> int:
-    """Return the number of different permutations of `dealt_recordings`, for class and group of each recording, [R]
-    each.
-    """
+    """Return the number of permutations of `dealt_recordings`, for class and group of each recording, [R] each."""
     count = 1
     for one in np.unique(group):
         sizes = np.unique(classes[group == one], return_counts=True)[1].tolist()

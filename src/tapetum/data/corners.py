@@ -139,9 +139,7 @@ def read_corners(dataset: xr.Dataset, progress: Progress = quiet) -> Corners:
 
 
 def _patches(side: int, size: int, nearer: float) -> list[tuple[int, int]]:
-    """Return the first row and column of four square patches centred on the diagonals, `nearer` times nearer to the
-    middle.
-    """
+    """Return row and column of four square patches on the diagonals, `nearer` times nearer to the middle."""
     low = round((side - size) / 2 * (1 - 1 / nearer))
     high = side - size - low
     return [(low, low), (low, high), (high, low), (high, high)]

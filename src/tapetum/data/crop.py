@@ -34,7 +34,7 @@ CENTRING = (
     "our reading of the paper's: the brightest point after a 3 x 3 median and a Gaussian, or that of what has fine "
     "structure where a broad light outshines it"
 )
-"""How crops are centred, for cards and pages."""
+"""How crops are centred, for model cards and reports."""
 
 # From this smoothing on, images are reduced by this factor: the maximum is as accurate at a tenth of the time.
 _REDUCE_FROM, _REDUCE = 12.0, 4
@@ -43,10 +43,10 @@ _REDUCE_FROM, _REDUCE = 12.0, 4
 _BLOCK = 16
 
 # Fine structure: three Gaussians of evenly spaced variances (width in pixels, weight) that cancel linear and quadratic
-# variation. They are wide enough to be computed on an image of half the size.
+# variation, wide enough to be computed on an image of half the size.
 _FINE, _HALVE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0)), 2
-# To move the centre, structure must exceed 8 times the noise (which alone reached 6 beside a blurred lamp) and twice that
-# at the brightest point.
+# To move the centre, structure must exceed 8 times the noise (noise alone reached 6 beside a lamp), and twice that of
+# the brightest point.
 _NOISE, _CLEARLY = 8.0, 2.0
 # Radius within which structure is searched, and smoothing of the subtracted background, in units of sigma.
 _AROUND, _BROAD = 2.5, 3.0
@@ -329,9 +329,7 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
 
 
 def crop_batch(images: NDArray[np.generic], centres: NDArray[np.floating], side: int) -> NDArray[np.generic]:
-    """Cut a square out of each image [N, H, W] around its centre [N, 2], (x, y) in pixels: [N, side, side]; raises as
-    `crop`.
-    """
+    """Cut a square [N, side, side] out of each image [N, H, W] around its centre (x, y) [N, 2]; raises as `crop`."""
     array, places = np.asarray(images), np.asarray(centres, dtype=np.float64)
     if array.ndim != 3 or places.shape != (len(array), 2):
         raise InputError(f"expected images [N, H, W] with centres [N, 2], got {array.shape} with {places.shape}")

@@ -37,9 +37,7 @@ _PAIRS_KEPT = 20
 
 @dataclass(frozen=True)
 class Doubles:
-    """Number of frames that repeat an earlier one, number of these across the split, and the first pairs (earlier,
-    later).
-    """
+    """Number of repeated frames, number of these across the split, and the first pairs (earlier, later)."""
 
     frames: int
     across_split: int

@@ -120,9 +120,7 @@ class _Score:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Frames to learn from and to test with, and for each round of chance the frames [rounds, N] that lend their
-    labels.
-    """
+    """Frames to learn from and to test with, and the frames [rounds, N] that lend their labels under chance."""
 
     train: NDArray[np.int64]
     test: NDArray[np.int64]

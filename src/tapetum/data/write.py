@@ -124,9 +124,7 @@ class DatasetWriter:
             self._buffer.clear()
 
     def finish(self) -> None:
-        """Write the remaining images, the variables and attributes; raise an InputError when there are no frames to
-        train or to test with.
-        """
+        """Write the rest of the store; raise an InputError when no frame is left to train or to test with."""
         self._flush()
         rules, names = self._rules, self._names
         self._set_embargo()

@@ -131,9 +131,7 @@ def magnitudes(coefficients: Array, order: int) -> Array:
 
 @lru_cache(maxsize=4)
 def projection(size: int) -> NDArray[np.float64]:
-    """Return [size², 2 modes]: the matrix of least-squares Zernike coefficients, n ≤ 8, over an image's inscribed disc
-    and over that of its middle half.
-    """
+    """Return [size², 2 modes]: least-squares Zernike fits, n ≤ 8, of an image's disc and of that of its middle half."""
     found = np.zeros((2, size, size, mode_count(ORDER)))
     for whole, side in zip(found, (size, max(size // 2, 1)), strict=True):
         at = (2 * torch.arange(side, dtype=torch.float64) + 1) / side - 1

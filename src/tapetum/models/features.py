@@ -54,9 +54,7 @@ def as_images(
 
 
 def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Return the square root of the intensity in 8-bit counts, 0 ... 16; raise an InputError for negative or non-finite
-    floats.
-    """
+    """Return the root of the intensity in 8-bit counts, 0 ... 16; raise an InputError for negative or NaN floats."""
     if images.dtype.kind != "u" and not (np.isfinite(images).all() and images.min(initial=0) >= 0):
         raise InputError("intensities must be finite and not negative", where="images", remedy="clip them at 0")
     if images.dtype == np.uint16 or images.dtype.kind == "f":

@@ -18,9 +18,7 @@ SOFTENING = 2 / 255
 
 
 def central(images: NDArray[np.generic], crop: int) -> NDArray[np.generic]:
-    """Return the central `crop` x `crop` pixels of crops [N, side, side]; raise an InputError when the crops are
-    smaller, negative or not finite.
-    """
+    """Return the central [N, crop, crop] of crops; raise an InputError for smaller, negative or non-finite ones."""
     side = images.shape[1]
     if crop > side:
         what = f"the model looks at {crop} pixels, the crops have {side}"

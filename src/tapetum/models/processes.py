@@ -30,9 +30,7 @@ _ENDING = 10.0
 
 
 def training_device(name: str | torch.device) -> torch.device:
-    """Return the device called "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1"; raise an InputError when
-    this machine has none of that name.
-    """
+    """Return the device "auto" (CUDA if present), "cpu", "cuda" or "cuda:1"; raise an InputError if it is missing."""
     cuda = torch.cuda.device_count()
     if name == "auto":
         return torch.device("cuda" if cuda else "cpu")
@@ -49,9 +47,7 @@ def training_device(name: str | torch.device) -> torch.device:
 
 
 def process_count(processes: int | str, device: torch.device) -> int:
-    """Return how many processes train: "auto" is one per GPU, and one on a CPU. Raises an InputError for more processes
-    than GPUs or another invalid number.
-    """
+    """Return how many processes train ("auto": one per GPU); raise an InputError when there are fewer GPUs."""
     there = torch.cuda.device_count()
     if processes == "auto":
         return max(1, there) if device.type == "cuda" and device.index is None else 1

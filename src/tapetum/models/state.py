@@ -19,9 +19,7 @@ MISMATCH = "the model's card and its weights do not belong together"
 def checked_state(
     state: Mapping[str, torch.Tensor], shapes: Mapping[str, tuple[int, ...]], prefix: str = ""
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the tensors named `prefix` + name as float64 arrays by name; raise an InputError when one is missing,
-    misshapen or not finite.
-    """
+    """Return the tensors named `prefix` + name as float64 arrays; raise an InputError for missing or unusable ones."""
     arrays: dict[str, NDArray[np.float64]] = {}
     for name, shape in shapes.items():
         tensor = state.get(prefix + name)

@@ -143,9 +143,7 @@ def save_model(
 
 
 def write_metrics(path: str | Path, metrics: Mapping[str, Any]) -> None:
-    """Replace `metrics` on the card of a saved model; raise an InputError when the card is unusable or they are not
-    JSON.
-    """
+    """Replace `metrics` on a saved model's card; raise an InputError for a bad card or values that are not JSON."""
     card = model_card(path) | {"metrics": json_safe(dict(metrics), "metrics")}
     with atomic_file(Path(path) / CARD) as part:
         part.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")

@@ -1,9 +1,8 @@
 """Recordings on disk: a video for every stream, the clocks of every frame, and what is known of them.
 
 `NAME.rec/` holds `recording.json`, `<stream>.mkv`, `frames.parquet` and, once made, `labels.parquet` and
-`truth.parquet`. While it is being written the clocks stand in `frames.journal`, one line a frame; closing
-turns that into `frames.parquet`. A recording whose writer was killed stays readable: the journal counts, as
-far as the video goes.
+`truth.parquet`. While it is being written the clocks stand in `frames.journal`, one line a frame; closing turns that
+into `frames.parquet`. A recording whose writer was killed stays readable: the journal counts, as far as the video goes.
 """
 
 from __future__ import annotations

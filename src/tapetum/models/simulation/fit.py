@@ -273,9 +273,7 @@ class SimulationFit(Estimator):
         return pictures, bank
 
     def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
-        """Return the maxima found from the poses, best first; more than `starts` only while these explain the image
-        badly.
-        """
+        """Return the maxima near the poses, best first; more than `starts` only while all explain the image badly."""
         tops: list[Top] = []
         for pose in poses[: self.starts]:
             tops += [self._top(search, pose, tops)]

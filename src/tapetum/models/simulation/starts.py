@@ -64,9 +64,7 @@ class Bank:
     def _placed(
         self, number: int, known: tuple[NDArray[np.complex128], NDArray[np.complex128]], total: float
     ) -> tuple[Pose, float]:
-        """Fit scale, background and shift of a template by weighted least squares; return its pose and the squares
-        explained.
-        """
+        """Fit a template's scale, background and shift by least squares; return its pose and explained squares."""
         template, square = self._templates[number]
         weights, weighted = known
         rows = np.r_[-_REACH : _REACH + 1]
