@@ -70,9 +70,7 @@ FIT_Y, FIT_X = (axis.ravel().astype(np.float32) for axis in np.mgrid[-PATCH : PA
 
 
 def bumps(smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y ([K] int) of the points of a smoothed image with the strongest downward curvature in every
-    direction.
-    """
+    """Return x and y ([K] int) of the points of a smoothed image that curve down most in every direction."""
     bend = cv2.Laplacian(smooth, cv2.CV_32F, scale=-1.0)
     highest = cv2.compare(bend, cv2.dilate(bend, np.ones((5, 5), np.uint8)), cv2.CMP_GE)
     upward = cv2.compare(bend, 0, cv2.CMP_GT)  # type: ignore[call-overload]

@@ -142,9 +142,7 @@ class ImageSource(Stored):
 
     @classmethod
     def from_path(cls, path: str | os.PathLike[str], rate: float = 15.0) -> ImageSource:
-        """Return a source of one image file, or of all in a folder in natural order; raise an InputError if there is
-        none.
-        """
+        """Return a source of an image file, or of all in a folder in natural order; raise an InputError without any."""
         place = existing(path)
         if not place.is_dir():
             return cls((place,), str(place), rate)
