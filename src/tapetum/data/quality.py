@@ -130,10 +130,7 @@ def class_names(dataset: xr.Dataset, name: str) -> list[str]:
 
 
 def inspect_dataset(
-    dataset: xr.Dataset,
-    *,
-    also: Sequence[Callable[[int, NDArray[np.generic]], None]] = (),
-    progress: Progress = quiet,
+    dataset: xr.Dataset, *, also: Sequence[Callable[[int, NDArray[np.generic]], None]] = (), progress: Progress = quiet
 ) -> DatasetQuality:
     """Inspect every frame of a dataset, stored or in memory, in one pass; memory holds one batch at a time.
 

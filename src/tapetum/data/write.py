@@ -67,7 +67,7 @@ class Rules:
             return None
         else:
             x, y = find_centre(image, self.sigma)
-        # A noiseless float frame has no finite SNR; 1e6 stands for "no noise at all".
+        # A noiseless float frame has an infinite SNR, stored as 1e6.
         return crop(image, (x, y), self.side), {"centre_x": x, "centre_y": y, "snr": min(snr, 1e6)}
 
     def split(self, place: Any, total: Any) -> NDArray[np.int8]:

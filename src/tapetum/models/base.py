@@ -1,4 +1,4 @@
-"""What all models have in common: targets, training frames, `predict`, and what an estimator must define."""
+"""Common part of all models: targets, training frames, `predict`, and the interface of estimators."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "device": (DEVICE,),
     "phone": ("gaze_x", "gaze_y", DEVICE),
 }
-"""What a model may be asked for, and the labels that answer it. Any label's own name does as well."""
+"""Short names of targets, and their labels. A label's own name is a target as well."""
 
 Data: TypeAlias = xr.Dataset | NDArray[np.generic]
 """A dataset, or crops [N, side, side]."""
@@ -195,7 +195,7 @@ def frame_count(data: Data) -> int:
 
 
 def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
-    """Return the labels behind a target: "gaze", "focus", "device", "phone", a label's own name or several."""
+    """Return the labels of a target: "gaze", "focus", "device", "phone", a label's own name or several."""
     if isinstance(target, str):
         return TARGETS.get(target, (target,))
     if not target:

@@ -21,7 +21,7 @@ def probabilities(scores: NDArray[np.float64], temperature: float) -> NDArray[np
 
 
 def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.integer]) -> float:
-    """Return the temperature with the least cross-entropy (C. Guo et al., ICML 2017) for scores [n, C], else 1."""
+    """Return the temperature of least cross-entropy (C. Guo et al., ICML 2017) for scores [n, C]; 1 if n is 0."""
     if not len(scores):
         return 1.0
     own = np.arange(len(scores)), classes

@@ -48,7 +48,7 @@ class _Network(_Parameters):
     shift: Size
     noise: Size
     seed: Count
-    # Cards of version 1 may lack these: what they then mean is in `NetworkEstimator.from_state`.
+    # Cards of version 1 may lack these; `NetworkEstimator.from_state` has their defaults.
     hide: Count = 0
     background: str = "root"
     patience: Some | None = None

@@ -78,7 +78,7 @@ def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor
     inside = (x * x + y * y <= 1).reshape(-1)
     modes = mode_count(order)
     basis = zernike_basis(order, x.reshape(-1)[inside], y.reshape(-1)[inside])
-    twice = 2.0 - (at == 0).to(torch.float64)  # how many pixels of the square a quadrant's row or column stands for
+    twice = 2.0 - (at == 0).to(torch.float64)  # rows or columns of the square that fold onto one
     weight = torch.outer(twice, twice).reshape(-1)[inside]
     azimuthal = torch.tensor([noll_to_nm(j)[1] for j in range(1, modes + 1)])
     down = azimuthal >= 0

@@ -225,7 +225,7 @@ def _best_alpha(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
         x0, y0 = x[rest].mean(axis=0), y[rest].mean(axis=0)
         u, s, vt = np.linalg.svd(x[rest] - x0, full_matrices=False)
         seen, turned = u.T @ (y[rest] - y0), (x[fold] - x0) @ vt.T
-        # Each quantity counts alike, whatever its unit.
+        # Scaled, so that all quantities have equal weight.
         spread = np.maximum(y.std(axis=0), np.finfo(float).tiny)
         for k, alpha in enumerate(_ALPHAS):
             estimate = turned @ (seen * (s / (s**2 + alpha))[:, None]) + y0

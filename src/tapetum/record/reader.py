@@ -110,7 +110,7 @@ class Reader:
 
 
 def arriving(readers: Mapping[str, Reader], stop: threading.Event) -> Iterator[tuple[str, Frame]]:
-    """Yield the frames of all readers as they come, until each is done and nothing waits."""
+    """Yield the frames of all readers as they arrive, until each is done and none is queued."""
     while True:
         # Read before the queues, so that frames queued before the end are still found.
         ended = all(reader.done.is_set() for reader in readers.values())

@@ -145,7 +145,7 @@ class Stack:
     name: str = ""
     # Which video each image is from; by default all are from one.
     recording: Values | None = None
-    # An image's place in the video and its time; by default as they come, at `rate` a second.
+    # An image's place in the video and its time; by default in their order, `rate` per second.
     order: Column | None = None
     time: Column | None = None
     rate: Annotated[float, Field(gt=0)] = 15.0

@@ -138,11 +138,6 @@ def write_videos(mapping: ImportMapping, root: Path, out: Path, progress: Progre
             paths.append(part / f"{name}.rec")
             told.append(_write_pair(pair, mapping, reader, paths[-1], progress))
         build_dataset(
-            paths,
-            out,
-            side=mapping.side,
-            test_fraction=mapping.test_fraction,
-            progress=progress,
-            overwrite=overwrite,
+            paths, out, side=mapping.side, test_fraction=mapping.test_fraction, progress=progress, overwrite=overwrite
         )
     return told

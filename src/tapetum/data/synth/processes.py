@@ -90,7 +90,7 @@ def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
     try:
         yield connections
     finally:
-        # A part is kept whole or not at all.
+        # Safe at any time, because a part is written completely or not at all.
         for process in processes:
             process.terminate()
         for process in processes:

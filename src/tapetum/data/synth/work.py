@@ -24,11 +24,7 @@ from tapetum.record.spot import NoLaserError
 
 __all__ = ["MALLOC", "keep_part", "make_part", "one_thread", "shot_of"]
 
-MALLOC = {
-    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
-    "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1),
-    "MALLOC_ARENA_MAX": "1",
-}
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(1 << 30), "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1), "MALLOC_ARENA_MAX": "1"}
 """Environment of processes that make parts: glibc keeps memory between arrays, which halves the time of a part. The
 command line does the same by mallopt (see tapetum.cli.memory)."""
 
