@@ -1,4 +1,4 @@
-"""From recordings to a dataset: find the retro-reflection in every labelled probe frame and cut it out."""
+"""From labelled recordings to a dataset: the retro-reflection is cut out of every labelled probe frame."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ class FrameLabels:
     """The labels of one recording by probe frame."""
 
     names: tuple[str, ...]
-    # Values in the order of names, quality, and how far the label reaches back and ahead of the frame, in seconds.
+    # Values in the order of names, quality, and how far the label reaches back and ahead of the frame (s).
     by_frame: dict[int, tuple[NDArray[np.float32], float, NDArray[np.float64]]]
 
 
 def _classes(recordings: Sequence[Recording]) -> list[str]:
-    """Names of all devices that the recordings are labelled with, sorted: their numbers are their places."""
+    """Return the sorted names of all devices among the labels; their places are their numbers."""
     tables = (recording.labels() for recording in recordings)
     columns = (table.column(DEVICE).to_pylist() for table in tables if table and DEVICE in table.column_names)
     return sorted({str(name) for column in columns for name in column if name is not None})
@@ -48,7 +48,7 @@ def _column(table: pa.Table, name: str, classes: Sequence[str] = ()) -> NDArray[
 
 
 def labels_of(recording: Recording, classes: list[str]) -> FrameLabels:
-    """Return what the frames of a recording are labelled with; a device as its number among the classes."""
+    """Return the labels of a recording's frames; a device as its number among the classes."""
     where = recording.path / "labels.parquet"
     table: pa.Table | None = recording.labels()
     if table is None:
@@ -61,20 +61,19 @@ def labels_of(recording: Recording, classes: list[str]) -> FrameLabels:
     frames = table.column("frame").to_numpy()
     values = np.stack([_column(table, name, classes).astype(np.float32) for name in names], axis=1)
     quality = _column(table, "quality") if "quality" in table.column_names else np.ones(len(frames))
-    # A null is a NaN here: no label.
     good = np.isfinite(values).all(axis=1) & np.isfinite(quality)
     rows = zip(frames[good], values[good], quality[good], _reach(recording, table)[good], strict=True)
     return FrameLabels(names, {int(f): (v, float(q), r) for f, v, q, r in rows})
 
 
 def _reach(recording: Recording, table: pa.Table) -> NDArray[np.float64]:
-    """How far each label reaches back and ahead of its frame, [N, 2] in seconds; 0 where nothing says so."""
+    """Return how far each label reaches back and ahead of its frame, [N, 2] in seconds; 0 where unknown."""
     frames = table.column("frame").to_numpy()
     reach = np.zeros((len(frames), 2))
     if {"reach_back", "reach_ahead"} <= set(table.column_names):
         reach = np.stack([_column(table, name) for name in ("reach_back", "reach_ahead")], axis=1)
     elif "how" in table.column_names and "target" in recording.streams:
-        # Labels older than these columns: their reach follows from the clocks.
+        # Older labels lack these columns: their reach follows from the clocks.
         spots = np.array([how == "laser-spot" for how in table.column("how").to_pylist()], bool)
         inside = spots & (frames < len(joined := join(recording)))
         reach[inside] = joined.reach()[frames[inside]]
@@ -116,11 +115,9 @@ def build_dataset(
 ) -> Path:
     """Build a dataset from labelled recordings.
 
-    Every probe frame with a good label and a visible RR gives one crop, centred by our reading of the paper: on the
-    brightest point of the smoothed frame, or of what has fine structure where a lit room is brighter (`find_centre`).
-    The first part of every video trains and the last part tests (paper, section 5), by place in the video. Between them
-    lies an embargo: the first frames of the last part whose labels share a measurement with a training frame's
-    (`tapetum.data.embargo`) belong to neither.
+    Every probe frame with a good label and a visible RR gives one crop around `tapetum.data.find_centre`. The first
+    part of every video trains and the last part tests (paper, section 5). An embargo separates them: the first test
+    frames whose labels share a measurement with a training frame's (`tapetum.data.embargo`) belong to neither.
 
     Parameters
     ----------
@@ -132,30 +129,27 @@ def build_dataset(
         Pixels along an edge of the crops.
     test_fraction
         Share of every video, at its end, that tests. With 0 everything trains, with 1 everything tests.
-    min_quality
-        Labels of a lower quality are left out.
-    min_snr
-        Frames whose brightest point stands less than this over the noise of the smoothed frame are left out.
+    min_quality, min_snr
+        Frames with a lower label quality, or a lower SNR of the smoothed RR, are left out.
     sigma
         Standard deviation in pixels of the smoothing that finds the centre.
     embargo
-        Least seconds between training and test frames, for labels that were smoothed further than the recording says.
+        Least seconds between training and test frames, for labels smoothed further than the recording says.
     progress
         Shown over the frames of each recording.
     overwrite
-        Replace a store that is there already.
+        Replace an existing store.
 
     Returns
     -------
     Path
-        The store. Its attribute ``recordings`` counts, for each video, the frames used and those left out, by
-        reason.
+        The store. Its attribute ``recordings`` counts, for each video, the frames used and those left out, by reason.
 
     Raises
     ------
     InputError
-        When no recording is given, one has no labels, depths or labelled quantities differ, or nothing (or
-        nothing for one of the two parts) is left. Nothing is written then.
+        When no recording is given, one has no labels, depths or labelled quantities differ, or nothing is left to train
+        or to test with. Nothing is written then.
     """
     rules = Rules(side, test_fraction, min_quality, min_snr, sigma, embargo=embargo)
     opened = _checked(recordings, rules)
@@ -184,10 +178,7 @@ def add_frames(
     total: int,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Add the frames of one recording, of which the whole video has `total`; return what became of them.
-
-    `add` takes a crop and, by name, what is known of it: `DatasetWriter.add`.
-    """
+    """Pass a recording's crops and their values by name to `add`; return the numbers of frames used and left out."""
     name = recording.path.name
     left_out = {"no label": 0, "poor label": 0, "no visible RR": 0}
     used = 0
@@ -225,7 +216,6 @@ def add_frames(
         "frames": total,
         "used": used,
         "left_out": left_out,
-        # Cameras, or the virtual bench and its scene.
         **{name: meta[name] for name in ("hardware", "seed") if name in meta},
         **({"parameters": {"scene": meta["scene"]}} if "scene" in meta else {}),
     }

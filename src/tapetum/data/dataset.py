@@ -1,4 +1,4 @@
-"""Datasets: crops of retro-reflections with their labels, a Zarr v3 store each, opened as an xarray Dataset.
+"""Datasets: crops of retro-reflections with their labels, one Zarr v3 store each, opened as an xarray Dataset.
 
 Importing this module registers the accessor ``.tp`` on every xarray Dataset.
 """
@@ -48,23 +48,23 @@ QUANTITIES = {
     "object_distance": "m",
     "focal_length": "m",
 }
-"""What a frame may be labelled with, and the unit of each."""
+"""Possible labels of a frame that are numbers, and their units."""
 
 TRUE_GAZE = ("true_gaze_x", "true_gaze_y")
-"""Variables of a synthesised set: where the target really looked. They are no labels."""
+"""Variables of a synthesised set with the true gaze, which are not labels."""
 
 DEVICE = "device"
-"""The one label that is a class: whole numbers whose names are the variable's attribute ``classes``."""
+"""The only label that is a class: integers, named by the variable's attribute ``classes``."""
 
 _NEEDED = ("image", "split", "recording")
 _AGAIN = "build the dataset again"
 _BUILT = "give a folder that `tapetum dataset build` wrote"
-# What Zarr and xarray raise for a store that is damaged or of another kind.
+# Errors of Zarr and xarray for a store that is damaged or of another kind.
 _DAMAGED = (ValueError, OSError, KeyError, TypeError, ImportError, OverflowError, AttributeError, RuntimeError)
 
 
 class _Attributes(BaseModel):
-    """What a store's attributes must hold once format and version fit."""
+    """Required attributes of a store of a known format and version."""
 
     model_config = ConfigDict(strict=True, allow_inf_nan=False)
 
@@ -73,10 +73,10 @@ class _Attributes(BaseModel):
 
 
 def content_hash(dataset: xr.Dataset, *, progress: Progress = quiet) -> str:
-    """Return the SHA-256 of a dataset's content, every image read: equal for equal contents, however stored.
+    """Return the SHA-256 of a dataset's content, which does not depend on how it is stored. Every image is read.
 
-    Images, all variables along ``frame`` (labels, split and recording among them), the names of the classes, the names
-    of the labels and the full scale count. `progress` is shown over the batches of images.
+    It covers images, all variables along ``frame`` (labels, split and recording among them), the names of classes and
+    labels, and the full scale. `progress` is shown over the batches of images.
     """
     total = -(-dataset.sizes["frame"] // 64)
     batches = progress(image_batches(dataset, 64), "hashing the dataset", total=total)
@@ -91,7 +91,7 @@ def _hash(dataset: xr.Dataset, digests: NDArray[np.uint8]) -> str:
 
 
 def image_batches(dataset: xr.Dataset, size: int = 64) -> Iterator[NDArray[np.generic]]:
-    """Read the images of a dataset, stored or in memory, in order: yield [n, side, side], `size` frames at a time.
+    """Yield the images of a dataset, stored or in memory, in order: [n, side, side], `size` frames at a time.
 
     Raises an InputError when a stored part cannot be read or fails its checksum.
     """
@@ -125,10 +125,10 @@ def split_variable(split: NDArray[np.int8]) -> xr.Variable:
 
 
 def class_variable(names: Sequence[str], classes: Sequence[str] | None = None) -> xr.Variable:
-    """Return names [N], the model of every frame's target, as the variable `device`: int32 numbers with ``classes``.
+    """Return device names [N] as the variable `device`: int32 numbers with the attribute ``classes``.
 
-    These are all names in the order of their numbers, by default those that occur, sorted. Raises an InputError when a
-    name is empty or not among the classes, or a class is named twice.
+    `classes` lists all names in the order of their numbers, by default those that occur, sorted. Raises an InputError
+    when a name is empty or not among the classes, or a class is named twice.
     """
     known = sorted(set(map(str, names))) if classes is None else [str(name) for name in classes]
     number = {name: n for n, name in enumerate(known)}
@@ -149,21 +149,21 @@ def dataset_from_arrays(
     split: ArrayLike | None = None,
     recording: ArrayLike | None = None,
 ) -> xr.Dataset:
-    """Make a dataset in memory, for photographs or simulated images that come without a recording.
+    """Make a dataset in memory, for photographs or simulated images without a recording.
 
     Parameters
     ----------
     images
         [N, side, side] crops, uint8, uint16 or float counts.
     targets
-        Name of a quantity to its [N] values in SI units (gaze in fractions of the field of view); `device` to
-        [N] names.
+        Name of a quantity to its [N] values in SI units (gaze in fractions of the field of view); `device` to [N]
+        names.
     full_scale
-        Largest count of the camera; 255 for uint8 where left out.
+        Largest count of the camera; 255 by default for uint8.
     split
-        [N], 0 train, 1 test or 2 neither; all train where left out.
+        [N], 0 train, 1 test or 2 neither; by default all train.
     recording
-        [N], number of the video each image comes from; all 0 where left out.
+        [N], number of the video each image comes from; by default 0.
 
     Returns
     -------
@@ -173,7 +173,7 @@ def dataset_from_arrays(
     Raises
     ------
     InputError
-        When shapes differ, a target is not finite, or the depth is left open.
+        When shapes differ, a target is not finite, or the depth is unknown.
     """
     array = np.asarray(images)
     count = len(array) if array.ndim else 0
@@ -216,10 +216,10 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     Returns
     -------
     xarray.Dataset
-        ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels
-        of the frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``label_back``,
-        ``label_ahead`` (s, how far the label reaches from the frame), ``split``; see
-        `DatasetAccessor`. Synthesised sets have ``true_gaze_x`` and ``true_gaze_y`` besides.
+        ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels of the
+        frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``label_back``, ``label_ahead`` (s,
+        time span of the measurements behind a label), ``split``; in synthesised sets also ``true_gaze_x`` and
+        ``true_gaze_y``. See `DatasetAccessor`.
 
     Raises
     ------
@@ -249,7 +249,7 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     for fault in found:
         raise InputError(f"damaged: {fault}", where=address, remedy=_AGAIN)
     dataset.encoding["source"] = address
-    # The labels are small, and a damaged one should be reported here, not in the middle of training.
+    # Labels are read now, so that damage is reported here and not in the middle of training.
     for name, variable in dataset.data_vars.items():
         if variable.dims == ("frame",):
             dataset[name] = variable.copy(data=_read(variable, dataset))
@@ -282,7 +282,7 @@ def _faults(dataset: xr.Dataset, group: zarr.Group, targets: Sequence[str], *, c
             found.append(f"{DEVICE} lacks names for its numbers")
     for name in dataset.variables if chunks else ():
         array = group[str(name)]
-        # Zarr reads a chunk that is not there as zeros, without a word.
+        # Zarr silently reads a missing chunk as zeros.
         if isinstance(array, zarr.Array) and array.nchunks_initialized != array.nchunks:
             lost = array.nchunks - array.nchunks_initialized
             found.append(f"{lost} of {array.nchunks} parts of {name} are missing")
@@ -295,16 +295,16 @@ def _listed(attributes: Mapping[str, Any]) -> tuple[str, ...]:
 
 @xr.register_dataset_accessor("tp")
 class DatasetAccessor:
-    """What a Tapetum dataset knows beyond xarray, as ``dataset.tp``."""
+    """Tapetum's properties and methods of a dataset, as ``dataset.tp``."""
 
     def __init__(self, dataset: xr.Dataset) -> None:
         self._dataset = dataset
 
     def plot(self, count: int = 12) -> Figure:
-        """Draw some crops, evenly spread over the set, with their labels.
+        """Draw at most `count` crops with their labels, evenly spread over the set.
 
-        At most `count`. The figure belongs to no window: a notebook shows it, `savefig` writes it. `tapetum dataset
-        info --sheet` draws a whole contact sheet.
+        The figure has no window: a notebook shows it, `savefig` writes it. `tapetum dataset info --sheet` draws a whole
+        contact sheet.
         """
         from matplotlib.figure import Figure
 
@@ -326,7 +326,7 @@ class DatasetAccessor:
 
     @property
     def source(self) -> str:
-        """Where it was read from, for messages."""
+        """Path or address of the dataset, for messages."""
         return str(self._dataset.encoding.get("source", "dataset"))
 
     def _part(self, flag: int) -> xr.Dataset:
@@ -335,22 +335,22 @@ class DatasetAccessor:
 
     @property
     def train(self) -> xr.Dataset:
-        """The frames that models learn from: by default the first 80 % of every video."""
+        """The frames to train with: by default the first 80 % of every video."""
         return self._part(TRAIN)
 
     @property
     def test(self) -> xr.Dataset:
-        """The frames that models are judged by: by default the last 20 % of every video, less an embargo."""
+        """The frames to test with: by default the last 20 % of every video, less an embargo."""
         return self._part(TEST)
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """Names of the quantities that every frame is labelled with."""
+        """Names of the labels that every frame has."""
         return _listed(self._dataset.attrs)
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """Names of the numbers in `device`; empty where the frames have no such label."""
+        """Names of the numbers in `device`; empty without this label."""
         return tuple(self._dataset[DEVICE].attrs["classes"]) if DEVICE in self._dataset else ()
 
     @property
@@ -365,20 +365,20 @@ class DatasetAccessor:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of what this set holds now: a part of it (``train``, ``test``) or a relabelled copy has its own.
+        """SHA-256 of the present content: a part (``train``, ``test``) or a relabelled copy has its own.
 
-        Of a stored set the digests kept beside its images are taken; images in memory, and sets of earlier versions,
-        which have no digests, are read. See `content_hash`.
+        A stored set has digests of its images; images in memory, and sets of versions without digests, are read. See
+        `content_hash`.
         """
         image, digests = _images_of(self._dataset), self._dataset.get(DIGEST)
-        # Digests are those of the stored images: what is in memory may have been changed.
+        # Digests belong to the stored images; images in memory may have been changed.
         if digests is None or image.variable._in_memory:
             return content_hash(self._dataset)
         return _hash(self._dataset, _read(digests, self._dataset))
 
     @property
     def recordings(self) -> list[dict[str, Any]]:
-        """What each number in ``recording`` stands for: name, uuid, frames, frames used and left out."""
+        """Name, uuid, and counts of frames, used and left out, of each number in ``recording``."""
         return json.loads(self._dataset.attrs.get("recordings", "[]"))
 
     def images(self, batch: int = 64) -> Iterator[NDArray[np.generic]]:
@@ -386,7 +386,7 @@ class DatasetAccessor:
         return image_batches(self._dataset, batch)
 
     def values(self, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """Return labels as [N, len(names)]; raise an InputError when the dataset lacks one of them."""
+        """Return labels as [N, len(names)]; raise an InputError when one is missing."""
         for name in names:
             if name not in self._dataset:
                 have = ", ".join(self.targets) or "none"

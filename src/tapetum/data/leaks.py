@@ -1,47 +1,46 @@
-"""Whether a label can be read from anything but the picture of the retro-reflection.
+"""Whether a label can be read from anything but the image of the retro-reflection.
 
-A network learns whatever gives the answer away. `score_leaks` tries each thing that might, with models so simple that
-success can only mean that it is written there: a ridge on few polynomial terms, nearest neighbours, and for pixels a
-linear ridge. They learn on one part of the set and are scored on the other.
+A network learns whatever gives the answer away. `score_leaks` tries each source of information below with models so
+simple that they succeed only if the label is plainly there: a ridge on few polynomial terms, nearest neighbours, and
+for pixels a linear ridge. They learn on one part of the set and are scored on the other.
 
 =======================  =======================================================================================
 source                   what it is, and what a find means
 =======================  =======================================================================================
-position                 where the crop stood in the probe's frame: the target moved as it turned
-time                     time since the recording's first frame: a trend, a motion that repeats
+position                 the crop's place in the probe's frame: the target moved as it turned
+time                     time since the recording's first frame: a trend, a periodic motion
 label smoothing          test labels that share a measurement with a training frame's: `tapetum.data.embargo`
 neighbours in time       the nearest train frame of the same recording: the parts are too close to each other
 store order              number in the store: frames sorted by their label
 neighbours in store      the nearest train frame in the store: sorted, then split at random
-label quality            how sure the label is
+label quality            quality of the label
 background               level, noise and hot share of the corners, far from the RR: a lamp, an exposure, a border
 fixed pattern            the corners' pixels over their neighbours, in the crop: the same background or sensor dirt
 hot pixels               hot pixels by their place in the probe's frame: which camera, which recording
 =======================  =======================================================================================
 
-**Labels that change within a recording** (gaze) are learnt on the train frames and judged on the test frames. Chance is
-what the same models score when the labels of each recording are shifted in a circle: a hand moves smoothly, and two
-smooth curves resemble each other far more often than two lists of independent numbers. For neighbours the train labels
-are shifted among themselves. Where the recordings are too few and short for 199 independent shifts, the verdict is
-*untested*.
+**Labels that change within a recording** (gaze) are learnt on the train frames and tested on the test frames. Chance is
+the score of the same models with the labels of each recording shifted cyclically: a hand moves smoothly, and two smooth
+curves correlate far more often than independent numbers. For neighbours only the train labels are shifted. Where the
+recordings are too few and short for 199 independent shifts, the verdict is *untested*.
 
-**Labels that are constant within a recording** (device, focal length, object distance in the paper's sets) are taken as
-classes. Time, order and the recording's number identify the recording, hence the class, by construction: they are not
-scored. What is left is judged twice. *Scope split*: learnt on the train frames, judged on the test frames of the same
-recordings; chance deals the classes again to fifths of recordings. A find means that recordings, and so the classes,
-can be distinguished by it in this set. *Scope recordings*, where every class has two recordings or more, and all
-together enough for 199 deals: learnt on half of each class's recordings, judged on the others; chance deals the classes
-again to whole recordings. A find means that it goes with the class itself.
+**Labels that are constant within a recording** (device, focal length, object distance in the paper's sets) are classes.
+Time, order and the recording's number identify the recording, hence the class, and are not scored. The other sources
+are tested twice. *Scope split*: learnt on the train frames, tested on the test frames of the same recordings; chance
+permutes the classes over fifths of recordings. A find means that the source distinguishes the recordings, and so the
+classes, of this set. *Scope recordings*, where every class has two recordings or more and 199 permutations exist:
+learnt on half of each class's recordings, tested on the others; chance permutes the classes over whole recordings. A
+find means that the source depends on the class itself.
 
-**Not leaks**: the RR's own brightness, saturation and width. They follow from gaze, focus and lens.
+**Not leaks**: the RR's own brightness, saturation and width, which follow from gaze, focus and lens.
 
-**The RR's light in the corners** is separated from the background's by its fall-off. A background counts only if it
-tells the label after each admissible share (`tapetum.data.corners.FALL_OFFS`) of the halo nearer to the RR has been
-subtracted, and tells it better than that halo alone does. Where the halo's median exceeds the noise of a pixel the
-corners are not dark, and the verdict is *untested*. The pixel sources have smooth light removed.
+**The RR's light in the corners** is separated from the background by its fall-off. A background counts only if it
+predicts the label after each admissible share (`tapetum.data.corners.FALL_OFFS`) of the halo nearer to the RR has been
+subtracted, and better than that halo alone. Where the halo's median exceeds the noise of a pixel the corners are not
+dark, and the verdict is *untested*. The pixel sources have smooth light removed.
 
-**Found** means: over the largest of 199 scores of chance and over the trivial score, by a tenth (neighbours: half) of
-what is left to know. A clean source is reported less than 1 time in 200.
+**Found** means: above the largest of 199 chance scores and above the trivial score, by a tenth (neighbours: half) of
+the distance to a perfect score. A clean source is reported less than 1 time in 200.
 """
 
 from __future__ import annotations
@@ -84,12 +83,12 @@ class Leak:
     Parameters
     ----------
     score
-        What the best trivial model gets: the share of the label's variance it explains (1 is all, 0 no better
-        than the mean, negative worse), or for classes the share it gets right. NaN where untested.
+        Of the best trivial model: explained share of the label's variance (1 is all, 0 no better than the mean,
+        negative worse), or accuracy for classes. NaN where untested.
     baseline
-        What needs no source at all: 0, or the share of the commonest class.
+        Score without any source: 0, or the share of the commonest class.
     limit
-        What chance reaches, or what is too little to matter: a leak scores more.
+        The largest score that chance reaches or that is too small to matter; a leak scores more.
     why
         Why it could not be tested.
     """
@@ -121,7 +120,7 @@ class _Score:
 
 @dataclass(frozen=True)
 class _Trial:
-    """Frames to learn from and to judge by, and frames whose labels stand for theirs by chance, [rounds, N]."""
+    """Frames to learn from and to test with, and the frames [rounds, N] that lend their labels under chance."""
 
     train: NDArray[np.int64]
     test: NDArray[np.int64]
@@ -131,16 +130,16 @@ class _Trial:
 def find_leaks(
     dataset: xr.Dataset, corners: Corners | None = None, *, seed: int = SEED, progress: Progress = quiet
 ) -> list[Leak]:
-    """Return the leaks of a dataset: labels that can be read from something else than the image; none in a clean one.
+    """Return the leaks of a dataset: labels that can be read from something else than the image.
 
     Parameters
     ----------
     dataset
         A dataset with both parts of a split, stored or in memory.
     corners
-        What `read_corners` returned, where it has been read already.
+        Result of `read_corners`, if it was called already.
     seed
-        Of the rounds of chance.
+        Of the chance scores.
     progress
         Shown while the images are read and over the labels.
     """
@@ -164,7 +163,7 @@ def score_leaks(
 
 
 class _Search:
-    """Every source that could tell one label."""
+    """All sources that could predict one label."""
 
     def __init__(self, dataset: xr.Dataset, name: str, corners: Corners, rng: np.random.Generator) -> None:
         self.dataset, self.corners, self.rng = dataset, corners, rng
@@ -197,7 +196,7 @@ class _Search:
             yield from self._from_picture(_Trial(first, second, chance), "recordings")
 
     def _changing(self, learnt: Frames, train: Frames, test: Frames) -> Iterator[Leak]:
-        """Try a label that changes within recordings: first its neighbours, then what may go with it."""
+        """Try a label that changes within recordings."""
         yield self._smoothing()
         recording, one = self.recording, np.zeros_like(self.recording)
         order = np.arange(len(recording), dtype=np.float64)
@@ -228,7 +227,7 @@ class _Search:
         return np.asarray(self.dataset[name].values, dtype=np.float64) if name in self.dataset else None
 
     def _smoothing(self) -> Leak:
-        """Count the test frames whose label shares a measurement with a training frame's: none may."""
+        """Count the test frames whose label shares a measurement with a training frame's; any is a leak."""
         span = reach_of(self.dataset)
         if span is None:
             return self._untested(
@@ -239,7 +238,7 @@ class _Search:
         return Leak("label smoothing", self.name, share, 0.0, 0.0, "found" if share else "none")
 
     def _other_half(self) -> NDArray[np.int64] | None:
-        """Return 0 or 1 a frame, alternating over each class's recordings; None where these are too few for chance."""
+        """Return 0 or 1 per frame, alternating over each class's recordings; None if these are too few for chance."""
         numbers, first = np.unique(self.recording, return_index=True)
         classes = self.values[first].argmax(axis=1)
         half = np.array([np.count_nonzero(classes[:n] == one) % 2 for n, one in enumerate(classes)])
@@ -248,7 +247,7 @@ class _Search:
         return half[np.searchsorted(numbers, self.recording)]
 
     def _from_picture(self, trial: _Trial, scope: Scope) -> Iterator[Leak]:
-        """Try the crop's place and what stands in its corners."""
+        """Try the crop's position and its corners."""
         corners = self.corners
         x, y = self._column("centre_x"), self._column("centre_y")
         if x is not None and y is not None:
@@ -272,7 +271,7 @@ class _Search:
         return Leak(name, self.name, np.nan, np.nan, np.nan, "untested", scope, why)
 
     def _verdict(self, name: str, scores: list[_Score], scope: Scope = "split") -> Leak:
-        """A leak has to be found whichever way it is looked for: the weakest score decides."""
+        """Return the verdict of the weakest score, because a leak has to be found by every score."""
         weakest = min(scores, key=lambda one: one.score - one.limit)
         found = "found" if weakest.score > weakest.limit else "none"
         return Leak(name, self.name, weakest.score, weakest.baseline, weakest.limit, found, scope)
@@ -280,7 +279,7 @@ class _Search:
     def _scored(
         self, features: NDArray[Any], trial: _Trial, models: Models, rows: NDArray[np.int64] | None = None
     ) -> _Score:
-        """Score the best of some models, and the same under chance; `rows` are the frames' rows in the features."""
+        """Score the best of some models, also under chance; `rows` are the frames' rows in the features."""
         train, test = (trial.train, trial.test) if rows is None else (rows[trial.train], rows[trial.test])
         rounds = np.concatenate([np.arange(len(self.values))[None], trial.chance])
         truth = self.values[rounds[:, trial.test]]
@@ -298,20 +297,20 @@ class _Search:
                 scores.append(1 - left / np.maximum(np.square(mean - truth).sum(axis=(1, 2)), 1e-300))
         best = np.max(scores, axis=0)
         baseline = float(truth[0][:, learnt[0].sum(axis=0).argmax()].mean()) if self.classes else 0.0
-        # Half of what is left for neighbours: the end of the train part is near the start of the test part by design.
+        # Neighbours need more, because the end of the train part is near the start of the test part by design.
         effect = _EFFECT_OF_NEIGHBOURS if models is _nearest else _EFFECT
         chance = max(float(best[1:].max()), baseline)
         return _Score(float(best[0]), baseline, chance + effect * (1 - chance))
 
 
-# Models too simple to see anything but what is plainly there. All are linear in the labels: each returns the weights
-# [test, train] that the labels are summed with, so that one fit predicts any number of labels, those of chance too.
+# Simple models, all linear in the labels: each returns weights [test, train] of the training labels, so that one fit
+# predicts any number of labels, those of chance included.
 
 
 def _smooth(train: NDArray[Any], test: NDArray[Any]) -> list[Any]:
     """Return the weights [test, train] of a ridge on polynomials and of the 15 nearest neighbours."""
     scaler = StandardScaler().fit(train)
-    # Four deviations at most: no polynomial runs away on a frame unlike all others.
+    # Clipped at four deviations, so that polynomials do not diverge on outliers.
     train, test = (np.clip(scaler.transform(one), -4, 4) for one in (train, test))
     terms = PolynomialFeatures(degree=3 if train.shape[1] <= 2 else 2, include_bias=False)
     ridge = Ridge(alpha=1e-2 * len(train)).fit(terms.fit_transform(train), np.eye(len(train)))
@@ -319,7 +318,7 @@ def _smooth(train: NDArray[Any], test: NDArray[Any]) -> list[Any]:
 
 
 def _nearest(train: NDArray[Any], test: NDArray[Any]) -> list[Any]:
-    """Return the weights [test, train] of the one nearest neighbour."""
+    """Return the weights [test, train] of the nearest neighbour."""
     return [_neighbours(train, test, 1)]
 
 

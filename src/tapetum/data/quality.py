@@ -1,7 +1,4 @@
-"""What a dataset holds and what is wrong with it: counts, labels, doubles, overexposed and empty frames, centring.
-
-Images are read once, a batch at a time, so a set may be far larger than the memory.
-"""
+"""Contents and defects of a dataset: counts, labels, duplicates, overexposed and empty frames, centring."""
 
 from __future__ import annotations
 
@@ -32,8 +29,7 @@ __all__ = [
 ]
 
 SATURATED_SHARE = 1e-4
-"""A frame is saturated when more than this share of its pixels is at full scale: 16 of 400 x 400, more than a sensor
-has hot pixels in such a crop."""
+"""A frame is saturated when more than this share of its pixels (16 of 400 x 400) is at full scale."""
 
 EMPTY_SNR = 6.0
 """A frame is empty when its brightest smoothed point is less than this many times the noise: noise alone gives 4."""
@@ -42,7 +38,7 @@ OFF_CENTRE = 0.05
 """A frame is off centre when its brightest smoothed point lies this fraction of the side or more from the middle."""
 
 _BATCH, _BINS = 64, 24
-# Labels outside these limits are impossible: gaze is a fraction of the field of view, lengths are positive.
+# Limits of possible labels: gaze is a fraction of the field of view, lengths are positive.
 _POSSIBLE = {
     "gaze_x": (-0.5, 0.5),
     "gaze_y": (-0.5, 0.5),
@@ -53,7 +49,7 @@ _POSSIBLE = {
 
 @dataclass(frozen=True)
 class Spread:
-    """How a quantity is distributed over the frames: finite values only, NaN where there are none."""
+    """Distribution of a quantity's finite values over the frames; NaN where there are none."""
 
     least: float
     median: float
@@ -65,7 +61,7 @@ class Spread:
 
 @dataclass(frozen=True)
 class LabelQuality:
-    """One label: its distribution, how many values are none, and how many are impossible."""
+    """Distribution of one label, and its numbers of missing and impossible values."""
 
     unit: str
     spread: Spread
@@ -76,12 +72,12 @@ class LabelQuality:
 
 @dataclass(frozen=True)
 class DatasetQuality:
-    """What `inspect_dataset` found; every count is a number of frames.
+    """Result of `inspect_dataset`; every count is a number of frames.
 
     Parameters
     ----------
     frames, train, test, embargo
-        Counts; embargo: those that neither train nor test.
+        Counts; embargo frames neither train nor test.
     side, full_scale
         Pixels along an edge, and the camera's largest count.
     per_recording, recordings
@@ -89,19 +85,19 @@ class DatasetQuality:
     labels, classes
         By target; frames of each class of the label ``device``, empty without one.
     exact, near
-        Equal images, and nearly equal ones that are not equal; see `tapetum.data.doubles`.
+        Identical images, and near duplicates that are not identical; see `tapetum.data.doubles`.
     saturated, saturated_share
         Frames with more pixels at full scale than `SATURATED_SHARE`; distribution of that share.
     empty, snr
         Frames of an SNR under `EMPTY_SNR`; distribution of the SNR.
     badly_centred, off_centre
-        Frames that `OFF_CENTRE` calls so; distance of the brightest smoothed point from the middle, in pixels.
+        Frames off centre by `OFF_CENTRE` or more; distance of the brightest smoothed point from the middle, in pixels.
     quality
-        Of the labels; None where the set does not tell it.
+        Of the labels; None where unknown.
     not_finite
         Frames with pixels that are not finite.
     interleaved
-        Test frames that lie between train frames of their own recording: neighbours in time look alike.
+        Test frames that lie in time between train frames of their own recording, and so resemble them.
     """
 
     frames: int
@@ -128,22 +124,18 @@ class DatasetQuality:
 
 
 def class_names(dataset: xr.Dataset, name: str) -> list[str]:
-    """Return the names of a label's classes, from its attribute ``classes``; none for a label that is a number."""
+    """Return the names of a label's classes, from its attribute ``classes``; empty for a number."""
     classes = dataset[name].attrs.get("classes", ())
     return [str(c) for c in (classes.split() if isinstance(classes, str) else classes)]
 
 
 def inspect_dataset(
-    dataset: xr.Dataset,
-    *,
-    also: Sequence[Callable[[int, NDArray[np.generic]], None]] = (),
-    progress: Progress = quiet,
+    dataset: xr.Dataset, *, also: Sequence[Callable[[int, NDArray[np.generic]], None]] = (), progress: Progress = quiet
 ) -> DatasetQuality:
-    """Look at every frame of a dataset, stored or in memory, once and sum up.
+    """Inspect every frame of a dataset, stored or in memory, in one pass; memory holds one batch at a time.
 
     Each of `also` is called with the number of the first frame and the images [n, side, side] of every batch, for other
-    measures that need the images: reading them is most of the work. Raises an InputError when the dataset holds no
-    frame, or a part cannot be read.
+    measures. Raises an InputError when the dataset is empty or a part cannot be read.
     """
     frames = dataset.sizes["frame"]
     if frames == 0:
@@ -163,7 +155,7 @@ def inspect_dataset(
             share[n] = np.count_nonzero(filled >= top) / filled.size
             peak = find_peak(filled, sigma)
             off[n] = np.hypot(peak.x - (filled.shape[1] - 1) / 2, peak.y - (filled.shape[0] - 1) / 2)
-            # The whole frame knows its noise better than the crop, which the RR may fill.
+            # The stored SNR is that of the whole frame, better than that of the crop, which the RR may fill.
             snr[n] = find_peak(filled, RING_SIGMA).snr if known is None else known[n]
             if filled.min() == filled.max():
                 snr[n] = 0.0

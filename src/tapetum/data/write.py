@@ -1,4 +1,4 @@
-"""The one writer of datasets: crops and what is known of each, from recordings, pictures or the virtual bench."""
+"""The writer of datasets from recordings, pictures or the virtual bench."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ __all__ = ["AS_IMPORTED", "CHUNK", "LARGEST_SIDE", "RING_SIGMA", "DatasetWriter"
 CHUNK = 64
 """Frames a chunk of the store: 10 MB of 400 x 400 pixels before compression."""
 LARGEST_SIDE = 4000
-"""Largest side of a crop: a chunk of 16 bit crops then fills the 2 GB that its compression can take."""
+"""Largest side of a crop: a chunk of 16-bit crops then fills the 2 GB that its compressor accepts."""
 RING_SIGMA = 4.0
-"""Standard deviation in pixels of the smoothing that shows a faint RR best."""
+"""Standard deviation in pixels of the smoothing that detects a faint RR best."""
 AS_IMPORTED = "as imported"
-"""The `Rules.centring` of images that have the RR in their middle already."""
+"""The `Rules.centring` of images with the RR already in their middle."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Which frames are kept, how they are cut and where they go: the arguments of `tapetum.data.build_dataset`."""
+    """How frames are selected, cut and split: the arguments of `tapetum.data.build_dataset`."""
 
     side: int = 400
     test_fraction: float = 0.2
@@ -58,8 +58,8 @@ class Rules:
     embargo: float = 0.0
 
     def cut(self, image: NDArray[np.generic]) -> tuple[NDArray[np.generic], dict[str, float]] | None:
-        """Cut the crop out of a frame [H, W]; return it with its place and SNR, or None where no RR is visible."""
-        # Smoothing as wide as the rings shows best whether an RR is there; a wider one, where its middle is.
+        """Return the crop of a frame [H, W] with its place and SNR, or None where no RR is visible."""
+        # A narrow smoothing detects the RR best, a wider one locates its middle.
         snr = find_peak(image, RING_SIGMA).snr
         if self.centring == AS_IMPORTED:
             x, y = (image.shape[1] - 1) / 2, (image.shape[0] - 1) / 2
@@ -67,21 +67,21 @@ class Rules:
             return None
         else:
             x, y = find_centre(image, self.sigma)
-        # A noiseless float frame has no finite SNR; 1e6 stands for "no noise at all".
+        # A noiseless float frame has an infinite SNR, stored as 1e6.
         return crop(image, (x, y), self.side), {"centre_x": x, "centre_y": y, "snr": min(snr, 1e6)}
 
     def split(self, place: Any, total: Any) -> NDArray[np.int8]:
-        """Return in which part a video's frames are by their place in it, counted from 0: its end tests."""
-        # Rounded, so that 0.8 of 10 frames is 8 whatever the last bit of 1 - 0.2 is.
+        """Return the part of frames by their place in their video, counted from 0: its end tests."""
+        # Rounded, so that 0.8 of 10 frames is exactly 8.
         first_test = np.round((1 - self.test_fraction) * np.asarray(total, float), 6)
         return np.where(np.asarray(place) < first_test, TRAIN, TEST).astype(np.int8)
 
 
 class DatasetWriter:
-    """Appends crops to a store, whole chunks at a time, and what is known of each. Made by `dataset_writer`.
+    """Appends crops and their values to a store in whole chunks. Made by `dataset_writer`.
 
-    `told` says what became of the frames of each recording: the store's attribute ``recordings``. `attributes` are more
-    attributes of the store, as JSON can hold them.
+    `told` becomes the store's attribute ``recordings``: the fate of each recording's frames. `attributes` are further
+    JSON attributes of the store.
     """
 
     def __init__(
@@ -110,7 +110,7 @@ class DatasetWriter:
         return not self._columns
 
     def add(self, image: NDArray[np.generic], /, **values: float) -> None:
-        """Add a crop [side, side], and what is known of it by name."""
+        """Add a crop [side, side] and its values by name."""
         self._digests.append(image_digests([image]))
         self._buffer.append(image)
         for name, value in values.items():
@@ -124,10 +124,7 @@ class DatasetWriter:
             self._buffer.clear()
 
     def finish(self) -> None:
-        """Write what is left of the images, the variables along ``frame``, and the store's attributes.
-
-        Raises an InputError when nothing, or nothing for one of the two parts, was added.
-        """
+        """Write the rest of the store; raise an InputError when no frame is left to train or to test with."""
         self._flush()
         rules, names = self._rules, self._names
         self._set_embargo()
@@ -154,7 +151,7 @@ class DatasetWriter:
         )
 
     def _set_embargo(self) -> None:
-        """Take out of the test part what shares measurements with the training part, and count it."""
+        """Set the embargo on test frames that share measurements with the training part, and count them."""
         if self.empty:
             return
         time, back, ahead, recording, split = (
@@ -212,11 +209,10 @@ def dataset_writer(
     dtype: np.dtype[Any] | None = None,
     overwrite: bool = False,
 ) -> Iterator[DatasetWriter]:
-    """Open the store `out` for writing; it takes its name, in place of an old one with `overwrite`, when it is whole.
+    """Open the store `out` for writing; it appears, and replaces an old one with `overwrite`, only once it is complete.
 
-    Crops are labelled with `names`, devices called by `classes`. Counts saturate at `full_scale`; without `dtype`
-    crops are uint8 or uint16, as that needs. Raises an InputError when a store is there already, nothing was added, or
-    nothing for one of the two parts.
+    Labels are `names`, devices `classes`. Counts saturate at `full_scale`; without `dtype` crops are uint8 or uint16
+    accordingly. Raises an InputError when a store exists, or as `DatasetWriter.finish`.
     """
     kind = np.dtype(np.uint8 if full_scale <= 255 else np.uint16) if dtype is None else dtype
     with atomic_folder(out, overwrite=overwrite) as folder:
@@ -241,9 +237,9 @@ def _add_array(
         dtype=values.dtype,
         dimension_names=dimensions,
         attributes=about,
-        # Blosc alone does not notice a flipped bit; the checksum does.
+        # Blosc does not detect a flipped bit, the checksum does.
         compressors=[BloscCodec(cname="zstd", clevel=3, shuffle=shuffle), Crc32cCodec()],
-        # A chunk of zeros is written too, so that a missing one can be distinguished from it.
+        # Chunks of zeros are written too, to tell them from missing ones.
         config={"write_empty_chunks": True},
     )
     if values.size:

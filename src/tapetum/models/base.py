@@ -1,4 +1,4 @@
-"""What all models have in common: targets, training frames, `predict`, and what an estimator must define."""
+"""Common part of all models: targets, training frames, `predict`, and the interface of estimators."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "device": (DEVICE,),
     "phone": ("gaze_x", "gaze_y", DEVICE),
 }
-"""What a model may be asked for, and the labels that answer it. Any label's own name does as well."""
+"""Short names of targets, and their labels. A label's own name is a target as well."""
 
 Data: TypeAlias = xr.Dataset | NDArray[np.generic]
 """A dataset, or crops [N, side, side]."""
@@ -49,18 +49,18 @@ T = TypeVar("T")
 
 
 class Predictor(ABC):
-    """A fitted model, whatever it runs on.
+    """A fitted model, on any runtime.
 
     Attributes
     ----------
     kind
-        Name of what it is, as on its card.
+        Its name on the model card.
     target_names, quantities
         The labels that it estimates, and those of them that are numbers.
     intervals_
-        `tapetum.models.intervals.Intervals`, calibrated on training frames that took no part in fitting.
+        `tapetum.models.intervals.Intervals`, calibrated on training frames that were not fitted.
     data_hash_
-        Hash of the content of the training frames fitted to, where known.
+        Hash of the content of the fitted training frames, where known.
     """
 
     kind: str
@@ -78,17 +78,13 @@ class Predictor(ABC):
         Parameters
         ----------
         data
-            A dataset or crops [N, side, side], centred as those of the training were.
+            A dataset or crops [N, side, side], centred like the training crops.
         full_scale
             Largest count of the camera, for crops that are not uint8.
         progress
             Shown over the batches.
         anyway
-            Answer also where the model does not apply; the prediction still says so.
-
-        Returns
-        -------
-        Prediction
+            Keep the estimates of images to which the model does not apply; their `reason` is still set.
 
         Raises
         ------
@@ -100,7 +96,7 @@ class Predictor(ABC):
 
     @abstractmethod
     def parameters(self) -> dict[str, Any]:
-        """Return how it was made, fit for JSON."""
+        """Return the arguments that the model was made with, as values that JSON can hold."""
 
     def classes(self) -> tuple[str, ...]:
         """Return the names of the devices learned; empty where that is no target."""
@@ -108,11 +104,11 @@ class Predictor(ABC):
 
     @abstractmethod
     def _progress_label(self) -> str:
-        """What the progress bar says."""
+        """Return the label of the progress bar."""
 
     @abstractmethod
     def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
-        """Estimate one batch; say which images the model does not apply to."""
+        """Return the estimates of one batch, with a reason for each image to which the model does not apply."""
 
     def _map_batches(
         self,
@@ -122,12 +118,12 @@ class Predictor(ABC):
         full_scale: float | None = None,
         progress: Progress = quiet,
     ) -> list[T]:
-        """Return what `read` makes of each batch of images and its full scale, one batch or more."""
+        """Call `read` with each batch of images and its full scale; return its results, at least one."""
         total = -(-frame_count(data) // self._batch)
         return [read(*one) for one in progress(self._batches(data, full_scale), what, total=total)]
 
     def _batches(self, data: Data, full_scale: float | None) -> Iterator[tuple[NDArray[np.generic], float]]:
-        """Yield batches of crops with their full scale; an empty one where there are no crops."""
+        """Yield batches of crops with their full scale; a single empty batch when there are no crops."""
         if isinstance(data, xr.Dataset):
             depth = data.tp.full_scale if full_scale is None else full_scale
             empty = np.empty((0, data.tp.side, data.tp.side), np.uint8)
@@ -146,7 +142,7 @@ class Predictor(ABC):
         probability: NDArray[np.float64] | None = None,
         novelty: NDArray[np.float64] | None = None,
     ) -> Prediction:
-        """Put values [N, K], their intervals and the reasons why the model does not apply together."""
+        """Make a prediction of values [N, K]: add the intervals and the reasons why the model does not apply."""
         # The SNR costs half a millisecond a frame: only where the intervals depend on it.
         width = self.intervals_.at(snr() if self.intervals_.conditional else np.zeros(len(value)))
         ends = value - width, value + width
@@ -154,17 +150,18 @@ class Predictor(ABC):
 
 
 class Estimator(Predictor):
-    """A model of images that learns: scikit-learn's contract, with progress and intervals.
+    """A trainable model of images: scikit-learn's contract, with progress bars and intervals.
 
-    Parameters are arguments of ``__init__`` and come back from `parameters`; what is learned ends in an underscore.
+    Parameters are the arguments of ``__init__`` and come back from `parameters`; learned attributes end in an
+    underscore.
 
     Attributes
     ----------
     domain_
-        `tapetum.models.domain.Domain`: how the training frames look; None where there were fewer than 40, and in
-        models saved before there was one.
+        `tapetum.models.domain.Domain`: what the training frames look like; None with fewer than 40 frames, and in
+        models saved by versions without it.
     training_
-        How many frames were fitted and kept aside, and how crops were centred: `TrainingPart.summary`.
+        How many frames were fitted and held out, and how crops were centred: `TrainingPart.summary`.
     """
 
     domain_: Domain | None
@@ -172,7 +169,7 @@ class Estimator(Predictor):
 
     @abstractmethod
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
-        """Learn from the training frames of a dataset; return itself."""
+        """Fit the training frames of a dataset; return the estimator."""
 
     @abstractmethod
     def state(self) -> dict[str, torch.Tensor]:
@@ -183,7 +180,7 @@ class Estimator(Predictor):
     def from_state(
         cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
     ) -> Self:
-        """Make a fitted model of what `parameters`, `state` and `classes` returned."""
+        """Rebuild a fitted model from the results of `parameters`, `state` and `classes`."""
 
     def _check_fitted(self) -> None:
         if not hasattr(self, "intervals_"):
@@ -198,7 +195,7 @@ def frame_count(data: Data) -> int:
 
 
 def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
-    """Return the labels behind a target: "gaze", "focus", "device", "phone", a label's own name or several."""
+    """Return the labels of a target: "gaze", "focus", "device", "phone", a label's own name or several."""
     if isinstance(target, str):
         return TARGETS.get(target, (target,))
     if not target:
@@ -208,7 +205,7 @@ def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
 
 
 def plain_target(target: str | tuple[str, ...]) -> str | list[str]:
-    """Return a target as JSON holds it."""
+    """Return a target as a text or list of texts, for JSON."""
     return target if isinstance(target, str) else list(target)
 
 
@@ -219,24 +216,12 @@ def quantities_of(names: tuple[str, ...]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class TrainingPart:
-    """The training frames of a dataset, those to fit apart from those to calibrate with.
+    """The training frames of a dataset, divided into those that fit, calibrate and choose.
 
-    Parameters
-    ----------
-    dataset
-        The training frames alone.
-    quantities, targets
-        Names and values [N, K] of the labels that are numbers.
-    camera
-        [N] number of each frame's device, the camera looked at, in `classes`; None where that is no target.
-    classes
-        Names of the devices that there are training frames of.
-    fit, calibrate, choose
-        Positions in `dataset`, in order; those that choose do nothing else.
-    full_scale
-        Largest count of the camera.
-    data_hash
-        Of the content of the training frames: images, labels, recordings, classes.
+    `dataset` holds the training frames alone, `targets` [N, K] the values of the `quantities`; `camera` [N] numbers
+    each frame's device among `classes` (None where the device is no target). `fit`, `calibrate` and `choose` are
+    ascending positions in `dataset`; no frame is in two of them. `data_hash` covers images, labels, recordings and
+    classes.
     """
 
     dataset: xr.Dataset
@@ -252,20 +237,20 @@ class TrainingPart:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What the model's card says of the training: counts of frames, intervals, and how crops were centred."""
+        """The model card's entry on the training: frame counts, origin of the intervals, centring of the crops."""
         kept = len(self.calibrate)
         return {
             "frames": len(self.targets),
             "fitted": len(self.fit),
             "calibrated_on": kept,
             "embargo": len(self.targets) - len(self.fit) - kept - len(self.choose),
-            # Whatever the data decided, and by which frames: never those that test.
+            # Settings that were chosen by data, and by which frames; test frames never choose.
             "chosen": {},
             "intervals": "from the last part of every recording's training frames, kept out of the fit"
             if kept
             else "none: every training frame is fitted, as in the paper",
             "centring": self.dataset.attrs.get("centring"),
-            # The estimate of a model that looks at no image: the baseline.
+            # The constant estimate that serves as the baseline.
             "mean": dict(zip(self.quantities, self.targets.mean(axis=0).tolist(), strict=True)),
         }
 
@@ -273,17 +258,12 @@ class TrainingPart:
 def training_part(
     dataset: xr.Dataset, names: tuple[str, ...], calibration_fraction: float, *, select: bool = False
 ) -> TrainingPart:
-    """Take the training frames of a dataset; set the last share of each recording's aside to calibrate with.
+    """Take the training frames of a dataset; hold the last share of each recording out of the fit.
 
-    Frames before those whose labels share a measurement with theirs (`tapetum.data.embargo`) are neither fitted nor
-    calibrated with. With `select` the first half of those aside chooses (when to stop, say) and the second calibrates:
-    what was chosen by a frame looks too good there. Frames marked for testing are never used, even when the whole
-    dataset is given.
-
-    Raises
-    ------
-    InputError
-        When there is no training frame, too few of them, a label is missing, not a number or the same throughout.
+    Held-out frames calibrate. With `select`, half of them choose instead (when to stop, for example), because a frame
+    that chose would make the calibration too optimistic. Frames whose labels share a measurement with held-out frames
+    (`tapetum.data.embargo`) are dropped. Test frames are never used. Raises an InputError when there are too few
+    training frames, or a label is missing, not finite or constant.
     """
     if not 0 <= calibration_fraction < 1:
         what = f"must lie in 0 ... 1, is {calibration_fraction}"
@@ -311,7 +291,7 @@ def training_part(
     owed = half = 0.0
     for number in np.unique(recording):
         places = np.flatnonzero(recording == number)
-        # What one recording is too short to give counts for the next: many short ones give their share, too.
+        # Rounding carries over to the next recording, so that many short recordings together give the whole share.
         owed += calibration_fraction * len(places)
         count = min(max(round(owed), 0), len(places))
         owed -= count
@@ -344,7 +324,7 @@ def training_part(
 
 
 def _cameras(train: xr.Dataset) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Return each frame's device, numbered among those that occur, and their names."""
+    """Return the device of each frame as a number [N] among the devices that occur, and their names."""
     if DEVICE not in train:
         have = ", ".join(train.tp.targets) or "none"
         raise InputError("has no label 'device'", where="dataset", remedy=f"it has: {have}")
@@ -357,13 +337,7 @@ def _cameras(train: xr.Dataset) -> tuple[NDArray[np.int64], tuple[str, ...]]:
 
 
 def json_safe(value: Any, where: str) -> Any:
-    """Return `value` as JSON gives it back.
-
-    Raises
-    ------
-    InputError
-        When JSON cannot hold it, as NaN or an array.
-    """
+    """Return `value` after a round trip through JSON; raise an InputError for NaN, arrays and other non-JSON values."""
     try:
         return json.loads(json.dumps(value, allow_nan=False))
     except (TypeError, ValueError) as error:

@@ -11,7 +11,7 @@ from scipy.special import log_softmax, softmax
 
 __all__ = ["fit_temperature", "probabilities"]
 
-# Of the temperature's logarithm: few frames without an error must not make a network certain.
+# Limits of the temperature's logarithm: a few frames without an error must not make a network certain.
 _RANGE = (-2.0, 4.0)
 
 
@@ -21,24 +21,16 @@ def probabilities(scores: NDArray[np.float64], temperature: float) -> NDArray[np
 
 
 def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.integer]) -> float:
-    """Return the temperature of the least cross-entropy (C. Guo et al., ICML 2017).
-
-    Parameters
-    ----------
-    scores
-        [n, C] of frames that took no part in fitting; with none, the temperature is 1.
-    classes
-        [n] number of the true class.
-    """
+    """Return the temperature of least cross-entropy (C. Guo et al., ICML 2017) for scores [n, C]; 1 if n is 0."""
     if not len(scores):
         return 1.0
     own = np.arange(len(scores)), classes
-    # Laplace's rule: one more frame counts as wrong, or few frames without an error would give certainty.
-    counted = (len(scores), 1)
+    # Laplace's rule: one wrong frame is added, because a few frames without an error would give certainty.
+    count = len(scores)
 
     def loss(log: float) -> float:
         log_p = np.asarray(log_softmax(scores / np.exp(log), axis=1))
-        return float((counted[0] * -log_p[own].mean() - counted[1] * log_p.mean(axis=1).mean()) / sum(counted))
+        return float((count * -log_p[own].mean() - log_p.mean(axis=1).mean()) / (count + 1))
 
     best: Any = minimize_scalar(loss, bounds=_RANGE, method="bounded")
     return float(np.exp(best.x))

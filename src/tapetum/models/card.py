@@ -1,4 +1,4 @@
-"""What the card of a model, model.json, must hold."""
+"""Schema of a model card, model.json."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class _Network(_Parameters):
     shift: Size
     noise: Size
     seed: Count
-    # Cards of version 1 may lack these: what they then mean is in `NetworkEstimator.from_state`.
+    # Cards of version 1 may lack these; `NetworkEstimator.from_state` has their defaults.
     hide: Count = 0
     background: str = "root"
     patience: Some | None = None
@@ -81,20 +81,14 @@ _PARAMETERS: dict[str, type[_Parameters]] = {"zernike": _Zernike, **dict.fromkey
 
 
 def check_version(version: object, newest: int, where: object) -> None:
-    """Refuse a version of a format that this Tapetum does not read."""
+    """Refuse a format version that this Tapetum does not read."""
     if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= newest:
         what = f"has version {version!r} of the format, this Tapetum reads up to {newest}"
         raise InputError(what, where=where, remedy="update Tapetum")
 
 
 def checked_card(card: dict[str, Any], where: object) -> dict[str, Any]:
-    """Return a card whose structure and values can be used.
-
-    Raises
-    ------
-    InputError
-        For a key that is missing, of another type or out of range: one line with its path.
-    """
+    """Return a valid card; raise an InputError with the path of the first missing, mistyped or out-of-range key."""
     found = check(_Card, card, where, _REMEDY)
     parameters = check(_PARAMETERS[found.kind], found.parameters, f"{where}: parameters", _REMEDY)
     for part, within in ((found, where), (parameters, f"{where}: parameters")):

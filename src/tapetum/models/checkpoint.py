@@ -1,4 +1,4 @@
-"""A training on disk: everything that its next epoch needs, whole or not at all."""
+"""Checkpoints: everything that the next epoch of a training needs, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -27,19 +27,7 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 @dataclass
 class TrainingState:
-    """What changes from epoch to epoch.
-
-    Parameters
-    ----------
-    network
-        Its weights and statistics.
-    optimiser
-        AdamW over the network's parameters.
-    best
-        The network's state after its best epoch, on the CPU; None where the last one is kept.
-    history
-        Reports of the epochs so far.
-    """
+    """What changes from epoch to epoch; `best` is the network's state on the CPU after its best epoch, or None."""
 
     network: nn.Module
     optimiser: torch.optim.Optimizer
@@ -48,9 +36,9 @@ class TrainingState:
 
 
 def write_checkpoint(folder: Path, state: TrainingState, about: Mapping[str, Any]) -> None:
-    """Write checkpoint.safetensors, and history.json for people, into a folder that is made where missing.
+    """Write checkpoint.safetensors and a readable history.json into a folder, which is created if missing.
 
-    `about` is JSON-able: what the training depends on; only a training of the same may continue from here.
+    `about` (JSON values) identifies the training; only a training with equal `about` may resume.
     """
     tensors = {f"network.{name}": value for name, value in state.network.state_dict().items()}
     tensors |= {f"best.{name}": value for name, value in (state.best or {}).items()}
@@ -67,13 +55,10 @@ def write_checkpoint(folder: Path, state: TrainingState, about: Mapping[str, Any
 
 
 def read_checkpoint(folder: Path, state: TrainingState, about: Mapping[str, Any]) -> None:
-    """Put a checkpoint's content into `state`: into its network and optimiser in place.
+    """Load a checkpoint into `state`, its network and optimiser in place.
 
-    Raises
-    ------
-    InputError
-        When the file is damaged, of another version or of another training; the state is then as it was or, where
-        the network is another, of no use.
+    Raises an InputError when the file is damaged, of another version or of another training; with a network that does
+    not fit, the state is then unusable.
     """
     path, remedy = folder / CHECKPOINT, "remove the folder and train from the start"
     try:
@@ -95,8 +80,7 @@ def read_checkpoint(folder: Path, state: TrainingState, about: Mapping[str, Any]
             moments = state.optimiser.state[parameter]
             moments["step"] = tensors[f"optimiser.step.{name}"]
             for key in _MOMENTS:
-                # In the order of memory that the weights have (channels last): the fused step goes through all
-                # of them by place in memory, and would mix up what belongs to different weights.
+                # In the weights' memory order (channels last): the fused step indexes all tensors by memory position.
                 stored = tensors[f"optimiser.{key}.{name}"]
                 moments[key] = torch.empty_like(parameter, requires_grad=False).copy_(stored)
     except InputError:
@@ -111,7 +95,7 @@ def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def remove_checkpoint(folder: Path) -> None:
-    """Remove a checkpoint that is no longer needed, and its folder where nothing else is in it."""
+    """Remove a checkpoint, and its folder if nothing else is in it."""
     for name in (CHECKPOINT, HISTORY):
         (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):

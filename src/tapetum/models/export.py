@@ -1,4 +1,4 @@
-"""A network as one ONNX file: from counts to values, probabilities and novelty, for any program that reads ONNX."""
+"""Export of a network as one ONNX file, from counts to values, probabilities and novelty."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ __all__ = ["EXTRA", "FORMAT", "VERSION", "export_onnx", "onnx_bytes", "onnx_card
 
 FORMAT, VERSION = "tapetum-onnx", 1
 EXTRA = "fast"
-"""The extra of Tapetum that brings what is needed to write and run ONNX files."""
+"""Tapetum's extra with the packages that write and run ONNX files."""
 
 _SUFFIX = ".onnx"
-# Read by every ONNX Runtime since 1.15 (2023); nothing newer is needed.
+# Every ONNX Runtime since 1.15 (2023) reads it.
 _OPSET = 18
 
 _PREPARATION = (
@@ -45,7 +45,7 @@ _PREPARATION = (
 
 
 def onnx_card(model: NetworkEstimator) -> dict[str, Any]:
-    """Return what an exported model says of itself; the file holds it as JSON in its metadata, under "tapetum".
+    """Return an exported model's card, which the file holds as JSON in its metadata under "tapetum".
 
     `half_width` [B, K] (None where unknown) and `snr_edges` [B - 1] are those of `tapetum.models.intervals.Intervals`.
     """
@@ -69,7 +69,7 @@ def onnx_card(model: NetworkEstimator) -> dict[str, Any]:
 
 
 def export_onnx(model: Predictor, path: str | Path) -> Path:
-    """Write a fitted network to NAME.onnx, see `onnx_bytes`; a file that is there already is replaced.
+    """Write a fitted network to NAME.onnx, see `onnx_bytes`; an existing file is replaced.
 
     Raises
     ------
@@ -91,8 +91,8 @@ def onnx_bytes(model: Predictor) -> bytes:
 
     Inputs: `counts` [N, crop, crop] and `full_scale` [], float32. Outputs: `value` [N, K] in SI units where there are
     quantities; `probability` [N, C] and `novelty` [N] where there are classes; `distance` [N] of
-    `tapetum.models.domain.Domain` where the model has one. Standard deviations and the temperature are multiplied into
-    the last layer in float64; torch folds batch normalisations into the convolutions.
+    `tapetum.models.domain.Domain` where the model has one. Standard deviations and temperature are multiplied into the
+    last layer in float64; torch folds batch normalisations into the convolutions.
 
     Raises
     ------
@@ -107,12 +107,12 @@ def onnx_bytes(model: Predictor) -> bytes:
             raise InputError("is exported already", where="model", remedy="give the model's folder")
         raise InputError(f"only networks become ONNX, this one is {kind}", where="model", remedy="train one")
     onnx = need("onnx", EXTRA)
-    state = model.state()  # says so when the model is not fitted
+    state = model.state()  # raises when the model is not fitted
     card, content = onnx_card(model), io.BytesIO()
     deployed = _Deployed(model, state).float().eval()
     example = (torch.ones(2, model.crop, model.crop), torch.ones(()))
     with torch.no_grad(), warnings.catch_warnings():
-        # torch calls the exporter by tracing the older one; the newer needs a package more (onnxscript).
+        # torch warns that the tracing exporter is old; the new one needs another package (onnxscript).
         warnings.simplefilter("ignore")
         names = list(deployed(*example))
         torch.onnx.export(
@@ -134,7 +134,7 @@ def onnx_bytes(model: Predictor) -> bytes:
 
 
 class _Deployed(nn.Module):
-    """All that `NetworkEstimator.predict` does with images, in torch alone; factors are multiplied in float64."""
+    """All steps of `NetworkEstimator.predict` in torch alone; constant factors are multiplied in float64."""
 
     def __init__(self, model: NetworkEstimator, state: dict[str, Tensor]) -> None:
         super().__init__()
@@ -160,13 +160,13 @@ class _Deployed(nn.Module):
             self.register_buffer(name, values)
 
     def forward(self, counts: Tensor, full_scale: Tensor) -> dict[str, Tensor]:
-        """Map counts [N, crop, crop] and their full scale [] to what the file answers."""
+        """Map counts [N, crop, crop] and their full scale [] to the outputs by name."""
         known = dict(self.named_buffers(recurse=False))
         if self.crop % self.size == 0:
             small = F.avg_pool2d(counts[:, None], self.crop // self.size) / full_scale
         else:
             small = known["area"] @ counts[:, None] @ known["area"].T / full_scale
-        # The lower median, as torch takes it: the largest of the smaller half.
+        # torch's lower median: the largest of the smaller half.
         half = small.flatten(1).topk((self.size**2 - 1) // 2 + 1, largest=False, sorted=False).values
         middle = half.amax(dim=1)[:, None, None, None]
         seen = root_over_background(small, middle, self.crop, self.hide, self.background) / known["unit"]
@@ -177,7 +177,7 @@ class _Deployed(nn.Module):
         if "score" in known:
             found["probability"] = (features @ known["score"] + known["score_offset"]).softmax(dim=1)
         if "means" in known:
-            # By differences, which lose nothing in float32.
+            # Explicit differences are accurate in float32.
             apart = (features @ known["novelty_white"])[:, None] - known["means"]
             found["novelty"] = apart.norm(dim=2).amin(dim=1)
         if "mean" in known:

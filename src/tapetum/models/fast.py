@@ -1,4 +1,4 @@
-"""Networks on ONNX Runtime: the same numbers as `tapetum.models.NetworkEstimator`, sooner on a CPU."""
+"""Networks on ONNX Runtime: the results of `tapetum.models.NetworkEstimator`, faster on a CPU."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ class FastResNet18(Predictor):
         A file of `tapetum.models.export.export_onnx` (NAME.onnx), a model's folder, or a fitted
         `tapetum.models.NetworkEstimator`.
     threads
-        Threads of ONNX Runtime; as many as torch uses where left out.
+        Threads of ONNX Runtime; by default as many as torch uses.
 
     Attributes
     ----------
     card
-        What the exported model says of itself: `tapetum.models.export.onnx_card`.
+        The exported model's `tapetum.models.export.onnx_card`.
 
     Raises
     ------
@@ -57,7 +57,7 @@ class FastResNet18(Predictor):
     >>> model.predict(crops, full_scale=255)["gaze_x"]  # doctest: +SKIP
     """
 
-    # More at a time is no faster: one frame already fills the cores, and the tensors of a few stay in their caches.
+    # Larger batches are no faster: one frame already uses all cores, and small batches stay in their caches.
     _batch = 8
 
     def __init__(self, model: str | Path | NetworkEstimator, *, threads: int | None = None) -> None:
@@ -68,7 +68,7 @@ class FastResNet18(Predictor):
         options = runtime.SessionOptions()
         options.intra_op_num_threads = torch.get_num_threads() if threads is None else threads
         options.log_severity_level = _ERRORS_ONLY
-        # Else its threads keep the cores busy for milliseconds after every frame, which detection needs.
+        # Otherwise its threads occupy the cores for milliseconds after every frame and slow down detection.
         options.add_session_config_entry("session.force_spinning_stop", "1")
         try:
             self._session: Any = runtime.InferenceSession(content, options, providers=["CPUExecutionProvider"])
@@ -87,7 +87,7 @@ class FastResNet18(Predictor):
         return tuple(self.card["classes"])
 
     def parameters(self) -> dict[str, Any]:
-        """Return what its card says about the model that was exported."""
+        """Return the exported model's target and sizes, from its card."""
         sizes = {name: self.card[name] for name in ("crop", "size") if name in self.card}
         return {"target": list(self.target_names), **sizes, "runtime": "ONNX"}
 
@@ -96,7 +96,7 @@ class FastResNet18(Predictor):
 
     def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
         counts = central(images, self.card["crop"]).astype(np.float32, copy=False)
-        # ONNX Runtime cannot run on no image at all: it gets a black one, whose answer is dropped.
+        # ONNX Runtime refuses an empty batch: it gets a black image, whose result is dropped.
         counts = counts if len(counts) else np.zeros((1, *counts.shape[1:]), np.float32)
         given = self._session.run(self._outputs, {"counts": counts, "full_scale": np.array(full_scale, np.float32)})
         found = {
@@ -112,20 +112,20 @@ class FastResNet18(Predictor):
 
 
 def load_predictor(path: str | Path) -> Predictor:
-    """Load whatever predicts: a model's folder, or a network exported to NAME.onnx, which is faster on a CPU.
+    """Load a model's folder, or a network exported to NAME.onnx, which is faster on a CPU.
 
     Raises
     ------
     InputError
-        As `load_model`, and as `FastResNet18`.
+        As `load_model` and `FastResNet18`.
     MissingExtraError
-        For a file .onnx, when the extra `fast` is not installed.
+        For an .onnx file when the extra `fast` is not installed.
     """
     return FastResNet18(path) if Path(path).suffix.lower() == ".onnx" else load_model(path)
 
 
 def _content(model: str | Path | NetworkEstimator) -> tuple[bytes | str, object]:
-    """Return an ONNX model, or the path of one, and how to call it in messages."""
+    """Return an ONNX model, or the path of one, and its name for messages."""
     if isinstance(model, NetworkEstimator):
         return onnx_bytes(model), "model"
     path = Path(model)
@@ -141,7 +141,7 @@ def _content(model: str | Path | NetworkEstimator) -> tuple[bytes | str, object]
 
 
 def _card(metadata: dict[str, str], where: object) -> dict[str, Any]:
-    """Read and check what an ONNX file says of itself."""
+    """Read and check the card in an ONNX file's metadata."""
     try:
         card = json.loads(metadata["tapetum"])
     except (KeyError, ValueError):

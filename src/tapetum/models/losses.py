@@ -12,7 +12,7 @@ __all__ = ["MixedLoss", "SmoothL1"]
 
 @dataclass(frozen=True)
 class SmoothL1:
-    """Squared below `beta`, linear above: mean over images and targets."""
+    """Loss that is quadratic below `beta` and linear above, averaged over images and targets."""
 
     beta: float = 0.1
 
@@ -25,11 +25,7 @@ class SmoothL1:
 class MixedLoss:
     """Smooth L1 on standardised quantities, plus cross-entropy on the class.
 
-    Parameters
-    ----------
-    quantities
-        How many of the outputs are quantities; the others are the scores of the classes, whose number is the last
-        column of the targets.
+    The first `quantities` outputs are quantities, the others class scores; the last target column is the class number.
     """
 
     quantities: int

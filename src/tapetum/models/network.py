@@ -33,7 +33,7 @@ from tapetum.progress import Progress, quiet
 
 __all__ = ["NetworkEstimator", "ResNet18"]
 
-# Frames of each class that its place among the features is learned from, at the most.
+# Most frames per class that fit the novelty.
 _FRAMES_A_CLASS = 500
 
 
@@ -47,28 +47,27 @@ class NetworkEstimator(Estimator):
     architecture
         One of `tapetum.models.architectures.ARCHITECTURES`; the paper's is "resnet18".
     crop, size
-        The central `crop` x `crop` pixels of each image are reduced to `size` x `size` for the network.
+        The central `crop` x `crop` pixels of each image are averaged to `size` x `size`.
     hide
-        Radius in pixels of a disc about the centre that the network never sees (see `prepare`): what it can tell
-        without the brightest spot.
+        Radius in pixels of a central disc that the network never sees, to test what it learns without the brightest
+        spot.
     background
-        How the background is taken off, "root" or "level": see `prepare`.
+        How the background is subtracted, "root" or "level": see `tapetum.models.inputs.root_over_background`.
     epochs, batch, learning_rate, weight_decay, patience, precision
         See `tapetum.models.training.TrainingSettings`.
     gain, shift, noise
         See `tapetum.models.training.Augmentation`.
     seed
-        Of the initial weights, the order of the images and the augmentation. Equal seeds give equal weights
-        on the CPU of one machine with one number of threads and processes. On a GPU they do not to the last bit: its
-        libraries choose their algorithms by speed and add in no fixed order.
+        Of the initial weights, the order of the images and the augmentation. Equal seeds give equal weights on the CPU
+        of one machine with one number of threads and processes. On a GPU the last bits differ: its libraries choose
+        algorithms by speed and do not fix the order of sums.
     calibration_fraction
-        Share of the training frames, the last ones of each recording, that is kept out of the fit: it shows
-        the error after each epoch and sets the intervals. The weights kept are the last epoch's; with `patience`
-        they are the best on the first half of these frames, and the second half alone sets the intervals.
-    device
-        "auto" (CUDA where there is one), "cpu" or "cuda". Not part of a saved model.
-    processes
-        GPUs or processes that train: "auto" takes all GPUs. Not part of a saved model.
+        Share of the training frames, the last ones of each recording, that is held out: it shows the error after each
+        epoch and sets the intervals. With `patience` the first half chooses the epoch whose weights are kept, and the
+        second half sets the intervals.
+    device, processes
+        "auto" (CUDA if present), "cpu" or "cuda"; and how many GPUs or processes train, "auto" for all GPUs. Not saved
+        with a model.
 
     Attributes
     ----------
@@ -79,11 +78,9 @@ class NetworkEstimator(Estimator):
     classes_
         Names of the devices learned, sorted.
     temperature_
-        Of the classes' probabilities, set on the frames kept out of the fit: `tapetum.models.calibration`.
+        Of the class probabilities, fitted to held-out frames: `tapetum.models.calibration`.
     novelty_
         `tapetum.models.novelty.Novelty`, or None without classes.
-
-    Besides these, those of `Predictor` and `Estimator`.
 
     Examples
     --------
@@ -158,7 +155,7 @@ class NetworkEstimator(Estimator):
         resume: bool = False,
         on_epoch: Callable[[EpochReport], None] | None = None,
     ) -> Self:
-        """Train on the training frames of a dataset; frames marked for testing are left alone.
+        """Train on the training frames of a dataset; test frames are not used.
 
         Parameters
         ----------
@@ -167,9 +164,9 @@ class NetworkEstimator(Estimator):
         progress
             Shown over the reading and over the steps of each epoch.
         checkpoint
-            Folder for a checkpoint after every epoch. After Ctrl-C or a kill it holds the last whole epoch.
+            Folder for a checkpoint after every epoch; after an interruption it holds the last complete epoch.
         resume
-            Go on from the checkpoint, if there is one; the result is that of a run without a break.
+            Continue from the checkpoint, if there is one; the result is that of an uninterrupted run.
         on_epoch
             Called with the report of every epoch.
 
@@ -197,7 +194,7 @@ class NetworkEstimator(Estimator):
         if part.camera is not None:
             columns.append(part.camera[:, None].astype(np.float64))
         wanted = torch.from_numpy(np.concatenate(columns, axis=1).astype(np.float32))
-        # Where nothing is chosen by it, the error is shown on the frames that calibrate.
+        # Without patience no frame chooses, so the calibration frames show the error.
         aside = part.calibrate if patience is None else part.choose
 
         def validate(trained: nn.Module) -> float:
@@ -230,15 +227,15 @@ class NetworkEstimator(Estimator):
             why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
             self.training_["chosen"]["epochs"] = f"{kept}: {why}"
         self._calibrate(part, images, snr, device)
-        # The training frames, varied as the network saw them; not by the training's own random numbers: what is drawn
-        # here must not depend on how long that took.
+        # The training frames are augmented as in training, but by a separate generator: the result must not depend on
+        # the number of epochs.
         generator, varied = torch.Generator().manual_seed(self.seed), self.settings.augmentation
         seen = [picture_features(augment(some, varied, generator)) for some in images.split(self._batch)]
         self.domain_ = fit_domain(np.concatenate(seen), np.asarray(part.dataset["recording"].values))
         return self
 
     def _calibrate(self, part: TrainingPart, images: Tensor, snr: NDArray[np.float64], device: torch.device) -> None:
-        """Set intervals, temperature and what counts as none of the classes, by the frames kept out of the fit."""
+        """Fit intervals, temperature and novelty to the held-out frames."""
         aside, k = part.calibrate, len(self.quantities)
         found = self._run(self.network_, images[aside], device)
         self.intervals_ = fit_intervals(part.targets[aside] - self._scaled(found), snr[aside])
@@ -263,7 +260,7 @@ class NetworkEstimator(Estimator):
         return self._prepared(images, full_scale), crop_snr(images, full_scale)
 
     def _run(self, network: Callable[[Tensor], Tensor], images: Tensor, device: torch.device) -> NDArray[np.float64]:
-        """Return what a network makes [N, ...] of prepared and scaled images."""
+        """Return a network's outputs [N, ...] for prepared and scaled images."""
         with torch.inference_mode():
             found = [
                 network(batch.to(device).contiguous(memory_format=torch.channels_last)).double().cpu().numpy()
@@ -297,7 +294,7 @@ class NetworkEstimator(Estimator):
         )
 
     def parameters(self) -> dict[str, Any]:
-        """Return the arguments of ``__init__``, fit for JSON, without device and architecture, which is the kind."""
+        """Return the arguments of ``__init__`` for JSON, except device, processes and architecture (see `kind`)."""
         settings = asdict(self.settings)
         varied = settings.pop("augmentation")
         own = {name: getattr(self, name) for name in ("crop", "size", "hide", "background", "calibration_fraction")}
@@ -329,8 +326,8 @@ class NetworkEstimator(Estimator):
         *,
         architecture: str = "resnet18",
     ) -> Self:
-        """Make a fitted model of an architecture, of what `parameters`, `state` and `classes` returned."""
-        # Cards older than the choice do not name it.
+        """Rebuild a fitted model of an architecture from the results of `parameters`, `state` and `classes`."""
+        # Older cards do not name the background.
         model = cls(**{"background": "root", **parameters, "architecture": architecture})
         k = len(model.quantities)
         if (DEVICE in model.target_names) != bool(classes):
@@ -340,7 +337,7 @@ class NetworkEstimator(Estimator):
         if classes:
             shapes["temperature"] = (1,)
         scaling = checked_state(state, shapes, "scaling.")
-        # Weights drawn at random only to be replaced would take most of the time.
+        # On the meta device no random initial weights are drawn, which would take most of the time.
         with torch.device("meta"):
             network = ARCHITECTURES[architecture](k + len(classes))
         network.to_empty(device="cpu")
@@ -365,5 +362,5 @@ class ResNet18(NetworkEstimator):
 
 
 def _spread_over(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return at most so many of some places, evenly spread."""
+    """Return at most `most` of the places, evenly spread."""
     return places[:: -(-len(places) // most)]

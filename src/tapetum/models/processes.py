@@ -1,4 +1,4 @@
-"""Where a training runs: on the CPU, a GPU or several, in one process or more, over Lightning Fabric."""
+"""Devices and processes of a training, over Lightning Fabric."""
 
 from __future__ import annotations
 
@@ -22,21 +22,15 @@ if TYPE_CHECKING:
 
 __all__ = ["companions", "make_fabric", "process_count", "training_device"]
 
-# The others wait so long for one that validates or writes.
+# How long processes wait for one that validates or writes.
 _TIMEOUT = dt.timedelta(minutes=10)
 _FABRIC_PRECISION = {"float32": "32-true", "bf16": "bf16-mixed"}
-# Seconds in which a process that has closed its connections ends.
+# Seconds within which a process ends after it has closed its connections.
 _ENDING = 10.0
 
 
 def training_device(name: str | torch.device) -> torch.device:
-    """Return the device called "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1".
-
-    Raises
-    ------
-    InputError
-        When there is none of that name on this machine.
-    """
+    """Return the device "auto" (CUDA if present), "cpu", "cuda" or "cuda:1"; raise an InputError if it is missing."""
     cuda = torch.cuda.device_count()
     if name == "auto":
         return torch.device("cuda" if cuda else "cpu")
@@ -53,13 +47,7 @@ def training_device(name: str | torch.device) -> torch.device:
 
 
 def process_count(processes: int | str, device: torch.device) -> int:
-    """Return how many processes train: "auto" is one for every GPU, and one on a CPU.
-
-    Raises
-    ------
-    InputError
-        When there are not so many GPUs, or `processes` is no such number.
-    """
+    """Return how many processes train ("auto": one per GPU); raise an InputError when there are fewer GPUs."""
     there = torch.cuda.device_count()
     if processes == "auto":
         return max(1, there) if device.type == "cuda" and device.index is None else 1
@@ -104,29 +92,12 @@ def make_fabric(device: torch.device, precision: str, *, processes: int = 1) -> 
 def companions(
     count: int, device: torch.device, precision: str, work: Callable[..., None], *arguments: Any
 ) -> Iterator[Fabric]:
-    """Start the processes that train beside this one, and yield this one's Fabric, rank 0 of `count`.
+    """Start `count` - 1 more training processes and yield this process's Fabric, of rank 0.
 
-    This process takes part itself, which Fabric's own launcher does not let it: what it is called back with (bars,
-    reports) need not be pickled, and Ctrl-C ends all processes. They find each other by the environment variables that
-    torchrun sets, too, so that Fabric launches none.
-
-    Parameters
-    ----------
-    count
-        Processes, this one included.
-    device
-        "cpu", or "cuda" for the first `count` GPUs.
-    precision
-        See `tapetum.models.epochs.TrainingSettings`.
-    work
-        Called in each of the others as ``work(fabric, *arguments)``; all of it is pickled.
-    arguments
-        Arrays rather than tensors: those would go through shared memory, which is scarce in containers.
-
-    Raises
-    ------
-    InputError
-        When one of the processes ends too early.
+    Each of the others calls ``work(fabric, *arguments)``, all pickled; arguments should be arrays, as tensors would use
+    shared memory, which is scarce in containers. Fabric's own launcher is not used, because this process trains too:
+    its callbacks need not be pickled, and Ctrl-C ends all processes. The processes find each other by torchrun's
+    environment variables. Raises an InputError when one of them ends too early.
     """
     from lightning_fabric.plugins.environments.lightning import find_free_network_port
 
@@ -176,7 +147,7 @@ def _companion(
     work: Callable[..., None],
     arguments: tuple[Any, ...],
 ) -> None:
-    """Be rank index + 1."""
+    """Run as rank index + 1."""
     up.release()
     os.environ["LOCAL_RANK"] = str(index + 1)
     ours = make_fabric(device, precision, processes=count)
@@ -186,13 +157,13 @@ def _companion(
 
 
 def _leave(ours: Fabric) -> None:
-    """End the group when all of it is done."""
+    """Wait for all processes, then leave the group."""
     ours.barrier()
     torch.distributed.destroy_process_group()
 
 
 def _await_all(group: ProcessContext, up: Semaphore, count: int) -> None:
-    """Return when all processes are up; Fabric would wait long for one that never comes."""
+    """Wait until all processes run; Fabric would wait minutes for one that never starts."""
     for _ in range(count):
         while not up.acquire(timeout=0.1):
             if (lost := _failure(group, 0)) is not None:
@@ -201,7 +172,7 @@ def _await_all(group: ProcessContext, up: Semaphore, count: int) -> None:
 
 
 def _failure(group: ProcessContext, seconds: float) -> str | None:
-    """Say in a line how one of the processes failed; None where none does within so many seconds."""
+    """Return in one line how a process failed; None if none fails within `seconds`."""
     try:
         group.join(timeout=seconds)
     except ProcessException as error:

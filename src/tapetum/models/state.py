@@ -1,4 +1,4 @@
-"""Learned numbers as named tensors: how an estimator's parts are checked when they are read back."""
+"""Checks of the tensors from which an estimator's parts are rebuilt."""
 
 from __future__ import annotations
 
@@ -19,13 +19,7 @@ MISMATCH = "the model's card and its weights do not belong together"
 def checked_state(
     state: Mapping[str, torch.Tensor], shapes: Mapping[str, tuple[int, ...]], prefix: str = ""
 ) -> dict[str, NDArray[np.float64]]:
-    """Return the tensors named `prefix` + name as float64 arrays, by name.
-
-    Raises
-    ------
-    InputError
-        When one is missing, has another shape or is not finite.
-    """
+    """Return the tensors named `prefix` + name as float64 arrays; raise an InputError for missing or unusable ones."""
     arrays: dict[str, NDArray[np.float64]] = {}
     for name, shape in shapes.items():
         tensor = state.get(prefix + name)

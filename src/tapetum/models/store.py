@@ -1,4 +1,4 @@
-"""Models on disk: a folder with a card, model.json, and weights.safetensors. Nothing is ever unpickled."""
+"""Models on disk: a folder with a card, model.json, and weights.safetensors; no pickles."""
 
 from __future__ import annotations
 
@@ -39,14 +39,14 @@ __all__ = [
 
 FORMAT, VERSION = "tapetum-model", 2
 CARD, WEIGHTS = "model.json", "weights.safetensors"
-# What makes a model of each kind of what its folder holds.
+# Function that rebuilds a model of each kind.
 KINDS: dict[str, Callable[..., ZernikeRidge | NetworkEstimator]] = {
     ZernikeRidge.kind: ZernikeRidge.from_state,
     **{name: partial(NetworkEstimator.from_state, architecture=name) for name in ARCHITECTURES},
     ResNet18.kind: ResNet18.from_state,
 }
 
-# Their versions stand on the card.
+# Packages whose versions the card lists.
 _PACKAGES = ("tapetum", "torch", "numpy", "scikit-learn", "safetensors")
 _REMEDY = "copy it again or train it again"
 _INCOMPLETE = "copy the whole folder or train it again"
@@ -61,8 +61,7 @@ def _version(package: str) -> str:
 
 
 def _halved(tensor: torch.Tensor, name: str) -> torch.Tensor:
-    # Only the big float32 tensors: biases and the normalisation's statistics cost nothing, and linear models
-    # keep float64.
+    # Only large float32 tensors: biases and normalisation statistics are small, and linear models keep float64.
     if tensor.dtype != torch.float32 or tensor.ndim < 2:
         return tensor
     half = tensor.half()
@@ -89,17 +88,14 @@ def save_model(
         A fitted estimator.
     path
         The folder to write.
-    metrics
-        Figures for the card: what was measured, on what.
+    metrics, notes
+        For the card: what was measured on what; and anything else, such as seeds or the command.
     data_hash
-        Hash of the training data; the model's own where left out.
+        Hash of the training data; by default the model's own.
     half
-        Store matrices and convolutions in float16, half the size. Predictions are computed in float32 all the
-        same.
-    notes
-        Anything else for the card: seeds, the command.
+        Store matrices and convolutions in float16, half the size. Predictions still run in float32.
     overwrite
-        Replace a folder that is there already.
+        Replace an existing folder.
 
     Returns
     -------
@@ -109,7 +105,7 @@ def save_model(
     Raises
     ------
     InputError
-        When the model is not fitted, the card's figures are not JSON, or the folder exists.
+        When the model is not fitted, metrics or notes are not JSON, or the folder exists.
     """
     if model.kind not in KINDS:
         what = f"a model of kind {model.kind!r} learns nothing that a folder could keep"
@@ -134,7 +130,7 @@ def save_model(
     card = json_safe(card, "metrics or notes")
     with atomic_folder(path, overwrite=overwrite) as folder:
         save_file(state, folder / WEIGHTS)
-        # Safetensors keeps its file to its owner; a model is for whoever may read the folder.
+        # Safetensors restricts its file to the owner; everyone who can read the folder may read the model.
         (folder / WEIGHTS).chmod(0o644)
         card["weights"] = {
             "file": WEIGHTS,
@@ -147,13 +143,7 @@ def save_model(
 
 
 def write_metrics(path: str | Path, metrics: Mapping[str, Any]) -> None:
-    """Replace the figures on the card of a saved model by `metrics`: what was measured, on what.
-
-    Raises
-    ------
-    InputError
-        When there is no readable card, the figures are not JSON, or the card cannot be written.
-    """
+    """Replace `metrics` on a saved model's card; raise an InputError for a bad card or values that are not JSON."""
     card = model_card(path) | {"metrics": json_safe(dict(metrics), "metrics")}
     with atomic_file(Path(path) / CARD) as part:
         part.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
@@ -165,7 +155,7 @@ def model_card(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When the folder or its card is missing, is not a model's, or was written by a newer Tapetum.
+        When the folder or its card is missing, is not a model's, or is of a newer version.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -187,17 +177,9 @@ def model_card(path: str | Path) -> dict[str, Any]:
 
 
 def load_model(path: str | Path) -> ZernikeRidge | NetworkEstimator:
-    """Load a model that `save_model` wrote, after checking that its weights are those named on its card.
+    """Load a model that `save_model` wrote, after checking its weights against the hash on its card.
 
-    Parameters
-    ----------
-    path
-        The model's folder.
-
-    Returns
-    -------
-    Estimator
-        Ready to predict, in float32 (or float64 for linear models) whatever the precision stored.
+    It predicts in float32 (linear models in float64), whatever the stored precision.
 
     Raises
     ------
@@ -230,12 +212,12 @@ def load_model(path: str | Path) -> ZernikeRidge | NetworkEstimator:
 
 
 def pretrained(name: str = "thin-lens-gaze") -> ZernikeRidge | NetworkEstimator:
-    """Load a model that comes with the package.
+    """Load a bundled model.
 
     Raises
     ------
     InputError
-        When no model of that name is bundled; the message lists those that are.
+        When no bundled model has that name; the message lists those that are.
     """
     found = sorted(f.parent.name for f in _PRETRAINED.glob(f"*/{CARD}"))
     if name not in found:

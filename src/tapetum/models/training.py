@@ -1,6 +1,4 @@
-"""Training in epochs that can be interrupted and taken up again, on whatever computes: every epoch leaves a whole
-checkpoint.
-"""
+"""Resumable training in epochs, on CPU or GPUs; every epoch writes a complete checkpoint."""
 
 from __future__ import annotations
 
@@ -72,11 +70,10 @@ def train(
 ) -> list[EpochReport]:
     """Train a network in place.
 
-    Several processes share every batch, each taking its part, and add up their gradients: batches, steps and
-    learning rates are those of one process, and without augmentation so is the result, to rounding. With it the
-    processes draw their own numbers. On GPUs batch normalisation takes its mean over the whole batch; on a CPU,
-    where torch has no such thing, each process takes it over its own part, and the first one's running mean is
-    kept.
+    Several processes split every batch and add up their gradients: batches, steps and learning rates are those of one
+    process, and without augmentation so is the result, to rounding. With augmentation each process has its own random
+    numbers. On GPUs batch normalisation averages over the whole batch; on a CPU each process averages over its own
+    part, and the first one's running mean is kept.
 
     Parameters
     ----------
@@ -85,26 +82,24 @@ def train(
     images
         [N, C, H, W], standardised, float32, on the CPU.
     targets
-        [N, ...], standardised or classes, whatever `loss` takes.
+        [N, ...], standardised values or classes, as `loss` takes them.
     settings
-        How.
+        How to train.
     loss
-        ``loss(output, target)``, a mean over the images. At the top of a module, or an object of a class that
-        is, where several processes train: it travels to them.
+        ``loss(output, target)``, a mean over the images. Several processes need one that can be pickled.
     validate
-        Returns the validation error of the network, which is in evaluation mode; lower is better. Called in this
-        process only.
+        Returns the validation error (lower is better) of the network in evaluation mode. Called in this process only.
     device
         "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1". The network stays there.
     processes
-        How many train: GPUs, or processes on the CPU. "auto" takes every GPU, on a CPU one.
+        GPUs, or processes on the CPU, that train. "auto" takes every GPU, on a CPU one.
     checkpoint
-        Folder that gets checkpoint.safetensors and history.json after every epoch, each whole or not at all.
+        Folder that gets checkpoint.safetensors and history.json after every epoch, each complete or not at all.
     resume
-        Go on from the checkpoint in that folder, where there is one, with as many processes as one likes.
+        Continue from the checkpoint in that folder, if there is one, with any number of processes.
     identity
-        JSON-able: what the training depends on besides `settings` (data hash, input size). A checkpoint of
-        another identity is refused.
+        JSON values that identify the training besides `settings` (data hash, input size); a checkpoint of another
+        identity is refused.
     progress
         Shown over the steps of each epoch.
     on_epoch
@@ -113,13 +108,13 @@ def train(
     Returns
     -------
     list of EpochReport
-        Of all epochs, those before a resumption included. `kept_epoch` tells which one's weights the network has.
+        Of all epochs, those before a resumption included; `kept_epoch` returns the one whose weights are kept.
 
     Raises
     ------
     InputError
-        When the checkpoint is damaged, of another version or of another training, when the training diverges, or
-        when there is no such device.
+        When the checkpoint is damaged, of another version or training, the training diverges, or there is no such
+        device.
     """
     device = training_device(device)
     count = process_count(processes, device)
@@ -136,11 +131,11 @@ def train(
         alone = make_fabric(device, settings.precision)
         network.to(device=alone.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         return _Training(alone, network, images, targets, *work, **calls).run()
-    # The others get the network's shape; its weights follow from here when the processes meet.
+    # The others get the network's structure; its weights are broadcast from here.
     sent = (copy.deepcopy(network).to("meta"), images.numpy(), targets.numpy())
     with companions(count, device, settings.precision, _take_part, *sent, *work) as first:
         network.to(device=first.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        # Of the copy the processes may wrap and replace parts; the caller's network stays what it was.
+        # Fabric may wrap and replace parts of the copy, not of the caller's network.
         copied = copy.deepcopy(network)
         history = _Training(first, copied, images, targets, *work, **calls).run()
         network.load_state_dict(copied.state_dict())
@@ -151,14 +146,14 @@ def train(
 def _take_part(
     ours: Fabric, network: nn.Module, images: NDArray[np.float32], targets: NDArray[np.generic], *work: Any
 ) -> None:
-    """Be one of the other processes: compute, and leave the rest to the first."""
+    """Run as one of the other processes, which only compute."""
     network = network.to_empty(device=ours.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
     _Training(ours, network, torch.from_numpy(images), torch.from_numpy(targets), *work).run()
 
 
 @dataclass
 class _Training:
-    """The loop, in one process; what is called while training is called in the first process only."""
+    """The training loop of one process; only the first process has callbacks."""
 
     fabric: Fabric
     network: InitVar[nn.Module]
@@ -229,17 +224,17 @@ class _Training:
         )
 
     def _steps(self, epoch: int, busy: BusySample) -> float:
-        """Go through the images once; return the sum of their losses."""
+        """Train one epoch; return the sum of the images' losses."""
         fabric, settings, count, steps = self.fabric, self.settings, len(self.images), self.per_epoch
         rank, ranks = fabric.global_rank, fabric.world_size
         order = torch.randperm(count, generator=_generator("cpu", settings.seed, epoch, 0)).to(self.images.device)
         varied = _generator(fabric.device, settings.seed, epoch, 1 + rank)
-        # Summed up where the losses are: to ask a GPU for a number is to wait for it.
+        # Summed on the device: reading a number from a GPU waits for it.
         total = torch.zeros((), dtype=torch.float64, device=fabric.device)
         label = f"epoch {epoch + 1}/{settings.epochs}{_last_error(self.state.history)}"
         for k in self.progress(range(steps), label, total=steps):
             busy.before(k)
-            # All images are used: what is left over is spread over the batches.
+            # Batch sizes differ by at most one, so that all images are used.
             batch = order[k * count // steps : (k + 1) * count // steps]
             chosen = batch[rank::ranks]
             images = augment(self.images[chosen].to(fabric.device), settings.augmentation, varied)
@@ -248,7 +243,7 @@ class _Training:
                 group["lr"] = learning_rate(epoch * steps + k, steps * settings.epochs, settings.learning_rate)
             self.optimiser.zero_grad(set_to_none=True)
             loss = self.loss(self.module(images.contiguous(memory_format=torch.channels_last)), target)
-            # The processes' gradients are averaged as equals; their parts of a batch may differ by an image.
+            # Gradients are averaged with equal weight, while parts of a batch may differ by an image.
             fabric.backward(loss * (len(chosen) * ranks / len(batch)))
             self.optimiser.step()
             total += loss.detach() * len(chosen)
@@ -257,13 +252,13 @@ class _Training:
 
 
 def _generator(device: str | torch.device, *key: int) -> torch.Generator:
-    """Return a stream of random numbers of its own for every key."""
+    """Return a random generator with its own stream for every key."""
     seed = np.random.SeedSequence(key).generate_state(1, np.uint64)[0]
     return torch.Generator(device).manual_seed(int(seed))
 
 
 def _near(tensor: Tensor, device: torch.device) -> Tensor:
-    """Return the tensor on a GPU that has room for it, else where it is."""
+    """Return the tensor on the GPU if it has room, else unchanged."""
     if device.type != "cuda":
         return tensor
     free, _ = torch.cuda.mem_get_info(device)

@@ -42,16 +42,15 @@ class ZernikeRidge(Estimator):
     scales, order, powers
         See `tapetum.models.features.zernike_features`; the defaults are the paper's.
     alpha
-        Strength of the penalty on the squared weights. The paper's 1e-6 belongs to features that are *not*
-        standardised and to intensities in 8-bit counts, whose roots run from 0 to 16. "cv": the best of 1e-6
-        ... 1e6 by cross-validation over contiguous fifths of the frames (neighbouring frames of a video are
-        nearly equal: a random split would always ask for no penalty at all).
+        Strength of the penalty on the squared weights. The paper's 1e-6 belongs to features that are *not* standardised
+        and to intensities in 8-bit counts, whose roots run from 0 to 16. "cv" takes the best of 1e-6 ... 1e6 by
+        cross-validation over contiguous fifths of the frames; a random split would always choose no penalty, because
+        neighbouring video frames are nearly equal.
     standardise
         Scale every feature to unit variance first. The paper does not.
     calibration_fraction
-        Share of the training frames, the last ones of each recording, that is kept out of the fit to set the
-        intervals. By default 0, as in the paper: every training frame is fitted, and intervals are infinite. 0.1
-        is usual for intervals.
+        Share of the training frames, the last ones of each recording, that is held out of the fit to set the intervals;
+        0.1 is usual. The default 0, as in the paper, fits every training frame and gives infinite intervals.
 
     Attributes
     ----------
@@ -60,14 +59,11 @@ class ZernikeRidge(Estimator):
     alpha_
         The penalty used.
 
-    Besides these, those of `Predictor` and `Estimator`.
-
     Notes
     -----
-    Intensities are taken in counts of an 8-bit camera (0 ... 255, whatever the depth) and nothing is
-    subtracted from them: the paper mentions no background. The fit runs in float64 by singular values
-    (``solver="svd"``), which does not square their spread of ten decades as the normal equations do. At 1200
-    frames that is a quarter of a second against an eighth.
+    Intensities are 8-bit counts (0 ... 255, whatever the depth) without background subtraction, since the paper
+    mentions none. The fit runs in float64 with ``solver="svd"``: the normal equations would square the features' range
+    of ten decades. At 1200 frames this takes 0.25 s instead of 0.125 s.
 
     Examples
     --------
@@ -127,7 +123,7 @@ class ZernikeRidge(Estimator):
         return zernike_features(images, self.scales, self.order, self.powers, full_scale=full_scale)
 
     def _read(self, images: NDArray[np.generic], full_scale: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return the features [N, F] and the SNR [N] of a batch, so that each image is read once."""
+        """Return the features [N, F] and the SNR [N] of a batch, in one pass over the images."""
         return self._features(images, full_scale), crop_snr(images, full_scale)
 
     def _progress_label(self) -> str:
@@ -138,7 +134,7 @@ class ZernikeRidge(Estimator):
         return len(self.scales) * len(self.powers) * mode_count(self.order)
 
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
-        """Fit to the training frames of a dataset; frames marked for testing are left alone.
+        """Fit the training frames of a dataset; test frames are not used.
 
         Parameters
         ----------
@@ -180,7 +176,7 @@ class ZernikeRidge(Estimator):
         return self._prediction(self._linear(features), lambda: crop_snr(images, full_scale), distance)
 
     def _look(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How the crops look whatever their direction, of features [N, F]: low-order magnitudes at every scale."""
+        """Return rotation-invariant features of crops for `Domain`: low-order Zernike magnitudes at every scale."""
         power, modes = min(self.powers), mode_count(self.order)
         order = min(self.order, _LOOK_ORDER)
         all_of = features.reshape(len(features), len(self.scales), len(self.powers), modes)
@@ -223,13 +219,13 @@ class ZernikeRidge(Estimator):
 
 
 def _best_alpha(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Return the penalty of the least squared error over contiguous folds, one decomposition for each."""
+    """Return the penalty with the least squared error over contiguous folds; one SVD per fold."""
     error = np.zeros(len(_ALPHAS))
     for rest, fold in KFold(min(_FOLDS, len(x))).split(x):
         x0, y0 = x[rest].mean(axis=0), y[rest].mean(axis=0)
         u, s, vt = np.linalg.svd(x[rest] - x0, full_matrices=False)
         seen, turned = u.T @ (y[rest] - y0), (x[fold] - x0) @ vt.T
-        # Each quantity counts alike, whatever its unit.
+        # Scaled, so that all quantities have equal weight.
         spread = np.maximum(y.std(axis=0), np.finfo(float).tiny)
         for k, alpha in enumerate(_ALPHAS):
             estimate = turned @ (seen * (s / (s**2 + alpha))[:, None]) + y0

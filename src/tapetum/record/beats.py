@@ -1,4 +1,4 @@
-"""When cameras take their frames: clocks that jitter, drift and lose some."""
+"""Times of camera frames: clocks with jitter, drift and lost frames."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ class CameraClock:
     Parameters
     ----------
     offset, jitter
-        Of the first frame after the recording's start, and RMS of a frame's time about its even beat, in seconds.
+        Delay of the first frame after the recording's start, and RMS deviation of frames from an even beat, in seconds.
     drift, loss
-        Of its monotonic clock, in parts of one, and probability that a frame is lost.
+        Relative error of its monotonic clock, and probability that a frame is lost.
     """
 
     offset: float = 0.0
@@ -40,7 +40,7 @@ class CameraClock:
     loss: float = 0.004
 
     def draw(self, count: int, rate: float, rng: np.random.Generator) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Times of the frames that were kept, in seconds from the start, and the number lost before each."""
+        """Return the times of the frames that were kept, in seconds from the start, and the number lost before each."""
         times = self.offset + np.arange(count) / rate
         # At most a quarter of the frame interval, so that no two frames change places.
         times += np.clip(self.jitter * rng.standard_normal(count), -0.25 / rate, 0.25 / rate)

@@ -1,8 +1,8 @@
-"""Small bright spots of a picture, found to a part of a pixel, with the odds that each is a laser.
+"""Small bright spots of an image, located to sub-pixel accuracy, with the odds that each is a laser.
 
-Candidates are the points where the smoothed picture bends down in every direction. Each is compared with a
-Gaussian by linear least squares, the best are fitted with one (on a sloping background, saturated pixels left
-out), and the fit's own figures say how likely it is a laser and not a part of the scene.
+Candidates are the points where the smoothed image curves down in every direction. Each is compared with a Gaussian by
+linear least squares. The best are fitted with a Gaussian on a sloping background, without saturated pixels, and a
+logistic regression on the fit's results gives the odds.
 """
 
 from __future__ import annotations
@@ -25,25 +25,16 @@ KEPT_EACH, KEPT, APART = 120, 12, 4.0
 REACH = 3.0  # the fit sees this many of the spot's own sigma: a ghost some 10 px away stays outside
 STEPS = 8
 
-# Log-odds that a fitted candidate is the laser, from `features`: a logistic regression on synthetic scenes
-# (tests/record/calibrate_spot.py makes them and prints these). In order: log of amplitude over the fit's
-# residual, log sigma and its square, log of amplitude over the scene's range, height among the
-# picture's brightest, strength over that of others.
+# Logistic regression of `features` on synthetic scenes, by tests/record/calibrate_spot.py: log of amplitude over
+# residual, log sigma and its square, log of amplitude over the scene's range, height relative to the brightest pixel,
+# strength over that of others.
 WEIGHTS = np.array([2.72, 4.26, -4.07, 0.95, 9.19, 0.82])
 BIAS = -17.6
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What may be the laser, most likely first.
-
-    Attributes
-    ----------
-    x, y, peak, snr, sigma
-        [K] each, as of a `spot.Spot`.
-    odds
-        [K] natural logarithm of the odds that it is the laser.
-    """
+    """Possible lasers, most likely first: [K] each, as of a `spot.Spot`; `odds` is the log-odds of being the laser."""
 
     x: np.ndarray
     y: np.ndarray
@@ -79,26 +70,26 @@ FIT_Y, FIT_X = (axis.ravel().astype(np.float32) for axis in np.mgrid[-PATCH : PA
 
 
 def bumps(smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y ([K] int) of the points of a smoothed picture that bend down most in every direction."""
+    """Return x and y ([K] int) of the points of a smoothed image that curve down most in every direction."""
     bend = cv2.Laplacian(smooth, cv2.CV_32F, scale=-1.0)
     highest = cv2.compare(bend, cv2.dilate(bend, np.ones((5, 5), np.uint8)), cv2.CMP_GE)
     upward = cv2.compare(bend, 0, cv2.CMP_GT)  # type: ignore[call-overload]
     y, x = np.divmod(np.flatnonzero(cv2.bitwise_and(highest, upward).view(bool)), smooth.shape[1])
-    # A mirrored rim, as the Laplacian takes: a spot may stand half outside the picture.
+    # Mirrored as in the Laplacian, because a spot may lie half outside the image.
     wide = cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
     up, row, down, left, column, right = y, y + 1, y + 2, x, x + 1, x + 2
     middle = 2 * wide[row, column]
     along = middle - wide[row, left] - wide[row, right]
     across = middle - wide[up, column] - wide[down, column]
     mixed = (wide[down, right] + wide[up, left] - wide[up, right] - wide[down, left]) / 4
-    # The least curvature of all directions: an edge or a line has one of about zero.
+    # The smallest curvature of all directions, which is about zero for edges and lines.
     least = (along + across) / 2 - np.hypot((along - across) / 2, mixed)
     best = np.argpartition(least, -KEPT_EACH)[-KEPT_EACH:] if len(least) > KEPT_EACH else np.arange(len(least))
     return x[best], y[best]
 
 
 def blobs(field: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y ([K] int) of what may be a spot, small (in `smooth`) or larger (in a halved picture)."""
+    """Return x and y ([K] int) of possible spots, small (in `smooth`) or larger (in a halved image)."""
     height, width = field.shape
     found = [bumps(smooth)]
     half = cv2.resize(field, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
@@ -122,7 +113,7 @@ def screen(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarra
         left = ((patches * mask - found @ basis.T) ** 2).sum(axis=1) / (mask.sum() - basis.shape[1])
         height = np.maximum(found[:, 0], 0)
         score = np.maximum(score, height**1.5 / np.sqrt(left + 1))
-    # A saturated spot is no Gaussian to look at; only the fit, which leaves the flat part out, can judge it.
+    # A saturated spot is not Gaussian; only the fit, which ignores the flat part, can rate it.
     score = np.where(saturated[y, x], np.inf, score)
     kept: list[int] = []
     for index in np.argsort(-score, kind="stable"):
@@ -150,7 +141,7 @@ def fit(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarray) 
     usable = (seen & ~flat).astype(np.float32)
     data = patches(field, cv2.BORDER_REPLICATE)
     base = np.median(data[:, ::2], axis=1)
-    # A flat top hides the middle: the first guess must be wide enough to reach the flanks.
+    # Around a saturated top the first guess must be wide enough to reach the flanks.
     core = np.hypot(FIT_X, FIT_Y) <= PATCH - 1
     guess = np.clip(0.8 * np.sqrt((flat & core).sum(axis=1) / np.pi), 1.5, 4.0)
     state = np.zeros((len(x), 7), np.float32)  # amplitude, dx, dy, log sigma, background, its slopes
@@ -184,15 +175,14 @@ def fit(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarray) 
 
 
 def features(field: np.ndarray, smooth: np.ndarray, found: np.ndarray, rms: np.ndarray) -> np.ndarray:
-    """Return what tells a laser from a part of the scene, [K, 6], in the order of WEIGHTS."""
+    """Return the features [K, 6] that distinguish a laser from the scene, in the order of WEIGHTS."""
     height, width = field.shape
     x = np.clip(np.rint(found[:, 1]), 0, width - 1).astype(int)
     y = np.clip(np.rint(found[:, 2]), 0, height - 1).astype(int)
     low, middle, high = np.percentile(field[::8, ::8], [1, 50, 99])
     amplitude, sigma = np.maximum(found[:, 0], 1), found[:, 3]
     contrast = np.log(amplitude / np.sqrt(rms**2 + 1))
-    # How far it stands out from what else there is of its width: from the third of the others, since a laser
-    # may bring its ghosts.
+    # Strength relative to the third strongest other candidate, as a laser may have ghosts.
     strength = np.log(amplitude) + contrast - 4 * (np.log(sigma) - np.log(1.5)) ** 2
     ranked = np.sort(np.where(np.eye(len(found), dtype=bool), -np.inf, strength), axis=1)[:, ::-1]
     rival = np.maximum(ranked[:, 2], 0) if len(found) > 3 else np.zeros(len(found))
@@ -213,7 +203,7 @@ def measured(
         whole = np.issubdtype(image.dtype, np.integer)
         full_scale = float(np.iinfo(image.dtype).max) if whole else max(float(image.max()), 1e-12)
     unit = full_scale / 255
-    # 255 to the full scale, as the weights were found on 8 bit pictures.
+    # Scaled to 255, because the weights belong to 8-bit images.
     field = image.astype(np.float32) / np.float32(unit)
     if not np.isfinite(field).all():
         raise InputError("holds NaN or infinite values", where="image", remedy="mask or fill them first")
@@ -226,7 +216,7 @@ def measured(
         return np.empty((0, 4)), np.empty(0), np.empty((0, 6)), unit
     kept = screen(field, saturated, x, y)
     found, rms = fit(field, saturated, x[kept], y[kept])
-    # What is centred outside the picture cannot be measured from the rest of it.
+    # A spot centred outside the image cannot be measured.
     inside = ((found[:, 1:3] > -1) & (found[:, 1:3] < field.shape[::-1])).all(axis=1)
     found, rms = found[inside], rms[inside]
     return found, rms, features(field, smooth, found, rms), unit
@@ -235,7 +225,7 @@ def measured(
 def find_candidates(
     image: np.ndarray, background: np.ndarray | None = None, *, full_scale: float | None = None
 ) -> Candidates:
-    """Find what may be the laser in a picture, a dozen at most, most likely first; all else as `spot.find_spot`."""
+    """Return up to a dozen possible lasers in an image, most likely first; arguments and errors as `spot.find_spot`."""
     found, rms, described, unit = measured(image, background, full_scale)
     odds = described @ WEIGHTS + BIAS
     order = np.argsort(-odds)

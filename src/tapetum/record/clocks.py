@@ -1,4 +1,4 @@
-"""Two streams, two cameras, one clock: which frames of the one lie around each frame of the other."""
+"""Alignment of two streams in time: the frames of one around each frame of the other."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ class Joined:
     Attributes
     ----------
     before, after
-        [N] index of the frame of the other stream at or before, and after, each frame; -1 where none is near enough.
+        [N] index of the other stream's frame at or before, and after, each frame; -1 where none is near enough.
     weight
-        [N] how far the frame lies from `before` (0) to `after` (1); 0 where there is none.
+        [N] position of the frame between `before` (0) and `after` (1); 0 without them.
     gap
-        [N] time to the nearer of the two in seconds; infinite where there is none.
+        [N] time to the nearer of the two in seconds; infinite without them.
     times
         [M] of the other stream's frames, in seconds from the first.
     """
@@ -46,16 +46,16 @@ class Joined:
     def interpolate(self, values: np.ndarray) -> np.ndarray:
         """Interpolate values [M] or [M, K] of the other stream's frames at each frame of this one: [N] or [N, K].
 
-        By the cubic through the two frames on either side, where there are four and no gap is more than twice the
-        middle one: a straight line would cut the corners of a hand's path, by an eighth of its acceleration times the
-        square of the frame interval. Elsewhere by a straight line; NaN without neighbours, or where one of them is NaN.
+        The cubic through the two frames on either side is used if there are four and no gap is more than twice the
+        middle one; a straight line would be off by an eighth of the acceleration times the frame interval squared.
+        Elsewhere a straight line is used; NaN without neighbours, or where one of them is NaN.
         """
         given = np.asarray(values, np.float64)
         frames, straight, cubic, _ = self._shares()
 
         def mixed(shares: np.ndarray) -> np.ndarray:
             shares = shares.reshape(*shares.shape, *[1] * (given.ndim - 1))
-            # A frame without a share must not spread its NaN.
+            # A NaN with weight 0 must not spread.
             return np.where(shares != 0, shares * given[frames], 0).sum(axis=1)
 
         out = np.full((len(self), *given.shape[1:]), np.nan)
@@ -65,7 +65,7 @@ class Joined:
         return out
 
     def _shares(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """The four frames about each one that has neighbours, their shares in a line and in a cubic, and its time."""
+        """Return the four frames about each frame with neighbours, their linear and cubic weights, and its time."""
         before, after, weight = (one[self.found] for one in (self.before, self.after, self.weight))
         frames = np.stack([before - 1, before, after, after + 1], axis=1).clip(0, len(self.times) - 1)
         times = self.times[frames]
@@ -81,9 +81,9 @@ class Joined:
         return frames, straight, cubic, moment
 
     def reach(self) -> np.ndarray:
-        """How far `interpolate` reaches back and ahead of each frame, [N, 2] in seconds; NaN without neighbours.
+        """Return how far `interpolate` reaches back and ahead of each frame, [N, 2] in seconds; NaN without neighbours.
 
-        To the farthest frame of the other stream that has a share, and half a frame interval more for its exposure.
+        It reaches to the farthest frame used, plus half a frame interval for its exposure.
         """
         out = np.full((len(self), 2), np.nan)
         frames, _, cubic, moment = self._shares()
@@ -95,7 +95,7 @@ class Joined:
 
 
 def rising(recording: Recording, stream: str) -> np.ndarray:
-    """Return a stream's UTC in ns, [N] int64, checked to be usable."""
+    """Return a stream's UTC in ns, [N] int64; raise an InputError when it is empty or does not rise."""
     times = recording.utc_ns(stream)
     if not len(times):
         raise InputError(f"stream {stream} holds no frames", where=recording.path, remedy="record again")
@@ -118,17 +118,17 @@ def join(
     Parameters
     ----------
     recording, onto, other
-        The recording with both streams, the one whose every frame gets an answer, and the one in which to look.
+        The recording, the stream whose frames get neighbours, and the stream to search.
     tolerance
-        Farthest that the nearer neighbour may be, in seconds; by default 0.75 of the other stream's median frame
-        interval, so that a lone lost frame is bridged except in the middle of its gap.
+        Largest distance to the nearer neighbour in seconds; by default 0.75 of the other stream's median frame
+        interval, which bridges a single lost frame except in the middle of its gap.
     offset
         Seconds to add to the other stream's UTC, where its clock is known to be wrong.
 
     Raises
     ------
     InputError
-        When a stream is missing or empty, its UTC does not rise, or the two do not overlap at all.
+        When a stream is missing or empty, its UTC does not rise, or the two do not overlap.
     """
     wanted = rising(recording, onto)
     there = rising(recording, other) + round(offset * 1e9)

@@ -1,8 +1,8 @@
-"""Things in the probe's frame that are no camera: a glint, a lamp, retro-reflective tape.
+"""Objects in the probe's frame that are not cameras: a glint, a lamp, retro-reflective tape.
 
-The probe is focused at infinity: a thing at a distance d that sends light over its whole aperture D makes a disc of
-D f_p/d on its sensor, whatever its own size. What looks small beside a retro-reflection is far away, or sends its light
-back in a narrow beam.
+The probe is focused at infinity: an object at a distance d that fills its aperture D with light makes a disc of D f_p/d
+on its sensor, whatever its own size. Objects that look small beside a retro-reflection are far away, or return a narrow
+beam.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Painter = Callable[[int], Patch]
 
 
 class Thing:
-    """What adds light to a probe's frames; `positive` names its numbers that must be positive, where they are given."""
+    """Light added to the probe's frames; `positive` names the fields that must be positive where given."""
 
     positive: ClassVar[tuple[str, ...]] = ("electrons", "size", "distance")
 
@@ -43,45 +43,45 @@ class Thing:
 
 @dataclass(frozen=True)
 class Stage:
-    """Where and when clutter is filmed: the scene, [T] seconds of the frames, [T, 2] metres of the target's place."""
+    """The scene, [T] times of the frames in seconds, and [T, 2] sideways place of the target in metres."""
 
     scene: Scene
     times: Array
     place: Array
 
     def pixels(self, length: float, distance: float) -> float:
-        """How many pixels a length at a distance covers, both in metres."""
+        """Return how many pixels a length at a distance covers, both in metres."""
         probe = self.scene.probe
         return length * probe.lens.focal_length / distance / probe.sensor.pitch
 
     def blur(self, distance: float) -> float:
-        """Diameter of the disc that a point at a distance makes, in pixels."""
+        """Return the diameter of the disc that a point at a distance makes, in pixels."""
         return self.pixels(2 * self.scene.probe.lens.aperture_radius, distance)
 
     def where(self, at: tuple[float, float]) -> Array:
-        """Pixel [2] of a place in fractions of the frame."""
+        """Return the pixel [2] of a place in fractions of the frame."""
         size = np.array(self.scene.probe.sensor.pixels)
         return (size - 1) / 2 + np.array(at) * size
 
 
 @dataclass(frozen=True)
 class Glint(Thing):
-    """The laser in a small flat facet, as of a screw or a ring: a blob that moves by itself and twinkles.
+    """Reflection of the laser in a small flat facet, as of a screw or a ring: a blob that moves by itself and twinkles.
 
     Parameters
     ----------
     at, electrons
-        Its mean place in the probe's picture, in fractions of the frame from the middle, and electrons at the blob's
-        middle when it is brightest, in the scene's exposure.
+        Mean place in the probe's image, in fractions of the frame from the middle, and peak electrons at the blob's
+        middle in the scene's exposure.
     facet
-        Diameter of the facet, in metres. Its beam comes back about as wide: the blob is a normal distribution as wide
-        as the beam's spread f_p facet/d and its diffraction λ f_p/facet together (assumed; full width at half maximum).
+        Diameter of the facet, in metres. The blob is a Gaussian whose width combines the beam's spread f_p facet/d and
+        its diffraction λ f_p/facet (assumed; full width at half maximum).
     distance, parallax
-        From the probe, in metres, None for the target's; and how much of the target's sideways motion it shares.
+        From the probe, in metres, None for the target's; and its share in the target's sideways motion.
     sway, sway_band
-        RMS of a motion of its own, in metres, and the frequencies of that and of the twinkling, in Hz.
+        RMS of its own motion, in metres, and the frequencies of this and of the twinkling, in Hz.
     twinkle
-        How far its facet turns, in widths of its beam at the probe (root mean square): 0 for a steady one.
+        RMS rotation of the facet, in widths of its beam at the probe: 0 for a steady one.
     """
 
     at: tuple[float, float]
@@ -96,7 +96,7 @@ class Glint(Thing):
     positive: ClassVar[tuple[str, ...]] = ("electrons", "facet", "distance")
 
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
-        """What it adds to each frame."""
+        """Return a function that paints its light in a frame."""
         distance = stage.scene.distance if self.distance is None else self.distance
         probe, wavelength = stage.scene.probe, stage.scene.illumination.wavelength
         diffraction = wavelength * probe.lens.focal_length / self.facet / probe.sensor.pitch
@@ -117,8 +117,8 @@ class Lamp(Thing):
     at, electrons
         Its place, as of a `Glint`, and electrons on the disc in the scene's exposure: above the full well it saturates.
     size, distance
-        Its diameter and how far it is from the probe, in metres. The disc is the probe's blur, its edge as soft as the
-        lamp is large (by rays, the edge taken as straight).
+        Its diameter and distance from the probe, in metres. The disc is the probe's blur; its edge is as soft as the
+        lamp is large (geometric optics, straight edge).
     flicker, mains
         Relative amplitude of its light at twice the mains' frequency (Hz): some 0.1 for a filament, up to 1 for an LED.
     """
@@ -132,7 +132,7 @@ class Lamp(Thing):
     of_laser: ClassVar[bool] = False
 
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
-        """What it adds to each frame."""
+        """Return a function that paints its light in a frame."""
         blur, image = stage.blur(self.distance), max(1.0, stage.pixels(self.size, self.distance))
         inner, outer = abs(blur - image) / 2, (blur + image) / 2
         places, reach = stage.where(self.at), math.ceil(outer) + 1
@@ -154,7 +154,7 @@ class Tape(Thing):
     at, electrons
         Its mean place, as of a `Glint`, and mean electrons on the patch in the scene's exposure.
     size, angle
-        Width and height in metres, and by how many radians it is turned from x to y.
+        Width and height in metres, and rotation in radians from x to y.
     distance
         From the probe, in metres. The patch is its image, blurred by the probe's disc: the return of beads or prisms is
         wider than the probe's aperture (assumed).
@@ -172,7 +172,7 @@ class Tape(Thing):
     of_laser: ClassVar[bool] = True
 
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
-        """What it adds to each frame."""
+        """Return a function that paints its light in a frame."""
         blur = stage.blur(self.distance)
         size = [stage.pixels(one, self.distance) for one in self.size]
         reach = math.ceil((math.hypot(*size) + blur) / 2) + 2
@@ -195,16 +195,15 @@ Clutter = Glint | Lamp | Tape
 
 
 def draw_clutter(scene: Scene, seed: int, count: int = 3) -> tuple[Clutter, ...]:
-    """Glints, lamps and tape at random places of the probe's frame.
+    """Return glints, lamps and tape at random places of the probe's frame.
 
     Parameters
     ----------
     scene
-        Whose probe decides how bright and how far away they are: glints up to some half of its full well, tape up to a
-        seventh, lamps from a third of it up to four times; lamps and tape so far that each takes a tenth to some half
-        of the frame's height (assumed).
+        Its probe sets brightness and distance: glints up to half of its full well, tape up to a seventh, lamps from a
+        third to four times; lamps and tape cover a tenth to half of the frame's height (assumed).
     seed, count
-        The same seed gives the same things; a larger count adds to them.
+        Equal seeds give equal objects; a larger count adds to them.
     """
     return tuple(_draw_one(scene, np.random.default_rng([seed, 0xC1, number])) for number in range(count))
 
@@ -229,7 +228,7 @@ def _draw_one(scene: Scene, rng: np.random.Generator) -> Clutter:
 
 
 def blurred(picture: npt.NDArray[np.float32], diameter: float) -> npt.NDArray[np.float32]:
-    """A picture convolved with a disc of a diameter in pixels; beyond the picture there is no light."""
+    """Return an image convolved with a disc of a diameter in pixels, dark beyond its edges."""
     if diameter < 1:
         return picture
     reach = math.ceil(diameter / 2)
@@ -240,7 +239,7 @@ def blurred(picture: npt.NDArray[np.float32], diameter: float) -> npt.NDArray[np
 
 
 def _speckle(shape: tuple[int, ...], grain: float, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Fully developed speckle of mean 1 with grains `grain` pixels wide, as pixels average it."""
+    """Return fully developed speckle of mean 1 with grains `grain` pixels wide, averaged over pixels."""
     finer = max(1, math.ceil(2 / grain))
     size = (finer * shape[0], finer * shape[1])
     parts = [rng.standard_normal(size, dtype=np.float32) for _ in range(2)]

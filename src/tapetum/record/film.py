@@ -1,4 +1,4 @@
-"""The virtual bench: films a scene as two cameras with clocks of their own would."""
+"""The virtual bench: films a scene with two cameras, each with its own clock."""
 
 from __future__ import annotations
 
@@ -28,25 +28,25 @@ def film(
     progress: Progress = quiet,
     overwrite: bool = False,
 ) -> Recording:
-    """Film a hand-held target on the virtual bench, as a recording with two streams and the bench's truth beside.
+    """Film a hand-held target on the virtual bench: a recording with two streams and the bench's truth.
 
     Parameters
     ----------
     scene, session
-        What stands on the bench, or its name or path (the target's rotation is the hand's); and length, motion, clocks,
-        light, surroundings and seed.
+        The scene, or its name or path (the target's rotation is the hand's); and length, motion, clocks, light,
+        surroundings and seed.
     out, overwrite
         The recording's folder, usually `NAME.rec`, and whether a recording there may be replaced.
     progress
-        Shows the frames.
+        Shown over the frames.
 
     Raises
     ------
     InputError
-        For a session without frames, a full disk, an existing recording, or what cannot be simulated.
+        For a session without frames, a full disk, an existing recording, or an unsupported scene.
     """
     shot = Shot(as_scene(scene), session or Session())
-    # First of all: what cannot be simulated is refused before anything is written.
+    # Refuses unsupported scenes before anything is written.
     truth = shot.truth()
     writer = RecordingWriter(
         out,
@@ -73,5 +73,5 @@ def _named(camera: BenchCamera) -> Iterator[tuple[str, Frame]]:
 
 
 def without_second_beam(scene: Scene) -> Scene:
-    """The same scene with an ideal beam splitter."""
+    """Return the same scene with an ideal beam splitter."""
     return replace(scene, illumination=replace(scene.illumination, second_beam=None))

@@ -1,4 +1,4 @@
-"""How a hand holds a camera: a gaze that wanders over the field, a body that sways or walks, a tremor on both."""
+"""Motion of a hand-held camera: a gaze that wanders over the field, a body that sways or walks, a tremor."""
 
 from __future__ import annotations
 
@@ -65,10 +65,7 @@ class HandMotion:
             raise InputError(f"must be positive, is {self.walk}", where="motion.walk", remedy="give two distances")
 
     def draw(self, seed: int, distance: float = 1.0, seconds: float = 60.0) -> Hand:
-        """One such motion, the same for the same seed.
-
-        Without a walk, which takes so many `seconds`, it stays at a `distance` (metres) from the probe.
-        """
+        """Return one motion, determined by the seed; without a walk (over `seconds`) it stays at `distance` metres."""
         rng = np.random.default_rng([seed, 1])
         bands = (self.sweep_band, self.tremor_band, self.sway_band, self.roll_band, self.reach_band)
         sweep, tremor, sway, roll, reach = (Waves.draw(rng, band) for band in bands)
@@ -88,18 +85,18 @@ class Waves:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, band: tuple[float, float], count: int = 24) -> Waves:
-        """One such pair, of even power over a band of frequencies in Hz."""
+        """Return one such pair, of even power over a band of frequencies in Hz."""
         return cls(rng.uniform(*band, size=(count, 2)), rng.uniform(0, 2 * np.pi, size=(count, 2)))
 
     def __call__(self, times: Array) -> Array:
-        """Both of them at times [T] in seconds: [T, 2]."""
+        """Return both processes at times [T] in seconds: [T, 2]."""
         angle = 2 * np.pi * self.frequency * times[:, None, None] + self.phase
         return np.sqrt(2 / len(self.frequency)) * np.cos(angle).sum(axis=1)
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A motion that was drawn: where a target is and looks, at any times [T] in seconds from the start."""
+    """A drawn motion: place and gaze of a target at any times [T] in seconds from the start."""
 
     motion: HandMotion
     _sweep: Waves
@@ -111,20 +108,20 @@ class Hand:
     _seconds: float
 
     def gaze(self, times: Array) -> Array:
-        """Where the probe's laser falls in the target's field, [T, 2] in fractions of it."""
+        """Return the laser's place in the target's field, [T, 2] in fractions of it."""
         swept = self.motion.extent * (2 * ndtr(self._sweep(times)) - 1)
         return swept + self.motion.tremor * self._tremor(times)
 
     def place(self, times: Array) -> Array:
-        """Sideways position, [T, 2] in metres."""
+        """Return the sideways position, [T, 2] in metres."""
         return self.motion.sway * self._sway(times)
 
     def roll(self, times: Array) -> Array:
-        """Turn about the optical axis, [T] in radians, from x towards y."""
+        """Return the rotation about the optical axis, [T] in radians, from x towards y."""
         return self.motion.roll * self._roll(times)[:, 0]
 
     def distance(self, times: Array) -> Array:
-        """Distance from the probe, [T] in metres."""
+        """Return the distance from the probe, [T] in metres."""
         first, last = self._walk
         gone = (1 - np.cos(np.pi * np.clip(times / self._seconds, 0, 1))) / 2
         return first + (last - first) * gone + self.motion.reach * self._reach(times)[:, 0]

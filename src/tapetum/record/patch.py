@@ -19,7 +19,7 @@ class Patch(NamedTuple):
 
 
 def bell(place: npt.ArrayLike, height: float, sigma: float, reach: int) -> Patch:
-    """A Gaussian of a height at a place (x, y) with a width `sigma`, drawn as far as `reach` from it, all in pixels."""
+    """Return a Gaussian of given height and width `sigma` at (x, y), drawn within `reach` of it, all in pixels."""
     left, top = (int(one) - reach for one in np.rint(place))
     offsets = (np.arange(2 * reach + 1) + c - p for c, p in zip((left, top), np.asarray(place), strict=True))
     across, down = (np.exp(-(one**2) / (2 * sigma**2)) for one in offsets)
@@ -27,7 +27,7 @@ def bell(place: npt.ArrayLike, height: float, sigma: float, reach: int) -> Patch
 
 
 def add_patch(frame: npt.NDArray[np.float32], patch: Patch, gain: float) -> None:
-    """Add a patch, times `gain`, to a frame [H, W] as far as it lies inside."""
+    """Add `gain` times a patch to a frame [H, W], clipped at its edges."""
     left, top, light = patch
     inside = frame[max(0, top) : max(0, top + light.shape[0]), max(0, left) : max(0, left + light.shape[1])]
     if inside.size:

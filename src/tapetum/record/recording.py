@@ -1,9 +1,8 @@
-"""Recordings on disk: a video for every stream, the clocks of every frame, and what is known of them.
+"""Recordings on disk: a video for every stream, the clocks of every frame, labels and truth.
 
 `NAME.rec/` holds `recording.json`, `<stream>.mkv`, `frames.parquet` and, once made, `labels.parquet` and
-`truth.parquet`. While it is being written the clocks stand in `frames.journal`, one line a frame; closing
-turns that into `frames.parquet`. A recording whose writer was killed stays readable: the journal counts, as
-far as the video goes.
+`truth.parquet`. During writing the clocks are in `frames.journal`, one line per frame; closing turns it into
+`frames.parquet`. If the writer was killed, the recording stays readable: the journal counts, as far as the video goes.
 """
 
 from __future__ import annotations
@@ -58,14 +57,14 @@ class Recording:
         return "; ".join([*parts, "labelled" if (self.path / LABELS).exists() else "not labelled"])
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return a summary for notebooks."""
         name, words, path = (html.escape(str(one)) for one in (self.name, self._words(), self.path))
         return f"<p><b>{name}</b>: {words}<br><small>{path}</small></p>"
 
     def plot(self) -> Figure:
         """Draw the first frame of every stream and, where there are labels, the gaze over the frames.
 
-        The figure belongs to no window: a notebook shows it, `savefig` writes it.
+        The figure has no window: a notebook shows it, `savefig` writes it.
         """
         from matplotlib.figure import Figure
 
@@ -96,16 +95,16 @@ class Recording:
 
     @property
     def uuid(self) -> str:
-        """What tells this recording from every other."""
+        """Unique identifier of the recording."""
         return str(self.meta["uuid"])
 
     @property
     def finished(self) -> bool:
-        """Whether the recording was closed, or its writer died."""
+        """Whether the recording was closed; False if its writer died."""
         return bool(self.meta["finished"])
 
     def stream(self, name: str) -> StreamInfo:
-        """Return what a stream holds; an InputError where there is no such stream."""
+        """Return a stream's format; raise an InputError when there is no such stream."""
         if name not in self.streams:
             has = ", ".join(self.streams)
             raise InputError(f"no stream {name!r}", where=self.path, remedy=f"the recording has {has}")
@@ -117,14 +116,14 @@ class Recording:
         return self.path / f"{stream}.mkv"
 
     def frames(self, stream: str) -> pa.Table:
-        """Return the clocks of a stream's frames; of an unfinished recording, those that are whole in its video.
+        """Return the clocks of a stream's frames; of an unfinished recording, those that are complete in its video.
 
-        A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before`
-        (frames lost since the one before), and where known `exposure` (s) and `lit` (whether the laser was on). Raises
-        an InputError when there is no such stream, or a file is missing or damaged.
+        Columns: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before` (frames lost
+        since the one before), and where known `exposure` (s) and `lit` (whether the laser was on). Raises an InputError
+        when there is no such stream, or a file is missing or damaged.
         """
         self.stream(stream)
-        # The journal goes last on closing, so that one of the two is always whole.
+        # Closing removes the journal last, so that one of the two is always complete.
         whole = (self.path / FRAMES).exists()
         table = read_table(self.path / FRAMES) if whole else layout.read_journal(self.path / JOURNAL)
         table = layout.clocks(table, self.path / FRAMES)
@@ -150,21 +149,21 @@ class Recording:
         return RecordingSource(video, stream, full_scale, times, self.finished, info.rate, tuple(known))
 
     def labels(self) -> pa.Table | None:
-        """Return the labels, or None where none were made yet."""
+        """Return the labels, or None before there are any."""
         return read_table(self.path / LABELS) if (self.path / LABELS).exists() else None
 
     def truth(self) -> pa.Table | None:
-        """Return what the virtual bench knows of the probe frames, or None: real recordings have no truth."""
+        """Return the virtual bench's truth of the probe frames; None for real recordings."""
         return read_table(self.path / TRUTH) if (self.path / TRUTH).exists() else None
 
     def write_labels(self, table: pa.Table) -> None:
-        """Keep labels with the recording, in place of any before; `frame`, `how` and `quality` must be among them."""
+        """Store labels in place of any before; `frame`, `how` and `quality` must be among their columns."""
         if missing := {"frame", "how", "quality"} - set(table.column_names):
             raise InputError(f"labels lack the columns {', '.join(sorted(missing))}", where=self.path / LABELS)
         write_table(self.path / LABELS, table)
 
     def write_truth(self, table: pa.Table) -> None:
-        """Keep the virtual bench's truth with the recording; `frame` must be among the columns."""
+        """Store the virtual bench's truth; `frame` must be among its columns."""
         if "frame" not in table.column_names:
             raise InputError("truth lacks the column frame", where=self.path / TRUTH)
         write_table(self.path / TRUTH, table)
@@ -183,9 +182,9 @@ class RecordingSource(Stored):
     times
         [N] seconds of every frame from the first one.
     finished
-        Whether the recording was closed: then a video with fewer frames than it says is an error.
+        Whether the recording was closed: then a video with too few frames raises an error.
     known
-        What is known of each frame beside its time: arguments of `Frame`.
+        Further arguments of each `Frame`.
     late
         Whether the readable frames come before that error.
     """
@@ -210,7 +209,7 @@ class RecordingSource(Stored):
         return len(self.times)
 
     def frame(self, number: int, image: np.ndarray) -> Frame:
-        """Return a frame with what is known of it."""
+        """Return a frame with its times, exposure and laser state."""
         known = self.known[number] if self.known else {}
         return Frame(number, float(self.times[number]), image, f"{self.stream}[{number}]", self.full_scale, **known)
 
@@ -232,7 +231,7 @@ def open_recording(path: str | os.PathLike[str]) -> Recording:
     Raises
     ------
     InputError
-        When it is missing, not a recording, damaged, or of a newer version than this Tapetum reads.
+        When it is missing, not a recording, damaged, or of a newer version.
     """
     place = existing(path)
     meta = layout.read_meta(place)

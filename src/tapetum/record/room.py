@@ -1,4 +1,4 @@
-"""What the target's camera sees: a furnished room with the probe's laser in it, made up from a seed."""
+"""Images of the target's camera: a furnished room with the probe's laser in it, generated from a seed."""
 
 from __future__ import annotations
 
@@ -16,14 +16,10 @@ _SPOT_REACH = 12
 
 
 class Room:
-    """A textured wall that fills more than the target's field, and the probe's laser on it.
+    """A textured wall larger than the target's field, with the probe's laser on it.
 
-    Parameters
-    ----------
-    columns, rows, seed
-        Of the target's picture, and of furniture and texture.
-    spot_sigma, spot_peak
-        Width of the laser's image in pixels, and its height above the scene at full power in digital numbers.
+    `columns` and `rows` are those of the target's image; `seed` draws furniture and texture. `spot_sigma` is the width
+    of the laser's image in pixels, `spot_peak` its height above the scene at full power in digital numbers.
     """
 
     def __init__(
@@ -44,18 +40,12 @@ class Room:
         exposure: float = 1.0,
         second: tuple[float, float, float] | None = None,
     ) -> npt.NDArray[np.uint8]:
-        """The room as the target sees it, with noise: [rows, columns], 8 bit.
+        """Return the target's noisy 8-bit image of the room, [rows, columns].
 
-        Parameters
-        ----------
-        gaze, rng
-            Where the laser is, [2] in fractions of the field, and what draws the noise.
-        roll, nearer
-            Turn of the camera about its axis, in radians from x to y, and how much larger the room looks than usual.
-        laser, exposure
-            The laser's power and the camera's exposure, over the usual ones.
-        second
-            Offset of the second beam's spot from the first, at no roll and in pixels, and its relative height.
+        `gaze` [2] is the laser's place in fractions of the field, `rng` draws the noise. `roll` rotates the camera
+        about its axis, in radians from x to y; `nearer` magnifies the room. `laser` and `exposure` are relative to
+        their usual values. `second` is the offset (x, y) of the second beam's spot in pixels, at no roll, and its
+        relative height.
         """
         x = (self.columns - 1) / 2 + gaze[0] * self.columns
         y = (self.rows - 1) / 2 + gaze[1] * self.rows
@@ -73,7 +63,7 @@ class Room:
                     add_patch(scene, bell(spot, self.spot_peak * (share * laser), self.spot_sigma, _SPOT_REACH), 1.0)
         if exposure != 1:
             scene *= np.float32(exposure)
-        # Shot noise of a 6500 electron well read at 8 bits, and 2 electrons of read noise.
+        # Shot noise of a full well of 6500 electrons at 8 bits, and 2 electrons of read noise.
         scale = 255 / 6500
         noise = rng.standard_normal(scene.shape, dtype=np.float32)
         noise *= np.sqrt(scene * np.float32(scale) + np.float32((2 * scale) ** 2))
@@ -83,7 +73,7 @@ class Room:
 
 
 def _furnish(width: int, height: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """A lit wall with shelves, books and frames, and fine texture over all: mean some 70 of 255."""
+    """Return a lit wall with shelves, books, frames and fine texture; mean about 70 of 255."""
     wall = np.full((height, width), 80.0, np.float32)
     wall += np.linspace(-18, 18, width, dtype=np.float32) * rng.choice([-1, 1])
     for _ in range(14):

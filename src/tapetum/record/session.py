@@ -1,4 +1,4 @@
-"""What a take of the virtual bench is to be like."""
+"""Settings of a take on the virtual bench."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ class Placed:
     Parameters
     ----------
     offset
-        Of its place from the first one's, along x and y in the probe's picture, in metres at the target.
+        Of its place from the first one's, along x and y in the probe's image, in metres at the target.
     target, distance
-        What it is, and how far from the probe, in metres; None for the same as the first one.
+        The target and its distance from the probe, in metres; None for those of the first one.
     motion, seed
-        How it is held; the seed goes with the session's and its place among the others.
+        How it is held; its seed is combined with the session's and its number among the others.
     """
 
     offset: tuple[float, float]
@@ -40,12 +40,12 @@ class Placed:
 
 @dataclass(frozen=True)
 class Session:
-    """How long to film, how the target is held, how clocks and light run, and what else is in the picture.
+    """Length of a take, motion of the target, clocks, light, and other objects in the image.
 
     Parameters
     ----------
     seconds, rate, start
-        Length, frames a second of both cameras, and UTC of the beginning.
+        Length, frames per second of both cameras, and UTC of the beginning.
     seed
         Of everything random. The same scene, session and seed give the same frames.
     motion
@@ -53,12 +53,11 @@ class Session:
     probe_clock, target_clock, exposure, target_exposure
         The two cameras' clocks, and their exposures over time.
     laser, code
-        Whether the target sees the probe's laser, and its blinks; None where it shines throughout.
+        Whether the target sees the probe's laser, and its blink code; None for constant light.
     power_jitter
-        RMS of the laser's power from frame to frame, in parts of one.
+        Relative RMS of the laser's power from frame to frame.
     stray, clutter
-        Light in the probe's frame besides the scene's even background, the sensor's fixed pattern included, and things
-        that are no camera.
+        Additional light in the probe's frame, the sensor's fixed pattern included, and objects that are not cameras.
     others
         Further targets. Labels are the first one's: only its camera films.
     """
@@ -88,7 +87,7 @@ class Session:
 
     @property
     def frames(self) -> int:
-        """Beats of each camera; an InputError where there is none."""
+        """Nominal frames of each camera; raises an InputError when there are none."""
         count = round(self.seconds * self.rate)
         if count < 1:
             raise InputError(f"{self.seconds:g} s hold no frame", where="seconds", remedy="film longer")
@@ -100,7 +99,7 @@ class Session:
         return int(self.start.timestamp()) * 10**9
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for a recording; None where a thing is not there."""
+        """Return plain values for a recording; None for absent parts."""
         return {
             "seed": self.seed,
             "seconds": self.seconds,

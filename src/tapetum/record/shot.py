@@ -1,4 +1,4 @@
-"""One take of a scene by two cameras, any frame of which can be made alone."""
+"""One take of a scene by two cameras; any frame can be made alone."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from tapetum.record.stray import Ground
 __all__ = ["BenchCamera", "Shot", "probe_frames"]
 
 Array = npt.NDArray[np.float64]
-# What keeps the draws of one recording apart; the target's camera adds 1 to the first four.
+# Seeds that separate the random draws of one recording; the target's camera adds 1 to the first four.
 _CLOCK, _NOISE, _POWER, _EXPOSURE, _CLUTTER, _DOTS = 3, 5, 7, 9, 11, 12
 # Exposure of the target's camera, in seconds: assumed, as of a video camera in a lit room.
 _TARGET_EXPOSURE = 0.01
@@ -44,9 +44,9 @@ class BenchCamera(Stored):
     beat
         When its frames are taken.
     seconds, factor
-        Exposure time as the scene has it, and that of each frame over it, [T].
+        The scene's exposure time, and [T] that of each frame relative to it.
     share, power
-        [T] share of each exposure in which the laser is on, and the laser's power over the scene's.
+        [T] share of each exposure in which the laser is on, and its power relative to the scene's.
     """
 
     def __init__(self, shot: Shot, name: str, seconds: float, size: tuple[int, int], bits: int) -> None:
@@ -68,18 +68,18 @@ class BenchCamera(Stored):
 
     @property
     def hardware(self) -> dict[str, Any]:
-        """That there is none."""
+        """A note that the camera is simulated."""
         return {"camera": "simulated"}
 
     def _rng(self, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.shot.session.seed, purpose + self._number])
 
     def frame_rng(self, frame: int, purpose: int = _NOISE) -> np.random.Generator:
-        """The generator of one frame."""
+        """Return the random generator of one frame."""
         return frame_rng(self.shot.session.seed, purpose + self._number, frame)
 
     def images(self, first: int, last: int, make: Callable[[int], npt.NDArray[Any]]) -> npt.NDArray[Any]:
-        """Images [T, H, W] of frames from `first` to before `last`."""
+        """Return images [T, H, W] of the frames `first` to `last` (excluded)."""
         if not 0 <= first <= last <= self.count:
             raise IndexError(f"frames {first} to {last} of {self.count}")
         return np.stack([make(i) for i in range(first, last)]) if first < last else self._nothing
@@ -102,12 +102,12 @@ class BenchCamera(Stored):
 
 
 class Shot:
-    """One take of a scene, prepared: any frame of either camera, whichever frames were asked for before.
+    """One prepared take of a scene, which makes any frame of either camera.
 
     Parameters
     ----------
     scene, session
-        What stands on the bench (the target's rotation is the hand's); length, motion, clocks, light and seed.
+        The bench (the target's rotation is the hand's); and length, motion, clocks, light and seed.
 
     Attributes
     ----------
@@ -121,10 +121,10 @@ class Shot:
 
     Notes
     -----
-    Random numbers of a frame come from a generator of its own, seeded by (seed, stream, frame); retro-reflections are
-    rendered in batches that begin at multiples of their size, by one thread. So a frame is the same to the last bit
-    whichever frames are made, in whatever order and by however many workers, with the same libraries on the same kind
-    of processor. Other kinds may differ in the last bit of the light, and so in a number of a pixel here or there.
+    Each frame has its own random generator, seeded by (seed, stream, frame); retro-reflections are rendered by one
+    thread in batches that begin at multiples of their size. So a frame is the same to the last bit in any order and
+    with any number of workers, given the same libraries and kind of processor. Other processors may differ in the last
+    bit of the light, and so in rare digital numbers.
     """
 
     def __init__(self, scene: Scene, session: Session) -> None:
@@ -135,7 +135,7 @@ class Shot:
             replace(scene, distance=one.distance or scene.distance, target=one.target or scene.target)
             for one in self._placed
         ]
-        # Others get seeds of their own: none moves as the first one does.
+        # Each further target has its own seed, so that none moves like the first.
         seeds = [session.seed, *(_mixed(session.seed, n, one.seed) for n, one in enumerate(session.others))]
         self._hands = [
             one.motion.draw(seed, own.distance, session.seconds)
@@ -149,21 +149,21 @@ class Shot:
 
     @property
     def picture(self) -> tuple[int, int]:
-        """Columns and rows of the target's pictures: its sensor's, binned by a whole number where they are many."""
+        """Columns and rows of the target's images: its sensor's, binned by an integer where they are many."""
         columns, rows = self.scene.target.sensor.pixels
         binned = math.ceil(columns / _WIDEST_PICTURE)
         return columns // binned, rows // binned
 
     def probe(self, first: int, last: int) -> npt.NDArray[Any]:
-        """Frames of the probe's camera from `first` to before `last`: digital numbers [T, H, W], uint8 or uint16."""
+        """Return the probe's frames `first` to `last` (excluded): digital numbers [T, H, W], uint8 or uint16."""
         return self._camera.images(first, last, self._probe)
 
     def target(self, first: int, last: int) -> npt.NDArray[np.uint8]:
-        """Pictures of the target's camera from `first` to before `last`: [T, h, w], uint8."""
+        """Return the target's images `first` to `last` (excluded): [T, h, w], uint8."""
         return self._filming.images(first, last, self._target)
 
     def gaze(self, frames: Sequence[int]) -> Array:
-        """Return where the target that films really looked in frames of the probe, fractions of its field: [N, 2]."""
+        """Return the true gaze of the filming target in probe frames, [N, 2] in fractions of its field."""
         return self._hands[0].gaze(self._camera.beat.times)[np.asarray(frames, dtype=int)]
 
     def exposure(self, stream: str, frame: int) -> float:
@@ -175,11 +175,11 @@ class Shot:
         return bool(self.cameras[stream].share[frame] > 0.5)
 
     def truth(self) -> pa.Table:
-        """What was true of every frame: a row a stream, target and frame.
+        """Return the true state in every frame: one row per stream, target and frame.
 
         Its columns are `stream`, `frame`, `gaze_x` and `gaze_y` (fractions of the field), `offset_x` and `offset_y`
-        (m), `target` (0 is the one that films), `roll` (rad), `distance` (m), `x` and `y` (of the RR in the probe's
-        picture or of the laser in the target's, in pixels), `exposure` (s) and `laser` (its power over the scene's).
+        (m), `target` (0 is the one that films), `roll` (rad), `distance` (m), `x` and `y` (pixels of the RR in the
+        probe's image, or of the laser in the target's), `exposure` (s) and `laser` (its power relative to the scene's).
         """
         size = np.array(self.picture)
         gaze = self._first_held[0]
@@ -207,7 +207,7 @@ class Shot:
         return pa.table(columns)
 
     def parameters(self) -> dict[str, Any]:
-        """Everything chosen or drawn that truth does not hold, as plain values."""
+        """Return all parameters and draws that `truth` does not hold, as plain values."""
         others = [
             {**asdict(replace(one, target=None)), "scene": scene_dict(own)}
             for one, own in zip(self._placed[1:], self._scenes[1:], strict=True)
@@ -216,7 +216,7 @@ class Shot:
         return {"scene": scene_dict(self.scene), **self.session.as_dict(), "others": others, "dot_phases": phases}
 
     def spread(self, times: Array) -> Array:
-        """Irradiance at the target that films at times [T] over that at the scene's distance, [T]."""
+        """Return the irradiance at the filming target at times [T], relative to that at the scene's distance, [T]."""
         return self.scene.illumination.spread(self._hands[0].distance(times), self.scene.distance)
 
     def _held(self, number: int, times: Array) -> tuple[Array, Array, Array, Array]:
@@ -226,17 +226,17 @@ class Shot:
 
     @cached_property
     def _returns(self) -> list[list[Returns]]:
-        """Of every target the returns of all its cameras."""
+        """For every target, the returns of all its cameras."""
         times = self._camera.beat.times
         return [returns_of(own, *self._held(n, times)) for n, own in enumerate(self._scenes)]
 
     def _phase(self, number: int) -> float:
-        """When a target's dot projector pulses, in parts of its period."""
+        """Return the phase of a target's dot projector, in parts of its period."""
         return float(np.random.default_rng([self.session.seed, _DOTS, number]).random())
 
     @cached_property
     def _flashes(self) -> list[Flashes]:
-        """Of every target that has a dot projector."""
+        """The flashes of every target with a dot projector."""
         times, exposure = self._camera.beat.times, self._camera.seconds * self._camera.factor
         found = [
             flashes_of(own, times, exposure, self._phase(n), self._held(n, times)) for n, own in enumerate(self._scenes)
@@ -295,7 +295,7 @@ class Shot:
 
     @cached_property
     def _second(self) -> tuple[float, float, float] | None:
-        """The second beam's spot beside the first in the target's picture, in pixels, and its relative power."""
+        """Offset of the second beam's spot from the first in the target's image, in pixels, and its relative power."""
         beam = self.scene.illumination.second_beam
         if beam is None or beam.ratio == 0:
             return None
@@ -305,7 +305,7 @@ class Shot:
 
 
 def frame_rng(seed: int, stream: int, frame: int) -> np.random.Generator:
-    """The generator of one frame of one stream."""
+    """Return the random generator of one frame of one stream."""
     return np.random.Generator(np.random.SFC64([seed, stream, frame]))
 
 
@@ -318,7 +318,7 @@ def _pair(names: str, values: Array) -> dict[str, Array]:
 
 
 def probe_frames(scene: Scene, gaze: Array, place: Array, seed: int) -> Iterator[npt.NDArray[Any]]:
-    """Frames of the probe's camera for gazes [T, 2] (fractions of the field) and places [T, 2] (metres sideways)."""
+    """Yield probe frames for gazes [T, 2] (fractions of the field) and places [T, 2] (metres sideways)."""
     sensor, ground, none = scene.probe.sensor, Ground.of(scene), np.zeros(len(gaze))
     found = returns_of(scene, gaze, place, none, none + scene.distance)
     for i in range(len(gaze)):

@@ -1,4 +1,4 @@
-"""The laser in the target's picture, and the labels it gives: where the probe is in the target's field."""
+"""The laser in the target's image, and the gaze labels that follow: the probe's place in the target's field."""
 
 from __future__ import annotations
 
@@ -15,30 +15,30 @@ from tapetum.record.recording import Recording
 
 __all__ = ["LabelSummary", "NoLaserError", "Spot", "find_spot", "label_recording"]
 
-GOOD = 0.5  # quality from which a spot is taken for the laser
+GOOD = 0.5  # least quality of a spot that counts as the laser
 NEIGHBOURS = 4  # frames before and after that a spot must agree with
-BRIDGE = 3  # frames at most to the good spots on both sides that vouch for a doubtful one
-VOUCHED = 4.0  # what their word adds to its log-odds
+BRIDGE = 3  # most frames to the good spots on both sides that confirm a doubtful one
+CONFIRMED = 4.0  # increase of the log-odds of a confirmed spot
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
 
 
 class NoLaserError(InputError):
-    """Hardly a frame of the target shows a laser."""
+    """Almost no frame of the target shows a laser."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """The most likely laser spot of a picture.
+    """The most likely laser spot of an image.
 
     Attributes
     ----------
     x, y
-        Place of its centre in pixels; (0, 0) is the centre of the top left pixel.
+        Centre in pixels; (0, 0) is the centre of the top left pixel.
     quality
-        How likely it is the laser and not a part of the scene, 0 to 1. Below 0.5: take the laser as absent.
+        Probability that it is the laser and not a part of the scene. Below 0.5, treat the laser as absent.
     peak, snr
-        Height over the background in digital numbers, by its flanks where it is saturated; and that over the rms of
-        what the fit leaves.
+        Height over the background in digital numbers (extrapolated where saturated), and its ratio to the fit's RMS
+        residual.
     sigma
         Standard deviation of the Gaussian in pixels.
     """
@@ -52,20 +52,20 @@ class Spot:
 
 
 def find_spot(image: np.ndarray, background: np.ndarray | None = None, *, full_scale: float | None = None) -> Spot:
-    """Find the probe's laser in a target's picture.
+    """Find the probe's laser in a target's image.
 
     Parameters
     ----------
     image, background
-        [H, W], of any real type, and the same scene without the laser, where there is one, which is subtracted.
+        [H, W], of any real type, and optionally the same scene without the laser, which is subtracted.
     full_scale
-        Digital number of saturation; by default the type's largest, for floats the picture's largest.
+        Digital number of saturation; by default the type's largest, for floats the image's largest.
 
     Returns
     -------
     Spot
-        The most likely spot; look at its `quality`. A picture without any blob gives quality 0 at its centre.
-        A spot fainter than the scene's own contrast is called doubtful, however clean.
+        The most likely spot, whose `quality` says whether it is the laser. An image without any blob gives quality 0 at
+        its centre. A spot fainter than the scene's own contrast has a low quality.
 
     Raises
     ------
@@ -80,16 +80,16 @@ def find_spot(image: np.ndarray, background: np.ndarray | None = None, *, full_s
 
 @dataclass(frozen=True)
 class LabelSummary:
-    """How labelling a recording went.
+    """Result of labelling a recording.
 
     Attributes
     ----------
     n, labelled
-        Number of probe frames, and of those that got a gaze.
+        Numbers of probe frames, and of those with a gaze.
     no_spot, no_partner
-        How many did not because a target frame beside them shows no laser, or none lies around them in time.
+        Numbers without one because a neighbouring target frame shows no laser, or because none is close in time.
     target_frames, spots
-        Number of target frames, and of those in which the laser was found.
+        Numbers of target frames, and of those with a laser.
     median_quality
         Of the labels.
     """
@@ -104,9 +104,10 @@ class LabelSummary:
 
 
 def strays(times: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return which places ([K, 2] px, at times [K]) are 20 px, and five times as far as their neighbours, off a path.
+    """Return which places ([K, 2] px, at times [K]) are off a path by 20 px and by five times their neighbours'
+    scatter.
 
-    The path is a straight line through those neighbours by medians, which one stray does not bend (Theil and Sen).
+    The path is a robust straight line through the neighbours (Theil and Sen).
     """
     out = np.zeros(len(times), bool)
     for i in range(len(times)):
@@ -124,10 +125,11 @@ def strays(times: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.ndarray]:
-    """Choose one candidate a frame at times [N] (s): places [N, 2] in pixels, NaN where there is none; qualities [N].
+    """Choose one candidate per frame at times [N] (s); return places [N, 2] in pixels (NaN without one) and qualities
+    [N].
 
-    A good spot that jumps off the path of its neighbours loses its quality; a doubtful one between two good ones, and
-    where these say it should be, gains some. Frames around never raise a spot that none of them vouches for.
+    A good spot off the path of its neighbours loses quality; a doubtful one where two good neighbours predict it gains
+    some. Without such neighbours no quality rises.
     """
     place = np.array([(c.x[0], c.y[0]) if len(c) else (np.nan, np.nan) for c in found]).reshape(-1, 2)
     quality = np.array([c.quality[0] if len(c) else 0.0 for c in found])
@@ -149,7 +151,7 @@ def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.n
         if near.any():
             best = int(np.flatnonzero(near)[np.argmax(found[i].odds[near])])
             place[i] = found[i].x[best], found[i].y[best]
-            quality[i] = 1 / (1 + np.exp(-(found[i].odds[best] + VOUCHED)))
+            quality[i] = 1 / (1 + np.exp(-(found[i].odds[best] + CONFIRMED)))
     return place, quality
 
 
@@ -161,20 +163,20 @@ def label_recording(
     target: str = "target",
     offset: float = 0.0,
 ) -> LabelSummary:
-    """Label every probe frame with the gaze, from the laser in the target's own video, and keep the labels.
+    """Label every probe frame with the gaze, from the laser in the target's video, and store the labels.
 
-    The field of view is the whole target picture: gaze_x = (x - (W - 1) / 2) / W, and so for y with H. Between target
-    frames the spot's place is interpolated by `Joined.interpolate`. `labels.parquet` gets a row a probe frame: `frame`,
+    The field of view is the whole target image: gaze_x = (x - (W - 1) / 2) / W, and so for y with H. Between target
+    frames the spot is interpolated by `Joined.interpolate`. `labels.parquet` has one row per probe frame: `frame`,
     `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how` ("laser-spot"), `quality` (the
-    lesser of both target frames'), `reach_back` and `reach_ahead` (seconds to the farthest target frames that the label
-    rests on); gaze, spot and reach are null where there is no good spot or no target frame near.
+    lower of both target frames'), `reach_back` and `reach_ahead` (seconds to the farthest target frames used); gaze,
+    spot and reach are null without a good spot or a target frame near.
 
     Parameters
     ----------
     recording, probe, target
         A recording with both streams, and their names.
     progress
-        Shows how far the target's frames are done.
+        Shown over the target's frames.
     offset
         Seconds to add to the target's UTC, where its clock is known to be wrong.
 
@@ -183,7 +185,7 @@ def label_recording(
     InputError
         When a stream is missing or damaged, or the clocks do not overlap.
     NoLaserError
-        When hardly a target frame shows a laser.
+        When almost no target frame shows a laser.
     """
     joined = join(recording, probe, target, offset=offset)
     source = recording.source(target)
@@ -206,7 +208,7 @@ def label_recording(
     gaze = (spot - (size - 1) / 2) / size
     there, labelled = joined.found, np.isfinite(gaze[:, 0])
     both = np.zeros(len(joined))
-    # At a target frame's own time `after` may be worse, and has no share.
+    # At a target frame's own time `after` has no weight, and its quality does not count.
     after = np.where(joined.weight > 0, joined.after, joined.before)
     both[there] = np.minimum(quality[joined.before[there]], quality[after[there]])
 

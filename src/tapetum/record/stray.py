@@ -1,4 +1,4 @@
-"""Light in the probe's frame that stands still, and the sensor's own pattern under it."""
+"""Constant stray light in the probe's frame, and the sensor's fixed pattern."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tapetum.simulate.radiometry import dark_electrons
 __all__ = ["DimRoom", "FixedPattern", "Gradient", "Ground", "Stray", "draw_stray"]
 
 Frame = npt.NDArray[np.float32]
-# Pixels of the dim room in its blur: finer would show nothing more.
+# Pixels of the dim room across its blur; finer ones would not be visible.
 _CELLS = 24
 
 
@@ -30,8 +30,8 @@ class Gradient(Thing):
     Parameters
     ----------
     electrons, angle
-        At the bright corner, in the scene's exposure, with none at the opposite one; and the direction in which it
-        grows, in radians from x to y.
+        At the bright corner in the scene's exposure (the opposite one has none); and the direction of growth, in
+        radians from x to y.
     """
 
     electrons: float
@@ -40,7 +40,7 @@ class Gradient(Thing):
     positive: ClassVar[tuple[str, ...]] = ("electrons",)
 
     def light(self, scene: Scene, rng: np.random.Generator) -> Frame:
-        """Electrons, [H, W]."""
+        """Return the electrons, [H, W]."""
         columns, rows = scene.probe.sensor.pixels
         x = (np.arange(columns) - (columns - 1) / 2) * math.cos(self.angle)
         y = (np.arange(rows) - (rows - 1) / 2) * math.sin(self.angle)
@@ -56,10 +56,10 @@ class DimRoom(Thing):
     Parameters
     ----------
     electrons, distance
-        Mean over the frame in the scene's exposure, and how far its wall is from the probe, in metres; None for 2 m
+        Mean over the frame in the scene's exposure, and distance of its wall from the probe in metres; None for 2 m
         behind the target.
     contrast
-        Standard deviation of the logarithm of what the furniture sends back: assumed 0.8.
+        Standard deviation of the logarithm of the furniture's reflected light: assumed 0.8.
     """
 
     electrons: float
@@ -69,7 +69,7 @@ class DimRoom(Thing):
     positive: ClassVar[tuple[str, ...]] = ("electrons", "distance")
 
     def light(self, scene: Scene, rng: np.random.Generator) -> Frame:
-        """Electrons, [H, W]."""
+        """Return the electrons, [H, W]."""
         probe = scene.probe
         columns, rows = probe.sensor.pixels
         distance = scene.distance + 2 if self.distance is None else self.distance
@@ -79,7 +79,7 @@ class DimRoom(Thing):
         margin = math.ceil(blur / cell / 2) + 2
         width, height = math.ceil(columns / cell) + 2 * margin, math.ceil(rows / cell) + 2 * margin
         room = np.zeros((height, width), np.float32)
-        # Things of 1 to 50 cm, one over the other, until each place has been covered some ten times.
+        # Overlapping objects of 1 to 50 cm, until each place has been covered about ten times.
         covered = 0.0
         while covered < 10 * width * height:
             w, h = np.exp(rng.uniform(math.log(0.01), math.log(0.5), 2)) * scale / cell
@@ -99,15 +99,15 @@ class DimRoom(Thing):
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """What a sensor adds to every frame, and how unevenly it sees: the same for a sensor's serial number.
+    """A sensor's constant offsets and uneven sensitivity, determined by its serial number.
 
     Parameters
     ----------
     columns, rows, pixels
-        RMS of the offsets of columns, rows and single pixels, in electrons. They count as light: a dark place cannot
-        lie below none, and each has its shot noise (which is small beside the read noise).
+        RMS of the offsets of columns, rows and single pixels, in electrons. They count as light: they cannot make a
+        pixel negative, and have shot noise (small beside the read noise).
     gain
-        RMS of the pixels' sensitivity, in parts of one.
+        RMS of the pixels' relative sensitivity.
     """
 
     columns: float = 0.5
@@ -122,7 +122,7 @@ class FixedPattern:
                 raise InputError(f"must not be negative, is {value}", where=where, remedy="give 0 or more")
 
     def draw(self, scene: Scene) -> tuple[Frame, Frame]:
-        """Offsets in electrons and sensitivities, [H, W] each."""
+        """Return offsets in electrons and sensitivities, [H, W] each."""
         columns, rows = scene.probe.sensor.pixels
         rng = np.random.default_rng([scene.probe.sensor.serial, 0xF1])
         across, down = rng.standard_normal(columns), rng.standard_normal(rows)
@@ -136,13 +136,7 @@ Stray = Gradient | DimRoom | FixedPattern
 
 @dataclass(frozen=True)
 class Ground:
-    """A frame without laser and clutter.
-
-    Parameters
-    ----------
-    light, offset, gain
-        [H, W] electrons in the scene's exposure, and the sensor's pattern; None where it has none.
-    """
+    """A frame without laser and clutter: [H, W] electrons in the scene's exposure, and the sensor's pattern, if any."""
 
     light: Frame
     offset: Frame | None = None
@@ -150,7 +144,7 @@ class Ground:
 
     @classmethod
     def of(cls, scene: Scene, stray: tuple[Stray, ...] = (), seed: int = 0) -> Ground:
-        """The scene's own even background and dark current, hot pixels included, with what else there is."""
+        """Return the scene's even background and dark current, hot pixels included, plus stray light."""
         sensor = scene.probe.sensor
         light = np.full(sensor.pixels[::-1], dark_electrons(sensor), np.float32)
         if sensor.hot_pixels and sensor.hot_current:
@@ -164,11 +158,11 @@ class Ground:
         return cls(light, offset, gain)
 
     def lit(self, exposure: float) -> Frame:
-        """A new frame of mean electrons, to which more light may be added."""
+        """Return a new frame of mean electrons, to which more light may be added."""
         return self.light * np.float32(exposure)
 
     def seen(self, mean: Frame) -> Frame:
-        """What the sensor's pattern makes of all light; the frame is overwritten."""
+        """Apply the sensor's pattern to a frame in place; return it."""
         if self.gain is not None and self.offset is not None:
             mean *= self.gain
             mean += self.offset
@@ -177,7 +171,7 @@ class Ground:
 
 
 def draw_stray(scene: Scene, seed: int) -> tuple[Stray, ...]:
-    """A dim room, a gradient and a fixed pattern, as bright as the scene's even background or less (assumed)."""
+    """Return a dim room, a gradient and a fixed pattern, at most as bright as the scene's background (assumed)."""
     rng = np.random.default_rng([seed, 0x57])
     usual = max(10.0, scene.probe.sensor.background)
     room, ramp = usual * rng.uniform(0.2, 1.0, 2)

@@ -1,4 +1,4 @@
-"""Writes recordings, so that they can be read whatever ends the writing."""
+"""Writing of recordings, which stay readable however the writing ends."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = ["RecordingWriter"]
 
 
 def software() -> dict[str, str]:
-    """Return the versions that made a recording."""
+    """Return the versions of the software."""
     return {
         "tapetum": importlib.metadata.version("tapetum"),
         "python": platform.python_version(),
@@ -44,29 +44,29 @@ class RecordingWriter:
     """Writes a recording; use it in a `with` block.
 
     Each frame goes to its video and its clocks to the journal at once, so that a killed program loses at most the
-    newest frame of every stream. Leaving the block by an exception keeps what was written, marked as unfinished, or
-    removes an empty folder. Once it is closed all of it is on the disk. A recording that is replaced stands until the
-    new one is whole, which grows beside it as `NAME.unfinished.rec` and stays there if it ends unfinished.
+    newest frame of every stream. An exception in the block keeps the frames, marked as unfinished, or removes an empty
+    folder. A recording to be replaced stays until the new one is complete, which is written beside it as
+    `NAME.unfinished.rec` and stays there if unfinished.
 
     Parameters
     ----------
     path
         The folder to make, usually `NAME.rec`.
     streams, rate
-        What is recorded, by name (`probe`, `target`), and nominal frames per second.
+        Formats by stream name (`probe`, `target`), and nominal frames per second.
     hardware, extra
-        What recorded (cameras, lenses, serial numbers), and more fields for recording.json (a scene, seeds), which may
-        not take the names of its own; whatever JSON can say.
+        Cameras, lenses, serial numbers; and further fields of recording.json (a scene, seeds), under names that it does
+        not use itself. JSON values.
     start_utc_ns
         UTC of the recording's start, nanoseconds since 1970.
     overwrite
-        Whether a recording that stands at `path` may be replaced once this one is whole. Anything else never is.
+        Whether a recording at `path` may be replaced once this one is complete. Nothing else ever is.
 
     Raises
     ------
     InputError
-        When something stands at `path`, another command is recording to it, the arguments cannot be written, or there
-        is no room on the disk.
+        When something exists at `path`, another command is recording to it, the arguments cannot be written, or the
+        disk is full.
 
     Attributes
     ----------
@@ -89,7 +89,7 @@ class RecordingWriter:
         if not streams:
             raise InputError("no stream to record", where=self.path, remedy="give at least one")
         for name in streams:
-            # The name becomes a file's and a word of the journal.
+            # The name is used for a file and in the journal.
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
                 what = f"cannot name a stream {name!r}"
                 raise InputError(what, where=self.path, remedy="use letters, digits, - and _")
@@ -125,11 +125,11 @@ class RecordingWriter:
                 self.path.absolute().parent.mkdir(parents=True, exist_ok=True)
                 self._lock.enter_context(sole_writer(self.path))
                 clean_leftovers(self.path)
-                # Asked again: only now does nobody else write here.
+                # Checked again under the lock.
                 self.place = self._free_place(overwrite)
                 self.place.mkdir()
                 self._made = True
-                # Unbuffered: each line is the operating system's as soon as it is written.
+                # Unbuffered, so that each line reaches the operating system at once.
                 self._journal = (self.place / JOURNAL).open("wb", buffering=0)
             self._write_meta()
             for name, info in self.streams.items():
@@ -141,17 +141,17 @@ class RecordingWriter:
             raise
 
     def _free_place(self, overwrite: bool) -> Path:
-        """Return where to write: the path itself, or a free name beside a recording that is to be replaced."""
+        """Return the folder to write: the path itself, or a free name beside a recording that will be replaced."""
         if not self.path.exists() and not self.path.is_symlink():
             return self.path
         if not overwrite:
             raise InputError("exists already", where=self.path, remedy="choose another name or remove it first")
-        # Only what shows that it is a recording may be replaced.
+        # Only recordings may be replaced.
         layout.read_meta(self.path)
         return free_name(self.path, "unfinished")
 
     def _write_meta(self) -> None:
-        """Write recording.json as things stand."""
+        """Write the present recording.json."""
         try:
             layout.write_json(self.place / META, self.meta)
         except (TypeError, ValueError) as error:
@@ -180,13 +180,13 @@ class RecordingWriter:
         Parameters
         ----------
         stream, image
-            One of the streams the writer was made with, and [H, W] of its size; uint8 up to 8 bit, uint16 above.
+            One of the writer's streams, and [H, W] of its size; uint8 up to 8 bit, uint16 above.
         monotonic_ns, utc_ns
-            The frame's moment by a clock that is never set and rises, and in UTC since 1970, in nanoseconds.
+            The frame's time by a rising monotonic clock, and in UTC since 1970, in nanoseconds.
         dropped_before
             Frames known to be lost since the one before.
         exposure, lit
-            Exposure time in seconds, and whether the probe's laser was on; None where nobody knows.
+            Exposure time in seconds, and whether the probe's laser was on; None where unknown.
 
         Raises
         ------
@@ -210,21 +210,21 @@ class RecordingWriter:
         line = layout.journal_line(stream, video.count, *times, exposure, lit)
         video.write(image, (monotonic_ns - first) / 1e9)
         with told_when_full(self.path):
-            # A nearly full disk may take only a part at first.
+            # A nearly full disk may accept only part of a line.
             while line:
                 line = line[self._journal.write(line) or 0 :]
         self._last[stream] = monotonic_ns
 
     def add(self, stream: str, frame: Frame) -> None:
-        """Append a frame whose moment is known to a stream, with all else that is known of it: see `write`."""
+        """Append a frame with known times to a stream: see `write`."""
         assert frame.monotonic_ns is not None and frame.utc_ns is not None
         times = {"monotonic_ns": frame.monotonic_ns, "utc_ns": frame.utc_ns, "dropped_before": frame.lost}
         self.write(stream, frame.image, **times, exposure=frame.exposure, lit=frame.lit)
 
     def close(self) -> None:
-        """Finish the recording: the videos' indexes, frames.parquet, and `"finished": true` last of all.
+        """Finish the recording: the videos' indexes, frames.parquet, and finally `"finished": true`.
 
-        Raises an InputError when the disk is full; it then stays readable, marked as unfinished.
+        Raises an InputError when the disk is full; the recording then stays readable, marked as unfinished.
         """
         if self._closed:
             return
@@ -232,7 +232,7 @@ class RecordingWriter:
         with self._lock, told_when_full(self.path):
             for name, video in self._videos.items():
                 video.close()
-                # "finished" is a promise: nothing that it is about may still be on its way to the disk.
+                # Everything must be on disk before "finished" is written.
                 sync(self.place / f"{name}.mkv")
             self._journal.close()
             write_table(self.place / FRAMES, layout.read_journal(self.place / JOURNAL))
@@ -240,7 +240,7 @@ class RecordingWriter:
                 self.meta["streams"][name]["frames"] = count
             self.meta["finished"] = True
             self._write_meta()
-            # Last, so that at every moment there is a whole list of the frames.
+            # Last, so that a complete list of frames always exists.
             (self.place / JOURNAL).unlink()
             if self.place != self.path:
                 replace_folder(self.place, self.path)
@@ -248,7 +248,7 @@ class RecordingWriter:
             sync(self.path.absolute().parent)
 
     def _abandon(self) -> str:
-        """Close what is open and report no error; remove a folder without frames. Return what is kept."""
+        """Close all files without errors, remove a folder without frames, and return a note on what is kept."""
         self._closed = True
         for video in self._videos.values():
             with contextlib.suppress(OSError, InputError):

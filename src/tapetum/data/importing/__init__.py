@@ -1,4 +1,4 @@
-"""Data that others took: what lies in a folder, what it probably means, and a dataset made of it."""
+"""Import of foreign data: what a folder holds, what it probably means, and a dataset made of it."""
 
 from __future__ import annotations
 
@@ -32,9 +32,9 @@ def import_dataset(
     progress: Progress = quiet,
     overwrite: bool = False,
 ) -> list[str]:
-    """Make a dataset of what a mapping describes.
+    """Make a dataset from what a mapping describes.
 
-    Pictures with labels go straight into the dataset. Pairs of videos become recordings first, in the folder
+    Images with labels go straight into the dataset. Pairs of videos first become recordings, in the folder
     `NAME-recordings` beside `NAME.zarr`, labelled by the laser in the target's video.
 
     Parameters
@@ -46,20 +46,20 @@ def import_dataset(
     out
         The store to write, by convention NAME.zarr.
     progress
-        Shown over the pictures.
+        Shown over the images.
     overwrite
-        Whether what stands at `out` may be replaced.
+        Whether an existing `out` may be replaced.
 
     Returns
     -------
     list of str
-        A line for each recording that was made: how its clocks were aligned, and how many frames are labelled.
+        One line per recording: how its clocks were aligned, and how many frames are labelled.
 
     Raises
     ------
     InputError
-        When a file is missing or damaged, labels do not fit their pictures, or two clocks cannot be aligned. Nothing
-        is written then.
+        When a file is missing or damaged, labels do not fit their images, or two clocks cannot be aligned. Nothing is
+        written then.
     """
     if mapping.videos:
         return write_videos(mapping, Path(root), Path(out), progress, overwrite)

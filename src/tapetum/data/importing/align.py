@@ -1,4 +1,4 @@
-"""Two videos of one blinking laser: how far one clock lies behind the other, and how sure that is."""
+"""Alignment of two videos of one blinking laser: the offset between their clocks, and its reliability."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from tapetum.record.source import Source
 __all__ = ["Alignment", "align_blink", "brightness"]
 
 SPOT = 1.5
-"""Standard deviation in pixels of the smoothing under which a laser's spot stands out."""
+"""Standard deviation in pixels of the smoothing that detects a laser spot."""
 
-_SLOW = 4.0  # s, changes slower than this are the hand's and the lamps', not the code's
+_SLOW = 4.0  # s, slower changes come from the hand and the lamps, not from the code
 _LEAST_OVERLAP = 0.3  # of the shorter video
-_CODE = 12.0  # s, a code at a video's beginning is looked for in stretches of this length
+_CODE = 12.0  # s, length of the stretch in which a single code is searched
 _SURE, _RIVAL = 0.6, 0.75
 
 Levels = NDArray[np.float64]
@@ -35,9 +35,9 @@ class Alignment:
     """How a target's clock relates to the probe's."""
 
     offset: float  # seconds to add to the target's times
-    correlation: float  # of the two brightnesses over the part that both filmed: 1 is perfect
-    rival: float  # the best other offset's score over this one's: near 1 the code repeats itself
-    overlap: float  # seconds that both filmed
+    correlation: float  # of the two brightnesses during the overlap: 1 is perfect
+    rival: float  # score of the best other offset relative to this one: near 1 the code repeats itself
+    overlap: float  # seconds in both videos
 
     @property
     def text(self) -> str:
@@ -47,7 +47,7 @@ class Alignment:
 
 
 def brightness(source: Source, progress: Progress = quiet, what: str = "looking for the blinking") -> Series:
-    """Return the frames' times and how bright they are: the mean, and the brightest small spot above the median."""
+    """Return the frames' times and brightness: the mean, and the brightest small spot above the median."""
     times, levels = [], []
     for frame in progress(iter(source), what, total=source.count):
         image = frame.image.astype(np.float32)
@@ -58,14 +58,14 @@ def brightness(source: Source, progress: Progress = quiet, what: str = "looking 
 
 
 def _steady(levels: Levels, width: int) -> Levels:
-    """Return levels without their slow changes, of unit variance; zeros where nothing changes."""
+    """Return levels without slow changes, of unit variance; zeros where nothing changes."""
     fast = levels - uniform_filter1d(levels, min(width, len(levels)) | 1, mode="nearest")
     spread = fast.std()
     return fast / spread if spread > 1e-6 * max(1.0, float(np.abs(levels).max())) else np.zeros_like(fast)
 
 
 def _scores(a: Levels, b: Levels) -> tuple[Levels, Levels]:
-    """Return correlation coefficient and number of common samples for every shift of b, from -(len(b) - 1) on."""
+    """Return correlation and number of common samples for every shift of b, from -(len(b) - 1) on."""
 
     def both(x: Levels, y: Levels) -> Levels:
         return np.asarray(correlate(x, y, mode="full", method="fft"))
@@ -73,19 +73,19 @@ def _scores(a: Levels, b: Levels) -> tuple[Levels, Levels]:
     ones_a, ones_b = np.ones_like(a), np.ones_like(b)
     n = np.maximum(np.rint(both(ones_a, ones_b)), 1)
     mean_a, mean_b = both(a, ones_b) / n, both(ones_a, b) / n
-    # A part in which hardly anything changes says nothing, however alike it looks.
+    # The lower limit keeps nearly constant parts from correlating by chance.
     variance_a = np.maximum(both(a * a, ones_b) / n - mean_a**2, 0.05)
     variance_b = np.maximum(both(ones_a, b * b) / n - mean_b**2, 0.05)
     return (both(a, b) / n - mean_a * mean_b) / np.sqrt(variance_a * variance_b), n
 
 
 def _best(probe: Series, target: Series) -> Alignment | None:
-    """Align two series (times, levels); None where one of them does not change."""
+    """Align two series (times, levels); return None where one of them is constant."""
     frame = max(float(np.median(np.diff(times))) for times, _ in (probe, target))
     step = frame / 4
     series = []
     for times, levels in (probe, target):
-        # Each moment of an even grid takes the level of the nearest frame.
+        # Resampled on an even grid from the nearest frame.
         grid = np.arange(times[0], times[-1] + step / 2, step)
         nearest = levels[np.searchsorted((times[1:] + times[:-1]) / 2, grid)]
         series.append(_steady(nearest, round(_SLOW / step)))
@@ -95,8 +95,7 @@ def _best(probe: Series, target: Series) -> Alignment | None:
     found = _aligned(a, b, step, frame)
     length = round(_CODE / step)
     if length < len(a):
-        # A code that was blinked once is lost in the noise of a long video: the stretch in which most changes is
-        # compared alone, too.
+        # Noise of a long video may hide a single code, so the stretch with most changes is also compared alone.
         power = np.r_[0.0, np.cumsum(a**2)]
         start = int(np.argmax(power[length:] - power[:-length]))
         part = _aligned(a[start : start + length], b, step, frame)
@@ -109,7 +108,7 @@ def _merit(found: Alignment) -> float:
 
 
 def _aligned(a: Levels, b: Levels, step: float, frame: float) -> Alignment:
-    """Align two series on one grid: what to add to the second one's times, both beginning at 0."""
+    """Align two series on one grid; the offset applies to the second one's times, both beginning at 0."""
     correlation, n = _scores(a / max(a.std(), 1e-12), b)
     shortest = min(len(a), len(b))
     # A longer overlap is better evidence for the same correlation.
@@ -125,7 +124,7 @@ def _aligned(a: Levels, b: Levels, step: float, frame: float) -> Alignment:
 
 
 def _lobe(score: Levels, top: int, least: int) -> tuple[int, int]:
-    """Return where the main peak begins and ends: down to half of its height, and as much again."""
+    """Return begin and end of the main peak: down to half of its height, plus as much again."""
     low = np.flatnonzero(score < 0.5 * score[top])
     left = top - int(low[low < top].max(initial=0))
     right = int(low[low > top].min(initial=len(score) - 1)) - top
@@ -136,11 +135,10 @@ def _lobe(score: Levels, top: int, least: int) -> tuple[int, int]:
 def align_blink(probe: Series, target: Series, where: str) -> Alignment:
     """Find the offset between two videos from the blinking that both show.
 
-    The `brightness` of each, without its slow changes, is compared with the other's at every offset; the one
-    with the highest correlation counts. Mean and brightest spot of the frames are tried; the surer pair decides.
-
-    Raises an InputError about the pair `where` when a video is too short or does not blink, or when the best offset is
-    unlikely (correlation below 0.6) or ambiguous (another one scores 75 % of it, as with a regular blinking).
+    Their `brightness` without slow changes is correlated at every offset, for the mean and the brightest spot of the
+    frames; the most reliable pair decides. Raises an InputError about the pair `where` when a video is too short or
+    does not blink, or when the best offset is unlikely (correlation below 0.6) or ambiguous (another one scores 75 % of
+    it, as with a regular blinking).
     """
     if min(len(probe[0]), len(target[0])) < 8:
         raise InputError("has fewer than 8 frames to align by", where=where, remedy="use align 'same start'")

@@ -1,7 +1,7 @@
-"""Arrays in files: what is in them, and slices of them, without ever running what a file holds.
+"""Arrays in files: their list, and slices of them, without executing anything.
 
-NumPy's `.npy` and `.npz`, HDF5 (`.h5`, `.hdf5`, MATLAB's `.mat` from v7.3) and older `.mat`. Objects are refused: a
-pickle is a program. So are HDF5 datasets that keep their values in other files.
+NumPy's `.npy` and `.npz`, HDF5 (`.h5`, `.hdf5`, MATLAB's `.mat` from v7.3) and older `.mat`. Objects are refused,
+because a pickle is a program, and so are HDF5 datasets that keep their values in other files.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class ArrayInfo:
 
 @contextlib.contextmanager
 def _refused(file: Path) -> Iterator[None]:
-    """Report in one line any error that a reader raises for a damaged file."""
+    """Report any error of a reader as an InputError in one line."""
     try:
         yield
     except (InputError, MemoryError):
@@ -57,12 +57,12 @@ def _refused(file: Path) -> Iterator[None]:
 
 
 def _kind(file: Path) -> str:
-    """Return which reader a file needs, by its suffix and first bytes."""
+    """Return the reader that a file needs, by its suffix and first bytes."""
     if not file.stat().st_size:
         raise InputError("is empty", where=file, remedy=AGAIN)
     suffix = file.suffix.lower()
     if suffix == ".mat":
-        # From v7.3 on a .mat is HDF5 behind 512 bytes of MATLAB's own.
+        # From v7.3 on a .mat is HDF5 after a header of 512 bytes.
         with file.open("rb") as stream:
             head = stream.read(520)
         return "hdf5" if head.startswith(b"MATLAB 7.3") or b"\x89HDF\r\n" in head else "mat"
@@ -95,7 +95,7 @@ def _hdf5_members(file: Path) -> list[ArrayInfo]:
     found: list[ArrayInfo] = []
 
     def visit(name: str, item: object) -> None:
-        # MATLAB keeps what its cells point to under #refs#.
+        # MATLAB keeps the content of cells under #refs#.
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
             text = h5py.check_string_dtype(item.dtype) is not None
             if text or item.dtype.kind in "biuf":
@@ -126,7 +126,7 @@ def list_arrays(path: str | Path) -> list[ArrayInfo]:
 
 
 def _chosen(file: Path, name: str | None) -> str:
-    """Return the name in the file of the array that is called `name`, or of the only one."""
+    """Return the name of the array called `name`, or of the only one in the file."""
     names = [one.name for one in list_arrays(file)]
     have = ", ".join(names)
     if name is None and len(names) != 1:
@@ -141,11 +141,11 @@ def _chosen(file: Path, name: str | None) -> str:
 
 @contextlib.contextmanager
 def open_array(path: str | Path, name: str | None = None) -> Iterator[Any]:
-    """Open one array of a file for slicing: it has `shape`, `dtype` and slices, as NumPy's and HDF5's have.
+    """Open one array of a file for slicing: it has `shape` and `dtype`, like arrays of NumPy and HDF5.
 
-    A `.npy` is mapped into memory, a member of an `.npz` unpacked to a temporary file and mapped, HDF5 read slice by
-    slice; an older `.mat` can only be read whole. Where a file has only one array, it needs no name. Raises an
-    InputError when there is no such array, it holds objects, or the file is damaged.
+    A `.npy` is memory-mapped, a member of an `.npz` is unpacked to a temporary file and mapped, HDF5 is read slice by
+    slice; an older `.mat` is read whole. The only array of a file needs no name. Raises an InputError when there is no
+    such array, it holds objects, or the file is damaged.
     """
     file = existing(path)
     name, kind = _chosen(file, name), _kind(file)
@@ -174,7 +174,7 @@ def open_array(path: str | Path, name: str | None = None) -> Iterator[Any]:
 
 
 def _unpacked(file: Path, name: str, folder: Path) -> NDArray[Any]:
-    """Unpack a member of an `.npz`, which cannot be read at random, and map it."""
+    """Unpack a member of an `.npz` to a folder and memory-map it."""
     part = folder / "array.npy"
     with (
         told_when_full(part),
@@ -187,7 +187,7 @@ def _unpacked(file: Path, name: str, folder: Path) -> NDArray[Any]:
 
 
 def read_array(path: str | Path, name: str | None = None) -> NDArray[Any]:
-    """Read one array of a file whole: labels, not pictures. Text comes as str; see `open_array`."""
+    """Read one array of a file whole, for labels; text comes as str. See `open_array`."""
     with open_array(path, name) as array, _refused(Path(path)):
         values = np.asarray(array[...])
     if values.dtype.kind == "O":

@@ -1,4 +1,4 @@
-"""One value for every image, from a table or an array, in the units that a dataset keeps."""
+"""Columns of tables and arrays, one value per image, in the units of a dataset."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ Parsed = TypeVar("Parsed")
 
 
 def read_text_table(path: str | Path) -> dict[str, list[str]]:
-    """Read a table with a comma, semicolon, tab or blank between its cells: the cells of every column, as text.
+    """Read a table separated by comma, semicolon, tab or blank; return every column's cells as text.
 
-    Its first line names the columns, unless it holds numbers only: then they are called 0, 1, 2 … Raises an InputError
-    when the file is missing, empty, no text, or a line has more or fewer cells than the first.
+    The first line names the columns, unless it holds only numbers: then they are called 0, 1, 2 … Raises an InputError
+    when the file is missing, empty, no text, or its lines differ in their number of cells.
     """
     file = existing(path)
     try:
@@ -65,22 +65,22 @@ def read_text_table(path: str | Path) -> dict[str, list[str]]:
 
 
 class Reader:
-    """Reads the columns of a mapping whose paths start from the folder `root`, each table once."""
+    """Reads the columns of a mapping with paths relative to `root`, each table once."""
 
     def __init__(self, root: Path) -> None:
         self.root = root
         self._tables: dict[Path, dict[str, list[str]]] = {}
 
     def place(self, column: Column, images: str | None) -> Path:
-        """Return the file that a column is in."""
+        """Return the file of a column."""
         if column.file is None and (images is None or Path(images).suffix.lower() not in ARRAY_SUFFIXES):
             raise InputError(f"no file is named for {_told(column)}", where="mapping", remedy="add 'file: ...'")
         return self.root / str(column.file or images)
 
     def values(self, column: Column, count: int | None, images: str | None = None) -> NDArray[Any]:
-        """Return a column as it stands, [N], numbers or text; one that names no file is in that of the `images`.
+        """Return a column [N] of numbers or text, by default from the file of the `images`.
 
-        Raises an InputError when the file or column is missing, or holds another number of values than `count`.
+        Raises an InputError when the file or column is missing, or the number of values is not `count`.
         """
         if column.value is not None:
             return np.full(1 if count is None else count, column.value)
@@ -125,7 +125,7 @@ def _of_array(file: Path, column: Column, count: int | None) -> NDArray[Any]:
     if array.ndim != 2 or not isinstance(column.column, int):
         what = f"{column.array or 'the array'} of shape {shape} has no column {column.column!r}"
         raise InputError(what, where=file, remedy="count columns from 0")
-    # MATLAB's v7.3 files are transposed: values lie along the axis that is as long as there are images.
+    # MATLAB's v7.3 files are transposed: the axis with as many values as images decides.
     rows = array if count is None or array.shape[0] == count or array.shape[1] != count else array.T
     if not 0 <= column.column < rows.shape[1]:
         raise InputError(f"has {rows.shape[1]} columns, none is {column.column}", where=file, remedy="count from 0")
@@ -133,7 +133,7 @@ def _of_array(file: Path, column: Column, count: int | None) -> NDArray[Any]:
 
 
 def numbers(values: NDArray[Any], where: str) -> NDArray[np.float64]:
-    """Return values as numbers; what is empty or says that there is none is NaN."""
+    """Return values as numbers; empty ones and words for missing become NaN."""
     if values.dtype.kind in "biuf":
         return values.astype(np.float64)
     found = [np.nan if text.strip().casefold() in _EMPTY else _parsed(float, text) for text in map(str, values)]
@@ -144,7 +144,7 @@ def numbers(values: NDArray[Any], where: str) -> NDArray[np.float64]:
 
 
 def texts(values: NDArray[Any]) -> list[str]:
-    """Return values as text; whole numbers without a point."""
+    """Return values as text; whole numbers without a decimal point."""
     if values.dtype.kind == "f":
         return [f"{value:g}" for value in values]
     return [str(value).strip() for value in values]
@@ -165,7 +165,7 @@ def seconds(values: NDArray[Any], column: Column, where: str) -> NDArray[np.floa
 
 
 def _parsed(parse: Callable[[str], Parsed], text: str) -> Parsed | None:
-    """Return what a text stands for; None where it cannot be parsed."""
+    """Return the value of a text; None where it cannot be parsed."""
     try:
         return parse(text)
     except ValueError:
@@ -180,7 +180,7 @@ def _factor(unit: str | None, si: str, where: str) -> float:
 
 
 def held_out(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
-    """Return which rows test, from the words or numbers of a column; raise an InputError for any other word."""
+    """Return which rows test, from a column of words or numbers; raise an InputError for any other value."""
     words = [word.casefold() for word in texts(values)]
     strange = next((word for word in words if word not in (*_TEST, *_TRAIN)), None)
     if strange is not None:
@@ -189,9 +189,9 @@ def held_out(values: NDArray[Any], where: str) -> NDArray[np.bool_]:
 
 
 def label_values(labels: LabelsEntry, reader: Reader, count: int, images: str | None = None) -> dict[str, NDArray[Any]]:
-    """Read labels as a dataset keeps them: by name, [count] values; NaN where there is none.
+    """Return labels by name, [count] values in a dataset's units; NaN where missing.
 
-    Lengths are in metres, gaze in fractions of the field from its centre. Devices are names, empty where there is none.
+    Lengths are in metres, gaze in fractions of the field from its centre; devices are names, empty where missing.
     """
     found: dict[str, NDArray[Any]] = {}
     for name, column in labels.given().items():

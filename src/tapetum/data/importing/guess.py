@@ -1,4 +1,4 @@
-"""Guesses from names and values: what a column is, what gaze is counted in, how deep pictures are."""
+"""Guesses from names and values: meaning of a column, unit of gaze, depth of images."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ WORDS = {
     "split": ("split", "subset", "partition", "set"),
     "names": ("file", "filename", "image", "imagefile", "img", "path", "name"),
 }
-"""Names under which people keep things, without case and signs; the first that fits wins."""
+"""Usual names of columns, without case and punctuation; the first match counts."""
 
 _NOISE = re.compile(
     r"(images?|imgs?|frames?|crops?|rrs?|probe|labels?|targets?|gaze|positions?|xy|data|timestamps?|times?|[-_. ])",
@@ -40,18 +40,18 @@ _SCALES = (255, 1023, 4095, 16383, 65535)
 
 
 def meaning(name: str) -> str | None:
-    """What a column or array of this name may hold: a key of `WORDS`."""
+    """Return the probable meaning of a column or array by its name: a key of `WORDS`."""
     plain = re.sub(r"[^a-z0-9]", "", PurePosixPath(name).name.casefold())
     return next((what for what, words in WORDS.items() if plain in words), None)
 
 
 def key(path: str) -> str:
-    """What files that belong together have in common: the name without words such as images and labels."""
+    """Return the common part of the names of related files: the name without words such as images and labels."""
     return _NOISE.sub("", PurePosixPath(path).stem).casefold()
 
 
 def constants(path: str) -> dict[str, str]:
-    """Focal length and object distance that a path tells: `50mm/3.5m.mp4`."""
+    """Return focal length and object distance from a path such as `50mm/3.5m.mp4`."""
     plain = path.replace("_", " ")
     focal = re.search(r"(\d+(?:\.\d+)?) ?mm(?![a-z])", plain, re.IGNORECASE)
     distance = re.search(r"(\d+(?:\.\d+)?) ?m(?![a-z0-9])", plain, re.IGNORECASE)
@@ -60,7 +60,7 @@ def constants(path: str) -> dict[str, str]:
 
 
 def unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
-    """Guess from its values what a label is counted in; return what to add to the column, and a note."""
+    """Guess a label's unit from its values; return what to add to the column, and a note."""
     try:
         values = numbers(reader.values(Column(**column), count), str(column))
     except InputError:
@@ -69,7 +69,7 @@ def unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple
         return {}, "unit unknown"
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if not name.startswith("gaze"):
-        # Focal lengths beyond 1.5 m and object distances beyond 100 m are millimetres, on every bench.
+        # Focal lengths above 1.5 m and object distances above 100 m must be in millimetres.
         length = "mm" if high > (1.5 if name == "focal_length" else 100) else "m"
         return {"unit": length}, f"up to {high:.4g}: taken as {length}"
     span = f"{low:.3g} to {high:.3g}: taken as"
@@ -81,7 +81,7 @@ def unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple
 
 
 def depth(sample: Sequence[NDArray[Any]]) -> int:
-    """The full scale that fits the largest count of some pictures."""
+    """Return the smallest usual full scale that holds the largest count of some images."""
     high = max((float(picture.max()) for picture in sample), default=0.0)
     if all(picture.dtype.kind == "f" for picture in sample) and high <= 1:
         return 1
@@ -89,7 +89,7 @@ def depth(sample: Sequence[NDArray[Any]]) -> int:
 
 
 def looks_centred(sample: Sequence[NDArray[Any]]) -> bool:
-    """Whether pictures are square, with the brightest point of most in their middle."""
+    """Return whether images are square, with the brightest point of most in their middle."""
     if any(picture.shape[0] != picture.shape[1] for picture in sample):
         return False
 

@@ -1,4 +1,4 @@
-"""What lies in a folder: videos, arrays, tables and folders of images, with what is known without reading them."""
+"""Inventory of a folder: videos, arrays, tables and folders of images, described without reading them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ VIDEO_SUFFIXES = (".mkv", ".mp4", ".m4v", ".avi", ".mov", ".webm", ".mpg", ".mpe
 
 @dataclass(frozen=True)
 class FramesFound:
-    """A video or a folder of images: its path from the root, the first frame's size in pixels, how many there are."""
+    """A video or a folder of images: its path from the root, the first frame's size in pixels, number of frames."""
 
     path: str
     width: int
@@ -61,9 +61,9 @@ class TableFound:
 
 @dataclass
 class Inventory:
-    """All that was found under a folder, `root`, from which all paths start.
+    """Everything found under a folder, `root`, from which all paths start.
 
-    `recordings` need no import, `faults` say what could not be read, `other` counts files of no known kind.
+    `recordings` need no import, `faults` list unreadable files, `other` counts files of unknown types.
     """
 
     root: Path
@@ -77,14 +77,14 @@ class Inventory:
 
     @property
     def lines(self) -> list[str]:
-        """What was found, for people."""
+        """The inventory as text, one line each."""
         told = [str(one) for one in (*self.videos, *self.arrays, *self.tables, *self.folders)]
         told += [f"recording  {r}: cut it with `tapetum dataset build`" for r in self.recordings]
         told += [f"unreadable  {fault}" for fault in self.faults]
         return told + ([f"{self.other} files of other kinds"] if self.other else [])
 
     def look(self, place: Path) -> None:
-        """Add what a file is, or what lies in a folder."""
+        """Add a file, or the content of a folder."""
         if place.is_dir():
             self._folder(place)
             return
@@ -110,7 +110,7 @@ class Inventory:
             except InputError as error:
                 self.faults.append(error)
         for entry in entries:
-            # A link to a folder could lead round in a circle.
+            # Links to folders could form a cycle.
             if entry not in images and (entry.is_file() or (entry.is_dir() and not entry.is_symlink())):
                 self.look(entry)
 
@@ -136,7 +136,7 @@ class Inventory:
             self.other += 1
 
     def _table(self, file: Path, name: str) -> None:
-        """A text is a table only where it looks like one: a readme is none."""
+        """Add a table; a .txt file counts only if it has several columns and rows, unlike a readme."""
         text = file.suffix.lower() == ".txt"
         try:
             table = read_text_table(file)
@@ -153,7 +153,7 @@ class Inventory:
 
 
 def common_root(sources: Sequence[str | os.PathLike[str]]) -> Path:
-    """Return the folder that a mapping's paths start from: the one given, or the nearest that holds all that is given.
+    """Return the folder that a mapping's paths start from: the one given, or the nearest that holds all sources.
 
     Raises an InputError when nothing is given or a source does not exist.
     """
@@ -164,7 +164,7 @@ def common_root(sources: Sequence[str | os.PathLike[str]]) -> Path:
 
 
 def look_into(sources: Sequence[str | os.PathLike[str]]) -> Inventory:
-    """List what lies in folders, at any depth, and files; what is damaged is listed in `Inventory.faults`.
+    """List the content of folders, at any depth, and files; damaged ones go to `Inventory.faults`.
 
     Raises an InputError when nothing is given or a source does not exist.
     """

@@ -1,4 +1,4 @@
-"""What the files of an import mean: a small YAML file, checked before anything is read."""
+"""The mapping of an import, a small YAML file that says what files mean; checked before anything is read."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def _constant(value: object) -> object:
 
 
 def _whole(value: object) -> object:
-    """`3 m` in place of a mapping is one value for every frame."""
+    """Accept `3 m` in place of a mapping as one value for every frame."""
     if isinstance(value, list | tuple | bool):
         raise ValueError(f"must be one value or a mapping, is {value!r}; write '3 m', or file, column and unit")
     return {"value": value} if isinstance(value, str | int | float) else value
@@ -65,7 +65,7 @@ def _axes(value: object) -> object:
 
 @dataclass(frozen=True, config=STRICT)
 class Column:
-    """Where one value for every frame comes from, and what it is measured in."""
+    """Source and unit of one value per frame."""
 
     # A table (.csv, .tsv, .txt) or a file of arrays, by default that of the images; the array's name in it.
     file: str | None = None
@@ -74,13 +74,13 @@ class Column:
     column: Annotated[Any, BeforeValidator(_name_or_number)] | None = None
     # One value for all frames, in place of a file.
     value: Annotated[Any, BeforeValidator(_constant)] | None = None
-    # Of lengths (by default m) and times (s), any; of gaze `fraction` of the field (by default) or `px`.
+    # Any unit of length (default m) or time (s); of gaze `fraction` of the field (default) or `px`.
     unit: str | None = None
     # Where gaze is 0: the frame's centre (by default for fractions) or its upper left corner (for pixels).
     origin: Literal["centre", "corner"] | None = None
     # Of gaze in pixels: pixels of the target's frame along this axis.
     size: Annotated[float, Field(gt=0)] | None = None
-    # Whether the file counts gaze against ours (x right, y down).
+    # Whether the file's gaze has the opposite sign of ours (x right, y down).
     flip: bool = False
     # Of a device given by numbers: the name of each number, from 0.
     names: tuple[str, ...] = ()
@@ -99,7 +99,7 @@ Values = Annotated[Column, BeforeValidator(_whole)]
 
 @dataclass(frozen=True, config=STRICT)
 class LabelsEntry:
-    """What every frame is labelled with: at least one of these."""
+    """Labels of every frame; at least one is given."""
 
     gaze_x: Values | None = None
     gaze_y: Values | None = None
@@ -108,7 +108,7 @@ class LabelsEntry:
     device: Values | None = None
 
     def given(self) -> dict[str, Column]:
-        """The labels that are given, by name."""
+        """Return the given labels, by name."""
         found = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {name: column for name, column in found.items() if column is not None}
 
@@ -145,7 +145,7 @@ class Stack:
     name: str = ""
     # Which video each image is from; by default all are from one.
     recording: Values | None = None
-    # An image's place in the video and its time; by default as they come, at `rate` a second.
+    # An image's place in the video and its time; by default in their order, `rate` per second.
     order: Column | None = None
     time: Column | None = None
     rate: Annotated[float, Field(gt=0)] = 15.0
@@ -161,7 +161,9 @@ class Stack:
 
 @dataclass(frozen=True, config=STRICT)
 class Pair:
-    """Two videos, or folders of images, taken together: the probe's and the target's, which sees the probe's laser."""
+    """Two videos, or folders of images, recorded together: the probe's, and the target's, which shows the probe's
+    laser.
+    """
 
     probe: str
     target: str
@@ -194,23 +196,23 @@ class ImportMapping:
     Parameters
     ----------
     videos, stacks
-        Pairs of videos, or pictures with labels; one of the two.
+        Pairs of videos, or images with labels; one of the two.
     side
         Pixels along an edge of the crops.
     centred
-        Whether the pictures are crops with the RR in their middle already. Otherwise they are centred on the brightest
+        Whether the images are crops with the RR already in their middle. Otherwise they are centred on the brightest
         point, and those without a visible RR left out.
     pad
-        Whether pictures smaller than `side` may be filled up with their median.
+        Whether images smaller than `side` may be padded with their median.
     full_scale
-        Largest count of the camera (1 for real numbers from 0 to 1); known for 8 bit pictures and image files.
+        Largest count of the camera (1 for real numbers from 0 to 1); known for 8-bit images and image files.
     test_fraction
         Share of every video, at its end, that tests.
     embargo
-        Seconds between training and test pictures of one video: as far as the labels of neighbours were smoothed
-        together. Labels of pairs of videos bring their own.
+        Seconds between training and test images of one video: the range over which labels were smoothed. Labels of
+        pairs of videos bring their own.
     missing
-        What to do with a label that is not a number: `refuse` the import, or `drop` the picture.
+        What to do with a label that is not a number: `refuse` the import, or `drop` the image.
     """
 
     schema: Literal["tapetum/import/1"] = SCHEMA
@@ -231,7 +233,7 @@ class ImportMapping:
         return self
 
     def as_dict(self) -> dict[str, Any]:
-        """The mapping as nested plain values, without what is left at its default."""
+        """Return the mapping as nested plain values, without defaults."""
         return json.loads(_adapter().dump_json(self, exclude_defaults=True))
 
 

@@ -1,4 +1,4 @@
-"""Grey images from wherever they are, one after the other in any order: arrays, folders, videos."""
+"""Grey images from arrays, folders and videos, read in any order."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from tapetum.record.video import count_frames, truncated
 __all__ = ["Pictures", "open_pictures"]
 
 SLICE = 64 << 20
-"""Bytes of an array that are read at once."""
+"""Bytes of an array read at a time."""
 
 
 @dataclass(frozen=True)
 class Pictures(ABC):
-    """Images that were opened."""
+    """Opened images."""
 
     count: int
     size: tuple[int, ...]  # height and width of the first one
@@ -45,9 +45,9 @@ class Pictures(ABC):
 
 @contextlib.contextmanager
 def open_pictures(images: ImagesEntry, reader: Reader, full_scale: int | None) -> Iterator[Pictures]:
-    """Open the images of a stack, whose largest count is `full_scale`, where the mapping says it.
+    """Open the images of a stack with the largest count `full_scale`, if the mapping gives it.
 
-    Raises an InputError when a file is missing, damaged, empty, or no grey image, or an array's depth cannot be known.
+    Raises an InputError when a file is missing, damaged, empty, or no grey image, or an array's depth is unknown.
     """
     if images.folder is not None:
         yield _folder(images, reader, full_scale)
@@ -145,7 +145,7 @@ class _Slices(Pictures):
 
 
 def _runs(order: Sequence[int], longest: int) -> Iterator[tuple[int, int]]:
-    """Split an order into stretches of neighbours, start and stop of each, none longer than `longest`."""
+    """Split an order into runs of consecutive numbers; return start and stop of each, none longer than `longest`."""
     start = 0
     for n in range(1, len(order) + 1):
         if n == len(order) or order[n] != order[n - 1] + 1 or n - start == longest:

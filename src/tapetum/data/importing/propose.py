@@ -1,4 +1,4 @@
-"""A mapping proposed from what lies in a folder: a guess that a person reads before anything is imported."""
+"""A mapping proposed from the content of a folder, for a person to check before the import."""
 
 from __future__ import annotations
 
@@ -28,10 +28,9 @@ _FEW = 12
 
 @dataclass
 class Proposal:
-    """A mapping as plain values (`content`), and what it rests on, a line each.
+    """A mapping as plain values (`content`), and its reasons, one line each.
 
-    `notes` are the guesses, `gaps` what could not be guessed and a person must fill in, `dropped` the files that the
-    mapping leaves out, and why.
+    `notes` are the guesses, `gaps` what a person must fill in, `dropped` the files left out, and why.
     """
 
     content: dict[str, Any]
@@ -41,7 +40,7 @@ class Proposal:
 
     @property
     def text(self) -> str:
-        """The proposal as a mapping file, its guesses as comments."""
+        """The proposal as a mapping file, with guesses as comments."""
         body = yaml.safe_dump(self.content, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
         told = {"guess": self.notes, "missing": self.gaps, "left out": self.dropped}
         comments = [f"# {word}: {line}" for word, lines in told.items() for line in dict.fromkeys(lines)]
@@ -57,7 +56,7 @@ class Proposal:
 
 @dataclass(frozen=True)
 class _Source:
-    """Something that holds values: what they mean, where they are, and how many."""
+    """A source of values: their meaning, place and number."""
 
     meaning: str
     column: dict[str, Any]
@@ -89,7 +88,7 @@ def _sources(found: Inventory) -> list[_Source]:
 
 
 def _pairs(found: Inventory) -> tuple[list[tuple[FramesFound, FramesFound]], list[FramesFound]]:
-    """Videos of a probe with those of its target, by their paths, and the others."""
+    """Return pairs of probe and target videos, matched by their paths, and the other videos."""
     plain = [(re.sub("probe|target", "*", v.path.casefold().rpartition(".")[0]), v) for v in found.videos]
     targets = {name: v for name, v in plain if "target" in v.path.casefold()}
     pairs = [(v, targets[name]) for name, v in plain if "probe" in v.path.casefold() and name in targets]
@@ -98,7 +97,7 @@ def _pairs(found: Inventory) -> tuple[list[tuple[FramesFound, FramesFound]], lis
 
 
 def _times(pair: tuple[FramesFound, FramesFound], found: Inventory) -> dict[str, Any]:
-    """A timestamps table for a pair, where there is one: columns with probe and target and time in their names."""
+    """Return a pair's entry for a table of timestamps, if one with columns of probe and target times exists."""
     for table in found.tables:
         columns = {
             side: next((c for c in table.columns if side in c.casefold() and "frame" not in c.casefold()), None)
@@ -115,7 +114,7 @@ def _times(pair: tuple[FramesFound, FramesFound], found: Inventory) -> dict[str,
 
 
 def _image_axes(array: ArrayFound, counts: set[int]) -> tuple[str, ...] | None:
-    """What the axes of an array of pictures are; None for any other array."""
+    """Return the meaning of an image array's axes; None for any other array."""
     shape = array.info.shape
     if array.info.dtype in ("text", "bool") or sum(size >= 8 for size in shape) < 2 or len(shape) not in (3, 4):
         return None
@@ -151,7 +150,7 @@ def propose(found: Inventory) -> Proposal:
 
 
 def _of_pairs(found: Inventory, pairs: list[tuple[FramesFound, FramesFound]], videos: list[FramesFound]) -> Proposal:
-    """Propose recordings of pairs of videos; the others, and all else, are left out."""
+    """Propose recordings from pairs of videos; all other files are left out."""
     out = Proposal({"schema": SCHEMA})
     rows: list[dict[str, Any]] = [{"probe": p.path, "target": t.path, **_times((p, t), found)} for p, t in pairs]
     names = [pair_name(Pair(**row)) for row in rows]
@@ -177,7 +176,7 @@ def _of_pairs(found: Inventory, pairs: list[tuple[FramesFound, FramesFound]], vi
 
 
 class _Stacks:
-    """Gathers the stacks of a proposal, one after the other."""
+    """Collects the stacks of a proposal."""
 
     def __init__(self, found: Inventory) -> None:
         self.found, self.reader = found, Reader(found.root)
@@ -190,7 +189,7 @@ class _Stacks:
         self._scale = 0
 
     def add_array(self, array: ArrayFound) -> None:
-        """Add an array of images; say so where it is neither that nor holds values."""
+        """Add an array of images; list one that holds neither images nor values as dropped."""
         axes = _image_axes(array, {source.count for source in self.sources})
         if axes is None:
             if not any(source.column["file"] == array.path for source in self.sources):
@@ -208,7 +207,7 @@ class _Stacks:
             self._out.notes.append(f"full_scale {self._scale}, from some pictures of {array.path}")
 
     def add_named(self, source: _Source) -> None:
-        """Add the folders of images that a table names together."""
+        """Add the folders of images that a table lists."""
         names = texts(self.reader.values(Column(**source.column), None))
         file = source.column["file"]
         for base in map(str, dict.fromkeys([*(f.path for f in self.found.folders), PurePosixPath(file).parent, "."])):
@@ -221,7 +220,7 @@ class _Stacks:
                 return
 
     def add(self, images: dict[str, Any], count: int, path: str, size: int) -> list[NDArray[Any]]:
-        """Add a stack of `count` images at `path`, the least edge of which is `size`; return a few of them."""
+        """Add a stack of `count` images at `path` with least edge `size`; return a few of them."""
         stack: dict[str, Any] = {"images": images, "labels": self._labels(count, path)}
         # A video keeps its own order and time.
         video = images == {"file": path}
@@ -236,7 +235,7 @@ class _Stacks:
         return sample
 
     def _choose(self, what: str, count: int, image: str) -> dict[str, Any] | None:
-        """Return the likeliest source of a meaning for the images at a path: in their file, of their name, beside."""
+        """Return the likeliest source of a meaning for images: in their file, of the same name, or beside it."""
 
         def distance(source: _Source) -> int:
             file = source.column["file"]
@@ -289,13 +288,13 @@ class _Stacks:
 
 
 def _sample(images: dict[str, Any], reader: Reader) -> list[NDArray[Any]]:
-    """Return a few images: spread over the whole, but of a video its first ones, which cost little to reach."""
+    """Return a few images, evenly spread; of a video the first ones, which are faster to reach."""
     try:
-        # The true depth is not known yet; no grey image has more than this.
+        # The true depth is unknown; this is the largest of grey images.
         with open_pictures(ImagesEntry(**images), reader, 65535) as pictures:
             few = min(_FEW, pictures.count)
             last = few - 1 if Path(images.get("file", "")).suffix.lower() in VIDEO_SUFFIXES else pictures.count - 1
             return list(pictures.read(np.unique(np.linspace(0, last, few).astype(int)).tolist()))
     except InputError:
-        # What cannot be read is reported when it is imported.
+        # The import reports unreadable files.
         return []

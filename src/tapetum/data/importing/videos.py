@@ -1,4 +1,4 @@
-"""Pairs of videos become recordings: two streams on one clock, labelled by the laser in the target's video."""
+"""From pairs of videos to recordings: two streams on one clock, labelled by the laser in the target's video."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ __all__ = ["pair_name", "write_videos"]
 
 @dataclass(frozen=True)
 class _Stream:
-    """One video of a pair: its frames, the first of them, and the second of every frame by its own clock."""
+    """One video of a pair: its frames, the first of them, and the times of all by its own clock in seconds."""
 
     source: Source
     first: Frame
@@ -53,7 +53,7 @@ class _Stream:
 
 
 def pair_name(pair: Pair) -> str:
-    """What a pair's recording is called: its name, or that of the probe's file without the word probe."""
+    """Return the name of a pair's recording: its own, or that of the probe's file without the word probe."""
     stem = Path(pair.probe).stem
     bare = re.sub(r"(?i)[-_. ]*probe[-_. ]*", "", stem) or Path(pair.probe).parent.name or stem
     return re.sub(r"[^\w.+-]+", "-", pair.name or bare)
@@ -78,7 +78,7 @@ def _opened(name: str, column: Column | None, reader: Reader) -> _Stream:
 
 
 def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, progress: Progress) -> str:
-    """Write one recording with its labels; return what to tell of it."""
+    """Write one recording with its labels; return a line that describes it."""
     probe = _opened(pair.probe, pair.probe_times, reader)
     target = _opened(pair.target, pair.target_times, reader)
     check_size(probe.first.image.shape, mapping, probe.where, "frames")
@@ -89,7 +89,7 @@ def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, 
         offset += alignment.offset
     streams = {"probe": (probe, 0.0), "target": (target, offset)}
     begin = min(one.time(one.first) + later for one, later in streams.values())
-    # Times that are not dates are stored as seconds since 1970: when the videos were taken is unknown.
+    # Without dates, times are stored as seconds since 1970.
     dated = all(one.times is not None and one.times[0] > 1e8 for one, _ in streams.values())
     start = round(begin * 1e9) if dated else 0
     told: dict[str, Any] = {"align": pair.align, "offset": offset, "probe": pair.probe, "target": pair.target}
@@ -112,7 +112,7 @@ def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, 
     try:
         summary = label_recording(recording, progress)
     except InputError as error:
-        # The recording is still in a temporary folder, which the message should not name.
+        # The message must not name the temporary folder of the recording.
         raise InputError(error.what, where=f"{probe.where} with {target.where}", remedy=error.remedy) from error
     constants = label_values(pair.labels, reader, 1)
     if constants and (table := recording.labels()) is not None:
@@ -138,11 +138,6 @@ def write_videos(mapping: ImportMapping, root: Path, out: Path, progress: Progre
             paths.append(part / f"{name}.rec")
             told.append(_write_pair(pair, mapping, reader, paths[-1], progress))
         build_dataset(
-            paths,
-            out,
-            side=mapping.side,
-            test_fraction=mapping.test_fraction,
-            progress=progress,
-            overwrite=overwrite,
+            paths, out, side=mapping.side, test_fraction=mapping.test_fraction, progress=progress, overwrite=overwrite
         )
     return told

@@ -1,4 +1,4 @@
-"""Images with labels become a dataset: ordered, split, centred and cut like those of recordings."""
+"""From images with labels to a dataset: ordered, split, centred and cut like those of recordings."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["check_size", "write_stacks"]
 
 @dataclass(frozen=True)
 class _Part:
-    """One stack, read but for its images; all arrays [N] are in the order in which the images are kept."""
+    """One stack without its images; arrays [N] are in the order in which the images are stored."""
 
     pictures: Pictures
     order: NDArray[np.int64]  # numbers of the images
@@ -39,7 +39,7 @@ class _Part:
 
 
 def _grouped(stack: Stack, reader: Reader, count: int) -> tuple[NDArray[np.int64], list[str]]:
-    """Return the number of every image's video, and the videos' names in the order in which they first come."""
+    """Return the number of every image's video, and the videos' names in order of appearance."""
     place = Path(str(stack.images.folder or stack.images.file))
     name = stack.name or (place.name if stack.images.folder else place.stem)
     if stack.recording is None:
@@ -83,7 +83,7 @@ def _read(stack: Stack, mapping: ImportMapping, reader: Reader, pictures: Pictur
 
 
 def _checked(parts: list[_Part], mapping: ImportMapping) -> tuple[str, ...]:
-    """Return the labels' names, which all parts have in common, as they have their type and depth."""
+    """Return the label names, after a check that all parts have the same labels, type and depth."""
     first, names = parts[0].pictures, parts[0].values
     for part in parts:
         pictures = part.pictures
@@ -107,7 +107,7 @@ def check_size(size: tuple[int, ...], mapping: ImportMapping, where: str, what: 
 def _keep(
     part: _Part, mapping: ImportMapping, rules: Rules, classes: list[str], writer: DatasetWriter, progress: Progress
 ) -> None:
-    """Add the images of one part, and what became of those of each video."""
+    """Add the images of one part, and the counts of each of its videos."""
     first, where = len(writer.told), part.pictures.where
     told = [
         {"name": name, "uuid": "", "frames": 0, "used": 0, "left_out": {"no label": 0, "no visible RR": 0}}

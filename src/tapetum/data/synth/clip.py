@@ -1,4 +1,4 @@
-"""A few frames of a shot, as a recording that is filmed only where it is looked at."""
+"""Some frames of a shot as a recording, filmed only when they are read."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 __all__ = ["Clip"]
 
 MARGIN = 13
-"""Target frames on either side that affect a label: `tapetum.record.spot.follow` looks at four good ones around each of
-the three that may confirm a doubtful one, and the path goes through one more beyond the next."""
+"""Target frames on either side that affect a label: `tapetum.record.spot.follow` uses four good ones around each of the
+three that may confirm a doubtful one, and interpolation one more beyond the next."""
 
 _BATCH = 16
 
 
 @dataclass(frozen=True, eq=False)
 class ClipSource(RecordingSource):
-    """Frames of one stream of a shot, the whole video, from number `begin` on, made as they are read."""
+    """Frames of one stream of a shot from number `begin` on, made when they are read."""
 
     shot: Any = None
     begin: int = 0
@@ -45,10 +45,10 @@ class ClipSource(RecordingSource):
 
 @dataclass(frozen=True)
 class Clip(Recording):
-    """A range of probe frames of a video, and the target's frames that label them.
+    """A range of a video's probe frames, with the target's frames that label them.
 
-    `shot` is the whole video, `ranges` the first frame and the one after the last of each stream, `labelled` what is
-    constant within the video.
+    `shot` is the whole video, `ranges` the first and last (excluded) frame of each stream, `labelled` the constant
+    labels.
     """
 
     shot: Any = None
@@ -58,7 +58,7 @@ class Clip(Recording):
 
     @classmethod
     def of(cls, video: Video, shot: Shot, first: int, last: int) -> Clip:
-        """Take the probe's frames `first` to `last` (left out), as far as the video has them."""
+        """Return the probe's frames `first` to `last` (excluded), as far as the video has them."""
         count = len(shot.beats["probe"].times)
         first, last = min(first, count), min(last, count)
         target = shot.beats["target"].times
@@ -82,17 +82,17 @@ class Clip(Recording):
         """Return the clip's frames of a stream; times count from the first frame of the whole video."""
         first, last = self.ranges[stream]
         times = self.shot.beats[stream].times
-        # In whole nanoseconds, as a recording on disk would have them.
+        # Rounded to nanoseconds like a recording on disk.
         since = (np.rint(times[first:last] * 1e9) - np.rint(times[:1] * 1e9)) / 1e9
         full_scale = int(self.streams[stream].full_scale or 0)
         return ClipSource(self.video(stream), stream, full_scale, since, True, shot=self.shot, begin=first)
 
     def labels(self) -> pa.Table | None:
-        """Return the labels, or None where none were made yet."""
+        """Return the labels, or None before there are any."""
         return self._tables[-1] if self._tables else None
 
     def write_labels(self, table: pa.Table) -> None:
-        """Keep labels, with those that stay the same; frames are numbered as in the whole video."""
+        """Keep labels, with the constant ones; frames are numbered as in the whole video."""
         frames = pa.array(np.arange(*self.ranges["probe"]), pa.int64())
         table = table.set_column(table.column_names.index("frame"), "frame", frames)
         for name, value in self.labelled:

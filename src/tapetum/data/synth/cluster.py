@@ -1,4 +1,4 @@
-"""Parts made by the workers of a Dask cluster, which is joined by its address."""
+"""Parts of a set made by the workers of a Dask cluster."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ _WAIT = 30.0  # s
 
 
 def parts_by_cluster(plan: Plan, staging: Staging, parts: Sequence[Part], address: str) -> Iterator[Part]:
-    """Have parts made, and yield each when it is done.
+    """Make parts on the cluster at an address, one task each; yield each part when it is done.
 
-    A task is a part: it gets the video's description, and writes its file itself. When a worker dies, Dask gives its
-    tasks to others. Raises an InputError when the extra is missing, no scheduler or worker answers, or workers do not
-    see the folder or have another version of Tapetum; a TapetumError when a part kills one worker after another.
+    Workers write the parts' files themselves. When a worker dies, Dask gives its tasks to others. Raises an InputError
+    when the extra is missing, no scheduler or worker answers, or workers do not see the folder or have another version
+    of Tapetum; a TapetumError when a part kills one worker after another.
     """
     distributed = need("distributed", "cluster")
     try:
@@ -33,7 +33,7 @@ def parts_by_cluster(plan: Plan, staging: Staging, parts: Sequence[Part], addres
         raise InputError(f"no Dask scheduler answers ({error})", where=address, remedy=remedy) from error
     with client:
         _check_workers(client, staging, plan.digest)
-        # A video stays with one worker, which prepares it once, as long as no other has run out of work.
+        # A video stays with one worker, which prepares it once, unless another worker is idle.
         names = sorted(client.nthreads())
         futures = {
             client.submit(
@@ -43,7 +43,7 @@ def parts_by_cluster(plan: Plan, staging: Staging, parts: Sequence[Part], addres
                 part,
                 plan.rules,
                 plan.classes,
-                # Unlike any task of an earlier run: the folder says what is done, not the cluster's memory.
+                # A key unlike those of earlier runs: only the folder records what is done.
                 key=f"tapetum-{plan.digest[:12]}-{id(client):x}-{part.number}",
                 pure=False,
                 workers=[names[part.video % len(names)]],
@@ -60,12 +60,12 @@ def parts_by_cluster(plan: Plan, staging: Staging, parts: Sequence[Part], addres
                 remedy = "see the workers' logs: they may lack memory"
                 raise TapetumError(f"{what}; {remedy}") from error
             yield futures.pop(future)
-            # The scheduler forgets it: nothing is made again when the worker that made it dies later.
+            # Released, so that it is not repeated when its worker dies later.
             future.release()
 
 
 def _check_workers(client: Any, staging: Staging, digest: str) -> None:
-    """Refuse workers that would make something else, or elsewhere."""
+    """Refuse workers with another version of Tapetum or another folder."""
     where = client.scheduler.address
     try:
         client.wait_for_workers(1, timeout=_WAIT)
@@ -87,7 +87,7 @@ def _check_workers(client: Any, staging: Staging, digest: str) -> None:
 
 
 def _sees(path: str) -> tuple[str, str | None]:
-    """Return a worker's version of Tapetum, and which plan it sees in the folder."""
+    """Return a worker's version of Tapetum, and the digest of the plan that it sees in the folder."""
     try:
         digest = json.loads((Path(path) / "plan.json").read_text(encoding="utf-8"))["digest"]
     except (OSError, ValueError, KeyError):

@@ -1,6 +1,6 @@
-"""What is filmed for each of the paper's three sets: which videos, with which scenes, sessions and labels.
+"""Plans of the paper's three sets: their videos, with scenes, sessions and labels.
 
-A new set is one `SetRecipe` in `SETS`: the command line, the paper and the seeds take its name from there.
+A new set is one `SetRecipe` in `SETS`, from which the command line, the paper and the seeds take its name.
 """
 
 from __future__ import annotations
@@ -42,9 +42,9 @@ __all__ = [
 
 Labels = Mapping[str, float | str]
 
-# The set's 135 mm lens cannot be computed more accurately in reasonable time, and its frames are many. Compared with an
-# accuracy of 0.03 of the peak and propagation over the distance, images at 50 and 85 mm differ by 4 to 9 % RMS, by 8 to
-# 38 % of the peak in a few pixels, and hold the same light within 2 %.
+# A higher accuracy takes too long for the set's 135 mm lens. Compared with an accuracy of 0.03 of the peak and
+# propagation over the distance, images at 50 and 85 mm differ by 4 to 9 % RMS, by 8 to 38 % of the peak in a few
+# pixels, and hold the same light within 2 %.
 FOCUSING_SAMPLING = ("sampling.accuracy=0.3", "sampling.propagation=far field")
 SIZES = ("small", "laptop", "paper")
 RATE = 15.0
@@ -61,18 +61,18 @@ FIELDS = {
     "object_distance": "target.object_distance",
     DEVICE: "target.name",
 }
-"""The field of a scene behind each label that is constant within a video."""
+"""The scene's field for each label that is constant within a video."""
 
 # Assumed: the hand's roll about the optical axis, in radians, and the jitter of the laser's power, as a fraction.
 _ROLL, _POWER_JITTER = 0.02, 0.01
-# Sideways motion of the hand, in metres. In diverging light the RR moves by f_p z s/d with the gaze s: at most a fifth
-# of what this sway adds to its place, so that the place does not tell the gaze.
+# Sideways motion of the hand, in metres. In diverging light the RR moves by f_p z s/d with the gaze s, at most a fifth
+# of this sway, so that the place does not reveal the gaze.
 _SWAY = 0.01
 
 
 @dataclass(frozen=True)
 class Video:
-    """One video to film: what stands on the bench and how it is filmed, and the labels that are constant within it."""
+    """One video to film: its scene, its session, and the labels that are constant within it."""
 
     name: str
     scene: Scene
@@ -85,14 +85,14 @@ class Video:
         return round(self.session.seconds * self.session.rate)
 
     def as_dict(self) -> dict[str, Any]:
-        """Return all that decides what is filmed, as plain values."""
+        """Return everything that determines the video, as plain values."""
         session = json.loads(json.dumps(dataclasses.asdict(self.session), default=str))
         return {"name": self.name, "scene": scene_dict(self.scene), "session": session, "labels": dict(self.labels)}
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some probe frames of one video, `first` to `last` (left out): what one worker makes in one go."""
+    """Probe frames `first` to `last` (excluded) of one video, which one worker makes at once."""
 
     number: int  # among all parts of the plan
     video: int
@@ -102,16 +102,16 @@ class Part:
 
 @dataclass(frozen=True)
 class Plan:
-    """All that decides what is in a set, and how it is divided into parts.
+    """Everything that determines a set, and its division into parts.
 
     Parameters
     ----------
     kind, size, seed
-        As asked for.
+        As requested.
     videos
-        In the order in which they stand in the set.
+        In their order in the set.
     rules
-        How frames are judged, cut and split.
+        How frames are selected, cut and split.
     piece
         Frames of a part.
     """
@@ -144,7 +144,7 @@ class Plan:
         return sorted({str(value) for video in self.videos for name, value in video.labels if name == DEVICE})
 
     def as_dict(self) -> dict[str, Any]:
-        """Return plain values, with the version of the software: two plans that agree give the same set."""
+        """Return plain values, with the software's version; equal plans give equal sets."""
         return {
             "kind": self.kind,
             "size": self.size,
@@ -163,23 +163,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class SetRecipe:
-    """One of the sets that can be filmed.
+    """Recipe of a set that can be filmed; `name` is also that of its bundled scene.
 
-    Parameters
-    ----------
-    name
-        Of the set and of its bundled scene.
-    videos
-        Each video's name, and its labels that are constant within it.
-    seconds
-        Length of every video, by size. `paper` is the paper's; `laptop` is enough to learn from, and takes two cores
-        minutes; `small` shows that every step runs.
-    extent
-        How far the gaze goes from the centre, in fractions of the field.
-    rules
-        How frames are judged, cut and split.
-    settings
-        What differs from the bundled scene, as `KEY=VALUE`.
+    `videos` holds each video's name and constant labels, `seconds` their length by size: `paper` is the paper's,
+    `laptop` is enough to learn from and takes two cores minutes, `small` only shows that every step runs. `extent` is
+    the largest gaze in fractions of the field; `rules` select, cut and split frames; `settings` change the bundled
+    scene, as `KEY=VALUE`.
     """
 
     name: str
@@ -190,16 +179,15 @@ class SetRecipe:
     settings: tuple[str, ...] = ()
 
     def plan(self, scene: Scene | None = None, size: str = "small", seed: int = SEED) -> Plan:
-        """Return the plan of the set, filmed with a scene of one's own or the bundled one."""
+        """Return the plan of the set, for the given scene or the bundled one."""
         one_of(size, SIZES, "size")
         scene = load_scene(self.name, self.settings) if scene is None else scene
         videos = (self._video(n, name, labels, scene, size, seed) for n, (name, labels) in enumerate(self.videos))
         return Plan(self.name, size, seed, tuple(videos), self.rules)
 
     def _video(self, number: int, name: str, labels: Labels, scene: Scene, size: str, seed: int) -> Video:
-        # Each video of each set has its own seed. Nothing else differs between videos but the label: a background that
-        # stood still within one video would tell it from the others, and so its label. The sensor's fixed pattern is
-        # that of the one probe.
+        # Videos differ only in seed and label: a background that is constant within a video would identify it, and so
+        # its label. The fixed pattern belongs to the one probe.
         own = int(np.random.SeedSequence([seed, KINDS.index(self.name), number]).generate_state(1)[0])
         session = Session(
             seconds=self.seconds[size],
@@ -217,8 +205,8 @@ def _by_device(names: tuple[str, ...]) -> tuple[tuple[str, Labels], ...]:
     return tuple((name, {DEVICE: name}) for name in names)
 
 
-# Most of the paper's gazes of phones lie in the centre half of the field, where phones answer; a zoom, too, answers in
-# the middle only (5 degrees at 50 mm, 2 at 135 mm), and is held towards the probe (assumed).
+# Phones give RRs in the centre half of the field, where most of the paper's gazes lie; a zoom only near the middle
+# (5 degrees at 50 mm, 2 at 135 mm), and is held towards the probe (assumed).
 SETS: dict[str, SetRecipe] = {
     recipe.name: recipe
     for recipe in (
@@ -244,8 +232,7 @@ SETS: dict[str, SetRecipe] = {
             _by_device(PHONES),
             seconds={"paper": 100.0, "laptop": 16.0, "small": 3.0},
             extent=0.25,
-            # Away from the middle of its field a phone returns nothing, and frames show only the sensor's fixed
-            # pattern, which reaches 8 times the noise.
+            # Away from the middle a phone has no RR, and the sensor's fixed pattern reaches 8 times the noise.
             rules=Rules(min_snr=10.0),
         ),
     )
@@ -263,8 +250,7 @@ def make_plan(kind: str, size: str = "small", seed: int = SEED) -> Plan:
     kind
         `rotation`, `focusing` or `phones`.
     size
-        `paper`; `laptop`: the same videos, each 8 to 30 seconds long; `small`: of 2 to 4 seconds each, too few
-        frames to learn from.
+        `paper`; `laptop`: the same videos of 8 to 30 seconds; `small`: of 2 to 4 seconds, too few frames to learn from.
     seed
         Of everything random.
     """

@@ -1,4 +1,4 @@
-"""Parts made by several processes of this machine, without a cluster."""
+"""Parts of a set made by several processes of this machine."""
 
 from __future__ import annotations
 
@@ -22,11 +22,10 @@ __all__ = ["parts_by_processes"]
 
 
 def parts_by_processes(plan: Plan, staging: Staging, parts: Sequence[Part], count: int) -> Iterator[Part]:
-    """Have parts made by `count` processes, and yield each when it is done.
+    """Make parts in `count` processes; yield each part when it is done.
 
-    A process takes whole videos, each of which it prepares once, or runs of their parts where there are more processes
-    than videos. What one that dies had not done goes to the others. Raises a TapetumError when a process fails, or all
-    of them have died.
+    A process takes whole videos, which it prepares once, or runs of their parts where processes outnumber videos. The
+    others take over what a dead process had not done. Raises a TapetumError when a process fails, or all have died.
     """
     waiting = deque(_runs(parts, count))
     with _started(min(count, len(waiting)), staging.path, plan) as connections:
@@ -35,7 +34,7 @@ def parts_by_processes(plan: Plan, staging: Staging, parts: Sequence[Part], coun
             for connection, own in doing.items():
                 if not own and waiting:
                     own += waiting.popleft()
-                    # Where the process has died meanwhile, `wait` reports it.
+                    # If the process has died, `wait` reports it.
                     with contextlib.suppress(OSError):
                         connection.send(own)
             for connection in wait(list(doing)):
@@ -44,7 +43,7 @@ def parts_by_processes(plan: Plan, staging: Staging, parts: Sequence[Part], coun
                     failure = connection.recv()
                 except (EOFError, ConnectionResetError):
                     lost = doing.pop(connection)
-                    # It may have died after it had kept a part and before it could say so.
+                    # It may have died between keeping a part and reporting it.
                     kept = [part for part in lost if staging.has(part)]
                     yield from kept
                     if rest := [part for part in lost if part not in kept]:
@@ -61,7 +60,7 @@ def parts_by_processes(plan: Plan, staging: Staging, parts: Sequence[Part], coun
 
 
 def _runs(parts: Sequence[Part], count: int) -> list[list[Part]]:
-    """Divide parts by video, and every video into as many runs as keep so many processes at work."""
+    """Divide parts by video, and every video into enough runs to occupy `count` processes."""
     videos = [list(own) for _, own in groupby(parts, key=lambda part: part.video)]
     pieces = -(-count // max(1, len(videos)))
     return [run for video in videos for k in range(pieces) if (run := video[k::pieces])]
@@ -69,7 +68,7 @@ def _runs(parts: Sequence[Part], count: int) -> list[list[Part]]:
 
 @contextlib.contextmanager
 def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
-    """Start processes, and end them when they are no longer needed."""
+    """Start processes; end them on leaving."""
     context = multiprocessing.get_context("spawn")
     connections: list[Connection] = []
     processes: list[BaseProcess] = []
@@ -80,7 +79,7 @@ def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
             here, there = context.Pipe()
             process = context.Process(target=_film, args=(there, path, plan), daemon=True)
             process.start()
-            # This process's own copy, left open, would hide that the other has ended.
+            # An open copy of the other end would hide that the process has ended.
             there.close()
             connections.append(here)
             processes.append(process)
@@ -91,7 +90,7 @@ def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
     try:
         yield connections
     finally:
-        # A part is kept whole or not at all.
+        # Safe at any time, because a part is written completely or not at all.
         for process in processes:
             process.terminate()
         for process in processes:
@@ -99,7 +98,7 @@ def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
 
 
 def _film(connection: Connection, path: Path, plan: Plan) -> None:
-    """Make parts as they are asked for, until the other end closes."""
+    """Make parts as requested until the other end closes."""
     # Ctrl-C reaches all processes of a terminal; the one that asks ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):

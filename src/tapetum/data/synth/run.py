@@ -1,4 +1,4 @@
-"""Make a set: the parts that are missing, here or on many machines, and then the whole."""
+"""Synthesis of a set: missing parts are made, here or on many machines, and joined."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def synthesise(
 ) -> Path:
     """Make a set, or continue where the same call was interrupted.
 
-    What is done is kept in the folder `OUT.part` until the set is whole. However it was made (alone, by many,
-    interrupted, with workers that died), the set is the same to the last bit on processors of one kind.
+    Finished parts are kept in the folder `OUT.part` until the set is complete. The set is the same to the last bit on
+    processors of one kind, however many workers made it and however often it was interrupted.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ def synthesise(
     progress
         Shown over the parts.
     overwrite
-        Replace a store that is there already, once the new one is whole.
+        Replace an existing store once the new one is complete.
     workers
         Older name of `processes`.
 
@@ -56,8 +56,8 @@ def synthesise(
     Raises
     ------
     InputError
-        When something stands at `out`, another command is making it, another set was begun there, the cluster cannot do
-        it, the disk is full, or no frame could be kept.
+        When `out` exists, another command is making it or another set was begun there, the cluster is unusable, the
+        disk is full, or no frame could be kept.
     """
     out = Path(out)
     ways = {"workers": workers, "processes": processes, "cluster": cluster}
@@ -85,7 +85,7 @@ def synthesise(
 
 
 def _making(plan: Plan, staging: Staging, parts: Sequence[Part], processes: int, cluster: str | None) -> Iterator[Part]:
-    """Make parts by whoever was asked for, and yield each when it is done."""
+    """Make parts on the cluster, in processes or here; yield each when it is done."""
     if cluster is not None:
         from tapetum.data.synth.cluster import parts_by_cluster
 

@@ -1,4 +1,4 @@
-"""A set that is being made: its parts as they are done, in any order, and the whole put together at the end."""
+"""A set in the making: its finished parts, in any order, and their assembly."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _PLAN, _DONE = "plan.json", "done"
 
 @dataclass
 class Made:
-    """What became of a part: its crops [side, side], and all else that the set keeps of it."""
+    """A finished part: its crops [side, side], and everything else that the set keeps of it."""
 
     crops: list[NDArray[Any]] = field(default_factory=list)
     # Labels and places of the crops, by name.
@@ -39,16 +39,16 @@ class Made:
     parameters: dict[str, Any] | None = None
 
     def add(self, image: NDArray[np.generic], /, **values: float) -> None:
-        """Keep a crop, and what is known of it."""
+        """Add a crop and its values by name."""
         self.crops.append(image)
         for name, value in values.items():
             self.columns.setdefault(name, []).append(value)
 
 
 class Staging:
-    """The folder `SET.part`, made by `begin`: a plan, and a Parquet file for every part that is done, a row a crop.
+    """The folder `SET.part`, made by `begin`: a plan, and a Parquet file for every finished part, one row per crop.
 
-    Each part has a file of its own, whole or absent, so any number of workers may write at once.
+    Each part has its own file, complete or absent, so any number of workers may write at once.
     """
 
     def __init__(self, path: Path) -> None:
@@ -76,7 +76,7 @@ class Staging:
         return self._file(part).exists()
 
     def keep(self, part: Part, made: Made) -> None:
-        """Write a part's crops and what is known of them, which marks it as done."""
+        """Write a part's crops and values, which marks it as done."""
         like = made.crops[0] if made.crops else np.empty(0)
         about = {"told": made.told, "parameters": made.parameters, "dtype": like.dtype.str, "shape": like.shape}
         table = pa.table({"crop": pa.array([crop.tobytes() for crop in made.crops], pa.binary()), **made.columns})
@@ -112,9 +112,9 @@ class Staging:
         return self.path / _DONE / f"{part.number:07d}.parquet"
 
     def put_together(self, plan: Plan, out: Path, *, progress: Progress = quiet, overwrite: bool = False) -> None:
-        """Write the set, all parts of which are done, in their order: a dataset as `build_dataset` writes it.
+        """Write the set from its finished parts, in order, like `build_dataset`.
 
-        Raises an InputError when nothing, or nothing for one of the two splits, was kept, or a part is damaged.
+        Raises an InputError when no frame is left to train or to test with, or a part is damaged.
         """
         labels = {"gaze_x", "gaze_y"} | {name for video in plan.videos for name, _ in video.labels}
         names = tuple(name for name in (*QUANTITIES, DEVICE) if name in labels)
@@ -130,7 +130,7 @@ class Staging:
 
 
 def _check_same(path: Path, plan: Plan) -> None:
-    """Refuse to continue what was begun with other arguments."""
+    """Refuse to continue a set that was begun with other arguments."""
     try:
         begun = json.loads((path / _PLAN).read_text(encoding="utf-8"))
         digest, words = begun["digest"], [(name, begun[name]) for name in ("kind", "size", "seed")]
@@ -147,7 +147,7 @@ def _check_same(path: Path, plan: Plan) -> None:
 
 
 def _heading(plan: Plan, number: int) -> dict[str, Any]:
-    """Return what is known of a video before it is filmed."""
+    """Return a video's entry before it is filmed."""
     video = plan.videos[number]
     # From the plan alone, so that the same command gives the same set to the last byte.
     own = uuid.uuid5(uuid.NAMESPACE_URL, f"tapetum:{plan.digest}:{number}")
@@ -156,7 +156,7 @@ def _heading(plan: Plan, number: int) -> dict[str, Any]:
 
 
 def _count(told: dict[str, Any], made: Made) -> None:
-    """Add what became of one part to what is reported of its video."""
+    """Add the counts of one part to its video's entry."""
     told["frames"] = made.told["frames"]
     told["used"] += made.told["used"]
     for why, count in made.told["left_out"].items():

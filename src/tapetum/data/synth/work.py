@@ -1,4 +1,4 @@
-"""One part of a set: its frames filmed, labelled by the laser in the target's images, judged and cut."""
+"""One part of a set: its frames filmed, labelled by the laser in the target's images, selected and cut."""
 
 from __future__ import annotations
 
@@ -24,18 +24,14 @@ from tapetum.record.spot import NoLaserError
 
 __all__ = ["MALLOC", "keep_part", "make_part", "one_thread", "shot_of"]
 
-MALLOC = {
-    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
-    "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1),
-    "MALLOC_ARENA_MAX": "1",
-}
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(1 << 30), "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1), "MALLOC_ARENA_MAX": "1"}
 """Environment of processes that make parts: glibc keeps memory between arrays, which halves the time of a part. The
 command line does the same by mallopt (see tapetum.cli.memory)."""
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute in one thread: several workers share a machine, and a sum's last bit depends on how it is divided."""
+    """Compute in one thread: workers share a machine, and the last bit of a sum depends on how it is divided."""
     before, before_cv = torch.get_num_threads(), cv2.getNumThreads()
     with threadpool_limits(1):
         try:
@@ -50,12 +46,12 @@ def one_thread() -> Iterator[None]:
 # A worker makes parts of one video at a time, and of two when it goes on to the next.
 @functools.lru_cache(maxsize=2)
 def shot_of(scene: Scene, session: Session) -> Shot:
-    """Prepare a shot, which takes a while, and keep it for the next part of the same video."""
+    """Prepare a shot, which takes a while, and cache it for the next part of the same video."""
     return Shot(scene, session)
 
 
 def make_part(video: Video, part: Part, rules: Rules, classes: list[str]) -> Made:
-    """Make one part of a set whose devices are `classes`; the same arguments give the same bits, wherever and whenever.
+    """Make one part of a set whose devices are `classes`; equal arguments give equal bits.
 
     Return the crops and labels of the frames that are kept, and the counts of those that are not.
     """
@@ -77,19 +73,19 @@ def make_part(video: Video, part: Part, rules: Rules, classes: list[str]) -> Mad
 
 
 def keep_part(path: str | Path, video: Video, part: Part, rules: Rules, classes: list[str]) -> None:
-    """Make one part and keep it in the folder `path`, unless it is done already: what every worker does."""
+    """Make one part and keep it in the folder `path`, unless it is done already."""
     staging = Staging(Path(path))
     if not staging.has(part):
         staging.keep(part, make_part(video, part, rules, classes))
 
 
 def _labelled(clip: Clip) -> bool:
-    """Label a clip; False where the laser is nowhere to be seen, or the clip is empty."""
+    """Label a clip; return False where the laser is not seen, or the clip is empty."""
     if any(first == last for first, last in clip.ranges.values()):
         return False
     try:
         label_recording(clip)
     except NoLaserError:
-        # A whole recording without the laser is a fault; a few seconds without it are not.
+        # Only in a whole recording is a missing laser an error.
         return False
     return True

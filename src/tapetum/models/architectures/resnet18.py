@@ -38,7 +38,7 @@ def _layer(inputs: int, outputs: int, stride: int) -> nn.Sequential:
 class ResNet18Network(Network):
     """ResNet-18 with a linear head: see `Network`.
 
-    Weights start by He's normal distribution by fan-out; the last normalisation of every block starts at 0, so that
+    Weights start from He's normal distribution by fan-out; the last normalisation of every block starts at 0, so that
     each block starts as its shortcut (Goyal et al., arXiv:1706.02677).
     """
 
@@ -46,8 +46,7 @@ class ResNet18Network(Network):
 
     def __init__(self, outputs: int, *, channels: int = 1, seed: int = 0) -> None:
         super().__init__(outputs, channels)
-        # torch draws first weights of its own when layers are made; they must not move the caller's random
-        # numbers.
+        # torch draws initial weights when it creates layers, which must not advance the caller's generator.
         with torch.random.fork_rng(devices=[]):
             self.conv1 = nn.Conv2d(channels, 64, 7, 2, 3, bias=False)
             self.bn1 = nn.BatchNorm2d(64)

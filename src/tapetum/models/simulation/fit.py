@@ -1,4 +1,4 @@
-"""Maximum-likelihood fit of a scene's parameters to a crop, by the simulator and without training."""
+"""Maximum-likelihood fit of a scene's parameters to a crop by simulation, without training."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ __all__ = ["SimulationFit"]
 
 Array = NDArray[np.float64]
 
-# Nodes along an edge of the bank: pictures with photosites take longer, and are smoother without them.
+# Nodes along an edge of the bank; fewer where photosites show, whose images take longer to render.
 _NODES, _NODES_SLOW = 25, 9
-# Pixels that are looked at by default: what lies beyond tells 1 % of the gaze in the bundled scenes.
+# Default window: in the bundled scenes, pixels beyond hold 1 % of the information on the gaze.
 _WINDOW = 200
-# Periods of the photosites that are compared: those within this difference of log-likelihood, and how many at most.
+# Compared photosite periods: those within this difference of log-likelihood, and their largest number.
 _UNLIKELY, _PERIODS_ASKED = 20.0, 9
-# Logarithm of the likelihood by which a start must fall behind after its first steps to be given up.
+# A start is dropped when its log-likelihood lies this far behind after its first steps.
 _HOPELESS, _FIRST_STEPS = 200.0, 4
-# Misfit above which the search looks farther, where a true scene leaves 1.00 ± 0.05; and starts then, in all.
+# Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), and by how much starts then increase.
 _LOST, _FARTHER = 1.3, 4
-# Mean squared residual, in the noise's variance, from which the picture shows something else than the scene.
+# Misfit above which the image does not show the scene.
 _FOREIGN = 2.0
 
 
@@ -50,44 +50,41 @@ class SimulationFit(Estimator):
     Parameters
     ----------
     scene
-        What stands on the bench. All of it but the free parameters counts as known: the lens, the sensor, the light.
+        The bench. All of it but the free parameters is known: the lens, the sensor, the light.
     parameters
-        What is estimated: `gaze_x`, `gaze_y`; `object_distance` and, of a thin lens, `focal_length`; or one of the
-        nuisances. The search for a focus begins at the scene's own, and finds no other that is more than some tenths
-        of a wave away over the pupil.
+        What is estimated: `gaze_x`, `gaze_y`; `object_distance` and, of a thin lens, `focal_length`; or a nuisance. The
+        search for a focus starts at the scene's own and covers some tenths of a wave over the pupil.
     nuisances
-        What is unknown as well: `power`, `place_x` and `place_y` (where the RR lies in the crop); `background`, `roll`;
-        `phase_x` and `phase_y`, where under the spot the photosites lie. A gaze that is not named is a nuisance.
+        What else is unknown: `power`, `place_x` and `place_y` (of the RR in the crop); `background`, `roll`; `phase_x`
+        and `phase_y`, the photosites' position under the spot. A gaze that is not named is a nuisance.
     starts
-        How many places of the field the search begins at: those of a coarse bank of pictures that match best, the
-        opposite of the best one's gaze among them. Where none of them explains the image (a misfit above 1.3) it
-        begins again opposite to the best maximum, and then at the next best places, four times as many in all.
+        Number of starting gazes: the best matches in a coarse bank of images, and the opposite of the best one. Where
+        none explains the image (misfit above 1.3), the search starts again opposite to the best maximum and at the next
+        best matches, up to four times as many in all.
     accuracy
         Of the simulation, in fractions of the peak; the scene's own when None.
     window
-        Pixels along the edge of what is looked at, in the crop's middle.
+        Edge in pixels of the central square that is fitted.
     unevenness
-        Root mean square of the pixels' sensitivities, in parts of one.
+        RMS of the pixels' relative sensitivities.
     offsets
-        Root mean square of the offsets of the sensor's columns and of its rows, in electrons. Where they are left out
-        of the account, intervals come out too narrow.
+        RMS of the offsets of the sensor's columns and rows, in electrons. Intervals are too narrow if they are ignored.
     nodes
-        Of the bank along an edge of the field: 25, or 9 behind a lens in whose picture the photosites show.
+        Of the bank along an edge of the field: by default 25, or 9 where photosites show.
     seed
-        Has no effect, as nothing here is random; every estimator takes one.
+        Without effect, since nothing is random; every estimator takes one.
 
     Notes
     -----
-    A pixel's digital number counts as normal, with mean and variance of `exposure.count_moments`, those of rounding
-    where it is coarser than the noise; a saturated pixel has no slope, and tells nothing. The maximum is climbed by
-    Fisher scoring (weighted least squares whose weights follow the model), damped after Levenberg and Marquardt.
-    Derivatives by gaze, roll and focus are differences of pictures; those by place, power and background follow from
-    one picture.
+    A pixel's digital number is normal, with mean and variance of `exposure.count_moments`, or those of rounding where
+    it is coarser than the noise; a saturated pixel has no slope and no information. The maximum is found by Fisher
+    scoring (iteratively reweighted least squares) with Levenberg-Marquardt damping. Derivatives by gaze, roll and focus
+    are finite differences of images; those by place, power and background follow from one image.
 
-    Where the photosites' orders come back (a fast lens), the likelihood has a narrow top for every period that the spot
-    may lie in. The slow gaze and the phase are then climbed apart, and the periods that remain likely compared one by
-    one (`tapetum.models.simulation.search`). With the phases among the nuisances the slow gaze alone is estimated:
-    coarser by far, and what can be had where the photosites' place is not known to a hundredth of a micrometre.
+    Where the photosites' diffraction orders return (a fast lens), the likelihood has a narrow peak for every photosite
+    period under the spot. The slow gaze and the phase are then fitted separately, and the likely periods compared
+    (`tapetum.models.simulation.search`). With the phases as nuisances only the slow gaze is estimated: far less
+    precise, and the limit if the photosites' place is not known to a hundredth of a micrometre.
 
     Examples
     --------
@@ -146,7 +143,7 @@ class SimulationFit(Estimator):
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
 
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
-        """Check that a dataset has the estimated labels, and crops that this scene's probe may have taken.
+        """Check that a dataset has the estimated labels, and crops that fit this scene's probe; nothing is learned.
 
         Raises
         ------
@@ -169,7 +166,7 @@ class SimulationFit(Estimator):
         """
         first, depth = next(self._batches(data, full_scale))
         for image in first:
-            # Here, so that its bar stands before that over the images and not within it.
+            # Prepared here, so that its progress bar does not appear within that of the images.
             self._prepared(len(self._seen(image, depth)[0]), progress)
         return super().predict(data, full_scale=full_scale, progress=progress, anyway=anyway)
 
@@ -204,7 +201,7 @@ class SimulationFit(Estimator):
         Raises
         ------
         InputError
-            For an image that is none of the scene's probe.
+            For an image that the scene's probe cannot have taken.
         """
         sensor = self.scene.probe.sensor
         counts, middle = self._seen(image, full_scale)
@@ -220,11 +217,11 @@ class SimulationFit(Estimator):
         return result_of(self.quantities, self._periods(search, tops[0]), rivals, len(tops), middle)
 
     def bounds(self, gaze: tuple[float, float]) -> dict[str, float]:
-        """Standard deviation of each parameter that no unbiased fit of one crop undercuts (Cramér-Rao).
+        """Return the Cramér-Rao bound on each parameter's standard deviation, for one crop.
 
-        The RR lies in the middle of the crop, all else is the scene's own; this model's nuisances are unknown. With
-        `phase_x` and `phase_y` among them it is the bound for an observer who cannot know where the photosites lie.
-        Without them it is that of one period's own top: to choose the period is left out of it.
+        The RR lies in the middle of the crop and all else is the scene's own; this model's nuisances are unknown. With
+        `phase_x` and `phase_y` among them, the bound holds for an unknown position of the photosites; without them, for
+        a known photosite period.
 
         Parameters
         ----------
@@ -245,7 +242,7 @@ class SimulationFit(Estimator):
         return {"scene": scene_dict(self.scene), **lists, **{name: getattr(self, name) for name in names}}
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return nothing: a fit learns from no dataset."""
+        """Return nothing, since a fit learns from no dataset."""
         return {}
 
     @classmethod
@@ -258,13 +255,13 @@ class SimulationFit(Estimator):
         return cls(scene, tuple(given.pop("parameters")), tuple(given.pop("nuisances")), **given)
 
     def _seen(self, image: NDArray[np.generic], full_scale: float | None) -> tuple[Array, Array]:
-        """The pixels that are looked at, and their middle from the image's, in metres."""
+        """Return the pixels of the window, and its middle from the image's, in metres."""
         sensor = self.scene.probe.sensor
         shown = checked(np.asarray(image)[None], full_scale, sensor, self.window)[0]
         return looked_at(shown, sensor, self.window)
 
     def _prepared(self, side: int, progress: Progress) -> tuple[Pictures, Bank]:
-        """Pictures and bank for crops of so many pixels: made once."""
+        """Return the images and the bank for crops of `side` pixels, from a cache."""
         if side not in self._pictures:
             pictures = Pictures(self.scene, side, self.accuracy)
             nodes = self.nodes or (_NODES if pictures.period is None else _NODES_SLOW)
@@ -276,12 +273,12 @@ class SimulationFit(Estimator):
         return pictures, bank
 
     def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
-        """The maxima above some poses, the best first; more than `starts` only where these explain the image badly."""
+        """Return the maxima near the poses, best first; more than `starts` only while all explain the image badly."""
         tops: list[Top] = []
         for pose in poses[: self.starts]:
             tops += [self._top(search, pose, tops)]
         best = max(tops, key=lambda top: top.log_likelihood)
-        # A climb that ended beside the truth's opposite knows better than the bank where the opposite lies.
+        # The best maximum gives the opposite gaze more precisely than the bank.
         x, y = np.clip(np.array(best.pose.gaze) + best.slow, -0.48, 0.48)
         for pose in [replace(best.pose, gaze=(-float(x), -float(y))), *poses[self.starts :]]:
             if min(top.misfit for top in tops) <= _LOST:
@@ -290,7 +287,7 @@ class SimulationFit(Estimator):
         return sorted(tops, key=lambda top: -top.log_likelihood)
 
     def _top(self, search: Search, pose: Pose, others: list[Top]) -> Top:
-        """The maximum above a pose; one that falls far behind others is left where it is after a few steps."""
+        """Return the maximum near a pose; a search that falls far behind others stops after a few steps."""
         phase = search.pictures.period is not None
         top = search.climb(search.in_phase(pose), phase=phase, steps=_FIRST_STEPS)
         best = max((one.log_likelihood for one in others), default=-np.inf)
@@ -299,11 +296,11 @@ class SimulationFit(Estimator):
         return search.climb(top.pose, phase=phase, slow=top.slow)
 
     def _periods(self, search: Search, top: Top) -> list[Top]:
-        """The best maximum alone, or those of the photosites' periods that the slow picture leaves likely."""
+        """Return the best maximum alone, or those of the photosite periods that the slow gaze leaves likely."""
         period = search.pictures.period
         if period is None or set(PHASE) <= set(self.nuisances):
             return [top]
-        # How fast the likelihood falls with the slow gaze, all else adapted.
+        # Curvature of the log-likelihood along the slow gaze, maximised over all else.
         slow = np.linalg.inv(top.covariance[:2, :2]) / max(1.0, top.misfit)
         away = np.rint(top.slow / period)
         steps = [np.array(one) + away for one in itertools.product(range(-6, 7), repeat=2)]

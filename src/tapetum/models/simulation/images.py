@@ -1,4 +1,4 @@
-"""Checks that images can be of a scene's probe, and cuts out the pixels that a fit by simulation uses."""
+"""Check of images against a scene's probe, and the window that a fit by simulation uses."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 def checked(
     images: NDArray[np.generic], full_scale: float | None, sensor: ProbeSensor, window: int
 ) -> NDArray[np.generic]:
-    """Refuse images [N, H, W] that the scene's probe cannot have taken."""
+    """Return images [N, H, W]; raise an InputError if the scene's probe cannot have taken them."""
     (columns, rows), own, shape = sensor.pixels, 2**sensor.bits - 1, images.shape[1:]
     size, remedy = " x ".join(str(one) for one in shape[::-1]), "take the scene they were filmed of"
     if images.ndim != 3 or images.dtype.kind not in "iuf":
@@ -39,11 +39,11 @@ def checked(
 
 
 def looked_at(image: NDArray[np.generic], sensor: ProbeSensor, window: int) -> tuple[Array, Array]:
-    """The pixels that are looked at, and their middle from the image's, in metres."""
+    """Return the pixels of the window, and its middle from the image's, in metres."""
     columns, rows = sensor.pixels
     height, width = image.shape
     middle = np.array([(width - 1) / 2, (height - 1) / 2])
-    # A whole frame shows its RR anywhere; a crop in its middle.
+    # In a whole frame the RR may lie anywhere, in a crop it lies in the middle.
     centre = np.array(find_centre(image)) if (height, width) == (rows, columns) else middle
     side = min(window, height, width)
     left, top = (int(one) for one in np.clip(np.rint(centre - (side - 1) / 2), 0, [width - side, height - side]))

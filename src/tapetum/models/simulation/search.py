@@ -1,9 +1,9 @@
-"""Climbing the likelihood of one crop: Fisher scoring with damping, photosites taken apart from the slow picture.
+"""Maximisation of one crop's likelihood by damped Fisher scoring, with photosites separated from the slow image.
 
-Behind a fast lens the orders of the photosites make a picture repeat, nearly, with every period that the spot moves:
-some thousandth of the field. What changes from period to period is slow and smooth. The two are climbed together but
-kept separate: the *slow* gaze is moved by whole periods, the *phase* within one. The likelihood of the two has one top
-where that of the gaze has hundreds; which period is meant is asked at the end.
+Behind a fast lens, the photosites' diffraction orders make an image nearly periodic in the gaze, with a period of some
+thousandth of the field. What changes from period to period is slow and smooth. Both are fitted together as separate
+variables: the *slow* gaze moves by whole periods, the *phase* within one. Their likelihood has one maximum where that
+of the gaze has hundreds; the period is determined last.
 """
 
 from __future__ import annotations
@@ -25,37 +25,24 @@ Array = NDArray[np.float64]
 SLOW = ("gaze_x", "gaze_y")
 PHASE = ("phase_x", "phase_y")
 FREE = ("place_x", "place_y", "power", "background", "roll", "object_distance", "focal_length")
-"""What may be free besides the gaze; the phase is the photosites' place under the spot, in fractions of the field."""
+"""Parameters that may be free besides gaze and phase (the photosites' place under the spot, fractions of the field)."""
 
-# Steps of the differences. Of the gaze in λf/2r, or in periods of the photosites; of a roll in radians.
+# Steps of finite differences: of the gaze in λf/2r or in photosite periods, of the roll in radians.
 _SPOT_SHARE, _PERIODS, _PERIOD_SHARE, _ROLL_STEP = 1 / 20, 2, 1 / 200, 1e-3
-# Of a focus: this share of the wave's change over the pupil's edge, in radians.
+# Step of the focus: its phase at the pupil's edge, in radians.
 _FOCUS_STEP = 0.05
-# Largest moves of one step: gaze (fractions of the field), place (pixels), roll; and a factor of the power.
+# Largest change in one step: gaze (fractions of the field), place (pixels), roll (radians), factor of the power.
 _MOST_GAZE, _MOST_PLACE, _MOST_ROLL, _MOST_POWER = 0.05, 8.0, 0.02, 2.0
 _STEPS, _SETTLED, _HARDEST = 25, 0.03, 1e6
 
 
 @dataclass(frozen=True)
 class Top:
-    """A local maximum of the likelihood.
+    """A local maximum of the likelihood, at `pose`.
 
-    Parameters
-    ----------
-    pose
-        Where.
-    slow
-        [2] by which the slow gaze lies beside the pose's, in fractions of the field: 0 unless the phase is free.
-    names
-        What was free.
-    information
-        [P, P] Fisher's, in inverse products of their units.
-    log_likelihood
-        Without constants.
-    misfit
-        Mean squared residual, in variances: 1 where the model is true.
-    settled
-        Whether the last step was small beside the standard deviations.
+    `slow` [2] is the slow gaze less the pose's, in fractions of the field (0 unless the phase is free). `names` are the
+    free parameters, `information` [P, P] their Fisher information. `log_likelihood` omits constants. `misfit` is the
+    mean squared residual in variances (1 for a true model); `settled` says whether the search converged.
     """
 
     pose: Pose
@@ -74,20 +61,10 @@ class Top:
 
 
 class Search:
-    """One crop's likelihood.
+    """One crop's likelihood: digital numbers `counts` [side, side] against the images of `pictures`.
 
-    Parameters
-    ----------
-    pictures
-        Renders poses.
-    counts
-        [side, side] digital numbers.
-    model
-        Of the numbers.
-    free
-        Names of `FREE` that are not known. The gaze always is free.
-    offsets
-        Root mean square of the offsets of the sensor's columns and of its rows, in electrons.
+    `free` names the unknowns of `FREE`; the gaze is always free. `offsets` are the RMS offsets of the sensor's columns
+    and rows, in electrons.
     """
 
     def __init__(
@@ -104,7 +81,7 @@ class Search:
         self._vergence = _FOCUS_STEP / wave
 
     def climb(self, pose: Pose, *, phase: bool, slow: Array | None = None, steps: int = _STEPS) -> Top:
-        """The maximum near a pose; with `phase` that of the slow gaze and the phase, each for itself."""
+        """Return the maximum near a pose, within `steps` steps; `phase` fits slow gaze and phase separately."""
         names = (*SLOW, *(PHASE if phase else ()), *self.free)
         at, beside = pose, np.zeros(2) if slow is None else slow
         mean, slopes = self._tangent(at, beside, names)
@@ -122,7 +99,7 @@ class Search:
             new_at, new_beside = self._moved(at, beside, names, step)
             mean, new_slopes = self._tangent(new_at, new_beside, names)
             new = self.model(mean)
-            # Weights stay those that the step was made with: only the fit is to get better, not the scatter wider.
+            # Same weights as for the step: a larger variance must not count as a better fit.
             left = self._residual(new[0])
             if float(noise(left, left)[0, 0]) > float(noise(residual, residual)[0, 0]) + 1e-3:
                 hardness = max(1e-3, hardness) * 8
@@ -142,11 +119,11 @@ class Search:
         return Noise(bend.reshape(self.counts.shape), variance, self.offsets)
 
     def _residual(self, expected: Array) -> Array:
-        """[1, N] digital numbers that are not explained."""
+        """Return the digital numbers less those expected, [1, N]."""
         return (self.counts.ravel() - expected)[None]
 
     def in_phase(self, pose: Pose) -> Pose:
-        """The pose with the gaze moved, within a period, to where the photosites explain most."""
+        """Return the pose with its gaze moved to the best photosite phase within a period."""
         period = self.pictures.period
         if period is None:
             return pose
@@ -159,7 +136,7 @@ class Search:
         return replace(pose, gaze=(float(x), float(y)))
 
     def _unexplained(self, light: Array, mean: Array) -> float:
-        """Weighted squares that no scale, background or small shift of a picture takes away."""
+        """Return the weighted sum of squares after a fit of scale, background and small shift of an image."""
         expected, bend, variance = self.model(mean.ravel())
         weight = bend / np.sqrt(variance)
         columns = np.stack([light.ravel(), np.ones(light.size), *(one.ravel() for one in _slopes(light))]) * weight
@@ -168,7 +145,7 @@ class Search:
         return float((rest - solved @ columns) @ (rest - solved @ columns))
 
     def _tangent(self, pose: Pose, slow: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
-        """Mean electrons [N] at a pose, and their derivatives [P, N] by what is free."""
+        """Return the mean electrons [N] at a pose, and their derivatives [P, N] by the free parameters."""
         pictures, scene = self.pictures, self.pictures.scene
         gaze, period = np.array(pose.gaze), pictures.period
         phase = PHASE[0] in names
@@ -176,7 +153,7 @@ class Search:
         if phase:
             assert period is not None
             steps = [*np.diag(_PERIODS * period), *steps]
-        # Towards the middle: no step leaves the field.
+        # Steps go towards the middle and so stay in the field.
         inward = np.where(gaze > 0, -1.0, 1.0)
         made = pictures.render(pose, np.stack([gaze, *(gaze + inward * step for step in steps)]))
         scale = pose.power / scene.illumination.power
@@ -184,7 +161,7 @@ class Search:
         sizes = [float(inward @ step) for step in steps]
         by_gaze = [(one - light) / size for one, size in zip(made[1:], sizes, strict=True)]
         if phase:
-            # A whole period moves the slow picture alone; a part of one moves both.
+            # A shift by whole periods changes the slow part alone, a fraction of one changes both.
             by_gaze[2:] = [fast - slowly for fast, slowly in zip(by_gaze[2:], by_gaze[:2], strict=True)]
             light = light + slow[0] * by_gaze[0] + slow[1] * by_gaze[1]
         found = {name: scale * one for name, one in zip((*SLOW, *PHASE), by_gaze, strict=False)}
@@ -198,14 +175,14 @@ class Search:
                 moved = replace(pose, **{name: getattr(pose, name) + size})
                 base = shown
                 if name == "roll" and pose.roll == 0:
-                    # Without a roll nothing is interpolated: compare with a picture that is, turned by almost nothing.
+                    # Images without roll are not interpolated: compare with one of a tiny roll, which is.
                     base = pictures.render(replace(pose, roll=1e-12), gaze[None])[0]
                 found[name] = scale * (pictures.render(moved, gaze[None])[0] - base) / size
         mean = pose.background + scale * light
         return mean.ravel(), np.stack([found[name].ravel() for name in names])
 
     def _moved(self, pose: Pose, slow: Array, names: tuple[str, ...], step: Array) -> tuple[Pose, Array]:
-        """The pose a step farther, no farther than its pictures can be trusted to."""
+        """Return the pose and slow gaze after a step, limited to where the derivatives hold."""
         by = dict(zip(names, step, strict=True))
         most = dict.fromkeys(SLOW, _MOST_GAZE) | {"roll": _MOST_ROLL}
         most |= dict.fromkeys(("place_x", "place_y"), _MOST_PLACE * self.pictures.pitch)
@@ -236,6 +213,6 @@ class Search:
 
 
 def _slopes(picture: Array) -> tuple[Array, Array]:
-    """Derivatives [H, W] by columns and rows, a pixel: five points, right to 1 % for periods of 5 pixels."""
+    """Return derivatives [H, W] per pixel along columns and rows: five points, 1 % error at periods of 5 pixels."""
     points = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
     return correlate1d(picture, points, axis=1, mode="nearest"), correlate1d(picture, points, axis=0, mode="nearest")

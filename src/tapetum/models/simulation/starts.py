@@ -1,4 +1,4 @@
-"""Starting poses of a fit: a coarse bank of pictures over the field, matched to a crop by weighted least squares."""
+"""Starting poses of a fit: a coarse bank of images over the field, matched to a crop by weighted least squares."""
 
 from __future__ import annotations
 
@@ -14,28 +14,15 @@ from tapetum.progress import Progress, quiet
 __all__ = ["Bank"]
 
 Array = NDArray[np.float64]
-# Pixels binned along an edge, and how far an RR may lie from the middle of its crop, in binned pixels.
+# Binning along each axis, and largest distance of an RR from the crop's middle, in binned pixels.
 _BIN, _REACH = 2, 20
 
 
 class Bank:
-    """Pictures of one target at nodes over its field.
+    """Images of one target at `nodes` x `nodes` gazes over its field, for each pose (one per focus).
 
-    Parameters
-    ----------
-    pictures
-        Renders them.
-    poses
-        One for each focus to be tried.
-    nodes
-        Along an edge of the field.
-    progress
-        Shown while they are rendered.
-
-    Notes
-    -----
-    Photosites make a picture depend on where within their period the spot lies. Pictures half a period apart are
-    averaged, which takes out what the lowest orders do; what the others do is a small part of a crop's light.
+    Images depend on the photosites' phase, so those half a period apart are averaged, which cancels the lowest orders;
+    the others hold little of a crop's light.
     """
 
     def __init__(self, pictures: Pictures, poses: list[Pose], nodes: int, progress: Progress = quiet) -> None:
@@ -54,16 +41,10 @@ class Bank:
             self._templates.append((fft.rfft2(light, self._shape), fft.rfft2(light**2, self._shape)))
 
     def match(self, electrons: Array, weight: Array, count: int) -> list[Pose]:
-        """Return the best `count` poses to start at, no two neighbours; the opposite of the best one's gaze among them.
+        """Return the best `count` starting poses, no two neighbours, the opposite of the best gaze among them.
 
-        Parameters
-        ----------
-        electrons, weight
-            [side, side] of a crop, and the inverse variances of its pixels: 0 where a pixel is saturated.
-        count
-            How many.
+        `electrons` and `weight` are [side, side] of a crop and its pixels' inverse variances, 0 where saturated.
         """
-        # The mean of a bin whose weights differ; its own weight is their sum.
         weights = _binned(weight)
         values = _binned(electrons * weight) / np.maximum(weights, 1e-30)
         values = values - float((weights * values).sum() / weights.sum())
@@ -83,7 +64,7 @@ class Bank:
     def _placed(
         self, number: int, known: tuple[NDArray[np.complex128], NDArray[np.complex128]], total: float
     ) -> tuple[Pose, float]:
-        """Fit scale, background and shift of a template by weighted least squares; its pose, and squares explained."""
+        """Fit a template's scale, background and shift by least squares; return its pose and explained squares."""
         template, square = self._templates[number]
         weights, weighted = known
         rows = np.r_[-_REACH : _REACH + 1]
@@ -91,7 +72,7 @@ class Bank:
             fft.irfft2(one, self._shape)[np.ix_(rows, rows)]
             for one in (weights * template.conj(), weights * square.conj(), weighted * template.conj())
         )
-        # The values' weighted mean has been subtracted: what is left of the background is that of the template.
+        # The values have weighted mean 0, so only the template's mean remains of the background.
         spread = np.maximum(stt - st**2 / total, 1e-9 * float(stt.max()))
         scale = sdt / spread
         score = np.where(scale > 0, scale * sdt, 0.0)
@@ -103,6 +84,6 @@ class Bank:
 
 
 def _binned(picture: Array) -> Array:
-    """Mean over squares of `_BIN` pixels, [side / _BIN, side / _BIN]; a last odd row or column is left out."""
+    """Return means over squares of `_BIN` pixels, [side / _BIN, side / _BIN]; an odd last row or column is dropped."""
     side = len(picture) // _BIN * _BIN
     return picture[:side, :side].reshape(side // _BIN, _BIN, side // _BIN, _BIN).mean((1, 3))
