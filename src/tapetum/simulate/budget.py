@@ -1,7 +1,7 @@
-"""The link budget: where the laser's watts go on their way to the probe's sensor, in closed forms.
+"""The link budget: the laser's power on its way to the probe's sensor, in closed forms, before any simulation.
 
-Rays say how much of the returning beam the target's aperture lets out, rays and diffraction how much of that the
-probe's aperture takes in. An estimate before any simulation: no image is computed.
+Rays give the share of the returning beam that leaves the target's aperture; rays and diffraction give the share of that
+which enters the probe's aperture. No image is computed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = ["LinkBudget", "Reflection", "link_budget"]
 
 @dataclass(frozen=True)
 class Reflection:
-    """What one reflecting plane of the target sends to the probe.
+    """The return of one reflecting plane of the target.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Reflection:
     transmittance
         Of the layers before the plane, there and back.
     returning
-        Share of the light that the sensor's edges leave on it and the target's aperture lets out again, by rays.
+        Share of the light on the sensor, within its edges, that leaves the target's aperture again, by rays.
     return_radius
         Of the beam at the probe, by rays and diffraction, in metres.
     inside_probe
@@ -78,7 +78,7 @@ class Reflection:
 
 @dataclass(frozen=True)
 class LinkBudget:
-    """From watts at the laser to electrons a frame. SI units; the chain's numbers are those of the target's sensor.
+    """Powers from the laser to the probe's sensor, and electrons a frame. SI units, for the target's sensor.
 
     Parameters
     ----------
@@ -93,17 +93,18 @@ class LinkBudget:
     irradiance_at_target
         In W/m².
     accepted_watts, reflected_watts, leaving_watts, probe_watts, sensor_watts
-        That enter the target's aperture; that the target's sensor reflects, layers passed; that leave the target; that
-        enter the probe; that arrive on its sensor.
+        Powers that enter the target's aperture, are reflected by its sensor (layers included), leave the target, enter
+        the probe, and arrive on its sensor.
     reflections
-        The target's sensor first, then its layers, each by itself.
+        The target's sensor first, then each of its layers alone.
     transmission
         Of the probe.
     photons, electrons
         A frame, of the RR of the target's sensor.
     rr_pixels, peak_electrons
         Pixels that the RR covers to its first dark ring, and mean electrons of the brightest one: an estimate in closed
-        form (see `link_budget`). A picture's is some percent away in focus, up to a factor of 1.6 elsewhere (tests).
+        form (see `link_budget`), within some percent of the picture's in focus, up to a factor of 1.6 elsewhere
+        (tests).
     dark_electrons
         A pixel and frame: background and dark current.
     noise_electrons
@@ -202,9 +203,9 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     Parameters
     ----------
     scene
-        What stands on the bench.
+        A scene, its name or its path.
     wavelength
-        Which of the illumination's lines, in metres; its first where it is left out.
+        One of the illumination's lines, in metres; default: the first.
 
     Raises
     ------
@@ -213,13 +214,13 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
 
     Notes
     -----
-    What is lost where the returning beam overfills the probe: `radiometry.share_in_disc`, for a round beam of the area
-    that leaves. The brightest pixel: the power over the sum of the areas of
-    diffraction, (λ f_p)²/A for an exit pupil of area A, of a quarter of the geometric disc (on the axis a defocused
-    round pupil reaches four times its disc's mean: Born and Wolf, section 8.8), of the source, and of the pixel.
+    A beam that overfills the probe loses what `radiometry.share_in_disc` says of a round beam of the area that leaves.
+    The brightest pixel gets the power over the sum of these areas: of diffraction, (λ f_p)²/A for an exit pupil of area
+    A, of a quarter of the geometric disc (on the axis a defocused round pupil reaches four times its disc's mean: Born
+    and Wolf, section 8.8), of the source, and of the pixel.
 
-    A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field the gaze is
-    in; the notes say so.
+    A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field holds the
+    gaze; the notes say so.
     """
     scene = as_scene(scene)
     notes: list[str] = []

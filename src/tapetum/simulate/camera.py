@@ -87,21 +87,21 @@ class _Line:
 
 
 class Camera:
-    """One target before one probe, ready for any number of gazes. Holding it is the cache.
+    """One target before one probe, ready for any number of gazes. Build it once and call it for many.
 
     Parameters
     ----------
     scene
-        What stands on the bench; its own rotation is not used.
+        Target, probe and light; the scene's own rotation is not used.
     steepest
         Sine of the steepest tilt that will be asked for.
     output
         Pixels to compute in place of the probe's whole sensor.
     object_distance, focal_length, distance, power
-        In place of the scene's, in metres and watts: as tensors they carry gradients.
+        Replace the scene's values, in metres and watts; tensors carry gradients.
     edge
-        What becomes of a spot that the edge of the target's sensor cuts. `exact`: it is computed on a sampled sensor
-        plane, or refused. `dimmed`: the return fades by the share of the spot that the sensor holds, by rays.
+        How to treat a spot that the edge of the target's sensor cuts. `exact`: compute it on a sampled sensor plane, or
+        refuse it. `dimmed`: dim the return to the share of the spot that the sensor holds, by rays.
     accuracy, dtype, device
         As for `retroreflect`.
 
@@ -193,7 +193,7 @@ class Camera:
         return glinting(self.scene) > 0 or self._return_radius > self.scene.probe.lens.aperture_radius
 
     def _widest_return(self) -> float:
-        """Radius at the probe of the widest return, of all mirrors and wavelengths, by rays and diffraction, in metres.
+        """Radius at the probe of the widest return, over all mirrors and wavelengths, by rays and diffraction; metres.
 
         A filter before a focused sensor returns a beam much wider than the sensor's.
         """
@@ -347,7 +347,7 @@ class Camera:
     ) -> torch.Tensor:
         """Irradiance [B, H, W] in W/m² for tilts [B, 2] (sines), the RR at centres [B, 2] (metres) on the sensor.
 
-        With `equivalent` each line counts as the irradiance of the scene's first wavelength with as many photons.
+        `equivalent`: convert each wavelength to the irradiance of the scene's first wavelength with as many photons.
         """
         if centres is None:
             centres = torch.zeros(len(sines), 2, dtype=torch.float64)
@@ -478,9 +478,9 @@ class Camera:
         return profile
 
     def window(self, *, margin: bool = False) -> Grid:
-        """The smallest square of probe pixels that holds one beam's RR but for its faintest rings.
+        """The smallest square of probe pixels that holds one beam's RR without its faintest rings.
 
-        With a margin it holds the second beam's RR too, wherever the first one's lies within a window's quarter.
+        With `margin` it also holds the second beam's RR while the first lies within a quarter of the window.
         """
         g, second = self.geometry, self.scene.illumination.second_beam
         exit_angle = self._picture_angle() if self._lens is None else self._lens.exit_angle

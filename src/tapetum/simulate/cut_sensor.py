@@ -28,20 +28,11 @@ _DETAILS = 5
 
 
 class CutSensor:
-    """Planes that interfere, the sensor among them, which ends at its edge.
+    """Planes that interfere, among them the sensor (the surface of depth 0), which ends at its edge.
 
-    Parameters
-    ----------
-    geometry, plan, output, surfaces
-        As for `RoundPass`; the sensor is the surface of no depth.
-    sensor, edge
-        Its array, and where it ends.
-    accuracy
-        Of the sampled plane, in fractions of the peak.
-    finer
-        Whether to sample more finely than the accuracy asks for: to measure its error against.
-    options
-        Those of `RoundPass`.
+    `geometry`, `plan`, `output`, `surfaces` and `options` are those of `RoundPass`; `sensor` and `edge` give the
+    sensor's array and outline. `accuracy` of the sampled plane is in fractions of the peak; `finer` samples it more
+    finely than that, to measure its error.
     """
 
     def __init__(
@@ -76,12 +67,9 @@ class CutSensor:
         return self._layers
 
     def across(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        """Irradiance [B, H, W] where the edge cuts the spot, by a sampled sensor plane.
+        """Irradiance [B, H, W] of spots that the edge cuts, by a sampled sensor plane.
 
-        Raises
-        ------
-        InputError
-            Where the samples are too many, and for shifted microlenses, which are not sampled.
+        Raises InputError where the samples are too many, and for shifted microlenses, which are not sampled.
         """
         return torch.cat([self._one(sines[i : i + 1], None if centres is None else centres[i : i + 1])
                           for i in range(len(sines))])  # fmt: skip

@@ -2,19 +2,18 @@
 
 A Lambertian plane at the image distance z turns the spot's irradiance S into the radiance L = albedo S/π. Written
 around the chief ray, light from the sensor's point v that leaves the lens at x has the direction x(1/z - 1/f) - v/z,
-whatever the gaze; it lands on the probe's sensor at q, f_p times that, and passes the probe's aperture R_p if
-|x + d q/f_p| < R_p. Every point of the plane scatters for itself, so irradiances add:
+whatever the gaze; it lands on the probe's sensor at q, f_p times that, and passes the probe's aperture R_p if |x + d
+q/f_p| < R_p. Points of the plane scatter independently, so irradiances add:
 
     I(q) = 1/(λ z f_p)² ∫ L(v) |∫ P(x) exp(iφ_out(x)) w(x + d q/f_p) exp(-ik x·(v/z + q/f_p)) d²x|² d²v
     w(X) = 1/(iλd) ∫_{|X'| < R_p} exp(ik|X' - X|²/2d) d²X'
 
-Without the probe's aperture, w = 1, this is a convolution, and its transform a product of two pupils' autocorrelations:
-exact for scalar, paraxial light. What the aperture takes away is a factor, by the rays with |w|² in place of its edge.
-The factor leaves out that neighbouring points of the pupil are coherent: in `tests/simulate/test_diffuse.py` it costs 1
-to 3 % of the peak against the integral above, and cost up to 6 % on other scenes.
-Light that fits the aperture by rays and to its first dark ring is taken as unclipped: its outer rings are then
-not cut off. That cost up to 4 % of the peak, and 15 % in the very middle of the image for a target
-focused on the probe and lit from there, where r² > λd.
+Without the probe's aperture, w = 1, this is a convolution whose transform is a product of two pupils' autocorrelations:
+exact for scalar, paraxial light. The aperture's loss is a factor, by rays with |w|² in place of its edge. The factor
+neglects that neighbouring points of the pupil are coherent: against the integral above it errs by 1 to 3 % of the peak
+in `tests/simulate/test_diffuse.py`, by up to 6 % on other scenes. Light that fits the aperture by rays and to its first
+dark ring is treated as unclipped, outer rings included. That errs by up to 4 % of the peak, and by 15 % in the very
+middle of the image of a target focused on the probe and lit from there, where r² > λd.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -77,7 +76,7 @@ def diffuse_return(
     Parameters
     ----------
     geometry
-        The scene's lengths. The tilt and the window play no part: the image does not depend on the gaze.
+        The scene's lengths. Tilt and window are not used: the image does not depend on the gaze.
     distance
         From the target's lens to the probe's, d, in metres.
     probe_radius
@@ -87,21 +86,22 @@ def diffuse_return(
     albedo
         Power scattered over the half-space, in fractions of the power that arrives.
     spread
-        Standard deviation of the place where light leaves the plane against where it arrived, in metres.
+        Standard deviation, in metres, of the distance between where light enters and leaves the plane.
     image_distance
-        z of the plane, reduced by the index of what lies between, in metres; the sensor's own for None.
+        z of the plane in metres, reduced by the index of what lies between; default: the sensor's own.
     lit_radius
-        Of the illuminating beam at the target, in metres, where it is narrower than the aperture.
+        Of an illuminating beam narrower than the aperture, at the target, in metres.
     centre
         (x, y) of the image's middle on the probe's sensor, in metres.
     accuracy
-        In fractions of the peak: decides how far out the light is followed, and how finely the aperture is sampled.
+        In fractions of the peak: sets how far out the light is followed, and the sampling of the aperture. The error is
+        below it without a clipping aperture; with one see the module's head.
 
     Returns
     -------
     torch.Tensor
-        [H, W] float64, W/m² for 1 W/m² at the target. Pixels larger than the image's detail hold their mean, others
-        the value at their middle.
+        [H, W] float64, W/m² for 1 W/m² at the target. Pixels larger than the image's detail hold their mean, others the
+        value at their middle.
 
     Raises
     ------
@@ -110,9 +110,8 @@ def diffuse_return(
 
     Notes
     -----
-    Without a clipping aperture the error is below `accuracy`; with one see the module's head.
-    Small angles: at an F-number of 1.4 the lens collects sin² = 0.11 of the light, r²/z² = 0.13.
-    The autocorrelation of a defocused pupil is that of H. H. Hopkins, Proc. R. Soc. Lond. A 231, 91 (1955).
+    Small angles: at an F-number of 1.4 the lens collects sin² = 0.11 of the light, r²/z² = 0.13. The autocorrelation of
+    a defocused pupil is that of H. H. Hopkins, Proc. R. Soc. Lond. A 231, 91 (1955).
     """
     if not all(map(math.isfinite, centre)):
         raise InputError(f"must be finite, is {centre}", where="centre", remedy="give two lengths in metres")
@@ -129,7 +128,7 @@ def corner(output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> float:
 
 @dataclass(frozen=True, eq=False)
 class DiffuseProfile:
-    """Scattered light on the probe's sensor against the distance from its middle, wherever that lies.
+    """Scattered light on the probe's sensor by the distance from its middle.
 
     Parameters
     ----------
@@ -176,12 +175,12 @@ def diffuse_profile(
     accuracy: float = 1e-2,
     **options: Unpack[PlaneOptions],
 ) -> DiffuseProfile:
-    """Scattered light by its distance from the middle: nearly all the work of `diffuse_return`, for many places.
+    """Scattered light by its distance from the middle: most of the work of `diffuse_return`, reused for many places.
 
     Parameters
     ----------
     reach
-        How far from its middle the picture goes, in metres.
+        Largest distance from the middle, in metres.
     geometry, distance, probe_radius, accuracy, **options
         As for `diffuse_return`.
 

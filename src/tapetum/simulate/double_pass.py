@@ -1,16 +1,17 @@
-"""The double pass by grids: through the target's lens, off its sampled sensor and back, to the probe's focal plane.
+"""The double pass on grids: through the target's lens, off its sampled sensor, back, and to the probe's focal plane.
 
-The slower engine, for any sensor plane. `RoundPass` computes mirrors and gratings from a round field's table.
+This is the slower engine, for any sensor plane; `RoundPass` computes mirrors and gratings from the table of a round
+field.
 
-The quadratic phases of lens and free space are taken out before anything is sampled; what is left is the defocus
-and a tilt (paper, equations 1 to 6, in the form of docs/conventions.md, "The double pass"):
+The quadratic phases of lens and free space are removed before sampling; defocus and a tilt remain (paper, equations 1
+to 6, in the form of docs/conventions.md, "The double pass"):
 
     G(v)  = 1/(iλz) ∫ P(x) exp(iφ_in(x)) exp(-ik x·v/z) d²x            the spot, seen from its own centre u0 = z t
     U3(x) = 1/(iλz) ∫ Arr G(v) exp(ik|v|²/z) exp(-ik (x - 2u0)·v/z) d²v
     U5(q) = cosθ/(iλf_p) ∫ P(x) exp(iφ_out(x)) U3(x) exp(-ik x·Mq/f_p) d²x
 
-G does not depend on the gaze, so one instance serves a whole sweep; Arr is the sensor's reflectance where the gaze puts
-the spot, at u0 + v; t are the tilt's tangents. M foreshortens the probe's picture by the cosine of the tilt along it.
+G does not depend on the gaze, so one instance serves a whole sweep. Arr is the sensor's reflectance at the spot, u0 +
+v; t are the tangents of the tilt. M foreshortens the probe's picture by the cosine of the tilt, along the tilt.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ _BATCH_BYTES = 192 << 20
 class DoublePass:
     """The retro-reflection of a thin lens before a plane mirror or mask, for any number of gazes.
 
-    Holding the instance is the cache: the spot on the sensor and all fixed kernels are formed once.
+    The spot on the sensor and all fixed kernels are computed once, when the instance is made.
 
     Parameters
     ----------
@@ -49,12 +50,12 @@ class DoublePass:
     output
         Pixels of the probe's sensor.
     focal_length, image_distance
-        Of the target, in metres, as float64 scalars: gradients flow through them where they ask for it.
+        Of the target, in metres, as float64 scalars, which may carry gradients.
     mask
-        Complex reflectance of the sensor plane, for columns x [B, n] and rows y [B, m] in metres from the optical axis:
-        [B, m, n]. Plan for its finest detail. A perfect mirror when left out.
+        Complex reflectance [B, m, n] of the sensor plane at columns x [B, n] and rows y [B, m], in metres from the
+        optical axis; plan the grids for its finest detail. Default: a perfect mirror.
     distance, probe_radius
-        Both given, the light of a mask travels the distance and through the probe's round aperture, in metres.
+        Both given, the light of a mask travels this distance and through the probe's round aperture, in metres.
     followed
         Whether to follow the paths of `true_paths`, along the rays of a mirror.
     dtype
@@ -124,19 +125,14 @@ class DoublePass:
         self._paths = TruePaths(k, radius, f, curvature, way, probe_radius) if followed else None
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
-        """Irradiance on the probe's pixels for an illumination of 1 W/m² and the mask's reflectance, or 1.
+        """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target.
 
         Parameters
         ----------
         sines
             [B, 2] sines of the tilt along x and y.
         centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
-
-        Returns
-        -------
-        torch.Tensor
-            [B, H, W], W/m².
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; default: the middle.
         """
         sines = sines.to(self.device, torch.float64)
         size = self._batch(sines.requires_grad)

@@ -1,6 +1,6 @@
 """Is the illumination safe to look into? An aid to planning after IEC 60825-1:2014; never a certificate.
 
-Only continuous light of 400 to 1400 nm is handled. Whatever is unknown is taken at its worst: the source is a point,
+Only continuous light of 400 to 1400 nm is handled. Unknown quantities take their worst case: the source is a point,
 light only spreads, air and optics lose nothing. The limits are in [`tapetum.simulate.ael`][tapetum.simulate.ael].
 """
 
@@ -49,7 +49,7 @@ class AtDistance:
 
 @dataclass(frozen=True)
 class EyeSafety:
-    """What [`eye_safety`][tapetum.simulate.eye_safety.eye_safety] finds.
+    """Result of [`eye_safety`][tapetum.simulate.eye_safety.eye_safety].
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class EyeSafety:
     at
         The same at each distance asked for.
     naked_distance
-        Where condition 3 was taken, in metres: 0.1, or where an extended source is worst.
+        Where condition 3 is evaluated, in metres: 0.1, or where an extended source is worst.
     emission
         Accessible emission in watts under condition `3` (naked eye) and `1` (telescope).
     limits
@@ -182,12 +182,12 @@ def eye_safety(
     beam
         The light.
     distances
-        Where else to compare irradiance and MPE, in metres.
+        Further distances at which to compare irradiance and MPE, in metres.
     exposure
-        In seconds. Default: 0.25 for visible light, 100 for infrared, which nobody sees and turns from; 30000 where
+        In seconds. Default: 0.25 for visible light; 100 for infrared, which triggers no aversion; 30000 where
         `looked_into`.
     nearest
-        The nearest a viewer's eye comes to the exit, in metres, at least 0.1. It does not change the class.
+        Smallest distance of a viewer's eye from the exit, in metres, at least 0.1. It does not change the class.
     looked_into
         Whether people look into the light for long by design; the time base of Class 1 is then 30000 s, not 100 s.
 

@@ -1,6 +1,6 @@
-"""Where a target's lens puts the light of a direction on its sensor: what a gaze means for it.
+"""Where a target's lens images a direction on its sensor: the link between tilt and gaze.
 
-A thin lens is free of distortion: tan θ. A traced one has the middles of its spots, as a polynomial of the tilt.
+A thin lens is free of distortion: tan θ. For a traced lens, a polynomial of the tilt gives the centroid of the spot.
 """
 
 from __future__ import annotations
@@ -33,27 +33,17 @@ _EDGE = 1 + 1e-9
 
 @dataclass(frozen=True)
 class FieldMap:
-    """Height of the spot on the sensor over the sine of the tilt.
+    """Height of the spot on the sensor by the sine of the tilt.
 
-    Parameters
-    ----------
-    nodes
-        The tilts that were traced, up to the edge of the field that the lens covers or the sensor holds.
-    height
-        [T] Chebyshev coefficients, in metres.
+    `nodes` are the traced tilts, up to the edge of the lens's field or of the sensor; `height` [T] are Chebyshev
+    coefficients, in metres.
     """
 
     nodes: TiltNodes
     height: torch.Tensor
 
     def image(self, size: torch.Tensor) -> torch.Tensor:
-        """Height in metres for sines of the tilt [...]; differentiable.
-
-        Raises
-        ------
-        InputError
-            Beyond the field that was traced: polynomials say nothing there.
-        """
+        """Height in metres for sines of the tilt [...]; differentiable. Raises InputError beyond the traced field."""
         most = float(size.detach().max())
         if not most <= self.nodes.steepest * _EDGE:
             asked, edge = (math.degrees(math.asin(min(one, 1.0))) for one in (most, self.nodes.steepest))
@@ -69,13 +59,7 @@ class FieldMap:
         return (self.nodes.terms(size) * self.height.to(size.device)).sum(-1)
 
     def sine(self, height: torch.Tensor) -> torch.Tensor:
-        """Sine of the tilt for heights [...] in metres; differentiable.
-
-        Raises
-        ------
-        InputError
-            Beyond the field.
-        """
+        """Sine of the tilt for heights [...] in metres; differentiable. Raises InputError beyond the traced field."""
         steepest = torch.tensor(self.nodes.steepest, dtype=torch.float64)
         most = float(self._height(steepest))
         if float(height.detach().max()) > most * (1 + 1e-6):
@@ -107,15 +91,7 @@ class FieldMap:
 
 @functools.lru_cache(maxsize=64)
 def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float, half_diagonal: float) -> FieldMap:
-    """Trace a lens's field up to a sensor's corner, or to where no ray gets through any more.
-
-    Parameters
-    ----------
-    lens, wavelength, object_distance
-        As for `PrescriptionLens.focused`.
-    half_diagonal
-        Of the sensor, in metres.
-    """
+    """Trace a lens's field up to a sensor's corner (`half_diagonal`, metres), or to where no ray passes any more."""
     focused = lens.focused(wavelength, object_distance)
 
     def height(sine: float) -> float:

@@ -1,4 +1,4 @@
-"""How the tilt shortens the probe's picture: by its cosine, along its own direction."""
+"""Foreshortening of the probe's picture: by the cosine of the tilt, along the tilt."""
 
 from __future__ import annotations
 
@@ -39,10 +39,10 @@ def tangents(sines: torch.Tensor) -> torch.Tensor:
 
 
 def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
-    """Sines [B, 2] of light that comes `angles` [2], in radians along x and y, beside the light of the tilts [B, 2].
+    """Sines [B, 2] of light at `angles` [2], in radians along x and y, from light of the tilts [B, 2].
 
-    The angles are the probe's, whose picture is upright where the lens looks at it: the rotation that brings the lens's
-    axis onto the laser, and turns nothing about it, takes them to the lens.
+    The angles are the probe's. The rotation that brings the lens's axis onto the laser, without a turn about that axis,
+    takes them to the lens.
     """
     slopes = torch.tan(angles)
     along = 1 / torch.sqrt(1 + slopes.square().sum())

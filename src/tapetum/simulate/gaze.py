@@ -1,4 +1,4 @@
-"""Gaze, in fractions of the field, and the tilts that it stands for."""
+"""Gaze, in fractions of the field, and the tilts that correspond to it."""
 
 from __future__ import annotations
 
@@ -58,9 +58,9 @@ def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
 
 
 def spot_places(scene: Scene, image_distance: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
-    """Where tilts [B, 2] put their spots on the target's sensor: [B, 2] in metres from the lens's axis.
+    """Places [B, 2] of the spots of tilts [B, 2] on the target's sensor, in metres from the lens's axis.
 
-    Beyond the field that a traced lens covers the place is infinitely far away: no light arrives.
+    Beyond the field of a traced lens the place is infinite: no light arrives.
     """
     size = torch.sqrt((sines**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
     traced = _traced(scene)

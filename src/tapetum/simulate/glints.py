@@ -1,18 +1,17 @@
-"""What the surfaces of a traced lens themselves send back: the glints of its coatings.
+"""Glints: reflections by the surfaces of a traced lens themselves.
 
-A ray that meets a surface along its normal goes back the way it came. For each gaze each surface has one such ray, or a
-few, or none, where its normal points out of the lens. About it the surface, seen through those before it, is a curved
+A ray that meets a surface along its normal retraces its path. For each gaze each surface has one such ray, or a few, or
+none where its normal points out of the lens. Near that ray the surface, seen through those before it, acts as a curved
 mirror: parallel light of 1 W/m² leaves as if from a point, with R dA/dΩ watts a steradian, dA/dΩ = 1/|det ∂s/∂e| by the
-rays beside it (e in the entrance pupil, s the direction at the end). That point lies millimetres to centimetres from
-the pupil. From the probe, metres away, all glints look alike but for place and brightness: discs of the probe's
-aperture, out of focus, with its rings.
+neighbouring rays (e in the entrance pupil, s the direction at the end). That point lies millimetres to centimetres from
+the pupil. From the probe, metres away, all glints differ only in place and brightness: they are defocused discs of the
+probe's aperture, with its rings. As the lens turns, the glint of each surface moves at its own rate, like the Purkinje
+images of an eye.
 
-A glint wanders as the lens turns, each by its own surface: as the Purkinje images of an eye do.
-
-Geometrical optics but for the probe's aperture: an edge of the lens cuts a glint at once, where waves would fade within
-a Fresnel zone √(λL). Glints add to each other and to the light of mirrors as intensities: their paths differ by
-millimetres times the gaze, and a hand turns fringes away within an exposure. Light reflected twice is left out, and so
-is what the coatings take from the light that passes.
+This is geometrical optics but for the probe's aperture: an edge of the lens cuts a glint at once, where waves would
+fade within a Fresnel zone √(λL). Glints add to each other and to the light of mirrors as intensities: their paths
+differ by millimetres times the gaze, and hand motion averages fringes within an exposure. Left out are double
+reflections, and the coatings' loss in the light that passes.
 """
 
 # Torch types svdvals in part only.
@@ -89,17 +88,7 @@ def glint_tables(focused: FocusedLens, wavelength: float) -> list[GlintTable]:
 
 
 def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintTable:
-    """Trace the rays that meet a surface along its normal.
-
-    Parameters
-    ----------
-    focused
-        The lens.
-    surface
-        Its number.
-    wavelength
-        In metres.
-    """
+    """Trace the rays that meet the surface of this number along its normal; `wavelength` in metres."""
     lens = focused.lens
     h = torch.linspace(-1, 1, _PLACES, dtype=torch.float64) * lens.semi_diameter[surface]
     zero = torch.zeros_like(h)
@@ -136,7 +125,7 @@ class Glints:
     tables
         Of its surfaces, at the wavelength.
     reflectance
-        Power that each surface between glass and air reflects.
+        Of each surface between glass and air, for power.
     output
         Pixels of the probe's sensor.
     wavelength, distance, probe_radius, probe_focal_length
@@ -170,13 +159,13 @@ class Glints:
         self._disc = RoundPicture(np.arange(len(values)) * step, abs(values) ** 2 * strength, dtype)
 
     def places(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """All glints of tilts [B, 2] (sines).
+        """All G glints of tilts [B, 2] (sines).
 
         Returns
         -------
         tuple
-            The number of each one's tilt [G], its (x, y) on the probe's sensor against the RR's centre [G, 2] in
-            metres, and its area [G] in m²/sr.
+            The index of each one's tilt [G], its (x, y) on the probe's sensor from the RR's centre [G, 2] in metres,
+            and its area [G] in m²/sr.
         """
         size = torch.sqrt((sines**2).sum(-1).clamp_min(1e-22))
         found = [table.at(size) for table in self._tables]
@@ -194,7 +183,7 @@ class Glints:
         sines
             [B, 2] sines of the tilt along x and y.
         centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; default: the middle.
         """
         sines = sines.cpu().to(torch.float64)
         x, y = self._output.x(), self._output.y()

@@ -1,4 +1,4 @@
-"""Fisher information and Cramér-Rao bounds of one frame: how precisely any estimate can know a scene's parameters."""
+"""Fisher information and Cramér-Rao bounds of one frame: the best precision of any unbiased estimate."""
 
 # Torch types autograd.grad, linalg and tolist in part only.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -27,16 +27,16 @@ __all__ += ["not_told", "slopes_of", "true_values"]
 
 @dataclass(frozen=True)
 class FisherInformation:
-    """What one frame tells about some parameters.
+    """Fisher information of one frame about some parameters.
 
     Parameters
     ----------
     parameters
         Their names.
     values
-        Where the information was taken, in SI units and fractions of the field.
+        At which it was taken, in SI units and fractions of the field.
     information
-        Fisher's matrix, [P, P], in inverse products of the parameters' units.
+        Fisher matrix, [P, P], in inverse products of the parameters' units.
     """
 
     parameters: tuple[str, ...]
@@ -63,8 +63,7 @@ class FisherInformation:
     def bounds(self) -> dict[str, float]:
         """Cramér-Rao bound of each parameter's standard deviation while all parameters are unknown.
 
-        Infinite for a parameter whose effect on the frame equals that of some combination of the others, to 1 part in
-        10⁵.
+        It is infinite where a combination of the other parameters changes the frame in the same way, to 1 part in 10⁵.
         """
         own = self.information.diagonal().clamp_min(0).sqrt()
         deviations = torch.full_like(own, torch.inf)
@@ -93,19 +92,14 @@ def fisher(
     Parameters
     ----------
     scene
-        Its rotation, focus, light and noise.
+        A scene, its name or its path.
     parameters
-        Which values are unknown: names of `PARAMETERS`. `place_x` and `place_y` are where on the probe's sensor the RR
-        lies; name them where the target may stand anywhere.
+        The unknown values: names of `PARAMETERS`. `place_x` and `place_y`, the RR's place on the probe's sensor, belong
+        among them where the target may stand anywhere.
     accuracy
         Of the simulation, in fractions of the peak, in place of the scene's.
     device
         As for `retroreflect`.
-
-    Returns
-    -------
-    FisherInformation
-        With `bounds`, the Cramér-Rao limit of each.
 
     Raises
     ------
@@ -119,18 +113,18 @@ def fisher(
     -----
     F_ij = Σ_pixels (∂m/∂a_i)(∂m/∂a_j)/v, m and v the mean and the variance of a pixel's digital number
     (`exposure.count_moments`). Between the ends of the digital range that is (∂μ/∂a_i)(∂μ/∂a_j)/(μ + σ²), μ the mean
-    electrons and σ² the variance of readout and rounding. A saturated pixel tells nothing.
+    electrons and σ² the variance of readout and rounding. A saturated pixel carries no information.
 
-    What means and variances tell is never more than the whole distribution does (M. Stein, A. Mezghani, J. A. Nossek,
-    IEEE Signal Process. Lett. 21, 796 (2014)). Where the numbers' steps are finer than the noise, the difference is
-    below 1 % of the information for pixels of 10 electrons or more; for darker ones it grows to 1, 11 and 39 % for a
-    read noise of 6, 2 and 1 electrons. Steps coarser than the noise count as noise, too: the limits are estimates then.
+    Means and variances never carry more than the whole distribution (M. Stein, A. Mezghani, J. A. Nossek, IEEE Signal
+    Process. Lett. 21, 796 (2014)). Where the numbers' steps are finer than the noise, the difference is below 1 % of
+    the information for pixels of 10 electrons or more; for darker ones it grows to 1, 11 and 39 % for a read noise of
+    6, 2 and 1 electrons. Steps coarser than the noise also count as noise: the limits are estimates then.
 
-    The gaze is the laser's place in the target's picture, z tan θ/(pN): that is what stays where focus or focal length
-    are varied, not the angle. The derivatives come by automatic differentiation through the whole chain, with the grids
-    as planned; a traced lens's by differences of pictures on the same grids (`traced_information`). A thin lens's
-    aperture stays where its focal length is varied. A traced prime is scaled as a whole, so its F-number stays, and a
-    zoom's stop opens as its states say, or keeps its `f_number`; the object distance stays.
+    The gaze is the laser's place in the target's picture, z tan θ/(pN): that place, not the angle, is kept where focus
+    or focal length are varied. Derivatives come by automatic differentiation through the whole chain, on the planned
+    grids; a traced lens's by differences of pictures on the same grids (`traced_information`). Varying the focal length
+    keeps a thin lens's aperture. A traced prime is scaled as a whole, so its F-number stays; a zoom's stop follows its
+    states, or keeps its `f_number`; the object distance stays.
     """
     scene = as_scene(scene)
     names = checked_parameters(scene, parameters)
@@ -151,8 +145,9 @@ def slopes_of(
 ) -> Callable[[int], tuple[torch.Tensor, torch.Tensor]]:
     """How a frame changes at any of many gazes: by automatic differentiation, or for a traced lens by differences.
 
-    Arguments as for `TracedSlopes`, errors as of `fisher`. Returns what gives, by a gaze's number, the mean electrons
-    [H, W], hot pixels' left out, and their slopes [P, H W]. The fields of a thin lens are complex128 whatever `dtype`.
+    Arguments as for `TracedSlopes`, errors as of `fisher`. The function returned takes a gaze's number and gives the
+    mean electrons [H, W] without hot pixels' and their slopes [P, H W]. Fields of a thin lens are complex128 whatever
+    `dtype`.
     """
     if isinstance(scene.target.lens, PrescriptionLens):
         return TracedSlopes(scene, names, gazes, accuracy=accuracy, dtype=dtype, device=device)
@@ -187,23 +182,19 @@ def expected_electrons(
     accuracy: float | None = None,
     device: torch.device | str = "auto",
 ) -> torch.Tensor:
-    """Mean electrons of one frame without those of hot pixels, for some values in place of the scene's; differentiable.
+    """Mean electrons [H, W], float64, of one frame without those of hot pixels, for given values; differentiable.
 
     Parameters
     ----------
     scene
-        What stands on the bench.
+        What is simulated.
     values
-        By names of `PARAMETERS`, in their units. The gaze stays where focus or focal length are changed.
+        Replace the scene's, by names of `PARAMETERS`, in their units. The gaze stays where focus or focal length
+        change.
     output
         Pixels in place of the probe's whole sensor.
     accuracy, device
         As for `fisher`.
-
-    Returns
-    -------
-    torch.Tensor
-        [H, W], float64.
 
     Raises
     ------
@@ -260,7 +251,7 @@ def true_values(scene: Scene, names: Iterable[str]) -> dict[str, float]:
 def _independent_shares(shared: torch.Tensor) -> torch.Tensor:
     """Share of each parameter's information that is independent of the others', from a matrix of unit diagonal.
 
-    1/(F⁻¹)_ii for an F that can be inverted; for any other the residual of each derivative's projection on the others'.
+    1/(F⁻¹)_ii for an invertible F, else the residual of each derivative's projection on the others'.
     """
     left = torch.ones(len(shared), dtype=shared.dtype, device=shared.device)
     for i in range(len(shared)):

@@ -25,9 +25,9 @@ class Unit:
     scene
         Of this camera alone.
     place
-        (x, y) on the plate against the one that gazes, in metres.
+        (x, y) on the plate from the camera whose gaze is meant, in metres.
     axis
-        Where it looks against the one that gazes, (x, y) in radians.
+        Direction it looks in against that camera's, (x, y) in radians.
     """
 
     scene: Scene
@@ -72,8 +72,8 @@ class PhoneCamera:
 
     Notes
     -----
-    Where the returns of two cameras overlap they would interfere in fringes of λ f_p over their distance, a few pixels
-    wide, that the least motion washes out: they are left out.
+    Overlapping returns of two cameras would interfere in fringes of λ f_p over their distance, a few pixels wide. The
+    slightest motion averages them out, so they are left out.
     """
 
     def __init__(self, scene: Scene, steepest: float, *, output: Grid | None = None, **options: Any) -> None:

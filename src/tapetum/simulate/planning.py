@@ -1,4 +1,4 @@
-"""Everything worth knowing of a bench before the first image: geometry, link budget, sampling, limits, eye safety."""
+"""The plan of a bench before the first image: geometry, link budget, sampling, limits, eye safety."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PREFIXED_UNITS = ("m", "W")
 
 @dataclass(frozen=True)
 class Plan:
-    """What [`plan_bench`][tapetum.simulate.planning.plan_bench] finds.
+    """Result of [`plan_bench`][tapetum.simulate.planning.plan_bench].
 
     Parameters
     ----------
@@ -115,17 +115,16 @@ _FOCUS = ("object_distance", "focal_length")
 
 
 def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] | None = None) -> Plan:
-    """Plan a bench: what a scene would give, before it is simulated or built.
+    """Plan a bench: the results to expect of a scene, before it is simulated or built.
 
     Parameters
     ----------
     scene
-        What stands on the bench; its own rotation counts.
+        A scene, its name or its path; its own rotation counts.
     parameters
-        Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of
-        each is that of estimating all of them from one frame. Where left out: those of `PARAMETERS` that have a limit
-        in this scene, but for the focus of a traced lens, which takes four more of it; the plan says why the others
-        have none.
+        Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them, all estimated
+        from one frame. Default: those of `PARAMETERS` that have a limit in this scene, but for the focus of a traced
+        lens, which takes four more of it; the plan says why the others have none.
 
     Raises
     ------

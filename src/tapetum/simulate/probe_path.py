@@ -1,9 +1,9 @@
 """From the target's pupil to the probe's pixels: to the far field, or over the distance and through a round aperture.
 
-The paper's last step (equation 6) is a propagation over d, the probe's lens, and one over its focal length. In the
-probe's focal plane the distance shows only by what the aperture cuts off: a beam that fits needs one transform, one
-that does not needs two. All passes end here: those of a thin lens with columns and rows that all gazes share, those of
-a traced lens with columns and rows of each gaze's own.
+The paper's last step (equation 6) propagates over d, through the probe's lens, and over its focal length. In the focal
+plane the distance matters only through what the aperture cuts off: a beam that fits needs one transform, any other
+needs two. All passes end here. In those of a thin lens all gazes share columns and rows; in those of a traced lens each
+gaze has its own.
 """
 
 from __future__ import annotations
@@ -49,18 +49,10 @@ class ProbeAperture:
 
 
 def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float, wavelength: float) -> float:
-    """The most, in metres, that Fresnel's chirps miss of the way from the pupil to the probe's aperture.
+    """Largest path, in metres, that Fresnel's chirps miss between the pupil and the probe's aperture.
 
-    Parameters
-    ----------
-    aperture
-        The probe's; light that spreads less than it does counts as far as it spreads.
-    reach, angle
-        Half width of the pupil and the largest angle of what leaves it.
-    sine
-        Of the tilt.
-    wavelength
-        In metres.
+    `reach` is the pupil's half width in metres, `angle` the largest angle of the light that leaves it, `sine` that of
+    the tilt. Light that spreads less than the aperture counts only as far as it spreads.
     """
     d = float(aperture.distance)
     wide = reach + min(aperture.radius, reach + angle * d + math.sqrt(wavelength * d))
@@ -68,20 +60,11 @@ def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float
 
 
 class ProbePath:
-    """Carries pupil fields to the probe's focal plane.
+    """Carries pupil fields to the probe's focal plane, on the pixels of `output`.
 
-    Parameters
-    ----------
-    output
-        Pixels of the probe's sensor.
-    x, y
-        The pupil's columns and rows, in metres; of pupils with their own, two ends that hold all of them.
-    wavelength, probe_focal_length
-        In metres; tensors carry gradients.
-    aperture
-        What the light goes through; all of it reaches the probe's sensor when left out.
-    dtype, device
-        Of the fields.
+    `x` and `y` are the pupil's columns and rows in metres; for pupils with their own, two ends that enclose all of
+    them. `wavelength` and `probe_focal_length` (metres) may be tensors that carry gradients. Without an `aperture` all
+    light reaches the probe's sensor.
     """
 
     def __init__(
@@ -121,9 +104,9 @@ class ProbePath:
     def gather(
         self, pupil: torch.Tensor, rows: slice, tilts: torch.Tensor | None, centres: torch.Tensor | None
     ) -> torch.Tensor:
-        """What rows of the shared pupil [B, rows, columns] add to the field at the first transform's nodes.
+        """Contribution of some rows of the shared pupil [B, rows, columns] to the field at the first transform's nodes.
 
-        `tilts` [B, 2] foreshorten the picture where they are given; `centres` [B, 2] move it, in metres.
+        `tilts` [B, 2], where given, foreshorten the picture; `centres` [B, 2] move it, in metres.
         """
         if centres is not None and self.aperture is None:
             pupil = pupil * self._ramp(centres, self._x, self._y[rows])
@@ -168,16 +151,10 @@ class ProbePath:
         sines: torch.Tensor,
         centres: torch.Tensor | None,
     ) -> torch.Tensor:
-        """Field on the pixels, [B, H, W], of pupils with columns and rows of their own.
+        """Field on the pixels, [B, H, W], of pupils [B, n, n] with their own columns x and rows y [B, n].
 
-        Parameters
-        ----------
-        pupil
-            [B, n, n] field that leaves, tilt removed, per unit area.
-        x, y
-            [B, n] columns and rows of the pupil, in coordinates turned by the rotation R of `foreshortening`.
-        sines, centres
-            Those of the pass.
+        `pupil` is the field that leaves per unit area, tilt removed; x and y are in coordinates turned by the rotation
+        R of `foreshortening`.
         """
         rotation, t = foreshortening(sines)
         middle_x, middle_y = (x[:, :1] + x[:, -1:]) / 2, (y[:, :1] + y[:, -1:]) / 2

@@ -1,8 +1,8 @@
-"""The pupil of a real lens as smooth functions, fitted to traced bundles: of the place in it and of the field angle.
+"""The pupil of a real lens as smooth functions of the place in it and of the field angle, fitted to traced bundles.
 
-Along the tilt (y of the traced bundles) a lens is not symmetric, across it is: functions are even or odd there. They
-are polynomials in a box about the pupil, least squares over its rays; between the field angles that were traced, all
-their coefficients are Chebyshev polynomials of the tilt.
+A lens under tilt is not symmetric along the tilt (y of the bundles) but is across it, so functions are even or odd
+across. They are polynomials in a box about the pupil, fitted to its rays by least squares; between traced field angles
+all their coefficients are Chebyshev polynomials of the tilt.
 """
 
 from __future__ import annotations
@@ -79,16 +79,11 @@ class TiltNodes:
 
 @dataclass(frozen=True)
 class Fit:
-    """Functions of a place in the pupil and of the tilt.
+    """Functions of the tilt and of a place in the pupil, scaled to a box.
 
-    Parameters
-    ----------
-    centre, half
-        [T, 2] coefficients in the tilt of the box's middle and half widths, across and along the tilt.
-    even, odd
-        [K, T, M] coefficients of the functions even and odd across the tilt.
-    degrees
-        The largest degree of the even and of the odd ones.
+    `centre` and `half` [T, 2] are coefficients in the tilt of the box's middle and half widths, across and along the
+    tilt; `even` and `odd` [K, T, M] those of the functions even and odd across the tilt; `degrees` their largest
+    degrees.
     """
 
     centre: torch.Tensor
@@ -105,26 +100,13 @@ class Fit:
 
 @dataclass(frozen=True)
 class PupilFits:
-    """What the double pass needs of a lens at one wavelength.
+    """The pupils of a lens at one wavelength, for tilts on `nodes`. Lengths are in metres.
 
-    Parameters
-    ----------
-    nodes
-        The tilts that they hold for.
-    entering
-        Functions of s: Ψ, |∂e/∂s|, then the height at each surface that stops rays.
-    leaving
-        Functions of e: Ψ, s along the tilt, |∂s/∂e|, heights; and the odd one, s across.
-    middle, radius
-        Coefficients [T] in the tilt of y0 and R.
-    spread
-        The largest distance of a ray's landing from y0, in metres.
-    defocus, aberration
-        Landings about y0 are `defocus` times s about its middle, in metres a sine, but for so many metres.
-    misfit
-        Worst RMS of Ψ against its rays that pass, over all fields, in metres.
-    aperture
-        Largest half width of the pupil in s, and reach in e, in metres.
+    `entering` holds functions of s: Ψ, |∂e/∂s|, and the height at each surface that stops rays; `leaving` functions of
+    e: Ψ, s along the tilt, |∂s/∂e|, heights, and the odd s across. `middle` and `radius` [T] are coefficients of y0 and
+    R. `spread` is the largest distance of a ray's landing from y0. Landings about y0 are linear in s, with slope
+    `defocus` about the middle of s, and depart from it by at most `aberration`. `misfit` is the worst RMS of Ψ against
+    the rays that pass; `aperture` the pupil's largest half width in s and reach in e.
     """
 
     nodes: TiltNodes
@@ -152,21 +134,8 @@ def fit_pupils(
 ) -> PupilFits:
     """Trace bundles at tilts from 0 to `steepest` (a sine), and fit them.
 
-    Parameters
-    ----------
-    focused
-        The lens.
-    steepest
-        Sine of the steepest tilt.
-    curvature
-        Of the light that enters, in 1/m; what leaves is seen by a probe focused at infinity.
-    nodes
-        Tilts to trace, in place of a number that suits the range.
-
-    Raises
-    ------
-    InputError
-        Where no ray gets through the lens.
+    `curvature`, in 1/m, is that of the light that enters; light that leaves is seen by a probe focused at infinity.
+    Raises InputError where no ray gets through the lens.
     """
     nodes = nodes or TiltNodes.up_to(steepest)
     entering = trace_bundle(focused, nodes.sines, curvature=curvature)
@@ -199,9 +168,9 @@ def fit_pupils(
 
 
 def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = None) -> tuple[Fit, float]:
-    """Fit what light leaves by, `PupilFits.leaving`, to a bundle; with the RMS misfit of the paths.
+    """Fit `PupilFits.leaving`, the functions of the light that leaves, to a bundle; also return the paths' RMS misfit.
 
-    `more` [T, 1 + rims, N] is added to the bundle's paths, and to its heights at `limiting_surfaces`.
+    `more` [T, 1 + rims, N] is added to the bundle's paths and to its heights at `limiting_surfaces`.
     """
     rims = limiting_surfaces(leaving)
     if more is None:
@@ -281,21 +250,10 @@ def values_at(fit: Fit, tilt: torch.Tensor, places: torch.Tensor) -> tuple[torch
 def on_grid(
     fit: Fit, tilt: torch.Tensor, toward: torch.Tensor, count: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """A fit's functions on columns and rows about its pupil, whatever the azimuth of the tilt.
+    """A fit's functions on `count` columns and rows about its pupil, for any azimuth of the tilt.
 
-    Parameters
-    ----------
-    fit
-        The functions.
-    tilt, toward
-        [B, T] as of `TiltNodes.terms`, and [B, 2] the unit vectors of the tilts.
-    count
-        Columns and rows.
-
-    Returns
-    -------
-    tuple
-        x and y [B, n]; even and odd functions [B, K, n, n]; where the places lie inside the fit's box [B, n, n].
+    `tilt` [B, T] are `TiltNodes.terms`, `toward` [B, 2] unit vectors of the tilts. Returns x and y [B, n], even and odd
+    functions [B, K, n, n], and where places lie inside the fit's box [B, n, n].
     """
     unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
     centre, half = tilt @ fit.centre, tilt @ fit.half
@@ -331,7 +289,7 @@ def on_grid(
 def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """A fit's even functions on columns across the tilt and rows along it: [B, n], [B, n] and [B, K, n, n].
 
-    Its whole box; two small products a function.
+    It covers the whole box, at the cost of two small matrix products a function.
     """
     unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
     centre, half = tilt @ fit.centre, tilt @ fit.half

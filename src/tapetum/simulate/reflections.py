@@ -1,4 +1,4 @@
-"""What of the target reflects, how strongly, and which of its planes interfere."""
+"""Which planes of the target reflect, how strongly, and which of them interfere."""
 
 from __future__ import annotations
 
@@ -61,23 +61,14 @@ def specular_groups(
 ) -> list[tuple[Surface, ...]]:
     """Sets of reflecting planes: within a set fields add, between sets irradiances.
 
-    Parameters
-    ----------
-    scene
-        Its sensor, layers and light.
-    wavelength
-        In metres.
-    image_distance
-        Of the sensor, in metres.
-    widest
-        Largest direction sine of a diffraction order that can come back through the lens.
+    `image_distance` is the sensor's, in metres; `widest` is the largest direction sine of an order that can return
+    through the lens. A plane at the depth t, index n, acts as if it lay t/n before the sensor, on a path shorter by
+    2nt.
 
-    Notes
-    -----
-    A plane at the depth t, index n, is reached as if it lay t/n before the sensor, by a path shorter by 2nt. Partially
-    coherent light gives I = Σ_ij γ_ij U_i U_j* with the degree of coherence γ_ij of the two paths. γ = L Lᵀ (Cholesky)
-    turns that into Σ_k |Σ_i L_ik U_i|²: a set for each column k, its planes weighed by L_ik. A plane may stand in
-    several sets. In fully coherent light there is one; planes that do not interfere with any other have their own.
+    Partially coherent light gives I = Σ_ij γ_ij U_i U_j* with the degree of coherence γ_ij of the two paths. The
+    Cholesky factor, γ = L Lᵀ, turns that into Σ_k |Σ_i L_ik U_i|²: one set for each column k, its planes weighted by
+    L_ik. A plane may be in several sets. Fully coherent light has one set; planes that interfere with no other have
+    their own.
     """
     planes = sorted(_planes(scene, wavelength, image_distance, widest), key=lambda plane: plane.nearer)
     planes = [plane for plane in planes if plane.orders]
@@ -110,10 +101,10 @@ def longest_path(scene: Scene) -> float:
 
 
 def _chains(nearer: Sequence[float], reach: float) -> list[slice]:
-    """Parts of planes, by their ascending paths, whose neighbours are within the reach of interference.
+    """Runs of planes, by ascending path, in which neighbours lie within the reach of interference.
 
-    The ends of a part may be farther apart: their degree of coherence, or the sum over the line's wavelengths, says
-    that they do not interfere.
+    The ends of a run may be farther apart: their degree of coherence, or the sum over the line's wavelengths, then
+    removes their interference.
     """
     apart = {i for i in range(1, len(nearer)) if 2 * (nearer[i] - nearer[i - 1]) >= reach}
     return [slice(first, end) for first, end in itertools.pairwise(sorted({0, *apart, len(nearer)}))]

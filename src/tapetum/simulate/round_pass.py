@@ -1,14 +1,14 @@
-"""The double pass of a round lens before plane mirrors, gratings included: the fast way.
+"""The double pass of a round lens before plane mirrors, gratings included: the fast engine.
 
-Light that enters a round aperture, meets a plane mirror and comes back to the lens is a round field F about a point
-that the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sines s and its tangents t = s/cosθ:
+Light that enters a round aperture, meets a plane mirror and returns to the lens is a round field F about a point that
+the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sines s and its tangents t = s/cosθ:
 
     U3'(x) = √cosθ P(x) exp(ik x²(1/z - 1/f)/2) exp(ikz t²) F(|x - 2z t|)
     U5(q)  = √cosθ/(iλf_p) ∫ U3'(x) exp(-ik x·Mq/f_p) d²x
 
-F is tabulated once for all gazes; a gaze costs a look-up for each sample of the pupil and one transform onto the
-probe's pixels. A grating's order m of direction τ = mλ/p returns what the mirror would return from the tangents
-t + τ/2, and every plane has its own z, so pixel arrays and layers are sums of such terms.
+F is tabulated once for all gazes; a gaze costs one look-up for each sample of the pupil and one transform onto the
+probe's pixels. A grating's order m of direction τ = mλ/p returns what a mirror would from the tangents t + τ/2. Every
+plane has its own z, so pixel arrays and layers are sums of such terms.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class _Prepared:
 
 
 class RoundPass:
-    """The retro-reflection of a thin lens, for any number of gazes. Holding the instance is the cache.
+    """The retro-reflection of a thin lens, for any number of gazes; its tables are computed once, with the instance.
 
     Parameters
     ----------
@@ -76,16 +76,16 @@ class RoundPass:
     output
         Pixels of the probe's sensor.
     surfaces
-        Planes that reflect, summed coherently. One mirror at the geometry's image distance when left out.
+        Planes that reflect, summed coherently. Default: one mirror at the geometry's image distance.
     distance, probe_radius
-        Both given, the light travels the distance and through the probe's round aperture, in metres; the plan must
-        have been made for it (`optics.sampling.through_aperture`). Left out, all of it reaches the probe's sensor.
+        Both given, the light travels the distance and through the probe's round aperture, in metres; the plan must be
+        made for it (`optics.sampling.through_aperture`). Default: all light reaches the probe's sensor.
     lit_radius
-        Of the light that enters, in metres, where the beam is narrower than the aperture.
+        Of a beam narrower than the aperture, in metres.
     interferes
-        Whether the field meets others', so that it needs the phases of its planes even for a single one.
+        Whether the field meets others', so that even a single plane needs its phase.
     parameters
-        Tensors in place of the geometry's numbers where gradients shall flow: `focal_length`, `radius`, `wavelength`,
+        Tensors that carry gradients, in place of the geometry's numbers: `focal_length`, `radius`, `wavelength`,
         `curvature`, `probe_focal_length`; a surface carries its own image distance.
     dtype
         complex64 or complex128.
@@ -202,19 +202,14 @@ class RoundPass:
         return (weights * self._values["radius"] ** 2).to(self._real) * down[:, None] * across[None, :]
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
-        """Irradiance on the probe's pixels for an illumination of 1 W/m² and surfaces of the amplitudes given.
+        """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target and the surfaces' amplitudes.
 
         Parameters
         ----------
         sines
             [B, 2] sines of the tilt along x and y.
         centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
-
-        Returns
-        -------
-        torch.Tensor
-            [B, H, W], W/m².
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; default: the middle.
         """
         u = self.field(sines, centres)
         return u.real**2 + u.imag**2
@@ -236,7 +231,7 @@ class RoundPass:
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights.
 
-        Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the light that comes.
+        Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the incoming light.
         """
         sines = sines.to(self.device, torch.float64)
         weights = self._disc.weights(slice(0, self.plan.rows)) * self._values["radius"] ** 2

@@ -1,4 +1,4 @@
-"""Irradiance that depends on the distance from one point only: tabulated once, drawn wherever that point lies."""
+"""Irradiance that depends only on the distance from one point: tabulated once, drawn anywhere."""
 
 # SciPy types its splines in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -18,16 +18,10 @@ _FINER = 32
 
 
 class RoundPicture:
-    """A profile by the distance from its middle, ready to be drawn on any pixels; differentiable by their places.
+    """A radial profile, ready to be drawn on any pixels; differentiable by their places.
 
-    Parameters
-    ----------
-    radii
-        [N] distances in metres, evenly spaced from 0; beyond the last one the picture is dark.
-    profile
-        [N] values there, any unit.
-    dtype
-        Of the pictures; float32 takes half the time.
+    `radii` [N] are distances in metres, evenly spaced from 0; beyond the last the picture is dark. `profile` [N] has
+    any unit. Drawing in float32 takes half the time.
     """
 
     def __init__(

@@ -1,4 +1,4 @@
-"""A plane of the target that scatters: what lights it, and how coherent the light is that it sends back."""
+"""Scattering planes of the target: how they are lit, and how coherent the light is that they return."""
 
 # SciPy and NumPy type these functions in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false

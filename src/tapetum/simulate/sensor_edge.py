@@ -1,4 +1,4 @@
-"""Where the target's sensor ends: nothing comes back from beside it."""
+"""The edge of the target's sensor: nothing returns from beside it."""
 
 from __future__ import annotations
 
@@ -26,14 +26,9 @@ _FEWEST_RINGS, _FAR_BESIDE = 2.0, 30.0
 class SpotLight:
     """The light of a spot on a sensor.
 
-    Parameters
-    ----------
-    spot, ring
-        Its geometric radius and the width λz/2r of its rings, in metres.
-    wavenumber, image_distance, radius
-        k, z and the lens's radius.
-    orders
-        [M, 3] size of the amplitude and direction sines of each of the sensor's orders.
+    `spot` is its geometric radius and `ring` the width λz/2r of its rings, in metres; `wavenumber`, `image_distance`
+    and `radius` are k, z and the lens's radius; `orders` [M, 3] hold each order's amplitude (modulus) and direction
+    sines.
     """
 
     spot: float
@@ -66,11 +61,11 @@ class SensorEdge:
         return torch.stack([x - self.left, self.right - x, y - self.top, self.bottom - y], -1)
 
     def missed(self, places: torch.Tensor, light: SpotLight) -> torch.Tensor:
-        """What edges beside a spot at most change of the picture, over its peak: [B], for places [B, 2] of its middle.
+        """Largest change [B] of the picture, over its peak, by edges beside a spot, for places [B, 2] of its middle.
 
-        The faint light at an edge comes from the pupil's rim on either side, goes back to it on either side, and turns
-        quickly along the sensor: then it adds up to little. It does not where an order sends it back to where it came
-        from, or to the opposite rim.
+        The faint light at an edge comes from the pupil's rim on either side, returns to the rim, and its phase varies
+        quickly along the sensor, so that it mostly cancels. It does not cancel where an order sends it back to its
+        origin on the rim, or to the opposite rim.
         """
         beyond = (self.depths(places) - light.spot).clamp_min(light.ring)
         sides = torch.tensor([self.left, self.right, self.top, self.bottom], dtype=places.dtype, device=places.device)
@@ -103,14 +98,9 @@ class SensorEdge:
 class Spots:
     """How the sensor holds the spots of some gazes.
 
-    Parameters
-    ----------
-    whole, beside
-        [B] bool: on the sensor as a whole, and wholly beside it. Those that are neither are cut.
-    share
-        [B] of each spot that the sensor holds, by rays; differentiable.
-    missed
-        The most that edges change of the pictures of whole spots, over their peaks.
+    `whole` and `beside` [B] mark spots wholly on the sensor and wholly off it; all others are cut. `share` [B] is the
+    part of each spot on the sensor, by rays; differentiable. `missed` is the largest change by edges of the pictures of
+    whole spots, over their peaks.
     """
 
     whole: torch.Tensor
@@ -120,9 +110,9 @@ class Spots:
 
     @classmethod
     def of(cls, edge: SensorEdge, places: torch.Tensor, light: SpotLight, most: float) -> Spots:
-        """Sort places [B, 2] by how their spots lie to the edge.
+        """Sort spots at places [B, 2] by their position against the edge.
 
-        A whole spot may miss up to `most` of the picture's peak: infinite where it can be had no better.
+        A whole spot may miss up to `most` of the picture's peak; infinite where no better method is available.
         """
         nearest = edge.depths(places.detach()).amin(-1)
         lost, spot, ring = edge.missed(places.detach(), light), light.spot, light.ring

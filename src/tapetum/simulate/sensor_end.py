@@ -1,4 +1,4 @@
-"""What planes return where the sensor among them does not hold the whole spot."""
+"""Returns of planes whose sensor does not hold the whole spot."""
 
 from __future__ import annotations
 
@@ -26,16 +26,10 @@ _REMEDY = "turn the target until its spot lies on the sensor or beside it, or fi
 
 @dataclass(frozen=True)
 class SensorEnd:
-    """The rest of a group of planes once its sensor ends.
+    """What a group of planes returns beyond its sensor's edge, on the pixels of `output`.
 
-    Parameters
-    ----------
-    open_beside
-        Makes the pass of the layers alone; None where there are none.
-    open_across
-        Makes the pass of a spot that the edge cuts; None where there is no way to have it.
-    output
-        Pixels of the probe's sensor.
+    `open_beside` makes the pass of the layers alone, None where there are none; `open_across` that of a spot which the
+    edge cuts, None where it cannot be computed.
     """
 
     open_beside: Callable[[], Pass] | None

@@ -1,17 +1,17 @@
 """The sensor plane Arr(x, y): photosites, microlenses, colour filters, or any mask from a file.
 
 A periodic plane is a grating. Its Fourier coefficients c_m, Arr(u) = Σ c_m exp(2πi m·u/P), are the amplitudes of the
-diffraction orders of directions m λ/P (docs/conventions.md, "The sensor plane"); a mask from a file is sampled where
-the light is. Both forms of an array are here, so that one can check the other.
+diffraction orders of directions m λ/P (docs/conventions.md, "The sensor plane"); a mask from a file is sampled within
+the spot. Both forms of an array are here, so that one can check the other.
 
-Microlenses that stand off their photosites by more and more towards the field's edge make the coefficients depend on
-the place w on the sensor. Over the spot that is a constant: with the photosites' coefficients s and the lenses' l,
-c_m(w) = Σ s_(m-b) l_b exp(2πi shift b·w/p), a series that an order carries with it.
+Microlenses whose offset from their photosites grows towards the field's edge make the coefficients depend on the place
+w on the sensor. Over the spot they are constant: with the photosites' coefficients s and the lenses' l, c_m(w) = Σ
+s_(m-b) l_b exp(2πi shift b·w/p), a series that an order carries with it.
 
-The cell is one pitch square: a photosite in its middle, what surrounds it, and over both a microlens. With a Bayer
-filter each cell is dimmed by its own colour, photosite and surround alike, and the period P is two pitches. Rows and
-columns begin at the sensor's upper left corner, so that a photosite's centre lies on the optical axis for odd counts of
-pixels, a corner of four for even ones. The orders are those of an array without an end; `sensor_edge` says where it is.
+A cell is one pitch square: a photosite in its middle, its surround, and a microlens over both. With a Bayer filter each
+cell, photosite and surround alike, is dimmed by its own colour, and the period P is two pitches. Rows and columns begin
+at the sensor's upper left corner, so that a photosite's centre lies on the optical axis for odd counts of pixels, a
+corner of four for even ones. The orders are those of an infinite array; `sensor_edge` treats its end.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -57,7 +57,7 @@ _SECOND_DERIVATIVE = (1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90)
 
 
 def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[Order, ...]:
-    """Diffraction orders of a sensor's photosites and microlenses.
+    """Diffraction orders of a sensor's photosites and microlenses, from the axis outwards.
 
     Parameters
     ----------
@@ -66,16 +66,16 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     wavelength
         In metres.
     widest
-        Largest direction wanted, as a slope. The rays of orders within (r_out + r)/z + 2 tanθ find the aperture again,
+        Largest direction wanted, as a slope. The rays of orders within (r_out + r)/z + 2 tanθ return to the aperture,
         r_out being the returning light's radius at the lens; orders beyond it still diffract into it, a few 1e-3 of the
         peak where many overlap. Take a third more, or twice the first term.
 
     Returns
     -------
     tuple of Order
-        From the axis outwards, amplitudes of the reflected field: sqrt(reflectance) times the cell's Fourier
-        coefficient, phases with respect to the optical axis. Orders of less than 1e-8 of the strongest one's power are
-        left out: thousands of them add up where a pitch is many rings wide.
+        Amplitudes of the reflected field: sqrt(reflectance) times the cell's Fourier coefficient, phases with respect
+        to the optical axis. Orders below 1e-8 of the strongest one's power are left out, for thousands of them add up
+        where a pitch is many rings wide.
 
     Raises
     ------
@@ -87,8 +87,8 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     -----
     Scalar diffraction at one plane: a photosite of side w = p sqrt(fill) has c_m = fill sinc(m_x w/p) sinc(m_y w/p), a
     round one of radius a has c_m = (a/p) J1(2π a m/p)/m (Goodman, Introduction to Fourier Optics, chapters 2 and 4);
-    other shapes stand in `tapetum.optics.photosites`.
-    A microlens is a thin lens passed twice, exp(-ik ρ²/f_m) inside its diameter; outside the flat continues its rim.
+    other shapes are in `tapetum.optics.photosites`. A microlens is a thin lens passed twice, exp(-ik ρ²/f_m) inside its
+    diameter; outside it the phase of its rim continues.
     """
     if sensor.mask is not None:
         what, remedy = "has no diffraction orders", "sample it, or describe the sensor by an array"
@@ -138,8 +138,7 @@ def reflectance_at(
     wavelength
         In metres.
     window
-        Left, right, upper and lower edge in metres from the axis, beyond which nothing is reflected; none when left
-        out.
+        Left, right, upper and lower edge in metres from the axis, beyond which nothing is reflected; default: none.
 
     Returns
     -------
@@ -155,10 +154,9 @@ def reflectance_at(
 
     Notes
     -----
-    Arr has edges between the samples. A sample is the second derivative, by differences, of the reflectance integrated
-    twice: a mean by a hat two steps wide, sharpened so that a frequency f comes out right to (2π f dx)⁶/560, while what
-    is faster than the samples can tell is damped like 1/f². Files are interpolated bilinearly; outside of them nothing
-    is reflected.
+    Arr has edges between the samples. A sample is the second difference of the twice integrated reflectance: a mean
+    over a hat two steps wide, sharpened so that a frequency f is right to (2π f dx)⁶/560, while frequencies beyond the
+    samples' limit fall as 1/f². Files are interpolated bilinearly and reflect nothing outside.
     """
     amplitude = math.sqrt(sensor.reflectance)
     if sensor.mask is not None:

@@ -1,13 +1,13 @@
-"""Bundles of rays through a real lens, in the coordinates that its diffraction is computed in.
+"""Bundles of rays through a real lens, in the coordinates in which its diffraction is computed.
 
-A bundle of rays starts on the plane of the entrance pupil, at e, and goes through the lens. Behind it each ray is
-followed back to the plane of the exit pupil, to the point p. With y0 the middle of the spot on the sensor,
+A bundle starts on the plane of the entrance pupil, at e, and goes through the lens. Behind it each ray is followed back
+to the plane of the exit pupil, to the point p. With y0 the middle of the spot on the sensor,
 
     s = (y0 - p)/|y0 - p|      direction cosines in image space (transverse part)
     Ψ = path(e … p) + |y0 - p| phase of the light from e, referred to y0, in metres
 
-and the field on the sensor at y0 + v is ∫ A exp(ikΨ(s)) exp(ik(s·v + v·Cv/2)) d²s, C = (1 - s_c s_cᵀ)/R: only what
-departs from a point image is left to be sampled. The lens is rotationally symmetric: tilts are along y.
+and the field on the sensor at y0 + v is ∫ A exp(ikΨ(s)) exp(ik(s·v + v·Cv/2)) d²s, C = (1 - s_c s_cᵀ)/R: only the
+departure from a point image is sampled. The lens is rotationally symmetric: tilts are along y.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Passing(Protocol):
 
 @dataclass(frozen=True)
 class Bundle:
-    """Rays of F fields, N each, tilted along y. Metres; s without unit.
+    """Rays of F fields, N each, tilted along y. Lengths in metres; s has no unit.
 
     Parameters
     ----------
@@ -62,9 +62,9 @@ class Bundle:
     radius
         [F] distance R of y0 from the exit pupil's middle.
     before
-        [F, N] path of the wave before e, in metres.
+        [F, N] path of the wave before e.
     rays
-        Where the rays are behind the last surface.
+        Behind the last surface.
     """
 
     e: torch.Tensor
@@ -119,12 +119,12 @@ def trace_bundle(
     curvature
         Of the wave at the entrance pupil, in 1/m.
     middle
-        [F] y of the points that phases are referred to; the spots' own when left out.
+        [F] y of the points that phases are referred to; default: the spots' own.
     count
         Rays a side of each bundle.
     box
-        Corners [F, 2] of where rays start on the entrance pupil, in metres, as far to the left as to the right; all of
-        it when left out.
+        Corners [F, 2] of where rays start on the entrance pupil, in metres, symmetric left and right; default: all of
+        it.
     sloped
         Whether to compute the `jacobian`, which takes more than half of the time.
 
@@ -179,9 +179,9 @@ def _both(values: torch.Tensor, count: int, turn: torch.Tensor | None = None) ->
 
 
 def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> torch.Tensor:
-    """Where the light of a far source lands on the sensor, on average: y in metres, [F], as `trace_bundle` has it.
+    """Mean y in metres, [F], at which the light of a far source meets the sensor, as `trace_bundle` has it.
 
-    It takes half the time, for nothing is differentiated. Parameters and errors are the same.
+    Parameters and errors are the same. Without derivatives it takes half the time.
     """
     return trace_bundle(focused, sines, count=count, sloped=False).middle
 

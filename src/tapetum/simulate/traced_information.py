@@ -1,8 +1,8 @@
-"""How a frame of a traced lens changes with what is unknown, by differences of pictures on the very same samples.
+"""How a frame of a traced lens changes with its unknowns, by differences of pictures on the same samples.
 
-A traced lens is not differentiated automatically: on the axis its picture has no azimuth to differentiate by, and its
-focus is found by iteration. The errors of sampling nearly cancel in a difference of two pictures on the same samples:
-so lenses that are focused or zoomed a little differently get the samples that were planned for the scene's own.
+A traced lens is not differentiated automatically: on the axis the tilt has no azimuth to differentiate by, and focus is
+found by iteration. Errors of sampling nearly cancel in a difference of two pictures on the same samples, so lenses with
+a slightly changed focus or zoom use the samples planned for the scene's own.
 """
 
 # Torch types argmax and stack in part only.
@@ -49,12 +49,12 @@ _SECANTS = 3
 
 
 class TracedSlopes:
-    """How the mean electrons of a traced target's frame change, at any number of gazes. Holding it is the cache.
+    """Derivatives of the mean electrons of a traced target's frame, at any number of gazes. Build it once.
 
     Parameters
     ----------
     scene
-        What stands on the bench, its lens a prescription; its own rotation is not used.
+        With a prescription as lens; its own rotation is not used.
     names
         Of `TRACED` and `NUISANCES`: what to differentiate by.
     gazes
@@ -72,16 +72,16 @@ class TracedSlopes:
 
     Notes
     -----
-    Central differences. The gaze stays, as the spot's place on the sensor, where focus and focal length change. With
-    the focal length a prime is scaled as a whole; a zoom's groups and its stop move as its states say, or, with an
-    `f_number`, its stop so that this one stays. Either is focused on the same object distance again. Steps are a 25th
-    of the finest thing on the sensor (gaze), of the finest fringe of the picture (place), or turn the light at the
-    pupil's edge by 0.1 rad (focus, focal length, and the gaze of a bare mirror, by half a spot at the most), which
-    leaves some 0.2 % to the third derivative.
+    Central differences. The gaze, as the spot's place on the sensor, stays where focus and focal length change. With
+    the focal length a prime is scaled as a whole; a zoom's groups and stop follow its states, or with an `f_number` the
+    stop keeps that one. Either is focused on the same object distance again. Steps are a 25th of the finest detail on
+    the sensor (gaze), of the finest fringe of the picture (place), or turn the light at the pupil's edge by 0.1 rad
+    (focus, focal length, and the gaze of a bare mirror, by half a spot at the most), which leaves an error of some 0.2
+    % from the third derivative.
 
-    With `photosite_x` or `photosite_y` the gaze is stepped by a whole photosite, and what the array makes of its move
-    is put back from the slope of the array's own: the two are alike to 1 part in some 300, which small steps of each
-    would not separate.
+    With `photosite_x` or `photosite_y` the gaze is stepped by a whole photosite, and the effect of the array's
+    displacement is added back from the derivative by the array's own place: the two agree to 1 part in some 300, which
+    small steps of each would not separate.
     """
 
     def __init__(

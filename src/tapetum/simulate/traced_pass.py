@@ -1,12 +1,12 @@
 """The double pass of a ray-traced lens before a plane mirror or grating, as waves.
 
     G(v)   = 1/(iλ) ∫ A(s) exp(ikΨ(s)) exp(ik s·v) d²s               the spot, about y0
-    U3(s') = 1/(iλ) ∫ M(v) G(v) exp(ik vᵀCv) exp(ik s'·v) d²v        what comes back to the exit pupil
+    U3(s') = 1/(iλ) ∫ M(v) G(v) exp(ik vᵀCv) exp(ik s'·v) d²v        what returns to the exit pupil
     U3'(e) = A(e) exp(ikΨ(s(e))) U3(s(e))                            and leaves the entrance pupil
 
 A flat mirror takes s to -s, an order of direction τ to -s - τ. A(s) is the share of the pupil that no rim covers times
-the root of |∂e/∂s|, so that energy is kept; A(e) likewise with |∂s/∂e|. The wave that leaves lives in object space: it
-goes on from the entrance pupil (probe_path.py; docs/conventions.md, "Real lenses").
+the root of |∂e/∂s|, which conserves energy; A(e) likewise with |∂s/∂e|. The wave that leaves is in object space and
+propagates on from the entrance pupil (probe_path.py; docs/conventions.md, "Real lenses").
 
 A plane tilted by a takes s to -s - 2a cosθ, to first order in a, and lies a·y0 farther at the spot.
 """
@@ -53,9 +53,9 @@ class TracedGrids:
     sensor
         Columns and rows about the spot.
     half_width, flat
-        Of the sensor's window, and of what is kept whole of it before the light is faded out, in metres.
+        Of the sensor's window, and of its part before the light is faded out, in metres.
     returning
-        Columns and rows of the field that comes back, which is interpolated.
+        Columns and rows of the returning field, which is interpolated.
     leaving
         Columns and rows of the pupil on the way out; those of `pupil` when 0.
     """
@@ -69,7 +69,7 @@ class TracedGrids:
 
 
 class TracedPass:
-    """The retro-reflection of a traced lens off one plane, for any number of gazes. Holding the instance is the cache.
+    """The retro-reflection of a traced lens off one plane, for any number of gazes; kernels are computed once.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ class TracedPass:
     wavelength
         In metres.
     accepted
-        Largest angle under which light still reaches the picture, for fits that were `corrected` for it.
+        Largest angle, in radians, under which light still reaches the picture, for `corrected` fits made for it.
     dtype, device
         Of the fields.
     """
@@ -123,7 +123,7 @@ class TracedPass:
         sines
             [B, 2] sines of the tilt along x and y.
         centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+            [B, 2] place of the RR's own centre on the probe's sensor, in metres; default: the middle.
         """
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
@@ -142,10 +142,9 @@ class TracedPass:
         return dark.index_copy(0, lit, found)
 
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Field that leaves the lens, tilt removed, [B, n, n].
+        """Field that leaves the lens, tilt removed, [B, n, n], at columns x [B, n] and rows y [B, n].
 
-        At columns x [B, n] and rows y [B, n] of the entrance pupil, in coordinates turned by the rotation of
-        `foreshortening`: so `ProbePath` wants them.
+        They lie in the entrance pupil, turned by the rotation of `foreshortening`, as `ProbePath` wants them.
         """
         k, fits, sines = self._k, self.fits, sines.to(self.device, torch.float64)
         size, toward = tilt_and_azimuth(sines)
@@ -289,12 +288,12 @@ class TracedPass:
 
 
 def _window(distance: torch.Tensor, grids: TracedGrids, chirp: float) -> torch.Tensor:
-    """Fades the light out towards the window's end, and keeps what the light beyond would add to the rim's own image.
+    """Window that fades the light out at its end and adds back what the light beyond contributes to the rim's image.
 
-    The edge of the pupil spreads light over the sensor as 1/v, and a mirror sends it back to where it came from, which
-    head on is the same edge: as 1/v² again. The light faded out or beyond the window would add ∫ (1 - W) exp(i chirp
-    v²)/v² dv to what the edge lets out. A bump on the fade adds just that, so that nothing of it is missing; without
-    it the picture's error falls as slowly as one over the rings kept.
+    The pupil's edge spreads light over the sensor as 1/v, and the mirror returns it to its origin, at zero tilt the
+    same edge: as 1/v² again. The light faded out or beyond the window would add ∫ (1 - W) exp(i chirp v²)/v² dv to the
+    light at the edge. A bump on the fade adds exactly this; without it the picture's error falls only as one over the
+    rings kept.
     """
     low, high = grids.flat, grids.half_width
     place = math.pi * ((distance - low) / (high - low)).clamp(0, 1)

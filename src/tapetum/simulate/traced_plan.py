@@ -1,7 +1,7 @@
-"""Choose the samples of a traced lens's passes, measure the error that they leave, and refuse what they cannot hold.
+"""Choose the samples of a traced lens's passes, measure their error, and refuse what they cannot represent.
 
-Unlike a thin lens, a real one has no closed form to plan by. A ladder of efforts is climbed instead: at each the image
-is computed at some tilts and compared with the next one's. What is left of the error the rays say (traced_return).
+Unlike a thin lens, a real one has no closed form to plan by. Efforts are tried from coarse to fine: each computes the
+image at some tilts and is compared with the next. Rays give the error that remains (traced_return).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ _LARGEST_DEPARTURE = 0.05
 
 @dataclass(frozen=True)
 class TracedPlan(Plan):
-    """Samples of a traced pass, and the error that they should leave.
+    """Samples of a traced pass, and their expected error.
 
     Parameters
     ----------
@@ -86,8 +86,7 @@ class TracedPlan(Plan):
     expected_error
         Largest error of the irradiance, in fractions of the image's own peak, measured against the second next finer
         sampling and doubled. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the
-        most light the error there is stated, and may be larger than the accuracy asked for, which is that of brighter
-        tilts.
+        most light, its error is stated and may exceed the accuracy asked for, which is that of brighter tilts.
     """
 
     method: ClassVar[str] = "traced lens"
@@ -172,7 +171,7 @@ def traced_group(
     Raises
     ------
     InputError
-        For a lens that its polynomials do not hold, light too far out of focus to be followed, and scenes too large.
+        For a lens that its polynomials do not fit, light too far out of focus to be followed, and scenes too large.
     """
     if fits.misfit > _LARGEST_MISFIT * wavelength:
         raise InputError(

@@ -1,9 +1,9 @@
-"""Rays into a lens, off a mirror, and out again through the lens reversed: a check of the waves, and their correction.
+"""Rays into a lens, off a mirror, and out again through the reversed lens: a check and a correction of the waves.
 
-The double pass of waves (traced_pass.py) takes the way out for the way in, reversed. That is exact for light that comes
-from y0, by reciprocity, and less so for light from far beside it, where the lens has other aberrations: `check_return`
-tells by how much. Light so far out of focus leaves each place of the pupil on one ray: what the wave's phase lacks
-there is what that ray's path has more (`corrected`).
+The double pass of waves (traced_pass.py) takes the way out as the reverse of the way in. By reciprocity that is exact
+for light from y0, and less so for light from far beside it, where the lens has other aberrations; `check_return`
+measures the difference. Light far out of focus leaves each place of the pupil on one ray; `corrected` adds that ray's
+optical path difference (OPD) to the wave's phase.
 """
 
 from __future__ import annotations
@@ -52,18 +52,18 @@ _STRAY = 1.15
 
 @dataclass(frozen=True)
 class Returned:
-    """Rays that came back, F fields of N each.
+    """Rays that returned, F fields of N each. Lengths in metres.
 
     Parameters
     ----------
     bundle
         The way in.
     mirror
-        [F, N, 2] where they met the mirror, in metres.
+        [F, N, 2] where they met the mirror.
     e
         [F, N, 2] where they cross the plane of the entrance pupil again.
     path
-        [F, N] the whole path there, the tilt taken out, in metres.
+        [F, N] the whole path there, the tilt removed.
     turned
         [F, N, 2] direction cosines at the end, less those of exact retro-reflection.
     height
@@ -98,7 +98,7 @@ class TracedReturn:
     Parameters
     ----------
     opd
-        [F] RMS of real path less model's over the rays that return, piston apart, in metres; NaN where none returns.
+        [F] RMS of real path less model's over the rays that return, piston removed, in metres; NaN where none returns.
     overlap
         [F] share of the light on the sensor that leaves the lens again.
     angle
@@ -156,7 +156,7 @@ def check_return(
     *,
     curvature: float = 0.0,
 ) -> TracedReturn:
-    """Compare the paths of real rays with those that the double pass of waves takes for them.
+    """Compare the paths of real rays with those that the double pass of waves assumes.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def corrected(
     curvature: float = 0.0,
     accepted: float | None = None,
 ) -> PupilFits | None:
-    """Pupils whose light leaves with the paths of its real rays.
+    """Pupils whose outgoing light has the paths of its real rays; None where too few rays return.
 
     Parameters
     ----------
@@ -196,16 +196,16 @@ def corrected(
     curvature
         As for `trace_return`.
     accepted
-        Largest angle under which light still reaches the picture, in radians: places that send all of theirs under
-        angles beyond `_KEPT` times this are left out. None keeps all.
+        Largest angle under which light still reaches the picture, in radians; places whose light all leaves beyond
+        `_KEPT` times this are dropped. None keeps all.
 
     Returns
     -------
     PupilFits or None
-        Given `accepted`, `leaving` is a part of the pupil and holds two more functions, the direction cosines at the
-        end less those of retro-reflection (along the tilt before the heights, across as the last odd one). Its tilts
-        end where hardly any light returns. Its misfit is large where rays cross on their way out, so that a place has
-        no one path. None where too few rays return.
+        Given `accepted`, `leaving` covers a part of the pupil and holds two more functions, the direction cosines at
+        the end less those of retro-reflection (along the tilt before the heights, across as the last odd one); the
+        tilts end where hardly any light returns. The misfit is large where rays cross on their way out, so that a place
+        has several paths.
     """
     nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
@@ -237,9 +237,9 @@ def corrected(
 def _whole_pupil(
     focused: FocusedLens, nodes: TiltNodes, middle: torch.Tensor, back: Returned, rays: _Rays, more: torch.Tensor
 ) -> tuple[Fit, float]:
-    """The pupil that light leaves by, with what real rays' paths [T, N] and heights have more than the model's.
+    """Fit the pupil that light leaves by, with the excess `more` of real rays' paths [T, N] and heights.
 
-    Waves reach beyond the rays: where none returns, the nearest ones stand for them.
+    Waves reach beyond the rays: where no ray returns, the nearest ones replace it.
     """
     leaving, tilt = trace_bundle(focused, nodes.sines, middle=middle), nodes.terms(nodes.sines)
     usual, _ = fit_leaving(nodes, leaving)
@@ -277,8 +277,8 @@ def _between(
 ) -> float:
     """Worst RMS of the corrected paths against rays of tilts between the nodes, in metres.
 
-    Where few rays return, at the steepest nodes, they may be fitted by coefficients that no neighbour shares: right at
-    every node, and nonsense between them.
+    At the steepest nodes, where few rays return, each node may be fitted by coefficients unlike its neighbours': right
+    at every node, wrong between them.
     """
     # In every second gap: tracing is most of what a correction costs.
     sines = ((nodes.sines[1:] + nodes.sines[:-1]) / 2)[1::2]
@@ -337,7 +337,7 @@ def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Te
 def _last_return(focused: FocusedLens, steepest: float, curvature: float, accepted: float | None) -> float:
     """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns, by bisection.
 
-    Tilts are traced together, for rays in hundreds cost little more than one: four halvings at once, then the rest.
+    Hundreds of rays cost little more than one, so four halvings are traced together, then the rest.
     """
     low, high = 0.0, steepest
     if _returns(focused, torch.tensor([steepest], dtype=torch.float64), curvature, accepted)[0]:

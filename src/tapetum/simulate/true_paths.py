@@ -1,11 +1,11 @@
-"""What a thin lens's light has of path beyond the terms that a round table holds, followed along its rays.
+"""Paths of a thin lens's light beyond the terms that a round table holds, followed along its rays.
 
-A table of one radius knows the parabola ρ²/2R of the light that comes and the transform over the distance knows that
-of the light that leaves. Seen from the probe the tilted lens is foreshortened, waves are spheres, and a tilted sensor
-changes its distance along itself. Each of these is a small path that changes slowly over the pupil, so it is taken
-where the ray runs: from x0, where it enters, over u on the sensor to x, where it leaves, and on to X in the probe's
-aperture. What is largest, the foreshortened parabola of the light that comes, moves the ray as well: the table is read
-where the moved ray would be without it (docs/conventions.md, "What a table does not hold").
+A table by one radius includes the parabola ρ²/2R of the incoming light, and the transform over the distance that of the
+light that leaves. It leaves out that the tilted lens is foreshortened, that waves are spheres, and that a tilted
+sensor's distance changes along it. Each of these is a small path that varies slowly over the pupil, so it is taken
+along the ray: from x0, where it enters, over u on the sensor to x, where it leaves, and on to X in the probe's
+aperture. The largest one, the foreshortened parabola of the incoming light, also moves the ray: the table is read where
+the ray would be without it (docs/conventions.md, "What a table does not hold").
 """
 
 from __future__ import annotations
@@ -33,16 +33,8 @@ _MOST_SQUASHED = 0.1
 class Leg:
     """One order of one plane for a batch of gazes, all vectors [B, 2] in the pupil's coordinates.
 
-    Parameters
-    ----------
-    sines, slopes
-        s and t of the tilt.
-    turn
-        τ, the order's direction.
-    image_distance
-        z [B], where the gaze meets the plane.
-    tilt
-        a of the plane; None for a straight one.
+    `sines` and `slopes` are s and t of the tilt, `turn` is τ, the order's direction; `image_distance` [B] is z where
+    the gaze meets the plane; `tilt` is the plane's a, None for an untilted one.
     """
 
     sines: torch.Tensor
@@ -74,12 +66,9 @@ def neglected_path(
 
 
 def check_squash(g: DoublePassGeometry) -> None:
-    """Refuse light of a near source that a tilted lens brings back too far from round.
+    """Refuse light of a near source that a tilted lens returns too far from round.
 
-    Raises
-    ------
-    InputError
-        Where s²/(Rβ) is not small, β being the bend of the light that returns.
+    Raises InputError where s²/(Rβ) is not small, β being the bend of the light that returns.
     """
     beta = g.curvature - 1 / g.focal_length + 1 / (2 * g.image_distance)
     if g.curvature == 0 or g.sine == 0:
@@ -97,12 +86,8 @@ def check_squash(g: DoublePassGeometry) -> None:
 class TruePaths:
     """The paths of one scene's light.
 
-    Parameters
-    ----------
-    wavenumber, radius, focal_length, curvature
-        k, r, f and 1/R as scalars; tensors carry gradients.
-    distance, probe_radius
-        To the probe's aperture and its radius, in metres; None where the light goes to the far field.
+    `wavenumber`, `radius`, `focal_length` and `curvature` are k, r, f and 1/R as scalars; tensors carry gradients.
+    `distance` and `probe_radius` are those of the probe's aperture, in metres, None where light goes to the far field.
     """
 
     def __init__(
@@ -120,16 +105,10 @@ class TruePaths:
     def __call__(
         self, x: torch.Tensor, y: torch.Tensor, leg: Leg, straight: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Where to read the table, ξ and η [B, rows, columns] in metres, and the factor for what is read there.
+        """Where to read the table, ξ and η [B, rows, columns] in metres, and the factor for the value read there.
 
-        Parameters
-        ----------
-        x, y
-            Columns [columns] and rows [rows] of the pupil.
-        leg
-            The light followed.
-        straight
-            z of the plane that the pupil's own bend was made for.
+        `x` and `y` are the pupil's columns and rows; `straight` is z of the plane for which the pupil's own bend was
+        made.
         """
         z = leg.image_distance[:, None, None]
         x, y = x[None, None, :], y[None, :, None]

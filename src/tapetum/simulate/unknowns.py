@@ -1,4 +1,4 @@
-"""What a frame may be asked to tell: the parameters of Fisher information, and those that have no limit in a scene."""
+"""Parameters of Fisher information, and which of them have no limit in a scene."""
 
 from __future__ import annotations
 
