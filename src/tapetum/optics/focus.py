@@ -1,4 +1,4 @@
-"""Where the sensor of a lens belongs, by real rays: the least wavefront error on the axis."""
+"""Focus by real rays: the sensor's place with the least wavefront error on the axis."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _STEPS = 30
 
 @dataclass(frozen=True)
 class FocusedLens:
-    """A lens at one wavelength, and the sensor that it was focused on at another.
+    """A lens at one wavelength, with the sensor at its focus for another. Lengths in metres.
 
     Parameters
     ----------
@@ -57,20 +57,10 @@ class FocusedLens:
 
 
 def bundle(height: torch.Tensor, pupil: float, distance: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Rays from a point on the axis, `distance` before the entrance pupil, through the pupil at some heights.
+    """Rays through the pupil at heights [N] along y (metres), from a point on the axis `distance` before it.
 
-    Parameters
-    ----------
-    height
-        [N] along y, in metres.
-    pupil, distance
-        z of the entrance pupil, and how far before it the point lies; `inf` for parallel rays.
-
-    Returns
-    -------
-    tuple
-        Positions on the plane of the pupil and directions, [N, 3], and the path so far beyond that of the ray on the
-        axis, [N].
+    `pupil` is z of the entrance pupil; `distance` is `inf` for parallel rays. Returns positions on the plane of the
+    pupil and directions, [N, 3], and the path so far beyond that of the ray on the axis, [N].
     """
     zero = torch.zeros_like(height)
     position = torch.stack([zero, height, zero + pupil], -1)
@@ -116,14 +106,14 @@ def pupil_height(lens: Lens, distance: float = math.inf) -> float:
 
 
 def stopped_down(lens: Lens, f_number: float) -> Lens:
-    """The lens with its stop where it passes, of parallel light, a real bundle of diameter focal length / F-number.
+    """The lens with its stop set to an F-number: it passes a parallel bundle of diameter focal length / F-number.
 
-    The stop opens as far as the bundle's outermost ray has it; what other surfaces stop, they stop still.
+    The bundle is of real rays. Only the stop changes; other surfaces still stop what they stopped.
 
     Raises
     ------
     InputError
-        Where that ray does not reach the stop.
+        Where the bundle's outermost ray does not reach the stop.
     """
     cardinal = paraxial(lens)
     height = torch.tensor([cardinal.focal_length / (2 * f_number)], dtype=torch.float64)
@@ -139,7 +129,7 @@ def stopped_down(lens: Lens, f_number: float) -> Lens:
 def wavefront(lens: Lens, distance: float, image: float, heights: torch.Tensor) -> torch.Tensor:
     """Optical path of rays from a point on the axis to a sphere about the axial image point, [N], in metres.
 
-    The sphere goes through the middle of the exit pupil; only differences between rays mean anything.
+    The sphere goes through the middle of the exit pupil; only differences between rays have a meaning.
     """
     cardinal = paraxial(lens)
     position, direction, before = bundle(heights, cardinal.entrance_pupil, distance)
@@ -148,19 +138,9 @@ def wavefront(lens: Lens, distance: float, image: float, heights: torch.Tensor) 
 
 
 def best_focus(lens: Lens, object_distance: float) -> float:
-    """z at which the wavefront of a point on the axis has the least RMS error over the pupil.
+    """z, in the lens's coordinates, with the least RMS wavefront error of a point on the axis, by real rays.
 
-    Parameters
-    ----------
-    lens
-        The surfaces.
-    object_distance
-        From the point to the entrance pupil, in metres; `inf` allowed.
-
-    Returns
-    -------
-    float
-        z in the lens's coordinates; real rays, the pupil evenly lit.
+    The pupil is evenly lit; `object_distance` is from the point to the entrance pupil, in metres or `inf`.
 
     Raises
     ------

@@ -14,10 +14,10 @@ __all__ = ["BandLimitedFourier", "MatrixFourier", "chebyshev_lift", "naive_fouri
 
 
 def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tensor:
-    """exp(i phase) as a complex tensor (phase in radians, any real shape), by default of the matching precision.
+    """exp(i phase) as a complex tensor, by default of the matching precision; phase in radians, of any real shape.
 
-    The phase should be formed in float64: a float32 phase of 1e3 radians is off by 1e-4. Whole turns are taken out of
-    it before complex64 is made, which then is off by 2e-7.
+    Form the phase in float64: a float32 phase of 1e3 radians is off by 1e-4. Whole turns are removed before the
+    conversion to complex64, whose error is then 2e-7.
     """
     if dtype == torch.complex64 and phase.dtype == torch.float64:
         turns = phase * (0.5 / math.pi)
@@ -33,7 +33,8 @@ _LONG, _BLOCK = 1500, 64
 class MatrixFourier:
     """F(u) = Σ_ji field[j, i] exp(-i kappa (x_i u_x + y_j u_y)), for chosen x, y, u_x, u_y.
 
-    Holding the instance is the cache: the two kernels are formed once.
+    The two kernels are computed once, with the instance. Quadrature weights and constants belong to the integral and
+    are not included.
 
     Parameters
     ----------
@@ -45,10 +46,6 @@ class MatrixFourier:
         Radians per square metre: k/z for a propagation over z. Negative for the conjugate kernel.
     dtype
         complex64 or complex128, of the kernels; their phase is formed in float64 either way.
-
-    Notes
-    -----
-    Neither quadrature weights nor constants are included: they belong to the integral, not to the transform.
     """
 
     def __init__(
@@ -78,16 +75,11 @@ class MatrixFourier:
 
 
 class BandLimitedFourier:
-    """The same transform onto pixels much finer than its own detail.
+    """The same transform onto pixels much finer than its own detail; parameters as for `MatrixFourier`.
 
-    A field confined to an aperture has a transform without detail finer than the aperture's Airy disc. Where the wanted
-    pixels are finer than that, the integral is taken at few nodes only, and Chebyshev interpolation, exact to rounding
-    for such functions, carries it on to the pixels: fewer multiplications, by the square of pixels a node.
-
-    Parameters
-    ----------
-    x, y, ux, uy, kappa, dtype
-        As for `MatrixFourier`.
+    A field confined to an aperture has a transform without detail finer than the aperture's Airy disc. Where the pixels
+    are finer, the integral is taken at a few nodes only, and Chebyshev interpolation to the pixels is exact to
+    rounding. Multiplications fall by the square of the number of pixels a node.
     """
 
     def __init__(

@@ -1,12 +1,12 @@
-"""Choose the grids of a double pass whose sensor plane is sampled, and say what error to expect.
+"""Choose the grids of a double pass with a sampled sensor plane, and state the expected error.
 
 Three numbers decide the error (docs/conventions.md, "Sampling", shows how they were measured):
 
-- how many Airy rings m of the spot the sensor's window holds: what the window cuts off are the waves that carry
-  the sharp edge of the returning pupil;
-- how far the field turns between two pupil samples, in radians: π is the Nyquist limit;
+- how many Airy rings m of the spot the sensor's window holds: the window cuts off the waves that carry the sharp edge
+of the returning pupil;
+- the phase step of the field between two pupil samples, in radians: π is the Nyquist limit;
 - how much wider than the returning and the accepting pupil together is the period λz/dv that the sensor's samples
-  impose on the returning field: light diffracted beyond it would be folded back in.
+impose on the returning field: light diffracted beyond it would be folded back in.
 
 A sensor that is no mirror diffracts light itself, by λz over its finest detail: it takes several samples a detail.
 """
@@ -70,7 +70,7 @@ _MOST_BYTES = 4 << 30
 
 @dataclass(frozen=True)
 class SamplingPlan(Plan):
-    """Grids of a double pass, and the error that they should give.
+    """Grids of a double pass, and their expected error.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ class SamplingPlan(Plan):
         Largest error of the irradiance, in fractions of the image's peak; infinite where no claim is made: for grids
         forced coarser than planned, and past the cut-off, where no ray returns.
     missing
-        The part of it that the window's end leaves out, however fine the samples are.
+        The part of it due to the window's end, however fine the samples are.
     """
 
     columns: int
@@ -123,12 +123,12 @@ def plan_double_pass(
     accuracy
         Wanted largest error of the irradiance, in fractions of the image's peak.
     pupil_samples, sensor_samples
-        Force a grid by hand. It is refused where it cannot hold the field.
+        Force a grid; it is refused where it cannot hold the field.
     pixels
         Pixels of the wanted image, for the memory it takes.
     finest
-        Finest detail of the sensor's mask, in metres: the distance of its samples, or a quarter of the pitch of
-        sharp-edged photosites. A mirror when left out.
+        Finest detail of the sensor's mask, in metres: its sample spacing, or a quarter of the pitch of sharp-edged
+        photosites. Default: a mirror.
 
     Raises
     ------
@@ -144,7 +144,7 @@ def plan_double_pass(
 
 
 def plan_finer(geometry: DoublePassGeometry, accuracy: float, *, pixels: int = 1, finest: float) -> SamplingPlan:
-    """The grids to measure the error of an accuracy's against, for a mask; arguments as for `plan_double_pass`.
+    """Finer grids for a mask, as a reference for the error of `accuracy`; arguments as for `plan_double_pass`.
 
     Raises
     ------
@@ -216,10 +216,10 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
 def _lost_at_the_axis(g: DoublePassGeometry, half: float, flat: float) -> float:
     """Share of the peak that a window loses of the light that meets the sensor on the lens's axis.
 
-    There the diffracted light of all of the pupil's rim comes back through the opposite rim in step, whatever the tilt:
-    what the field's square and the sensor's distance to the lens make of it is stationary. n rings λz/2r from the spot
-    the square of its field is 8/π(πn)³ of the peak's, over an area λz/2 against 4/π rings² of the spot's: an amplitude
-    of 2N/(πn)³ of the peak's, N rings being the pupil's radius, and π/2 times the spot's radius in rings as much where
+    Light diffracted there by all of the pupil's rim returns through the opposite rim in phase, whatever the tilt,
+    because the phase by the field's square and the sensor's distance is stationary. n rings λz/2r from the spot the
+    square of its field is 8/π(πn)³ of the peak's, over an area λz/2 against 4/π rings² of the spot's: an amplitude of
+    2N/(πn)³ of the peak's, N rings being the pupil's radius, and π/2 times the spot's radius in rings as much where
     that dims the peak.
     """
     steepest, ring = g.image_distance * g.tangent, g.airy_step

@@ -26,14 +26,10 @@ _SLOW = 1e-6
 
 
 class Photosite(Protocol):
-    """A photosite in the middle of its cell, of a share `fill` of the cell's area, alike left and right, up and down.
+    """A photosite in the middle of its cell, covering a share `fill` of it, symmetric left-right and up-down.
 
-    Attributes
-    ----------
-    largest
-        The most that it can fill of a square cell.
-    breaks
-        Where its edges are in x and y, for one whose product of two steps is exact; None for any other.
+    `largest` is the most that it can fill of a square cell. `breaks` are its edges in x and y where the product of two
+    steps is exact, else None.
     """
 
     largest: ClassVar[float]

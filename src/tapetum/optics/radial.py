@@ -1,7 +1,7 @@
-"""Fields that depend on the distance from one point only: tabulated once, looked up anywhere.
+"""Fields that depend only on the distance from one point: tabulated once, read anywhere.
 
-Light that passes a round aperture twice, with a plane mirror between, comes back as a round field about a point that
-the tilt displaces (docs/conventions.md, "The round pass"). All of a sweep of gazes reads the same table.
+Light that passes a round aperture twice, with a plane mirror between, returns as a round field about a point that the
+tilt displaces (docs/conventions.md, "The round pass"). All gazes of a sweep read the same table.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -127,7 +127,7 @@ class FocusTables:
 def focus_tables(
     table: Callable[[float], RadialTable], z: float, reach: float, turning: float, error: float
 ) -> FocusTables:
-    """Tables enough for planes from z/(1 + reach) to z/(1 - reach).
+    """Tables for planes from z/(1 + reach) to z/(1 - reach).
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def focus_tables(
 
     Notes
     -----
-    The light turns by k r² δ/2z² for a plane farther by δ. What n nodes leave of exp(i turn t) on [-1, 1] is below
-    2 (turn/2)ⁿ/n!.
+    The phase changes by k r² δ/2z² for a plane farther by δ. With n nodes the error of exp(i turn t) on [-1, 1] is
+    below 2 (turn/2)ⁿ/n!.
     """
     if reach == 0:
         return FocusTables((z,), (table(z),))
@@ -173,7 +173,7 @@ def disc_transform(
     reach
         Largest ξ, in metres.
     spacing
-        Largest step of ξ, in metres; a quarter of the Nyquist interval where nothing less is asked for.
+        Largest step of ξ, in metres; at most a quarter of the Nyquist interval.
     moments
         Whether to return the first and second derivatives with respect to ξ as well.
 
@@ -185,8 +185,8 @@ def disc_transform(
     Notes
     -----
     By the projection-slice theorem a round transform is the one-dimensional transform of the disc's projection, which
-    is a Fresnel integral in closed form; it ends like a square root on both sides, which the sum over equally spaced
-    samples is corrected for. One fast Fourier transform then gives all ξ: no Bessel function is evaluated. A Hankel
+    is a Fresnel integral in closed form; it ends like a square root on both sides, for which the sum over equally
+    spaced samples is corrected. One fast Fourier transform then gives all ξ, without Bessel functions. A Hankel
     transform by Gauss-Legendre quadrature agrees to 1e-7 (tests/optics/test_radial.py).
     """
     widest = max(reach, 2 * abs(chirp) * radius / kappa)
@@ -230,7 +230,7 @@ def returning_field(
     *,
     partials: bool = False,
 ) -> RadialTable:
-    """The light that comes back to the lens, chirp and displacement taken out, before it passes the lens again.
+    """The light that returns to the lens, chirp and displacement removed, before it passes the lens again.
 
     Parameters
     ----------
@@ -241,7 +241,7 @@ def returning_field(
     reach
         Largest distance from its middle, in metres.
     slopes
-        Of the field, in radians: what is steeper than the second is left out, nothing below the first is touched.
+        Of the field, in radians: light up to the first is kept whole, light beyond the second is left out.
     partials
         Whether to tabulate the derivatives with respect to `image_distance`, `vergence`, `radius` and `wavenumber`.
 
@@ -287,17 +287,14 @@ def returning_field(
 def spot_field(
     wavelength: float, radius: float, image_distance: float, vergence: float, reach: float
 ) -> tuple[Complex, float]:
-    """The spot on the sensor, seen from its own centre: 1/(iλz) ∫ exp(ik(v + 1/z)ρ²/2 - ik x·ξ/z) d²x.
+    """The spot on the sensor, from its own centre: 1/(iλz) ∫ exp(ik(v + 1/z)ρ²/2 - ik x·ξ/z) d²x.
 
-    Parameters
-    ----------
-    wavelength, radius, image_distance, vergence, reach
-        As for `returning_field`; distances on the sensor.
+    Parameters as for `returning_field`, with `reach` on the sensor.
 
     Returns
     -------
     tuple
-        Amplitudes [M] for an illumination of 1 W/m², in W^½/m, and their distance in metres.
+        Amplitudes [M] for an illumination of 1 W/m², in W^½/m, and their spacing in metres.
     """
     k, z = 2 * math.pi / wavelength, image_distance
     disc, step = disc_transform(radius, k * (vergence + 1 / z) / 2, k / z, reach)

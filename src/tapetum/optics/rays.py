@@ -1,7 +1,7 @@
 """Rays through a sequence of rotationally symmetric surfaces: batched, and differentiable in every number of the lens.
 
-The surfaces stand on the z axis. Light travels towards +z; `reversed_lens` turns the lens round for light that comes
-back. Distances along a ray may be negative: a ray can start from the entrance pupil, behind the first surface.
+The surfaces stand on the z axis. Light travels towards +z; `reversed_lens` reverses the lens for returning light.
+Distances along a ray may be negative: a ray can start from the entrance pupil, behind the first surface.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _TURNING = 1e-4
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """Surfaces one behind the other, as tensors in SI units (float64). Two are equal when they are the same object.
+    """Surfaces in sequence, as tensors in SI units (float64). Two are equal when they are the same object.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Rays:
-    """Where rays are, and how they came there.
+    """Places of rays, and the paths that led there.
 
     Parameters
     ----------
@@ -127,15 +127,14 @@ def trace(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
     Returns
     -------
     Rays
-        At the last surface, directions behind it. Rays that miss a surface, or are reflected totally, carry finite but
-        meaningless numbers and are not `good`; vignetted rays go on (their `height` tells).
+        At the last surface, directions behind it. Rays that miss a surface or are totally reflected hold finite,
+        meaningless numbers and are not `good`; vignetted rays continue (see `height`).
 
     Notes
     -----
-    Conics are met by their quadratic equation. Where there are coefficients, Newton's method finds the intersection
-    without recording gradients; one more step with them makes the derivative exact (implicit function theorem). A root
-    is taken only where its residual vanishes: beyond the clear aperture of an asphere Newton finds roots that belong to
-    no ray.
+    Intersections with conics solve a quadratic equation. For aspheres Newton's method finds them without recording
+    gradients; one more step with gradients makes the derivative exact (implicit function theorem). A root counts only
+    where its residual vanishes: beyond the clear aperture of an asphere Newton finds roots that belong to no ray.
     """
     path = torch.zeros_like(position[..., 0])
     good = torch.ones_like(path, dtype=torch.bool)
@@ -158,7 +157,7 @@ def trace(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
 
 
 def trace_out(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
-    """Send rays that come from behind the lens, towards -z, out through all surfaces: arguments as for `trace`.
+    """Send rays that come from behind the lens, towards -z, out through all surfaces; arguments as for `trace`.
 
     Returns
     -------

@@ -1,11 +1,11 @@
-"""Choose the samples of a round pass from the scene and a wanted accuracy, and say what error to expect.
+"""Choose the samples of a round pass from the scene and a wanted accuracy, and state the expected error.
 
 Three numbers decide the error (docs/conventions.md, "Sampling", shows how they were measured):
 
-- how far the light turns between two samples of the pupil along its rays, in radians: π is the Nyquist limit;
-- how many Airy rings of the spot on the sensor are kept whole: further out lies light that the edge of the pupil
-  diffracted steeply, and it is faded out;
-- how far that diffracted light may turn between two samples. It is faint: a little of it may fold.
+- the phase step of the light between two samples of the pupil, along its rays, in radians: π is the Nyquist limit;
+- how many Airy rings of the spot on the sensor are kept whole: light farther out, diffracted steeply by the pupil's
+edge, is faded out;
+- the phase step of that diffracted light. It is faint, so a little of it may fold.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class DoublePassGeometry:
-    """The lengths that decide how a retro-reflection must be sampled. All in metres but for `sine`.
+    """The lengths that decide the sampling of a retro-reflection. All in metres but for `sine`.
 
     Parameters
     ----------
@@ -48,7 +48,7 @@ class DoublePassGeometry:
     probe_focal_length
         f_p.
     window
-        Half-diagonal of the wanted image on the probe's sensor, seen from the middle of the RR.
+        Half-diagonal of the wanted image on the probe's sensor, from the middle of the RR.
     sine
         Largest sine of the tilt.
     curvature
@@ -90,9 +90,9 @@ class DoublePassGeometry:
 
     @property
     def picture_angle(self) -> float:
-        """Half-angle that holds the rays of the returning beam, geometric, whatever the tilt, in radians.
+        """Geometric half-angle that holds the rays of the returning beam at any tilt, in radians.
 
-        Light that meets the sensor r|1/R - 1/f + 1/z| z off its spot's centre leaves the lens anywhere.
+        Light that meets the sensor r|1/R - 1/f + 1/z| z off its spot's centre may leave the lens anywhere.
         """
         out = abs(1 / self.image_distance - 1 / self.focal_length)
         return self.radius * (out + abs(self.curvature - 1 / self.focal_length + 1 / self.image_distance))
@@ -162,10 +162,7 @@ Step = TypeVar("Step", bound=_Erring)
 def step_for(ladder: Sequence[Step], accuracy: float) -> Step:
     """The first step of a ladder, from coarse to fine, whose error is within the accuracy.
 
-    Raises
-    ------
-    InputError
-        For an accuracy finer than the last step's.
+    Raises InputError for an accuracy finer than the last step's.
     """
     finest = ladder[-1].error
     if not accuracy >= finest:
@@ -233,15 +230,15 @@ _BYTES_AN_ENTRY = 48
 
 @dataclass(frozen=True)
 class RoundPlan(Plan):
-    """Samples of a round pass, and the error that they should give.
+    """Samples of a round pass, and their expected error.
 
     Parameters
     ----------
     columns, rows
         Samples over the pupil's diameter.
     flat_slope, end_slope
-        Of the light that comes back to the lens, against its own curvature, in radians: what is steeper than the first
-        begins to be faded out, nothing is left beyond the second.
+        Of the light that returns to the lens, against its own curvature, in radians: light beyond the first fades out,
+        and ends at the second.
     expected_error
         Largest error of the irradiance, in fractions of the image's peak; infinite where no claim is made: for grids
         forced coarser than planned, and past the cut-off, where no ray returns.
@@ -288,7 +285,7 @@ def plan_round(
     accuracy
         Wanted largest error of the irradiance, in fractions of the image's peak.
     pupil_samples
-        Force the columns by hand. They are refused where they cannot hold the light's rays.
+        Force the columns; they are refused where they cannot hold the light's rays.
     pixels
         Pixels of the wanted image, for the memory it takes.
     orders
@@ -391,7 +388,7 @@ def _largest(fits: Callable[[float], bool]) -> float:
 def through_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> DoublePassGeometry:
     """The lengths by which to plan a pass whose light travels `distance` to a probe's aperture, all in metres.
 
-    Seen from the lens the aperture takes the place of the picture, and the wave is bent by the distance besides.
+    From the lens the aperture takes the place of the picture, and the distance adds to the wave's curvature.
     """
     return replace(geometry, window=geometry.probe_focal_length * (probe_radius + geometry.radius) / distance)
 
@@ -410,10 +407,7 @@ def aperture_samples(geometry: DoublePassGeometry, distance: float, probe_radius
 def check_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> None:
     """Refuse a probe's aperture whose samples exceed the memory allowed; arguments as for `aperture_samples`.
 
-    Raises
-    ------
-    InputError
-        With the largest aperture that fits.
+    The InputError names the largest aperture that fits.
     """
 
     def needed(radius: float) -> int:
@@ -436,17 +430,8 @@ def check_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: 
 def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) -> None:
     """Refuse a scene whose table of returning light (optics/radial.py) exceeds the memory allowed.
 
-    Parameters
-    ----------
-    geometry, plan
-        Of the pass.
-    steepest
-        Tangent of the steepest tilt, and half the steepest order's direction.
-
-    Raises
-    ------
-    InputError
-        Where the light comes back far beside the lens, over a very long image distance.
+    `steepest` is the tangent of the steepest tilt plus half the steepest order's direction. Raises InputError where the
+    light returns far beside the lens, over a very long image distance.
     """
     g = geometry
     k, z = 2 * math.pi / g.wavelength, g.image_distance
