@@ -1,4 +1,4 @@
-"""What a frame would be without spots: its background, uneven as it is, its noise, and its hot pixels."""
+"""A frame without its spots: its uneven background, its noise, and its hot pixels."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ def _basis(rows: int, columns: int) -> tuple[NDArray[np.float64], list[tuple[int
 
 
 def _surface(values: NDArray[np.floating], order: int, floor: float, shape: tuple[int, int]) -> NDArray[np.float32]:
-    """Fit a polynomial surface from below: blocks that rise above it hold light of a spot and are left out.
+    """Fit a polynomial surface from below, without blocks that rise above it: these hold light of a spot.
 
-    The order rises step by step, so that a spot which covers a good part of the frame is recognised as one before the
-    surface can follow it. Returns the surface at the pixels of a frame of the given shape.
+    The order rises step by step, so that a spot which covers a good part of the frame is recognised before the surface
+    can follow it. Returns the surface at the pixels of a frame of the given shape.
     """
     rows, columns = values.shape
     basis, pairs, orders = _basis(rows, columns)
@@ -69,20 +69,11 @@ def _surface(values: NDArray[np.floating], order: int, floor: float, shape: tupl
 
 
 def clean(image: NDArray[np.generic], quantum: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Take the background and the hot pixels off a frame.
+    """Remove background and hot pixels from a finite frame [H, W] of uint8, uint16 or float32.
 
-    Parameters
-    ----------
-    image
-        [H, W], uint8, uint16 or float32, finite.
-    quantum
-        Step between two grey levels: no noise is believed to be below its rounding, ``quantum/sqrt(12)``.
-
-    Returns
-    -------
-    excess, noise
-        [H, W] float32: the frame minus its background, hot pixels set to zero; and the standard deviation of the
-        background's noise, positive everywhere.
+    Returns two float32 frames [H, W]: the excess over the background, hot pixels set to zero, and the standard
+    deviation of the background's noise, positive everywhere. `quantum` is the step between grey levels: the noise is at
+    least its rounding, ``quantum/sqrt(12)``.
     """
     height, width = image.shape
     pixels = image.astype(np.float32)

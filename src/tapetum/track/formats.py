@@ -1,4 +1,4 @@
-"""Tables on disk by suffix: how rows are written as they come, and read. A new kind is a `Format` in `FORMATS`."""
+"""Tables on disk by suffix: writing rows as they come, and reading. A new kind is a `Format` in `FORMATS`."""
 
 from __future__ import annotations
 
@@ -34,15 +34,9 @@ class Sink(Protocol):
 class Format:
     """One kind of table.
 
-    Parameters
-    ----------
-    sink
-        Returns what writes rows with a schema to an open file.
-    read
-        Returns the table in a file. It is given the types of known columns; others are numbers.
-    grows_as
-        Suffix of the file in which rows grow, where that is of another kind: a file in Parquet can be read only when it
-        is whole, so that its rows grow in an Arrow stream.
+    `sink` returns a writer of rows with a schema to an open file; `read` returns the table in a file, given the types
+    of known columns (others are numbers). `grows_as` is the suffix of the file in which rows grow, where that is of
+    another kind: Parquet can only be read when complete, so its rows grow in an Arrow stream.
     """
 
     sink: Callable[[BinaryIO, pa.Schema], Sink]

@@ -1,7 +1,7 @@
-"""The Kalman filter of one quantity of a track: a value and its rate, which white noise accelerates.
+"""The Kalman filter of one quantity of a track: a value and its rate, driven by white-noise acceleration.
 
-A row measures the value with the variance that its interval speaks of; a row without an interval measures nothing.
-Forward, written out for two states, it is quicker than small matrices: a fit runs it a hundred times.
+A row measures the value with the variance of its interval; a row without an interval measures nothing. The forward
+filter is written out for two states, which is faster than small matrices: a fit runs it a hundred times.
 """
 
 from __future__ import annotations
@@ -81,22 +81,22 @@ class Series:
 
 @dataclass(frozen=True)
 class Motion:
-    """How a quantity changes, and what its errors are like.
+    """How a quantity changes, and the statistics of its errors.
 
     Parameters
     ----------
     acceleration
-        Spectral density of the white noise that accelerates it, in its unit² / s³.
+        Spectral density of the white-noise acceleration, in its unit² / s³.
     spread
         Standard deviation of the quantity itself: an outlier may lie anywhere within.
     noise
         Share of the intervals' variance that is new in every row. Only this averages out.
     systematic
-        Share of the raw interval's half-width that stays however many rows are averaged, for the errors of
-        neighbouring frames resemble each other. 1, the default, keeps every interval at least as wide as it was;
-        `calibrate` finds less where less is true.
+        Share of the raw interval's half-width that stays however many rows are averaged, because errors of neighbouring
+        frames are correlated. 1, the default, keeps every interval at least as wide as it was; `calibrate` finds a
+        smaller value where the truth allows it.
     outliers
-        Share of rows that say nothing of the truth (a gaze of the wrong sign).
+        Share of rows without information on the truth (a gaze of the wrong sign).
 
     Raises
     ------
@@ -204,8 +204,8 @@ class Filter:
     ) -> tuple[State, State, float, float]:
         """Take a row that measures `y` with the variance `r`, NaN for nothing; the first row measures.
 
-        Return the states before and after, the trust in the measurement and the logarithm of its density. `trusted`,
-        where given, divides the variance; else the row is judged by what came before.
+        Returns the states before and after, the trust in the measurement and the logarithm of its density. `trusted`,
+        where given, divides the variance; else the row is judged by the state before it.
         """
         motion, trust, density = self.motion, math.nan, 0.0
         if self.state is None:

@@ -1,4 +1,4 @@
-"""Where several probes stand, and what the gaze that one of them sees means for another."""
+"""The probes' places, and conversion of one probe's gaze to another's."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Places:
-    """Where the probes stand, as the target sees them.
+    """The probes' places, as the target sees them.
 
     Parameters
     ----------
     places
-        Of each probe from the first one, in metres: x to the right and y down in the target's own picture, were the
-        target upright. The first is (0, 0).
+        Of each probe from the first one, in metres: x to the right and y down in the upright target's own picture. The
+        first is (0, 0).
     distance
         Of the target from the probes' plane, in metres.
     field
         The target's field of view, whole width and height, in radians.
     roll
-        Turn of the target about its optical axis, in radians from x to y: its picture then shows the probes' places
-        turned back by as much. Unknown as a rule.
+        Roll of the target about its optical axis, in radians from x to y: its picture then shows the probes' places
+        turned back by as much. Usually unknown.
     roll_spread
-        Standard deviation of that roll. It widens the intervals of probes that stand off the first one.
+        Standard deviation of that roll. It widens the intervals of all probes but the first.
 
     Raises
     ------
@@ -59,7 +59,7 @@ class Places:
             )
 
     def to_first(self, probe: int, gaze: ArrayLike) -> Array:
-        """Return the gaze that the first probe would see where `probe` sees `gaze`, both [..., 2].
+        """The gaze that the first probe sees where `probe` sees `gaze`, both [..., 2].
 
         Parameters
         ----------

@@ -1,4 +1,4 @@
-"""Light that stands out of a frame: maps of it at two scales, and the spots it makes."""
+"""Light above the background of a frame: maps of it at two scales, and the spots in them."""
 
 from __future__ import annotations
 

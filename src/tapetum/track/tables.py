@@ -59,7 +59,7 @@ _TRACK = {
 
 
 def estimate_columns(names: Iterable[str]) -> dict[str, pa.DataType]:
-    """Return the columns of what models estimate.
+    """The columns of the models' estimates.
 
     NAME, NAME_low and NAME_high for each quantity, two for the device, and, where there is any, whether the models
     apply and why not.
@@ -111,10 +111,10 @@ def plain(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
 
 
 class TableWriter:
-    """Writes rows as they come, so that an hour of tracks needs no memory. Made by `table_writer`.
+    """Writes rows as they come, so memory does not grow with the length of a track. Made by `table_writer`.
 
-    Rows grow in a file of their own, `NAME.unfinished` with the table's suffix (`.arrow` for a table in Parquet, which
-    can only be read when it is whole). Every second they are handed to the system: a kill costs no more than that.
+    Rows grow in a separate file, `NAME.unfinished` with the table's suffix (`.arrow` for Parquet, which can only be
+    read when complete). It is flushed every second, so a killed process loses no more than that.
     """
 
     def __init__(self, target: Path, schema: pa.Schema) -> None:
@@ -182,15 +182,10 @@ class TableWriter:
 
 @contextmanager
 def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[TableWriter]:
-    """Open a table for writing; it takes its name only when all went well.
+    """Open a table for writing; `path` is replaced only when all rows are written.
 
-    Where the work fails or is interrupted, its rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note
-    on the error says so (`__notes__`). A file that stood at `path` then still stands.
-
-    Raises
-    ------
-    InputError
-        When the suffix is none of `FORMATS`, or the file cannot be written.
+    After a failure or an interruption the rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note on the
+    error says so (`__notes__`). InputError when the suffix is none of `FORMATS`, or the file cannot be written.
     """
     checked_suffix(path)
     writer = None
@@ -210,19 +205,10 @@ def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[Ta
 
 
 def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
-    """Read a table that `table_writer` wrote.
+    """Read a table that `table_writer` wrote, in one of `FORMATS`, or the `NAME.unfinished.SUFFIX` of a killed run.
 
-    Parameters
-    ----------
-    path
-        Of one of `FORMATS`; or what a killed run left, `NAME.unfinished.arrow` among them.
-    schema
-        Columns that must be there, but for those of `MOMENT`, which are empty then. Others are kept, behind them.
-
-    Raises
-    ------
-    InputError
-        When the file is missing or damaged, or lacks a column.
+    The columns of `schema` must be there, except those of `MOMENT`, which are empty if absent. Others are kept, behind
+    them. InputError when the file is missing or damaged, or lacks a column.
     """
     place = Path(path)
     suffix = checked_suffix(place)

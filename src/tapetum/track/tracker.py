@@ -31,11 +31,11 @@ class TrackPoint:
     track
         Number of the track, from 1, never used twice by a tracker.
     x, y
-        Pixels: the detection's centroid where there is one, else where the track is expected to be.
+        Pixels: the detection's centroid where there is one, else the predicted place.
     vx, vy
         Estimated velocity, pixels per second.
     detection
-        Which detection of the frame it is; None while the track coasts.
+        Index of its detection in the frame; None while the track coasts.
     """
 
     track: int
@@ -83,16 +83,15 @@ class _Track:
 
 @dataclass(kw_only=True, eq=False)
 class Tracker:
-    """Gives the spots of successive frames the numbers of tracks.
+    """Assigns the spots of successive frames to numbered tracks.
 
-    A spot moves with constant velocity, disturbed by random accelerations; time stamps are taken as they are, so that
-    gaps and jitter do no harm. Spots and tracks are paired so that the sum of squared distances, in standard
-    deviations, is least (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track that
-    was seen in `confirm` frames coasts through frames without its spot; a younger one ends at the first.
+    A spot moves with constant velocity, disturbed by random accelerations; the filter uses the actual time stamps, so
+    gaps and jitter do no harm. The assignment of spots to tracks minimises the sum of squared distances, in standard
+    deviations (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track seen in
+    `confirm` frames coasts through frames without its spot; a younger one ends at the first.
 
-    When a spot fades, its ghost (see `tapetum.track.detect`) may be left for some frames. A spot much dimmer than a
-    track remembers, and away from where the track is expected, therefore neither continues that track nor begins one
-    near it.
+    When a spot fades, its ghost (see `tapetum.track.detect`) may remain for some frames. A spot much dimmer than a
+    track was, and away from the track's predicted place, therefore neither continues that track nor begins one near it.
 
     Parameters
     ----------
@@ -104,11 +103,11 @@ class Tracker:
         Standard deviation of a centroid, pixels, to which 2 % of the spot's diameter are added.
     gate
         Largest distance between a spot and its track, in standard deviations; spots that overlap their track's
-        expected place always fit.
+        predicted place always fit.
     max_distance
         The same in pixels, however uncertain the track has become.
     max_coast
-        Seconds for which a track goes on unseen. A track always survives two frames without its spot.
+        Seconds for which a track continues unseen. A track always survives two frames without its spot.
     confirm
         Frames in which a spot must be seen before its track may coast.
     ghost_ratio
@@ -170,14 +169,14 @@ class Tracker:
         Parameters
         ----------
         detections
-            Spots of the frame. Those marked as ghosts are passed over.
+            Spots of the frame. Those marked as ghosts are ignored.
         time
             Of the frame, in seconds; not before that of the frame before.
 
         Returns
         -------
         list of TrackPoint
-            The tracks that live in this frame, by number: those seen, and those that coast.
+            The live tracks of this frame, seen or coasting, by number.
 
         Raises
         ------
