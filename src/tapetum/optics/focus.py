@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 _NODES = 24
-# A round of the search for the pupil's edge narrows it so much.
+# Factor by which each round narrows the search for the pupil's edge.
 _LADDER, _ROUNDS = 129, 2
 _STEPS = 30
 
@@ -68,7 +68,7 @@ def bundle(height: torch.Tensor, pupil: float, distance: float) -> tuple[torch.T
         return position, torch.stack([zero, zero, zero + 1], -1), zero
     length = torch.sqrt(height**2 + distance**2)
     direction = torch.stack([zero, height / length, distance / length], -1)
-    # Without the difference of two long ways.
+    # Without cancellation of two long paths.
     return position, direction, height**2 / (length + distance)
 
 
@@ -98,7 +98,7 @@ def pupil_height(lens: Lens, distance: float = math.inf) -> float:
         low, high = float(heights[first - 1]), float(heights[first])
         inside, outside = (float(rays.height[i].max()) for i in (first - 1, first))
         if bool(rays.good[first]) and outside > inside:
-            # Between two rungs the height runs straight.
+            # Linear interpolation between two heights.
             edge = low + (high - low) * (1 - inside) / (outside - inside)
         else:
             edge = low
@@ -152,7 +152,7 @@ def best_focus(lens: Lens, object_distance: float) -> float:
         raise InputError(what, where="object_distance", remedy="give a positive one")
     edge = pupil_height(lens, object_distance)
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    # Even in the area of the pupil: in the square of the height.
+    # Evenly spaced in the pupil's area: in the square of the height.
     heights = torch.tensor(edge * np.sqrt((nodes + 1) / 2))
     weight = torch.tensor(weights / weights.sum())
     cardinal = paraxial(lens)
@@ -174,7 +174,7 @@ def best_focus(lens: Lens, object_distance: float) -> float:
             where="object_distance",
             remedy="focus farther away",
         )
-    # Gauss and Newton's steps: the path is all but linear in z.
+    # Gauss-Newton steps: the path is nearly linear in z.
     nudge = 1e-4 * abs(cardinal.focal_length)
     for _ in range(_STEPS):
         slope = (path(image + nudge) - path(image - nudge)) / (2 * nudge)
@@ -193,7 +193,7 @@ def moved_group(lens: Lens, group: tuple[int, int], shift: float) -> Lens:
 
 
 def _passes(rays: Rays) -> torch.Tensor:
-    # What a table rounds away must not stop the outermost ray.
+    # Rounding in a published table must not stop the outermost ray.
     return rays.good & (rays.height <= 1 + 1e-9).all(-1)
 
 
@@ -223,5 +223,5 @@ def _to_sphere(rays: Rays, image: float, pupil: float) -> torch.Tensor:
         return along
     radius = image - pupil
     miss = (to_centre**2).sum(-1) - along**2
-    # sqrt(R² - miss) - R, without the difference of two long ways. A pupil behind the image has a negative radius.
+    # sqrt(R² - miss) - R, without cancellation. A pupil behind the image has a negative radius.
     return along + math.copysign(1.0, radius) * miss / (torch.sqrt((radius**2 - miss).clamp_min(0)) + abs(radius))

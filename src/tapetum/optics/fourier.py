@@ -26,7 +26,7 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
     return found if dtype is None else found.to(dtype)
 
 
-# Columns above which a row is summed in blocks of this many: fewer products, for a little more memory traffic.
+# Rows longer than the first are summed in blocks of the second: fewer products, slightly more memory traffic.
 _LONG, _BLOCK = 1500, 64
 
 
@@ -180,7 +180,7 @@ def _barycentric(at: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
 def chebyshev_lift(places: torch.Tensor, turn: float, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
     """Nodes that hold a phase of ±`turn` radians over places, and the matrix [places, nodes] back from them."""
     error, count, left = 1e-12 if dtype == torch.complex128 else 1e-6, 1, turn
-    # What n nodes leave of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
+    # With n nodes the error of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
     while left > error:
         count += 1
         left *= turn / (2 * count)

@@ -20,7 +20,7 @@ _MICRON = 1e-6
 _F_LINE, _D_LINE, _C_LINE = 486.133e-9, 587.562e-9, 656.273e-9
 # Mercury's g and caesium's s: the ends of SCHOTT's two normal lines.
 _G_LINE, _S_LINE = 435.834e-9, 852.11e-9
-# Mercury's h and t lines: beyond them a glass known by two numbers is known no more.
+# Mercury's h and t lines: the range of the two-number formula.
 _SHORTEST, _LONGEST = 404.66e-9, 1013.98e-9
 
 
@@ -106,7 +106,7 @@ def refractive_index(glass: str, wavelength: float) -> float:
     if glass not in GLASSES:
         raise InputError(f"unknown glass {glass!r}", where="glass", remedy=f"use {', '.join(GLASSES)}")
     known = GLASSES[glass]
-    # Written so that NaN is refused, too. A hundredth of a picometre forgives the rounding of 435.8e-9.
+    # Written so that NaN is refused too. A hundredth of a picometre allows for the rounding of 435.8e-9.
     slack = 1e-14
     if not known.shortest - slack <= wavelength <= known.longest + slack:
         raise InputError(

@@ -53,17 +53,16 @@ _LADDER = (
     Effort(6e-4, 150, 0.9, 1.8, 1.6, 7.0, 1.5),
 )
 REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0, 9.0, 5.0)
-# What faint pictures are measured against: the next finer effort, of these or one beyond them, and none coarser than
-# the first of these.
+# References for faint pictures: the next finer effort, of these or one beyond them, at least the first of these.
 _FINER = (*_LADDER[2:], Effort(4e-4, 210, 0.8, 1.6, 1.8, 8.0, 1.5))
 _LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0, 2.0, 0.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
-# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones; the field turns
-# fastest where they are dense, so fewer than π/2 times as many do (measured).
+# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones. The phase changes fastest
+# where they are dense, so fewer than π/2 times as many suffice (measured).
 _ROWS_A_COLUMN = 1.45
 # Share of the diffracted tail that the sensor's window passes whole, before it falls off smoothly.
 _FLAT = 0.5
-# How near, in fractions of that bound, the window's end may come.
+# Smallest distance of the window's end from that bound, as a fraction of it.
 _NEAR_BOUND = 0.6
 _MOST_BYTES = 4 << 30
 
@@ -98,7 +97,7 @@ class SamplingPlan(Plan):
     missing: float = 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8, *, masked: bool = False) -> int:
-        # A mask is made in double precision, of two factors.
+        # A mask is computed in double precision, of two factors.
         mask = 64 * batch * self.sensor_count**2 if masked else 0
         pupil, sensor = self.columns * self.rows, self.sensor_count**2
         kernels = (self.columns + self.rows) * (self.sensor_count + 2 * math.isqrt(pixels))
@@ -151,7 +150,7 @@ def plan_finer(geometry: DoublePassGeometry, accuracy: float, *, pixels: int = 1
     InputError
         For a scene too large for the memory allowed.
     """
-    # A plane that is asked for less than the finest error is sampled for the finest.
+    # Accuracies below the finest error use the finest sampling.
     used = step_for(_LADDER, max(accuracy, ACCURACIES[-1])).error
     plan = plan_with(geometry, next(step for step in _FINER if step.error < used), finest)
     _check_memory(plan, pixels, finest)
@@ -176,30 +175,30 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     """The grids that an effort makes of a scene and its mask's finest detail, unchecked."""
     g = geometry
     wavenumber = 2 * math.pi / g.wavelength
-    # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
+    # A large RR is faint in its middle, and waves from its edges count for more: they follow the rays' slopes.
     kept = max(effort.rings * g.airy_step, effort.spread * g.own_slope * g.image_distance)
     half, flat = g.spot_radius + kept, g.spot_radius + _FLAT * kept
-    # Light that meets the sensor at v returns at 2v - x. Beyond the pupil's own radius none finds the pupil again:
-    # a window that comes near that bound is better taken beyond it, whole, and then cuts off nothing.
-    # A mask's detail turns the light by `spread` at the lens.
+    # Light that meets the sensor at v returns at 2v - x, so beyond the pupil's own radius none meets the pupil again. A
+    # window that ends near that bound is extended beyond it and then cuts nothing off. A mask's detail turns the light
+    # by `spread` at the lens.
     spread = 0.0 if finest is None else g.wavelength * g.image_distance / finest
     bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.tangent) + 4 * g.airy_step + spread / 2
-    # With a mask that costs too much, so near the bound.
+    # With a mask that costs too much, so it ends near the bound.
     if half > (_NEAR_BOUND if finest is None else 1.3) * bound:
         half, flat = 1.3 * bound, bound
-    # The steepest slopes that the field has against the pupil, of rays and of the diffracted tail, in and out.
+    # Steepest slopes of the field against the pupil, of rays and of the diffracted tail, in and out.
     rays = g.ray_slope
     tail = (half - g.spot_radius) / g.image_distance
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.radians)
     columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
-    # Light that entered at x and met the sensor at v comes back at 2v - x: the diffracted tail, too, must not be folded
-    # into the accepting pupil by the period that the sensor's samples impose.
+    # Light that entered at x and met the sensor at v returns at 2v - x: the period of the sensor's samples must not
+    # fold the diffracted tail into the accepting pupil either.
     reach = 2 * (half + g.radius + g.image_distance * g.tangent) + spread
     step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
     if finest is not None:
         step = min(step, finest / effort.details)
     missing = _lost_at_the_axis(g, half, flat)
-    # In focus there is none of it, past the cut-off no more than all of the error: 0 times infinity is neither.
+    # None in focus, and past the cut-off at most the whole error: avoid 0 times infinity.
     if g.spot_radius > 0 and half < HOLDS_RIM * g.radius:
         missing += RIM * g.spot_radius / g.radius * g.fading
     return SamplingPlan(
@@ -223,7 +222,7 @@ def _lost_at_the_axis(g: DoublePassGeometry, half: float, flat: float) -> float:
     that dims the peak.
     """
     steepest, ring = g.image_distance * g.tangent, g.airy_step
-    # Of all tilts up to the steepest: the nearer to the window's end the spot has it, the more there is to lose.
+    # Over all tilts up to the steepest: the loss grows as the spot nears the window's end.
     feet = [flat + share / 8 * (min(steepest, half) - flat) for share in range(1, 9)] if steepest > flat else []
 
     def missed(foot: float) -> float:
@@ -275,6 +274,6 @@ def _forced(
             )
         plan = replace(plan, sensor_count=sensor_samples)
     if plan.columns < wanted.columns or plan.sensor_count < wanted.sensor_count:
-        # It does not alias, but nobody has measured how well it does.
+        # It does not alias, but its error has not been measured.
         plan = replace(plan, expected_error=math.inf)
     return plan

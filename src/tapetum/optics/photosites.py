@@ -21,7 +21,7 @@ Shape = Literal["square", "round", "hexagon"]
 
 # Lines across one square along which the area under an edge is summed.
 _LINES = 16
-# Frequencies below which a transform is the area.
+# Frequencies below which a transform equals the area.
 _SLOW = 1e-6
 
 
@@ -89,7 +89,7 @@ class Round:
 class Hexagon:
     """Regular, with a corner above and one below."""
 
-    # Of corner to corner a pitch.
+    # One pitch from corner to corner.
     largest: ClassVar[float] = 3 * math.sqrt(3) / 8
 
     def __init__(self, fill: float) -> None:
@@ -107,7 +107,7 @@ class Hexagon:
         corners = self._corner * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         total = np.zeros_like(x)
         for (x0, y0), (x1, y1) in itertools.pairwise(corners):
-            # Sides that lie opposite each other make the sum real: of i exp(-iφ) that is sin φ.
+            # Opposite sides make the sum real: i exp(-iφ) becomes sin φ.
             phase = np.pi * ((x0 + x1) * x + (y0 + y1) * y)
             flux = (y1 - y0) * x - (x1 - x0) * y
             total += flux * np.sinc((x1 - x0) * x + (y1 - y0) * y) * np.sin(phase)
@@ -128,7 +128,7 @@ def covered(edges: Real, site: Photosite) -> Real:
         low, high = site.breaks
         line = np.diff(np.clip(edges, low, high)) / step
         return np.outer(line, line)
-    # One quadrant stands for all.
+    # By symmetry one quadrant suffices.
     edges = edges[len(edges) // 2 :]
     y = (edges[:-1, None] + (np.arange(_LINES) + 0.5) / _LINES * step).ravel()
     inside = np.diff(np.minimum(edges[None, :], site.half_width(y)[:, None]), axis=1) / step

@@ -22,10 +22,10 @@ from tapetum.optics.grid import Grid
 
 __all__ = ["angular_spectrum", "checked_distance", "checked_field", "fast_length", "flux", "fresnel", "suitable_method"]
 
-# Samples a side of the padded spectrum beyond which a request is refused rather than left to exhaust the memory.
+# Samples a side of the padded spectrum beyond which a request is refused, to bound the memory.
 MAX_SIDE = 8192
-# Width of the smooth end of the band, in Fresnel zones' radii sqrt(λz). Measured on a Gaussian beam against its exact
-# form: see tests/optics/test_propagate.py.
+# Width of the smooth end of the band, in Fresnel zone radii sqrt(λz), measured on a Gaussian beam against its exact
+# form (tests/optics/test_propagate.py).
 TAPER = 8.0
 # Neglected phase, in radians, up to which the Fresnel integral is recommended.
 PARAXIAL_PHASE = 1e-2
@@ -157,7 +157,7 @@ def angular_spectrum(
     spectrum = torch.fft.fft2(field, s=(plan_y[0], plan_x[0])) * (transfer * band).to(dtype)
     if output is None:
         return torch.fft.ifft2(spectrum)[..., : source.rows, : source.columns]
-    # The FFT counts from the source's first sample; frequencies without light are left out of the sum.
+    # The FFT counts from the source's first sample; frequencies without light are skipped.
     keep_y, keep_x = ((band.amax(dim) > 0).nonzero()[:, 0] for dim in (1, 0))
     u, v = ((a - b[0]).to(field.device) for a, b in ((output.x(), source.x()), (output.y(), source.y())))
     transform = MatrixFourier(fx[keep_x], fy[keep_y], u, v, -2 * math.pi, dtype)
@@ -195,7 +195,7 @@ def flux(
         For a field that does not fit or is not finite.
     """
     field = checked_field(field, grid).to(torch.complex128)
-    # Padded to twice the size: |U^|² is as wide as the field's own correlation, twice the window.
+    # Padded to twice the size: |U^|² is as wide as the field's autocorrelation, twice the window.
     shape = tuple(fast_length(2 * n) for n in grid.shape)
     c = (0.0, 0.0) if carrier is None else carrier
     sy, sx = (wavelength * torch.fft.fftfreq(n, grid.pitch, dtype=torch.float64, device=field.device) for n in shape)
@@ -250,7 +250,7 @@ def _padding(source: Grid, wavelength: float, z: float, output: Grid) -> list[tu
     """Padded samples along x and y, with the shifts in metres between which the band falls from one to zero."""
     nyquist = 1 / (2 * source.pitch)
     axial_squared = wavelength**-2 - 2 * nyquist**2
-    # The greatest shift that the sampled band holds; a band with grazing waves has none.
+    # Largest shift within the sampled band; unbounded with grazing waves.
     most = z * nyquist / math.sqrt(axial_squared) if axial_squared > 0 else (math.inf if z > 0 else 0.0)
     plans: list[tuple[int, float, float]] = []
     for gap, count in zip(_farthest(source, output), (source.columns, source.rows), strict=True):
@@ -275,5 +275,5 @@ def _band_end(shift: torch.Tensor, start: float, end: float) -> torch.Tensor:
     if math.isinf(start):
         return torch.ones((), dtype=shift.dtype, device=shift.device).expand(shift.shape)
     part = ((shift - start) / (end - start)).clamp(0, 1)
-    # Four continuous derivatives at both ends: the steeper they end, the longer the ripple.
+    # Four continuous derivatives at both ends: a steeper end causes longer ripple.
     return 1 - part**5 * (126 - 420 * part + 540 * part**2 - 315 * part**3 + 70 * part**4)

@@ -101,7 +101,7 @@ class DiscRows:
         last = self._last[rows, None]
         first = self._columns - 1 - last
         inside = ((self._index >= first) & (self._index <= last)).to(dtype)
-        # Where a chord is so short that its ends' corrections overlap they add, as both sides' sums do.
+        # Where the corrections of a short chord's two ends overlap they add, like both sides' sums.
         inside -= ((self._index < first) & (self._index > last)).to(dtype)
         steps = torch.arange(self._order + 1, device=last.device)
         corrections = self._corrections[rows].to(dtype)

@@ -28,14 +28,14 @@ __all__ = ["FocusTables", "RadialTable", "disc_transform", "focus_tables", "retu
 Complex = npt.NDArray[np.complex128]
 Real = npt.NDArray[np.float64]
 
-# Samples of the integrand for each that its own band and the wanted reach ask for.
+# Oversampling of the integrand, over its own band and the wanted reach.
 _OVERSAMPLED = 4
 # Samples of the transform for each of its Nyquist interval.
 _PADDED = 4
 # Degree of the end correction: as in optics/pupil.py higher degrees gain nothing.
 _END_ORDER = 6
-# Radians that the tabulated field turns from one entry to the next, at the most: nearest neighbours then err by 1 %
-# at random, which averages out over the pupil's ten thousands of samples, and cubic interpolation by 1e-8.
+# Largest phase step between table entries, in radians: nearest neighbours err by 1 % at random, which averages out over
+# tens of thousands of pupil samples, and cubic interpolation errs by 1e-8.
 _TURN = 2 * math.pi / 512
 
 
@@ -72,7 +72,7 @@ class RadialTable:
         t = (steps - places).clamp(0, 2)
         value = _cubic(self.values, places, t)
         for name, move in moves.items():
-            # A long lens's derivatives cancel to a hundredth of themselves: they need the same care.
+            # A long lens's derivatives cancel to a hundredth, so they need the same precision.
             value = value + _cubic(self.partials[name], places, t.detach()) * move
         return value
 
@@ -253,10 +253,10 @@ def returning_field(
     """
     k, z = 2 * math.pi / wavelength, image_distance
     low, high = slopes
-    # The filter's own response must have died away before the table's end.
+    # The filter's own response must decay before the table's end.
     margin = 30 * wavelength / (high - low)
     kappa, beta = k / (2 * z), vergence + 1 / (2 * z)
-    # Far out the curvature that is taken out turns faster than the field itself.
+    # Far out the removed curvature's phase changes faster than the field's own.
     spacing = 0.6 * math.pi / (kappa * (reach + margin + radius))
     found = disc_transform(radius, k * beta / 2, kappa, reach + margin, spacing=spacing, moments=True)
     disc, step, first, second = found
@@ -267,7 +267,7 @@ def returning_field(
     count = math.ceil(reach / step * finest) + 4
     tables = {"": carrier * disc}
     if partials:
-        # ρ² under the integral is -∇²/κ² outside of it.
+        # ρ² under the integral is -∇²/κ² outside it.
         around = np.concatenate([second[:1], first[1:] / xi[1:]])
         rho_squared = -(second + around) / kappa**2
         edge = np.exp(1j * k * beta * radius**2 / 2) * j0(kappa * xi * radius) * 2 * math.pi * radius
@@ -304,7 +304,7 @@ def spot_field(
 def _cubic(values: torch.Tensor, places: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
     """Values at places + t by the cubic through four entries."""
     if not t.requires_grad:
-        # Weights more precise than the table would only make complex128 of it all.
+        # More precise weights would only promote the result to complex128.
         t = t.to(values.real.dtype)
     # The field is even: its entry at -1 is that at 1.
     before, at, after, then = (
@@ -329,7 +329,7 @@ class _Lowpass:
         self._window: Real = np.cos(fall * math.pi / 2) ** 2
 
     def __call__(self, values: Complex) -> Complex:
-        # Both halves, and between their far ends what joins them without a step.
+        # Both halves, joined smoothly at their far ends.
         gap = self._length - (2 * self._count - 1)
         mirrored = np.concatenate([values, np.full(gap, values[-1]), values[:0:-1]])
         spectrum = np.fft.fft(mirrored) * self._window

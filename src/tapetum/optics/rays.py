@@ -13,11 +13,11 @@ import torch
 __all__ = ["Lens", "Rays", "before", "normals", "reversed_lens", "sag", "to_plane", "trace", "trace_out"]
 
 _ITERATIONS = 12
-# A root of a surface's equation may be off by this share of its semi-diameter; others are stray, or none.
+# Largest residual of a root of a surface's equation, over its semi-diameter; other roots are stray.
 _RESIDUAL = 1e-7
-# Newton's last step, in metres: its path is a billionth of a wave.
+# Newton's last step, in metres: a billionth of a wave in path.
 _LAST_STEP = 1e-15
-# Where a conic turns back, 1 - (1 + κ) c² r² is zero. Below this it is held, and a ray there is not good.
+# Floor of 1 - (1 + κ) c² r², which is zero where a conic turns back; rays below it are not good.
 _TURNING = 1e-4
 
 
@@ -166,7 +166,7 @@ def trace_out(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Ra
     """
     if len(lens) == 0:
         return trace(lens, position, direction)
-    # The lens turned round: z runs the other way, and so does the light.
+    # In the reversed lens both z and the light are reversed.
     flip, end = position.new_tensor([1.0, 1.0, -1.0]), lens.z[-1] * position.new_tensor([0.0, 0.0, 1.0])
     rays = trace(reversed_lens(lens), (position - end) * flip, direction * flip)
     return replace(
@@ -231,7 +231,7 @@ def _newton(
     lens: Lens, i: int, start: torch.Tensor, way: torch.Tensor, t: torch.Tensor, steps: int = _ITERATIONS
 ) -> torch.Tensor:
     """Distances [N] to surface i along rays from `start` [N, 3], from guesses t [N]."""
-    # No step goes farther than the surface is wide: a wild one ends at a root of another place.
+    # No step exceeds the surface's width: a wild one would end at a root elsewhere.
     widest = 2 * lens.semi_diameter[i].detach()
     for done in range(1, steps + 1):
         step = _step(lens, i, start + t[:, None] * way, way)
@@ -240,7 +240,7 @@ def _newton(
         left = int(far.sum())
         if left == 0:
             break
-        # Most rays arrive after a few steps; those that find no surface go on without them.
+        # Most rays converge after a few steps; the others go on without them.
         if 4 * left < len(t) and done < steps:
             rest = far.nonzero()[:, 0]
             found = _newton(lens, i, start[rest], way[rest], t[rest], steps - done)
@@ -256,7 +256,7 @@ def _to_conic(lens: Lens, i: int, position: torch.Tensor, direction: torch.Tenso
     y = position[..., 1] + start * direction[..., 1]
     linear = c * (x * direction[..., 0] + y * direction[..., 1]) - along
     constant = c * (x**2 + y**2)
-    # Rays that miss get a place all the same: it is not on the surface, and so they are not good.
+    # Rays that miss also get a place: it is off the surface, so they are not good.
     root = torch.sqrt((linear**2 - c * (1 + lens.conic[i] * along**2) * constant).clamp_min(1e-12))
     return start + constant / (root - linear)
 

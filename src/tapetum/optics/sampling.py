@@ -109,8 +109,8 @@ class DoublePassGeometry:
         z, f = self.image_distance, self.focal_length
         slope_in = 1 / f - self.curvature
         gain = 1 - 2 * z * slope_in
-        # A ray that entered at x comes back at gain·x with slope -slope_in·x, and is bent by the lens once more. Where
-        # all rays come back through the lens's middle, gain = 0, they keep that slope.
+        # A ray that entered at x returns at gain·x with slope -slope_in·x, and the lens bends it once more. Where all
+        # rays return through the lens's middle, gain = 0, they keep that slope.
         return self.radius * abs(slope_in + gain / f) / max(1.0, abs(gain))
 
     @property
@@ -196,19 +196,19 @@ _LADDER = (
     RoundEffort(1e-4, 800, 0.8, 3.0, 7.0),
 )
 REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 10.0)
-# Light that the rim sends straight on meets the sensor at r/z from the axis and comes straight back to the rim; head on
-# all of it meets in the middle of the picture. Its share of the peak is about so much of the spot's radius over the
-# lens's (measured). A fade that ends at so many times r/z holds it.
+# Light that the rim diffracts straight on meets the sensor at r/z from the axis and returns to the rim; at zero tilt
+# all of it meets in the middle of the picture. Its share of the peak is about this times the spot's radius over the
+# lens's (measured). A fade that ends at this many times r/z holds it.
 RIM, HOLDS_RIM = 0.02, 1.4
-# Rings kept for it at most, over the effort's own; where that is too few, what is missing is stated.
+# Most rings kept for it, over the effort's own; where they do not suffice, the loss is stated.
 _MOST_FOR_RIM = 3
-# Of the light in the probe's aperture, where it is carried that far.
+# Efforts of the light in the probe's aperture, where it propagates that far.
 _AT_APERTURE = RoundEffort(0.0, 0.0, 1.2, 4.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
-# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones, where the light turns
-# least: about as many of them as of columns do (measured).
+# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones. There the phase changes
+# least, so about as many rows as columns suffice (measured).
 _ROWS_A_COLUMN = 1.05
-# Share of the rings that is passed whole, before the light is faded out.
+# Share of the rings that passes whole, before the light is faded out.
 _FLAT = 0.5
 _LEAST_COLUMNS = 48
 # Fewer samples than these cannot hold the end corrections of both sides.
@@ -216,15 +216,15 @@ _FEWEST_FORCED = 12
 # Share of returning light below which the error grows against the fading peak.
 _FADING = 0.3
 _MOST_BYTES = 3 << 29
-# A sample of the pupil takes its weight, as long as weights are kept, and its distance, its place and its field while
-# it is at work; more samples than these are worked off in bands of rows.
+# Bytes of a pupil sample: its weight, as long as weights are kept, and its distance, place and field while in use;
+# pupils of more samples than these are computed in bands of rows.
 _BYTES_KEPT, _SAMPLES_KEPT = 8, 1 << 24
 _BYTES_AT_WORK, _SAMPLES_AT_WORK = 64, 1 << 20
 # More than this takes many seconds an image.
 _MOST_SAMPLES = 3 << 27
-# A sample of the probe's aperture takes its weight, its phase, and the field before and after.
+# Bytes of a sample of the probe's aperture: weight, phase, and the field before and after.
 _BYTES_AT_APERTURE = 64
-# An entry of the table of returning light, and one of the transform that makes it, take their spectra as well.
+# Bytes of a table entry of returning light and of a sample of its transform, spectra included.
 _BYTES_AN_ENTRY = 48
 
 
@@ -300,7 +300,7 @@ def plan_round(
     effort = step_for(_LADDER, accuracy)
     plan = plan_round_with(geometry, effort)
     if orders and math.isinf(plan.expected_error) and geometry.sine:
-        # Some order comes back nearly as if head on: the claim is the mirror's at that tilt.
+        # Some order returns nearly as at zero tilt: claim the mirror's error there.
         nearest = replace(geometry, sine=math.sin(math.atan(max(geometry.tangent - orders, 0.0))))
         plan = replace(plan, expected_error=plan_round_with(nearest, effort).expected_error)
     if pupil_samples is not None:
@@ -322,7 +322,7 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
     spot = g.spot_radius / g.image_distance
     rays = g.ray_slope
     kept = effort.rings * g.wavelength / (2 * g.radius)
-    # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
+    # A large RR is faint in its middle, and waves from its edges count for more: they follow the rays' slopes.
     tail = max(kept, effort.spread * g.own_slope + g.window / g.probe_focal_length)
     error, missing = effort.error, RIM * g.spot_radius / g.radius
     if missing > error and spot + tail < (rim := HOLDS_RIM * g.radius / g.image_distance):
@@ -349,7 +349,7 @@ def _forced(plan: RoundPlan, g: DoublePassGeometry, columns: int) -> RoundPlan:
             where="sampling.pupil",
             remedy=f"use at least {least}, {plan.columns} for the accuracy asked for, or leave it out",
         )
-    # What does not alias may still be coarser than anybody has measured.
+    # Sampling without aliasing may still be coarser than any that was measured.
     error = plan.expected_error if columns >= plan.columns else math.inf
     return replace(plan, columns=columns, rows=math.ceil(columns * _ROWS_A_COLUMN), expected_error=error)
 
@@ -438,7 +438,7 @@ def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) 
     margin = 30 * g.wavelength / (plan.end_slope - plan.flat_slope)
     reach = 1.05 * g.radius + 2 * z * steepest + margin
     beta = abs(g.curvature - 1 / g.focal_length + 1 / (2 * z))
-    # Of the disc's projection, and of its transform: as `disc_transform` makes them.
+    # Samples of the disc's projection and of its transform, as `disc_transform` computes them.
     count = max(4096.0, 32 / math.pi * k / (2 * z) * g.radius * max(reach, 2 * z * beta * g.radius))
     length = max(4 * count, 10 / 3 * (reach + g.radius) / (2 * g.radius) * count)
     step = g.wavelength * z / length * count / g.radius

@@ -30,9 +30,9 @@ __all__ = ["TiltedPlane", "far_field_on_tilted", "tilt_directions"]
 
 # Samples a side of the padded spectrum beyond which a request is refused.
 MAX_SIDE = 8192
-# Kernels up to this size, in bytes, are kept; larger ones are recomputed at each use, a piece of this size at a time.
+# Kernels up to this size, in bytes, are kept; larger ones are recomputed at each use, in pieces of this size.
 KEPT_BYTES = 2**29
-# Least cosine to either plane's normal in a band that was not asked for: steeper rays would ask for a huge padding.
+# Least cosine to either plane's normal in a default band: steeper rays need a huge padding.
 GRAZING = 0.1
 
 
@@ -127,7 +127,7 @@ class TiltedPlane:
         self.wavelength, self.angle, self.axis, self.dtype = wavelength, angle, axis, dtype
         self.carrier = (0.0, 0.0) if carrier is None else carrier
         self.output_carrier = (0.0, 0.0) if carrier is None else _turned(self.carrier, angle, axis)
-        # Everything below is for a tilt about x; for one about y, x and y are exchanged on the way in and out.
+        # The code below tilts about x; for y, x and y are exchanged on the way in and out.
         source, target = (g if axis == "x" else _exchanged(g) for g in (grid, self.output))
         (cx, cy), (_, ty) = ((s if axis == "x" else s[::-1]) for s in (self.carrier, self.output_carrier))
         c, t = (cx / wavelength, cy / wavelength), ty / wavelength
@@ -146,7 +146,7 @@ class TiltedPlane:
         change = change / ((wavelength**-2 - transverse).sqrt() + axial)
         weight = 1 / (self._samples[0] * self._samples[1])
         self._start = (start * phasor(2 * math.pi * distance * change) * weight).to(dtype)
-        # The frequency along y' from the output's carrier; without carriers the whole of the axial one stays in.
+        # The frequency along y' from the output's carrier; without carriers it includes the whole axial one.
         left = c[1] * math.cos(angle) + axial * math.sin(angle) - t
         self._across = gy[:, None] * math.cos(angle) + change * math.sin(angle) + left
         self._y = target.y(device=device)
@@ -309,7 +309,7 @@ def far_field_on_tilted(
             remedy="sample the field more finely, take its carrier out or ask for a smaller range",
         )
     k = 2 * math.pi / wavelength
-    # Along the tilt's axis the map is the identity, so one transform serves all; across it, each column has its own.
+    # Along the tilt's axis the map is the identity, so one transform serves all; across it, each column differs.
     if axis == "y":
         field, grid = field.mT, _exchanged(grid)
         from_x, from_y = from_y.mT, from_x.mT
@@ -396,7 +396,7 @@ def _band(
             remedy=f"take the carrier out with carrier=(s_x, s_y), or use less than {1 / (2 * least.mapped):.4g} m",
         )
     parts = (0.0, 0.0, 0.0)
-    # All sides together first, then what is left of each.
+    # Shrink all sides together first, then each by itself.
     for sides in ((1, 1, 1), (0, 1, 0), (0, 0, 1), (1, 0, 0)):
         low, high, trial = 0.0, 1.0, 1.0
         for _ in range(40):

@@ -174,7 +174,7 @@ def zernike_basis(order: int, x: Tensor, y: Tensor) -> Tensor:
             remedy="give one of each a point",
         )
     rho, phi = torch.hypot(x, y), torch.atan2(y, x)
-    # Filled in place: at 400 x 400 pixels a list of modes and its stack would be held at once.
+    # Filled in place: at 400 x 400 pixels a list of modes and its stack would double the memory.
     basis = torch.empty((mode_count(order), *x.shape), dtype=x.dtype, device=x.device)
     for m in range(order + 1):
         turns = [(m, torch.cos(m * phi)), (-m, torch.sin(m * phi))] if m else [(0, None)]

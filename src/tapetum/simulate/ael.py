@@ -41,7 +41,7 @@ def nanometres(wavelength: float) -> float:
 
     Raises InputError outside that range, where other organs and other tables apply.
     """
-    # Rounding undoes the last binary digit: 400e-9 m is 400 nm, and "400 to" includes it.
+    # Multiplying rounds 400e-9 m to just below 400 nm: undo the last binary digit.
     value = round(wavelength * 1e9, 6) if math.isfinite(wavelength) else math.nan
     if not 400 <= value < 1400:
         raise InputError(
@@ -162,8 +162,7 @@ def ael(laser_class: str, wavelength: float, exposure: float = 100.0, source_ang
     else:
         start = 7e-4 if laser_class == "1" else 3.5e-3  # tables 4 and 7
         thermal = start * c6(source_angle) * spectral * t2(source_angle) ** -0.25
-    # The standard stops Classes 1 and 3R at the limit of Class 3B; the European amendment A11:2021 also at the skin's
-    # limit, which is stricter and taken here.
+    # The standard limits Classes 1 and 3R by Class 3B; the stricter amendment A11:2021 also by the skin's limit.
     skin = 2000 * c4(wavelength) * math.pi * _SKIN**2 / 4
     limits = [thermal, skin, 0.5]
     if laser_class == "1" and _blue_counts(nm, t):
@@ -188,6 +187,6 @@ def checked_angle(source_angle: float) -> float:
 
 
 def _blue_counts(nm: float, exposure: float) -> bool:
-    # From 10 s on; below 484 nm from 1 s on, as a note asks for sources of 1.5 to 82 mrad. Taken for all: heat sets the
-    # lower limit for small ones anyway.
+    # From 10 s on; below 484 nm from 1 s on, as a note asks for sources of 1.5 to 82 mrad. Used for all sources: for
+    # small ones heat sets the lower limit anyway.
     return nm < 600 and exposure >= (1 if nm < 484 else 10)

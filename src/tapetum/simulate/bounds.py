@@ -39,9 +39,9 @@ tell nothing, and the limit is that of the smooth change from one photosite to t
 
 Array = NDArray[np.float64]
 _GAZE, _FOCUS = ("gaze_x", "gaze_y"), ("object_distance", "focal_length")
-# Of a Gaussian error with the standard deviation 1.
+# MAE of a Gaussian error with the standard deviation 1.
 _MAE = math.sqrt(2 / math.pi)
-# Azimuths off the sensor's axes and diagonals, which are like no others.
+# Azimuths off the sensor's axes and diagonals, where the symmetry makes special cases.
 _FIRST_AZIMUTH = 0.35
 
 

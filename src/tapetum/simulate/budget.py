@@ -240,13 +240,13 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     light, target, probe = scene.illumination, scene.target, scene.probe
     wavelength, watts = line_of(scene, wavelength)
     f = focal_length_at(target.lens.focal_length, target.lens.glass, target.lens.design_wavelength, wavelength)
-    # The sensor stands where the design wavelength is sharp.
+    # The sensor is in focus at the design wavelength.
     z, _ = lens_numbers(target.lens.focal_length, target.object_distance)
     f_p = focal_length_at(probe.lens.focal_length, probe.lens.glass, probe.lens.design_wavelength, wavelength)
     lit = beam_radius(scene)
     irradiance = irradiance_at_target(scene) * watts / light.power
     sine = math.hypot(*(math.sin(angle) for angle in target.rotation))
-    # Turned, the aperture takes less of the beam; a beam narrower than the aperture goes in whole.
+    # The tilted aperture takes less of the beam, but all of a beam narrower than itself.
     cosine = math.sqrt(1 - sine**2)
     accepted = min(irradiance * math.pi * target.lens.aperture_radius**2 * cosine, watts)
 
@@ -259,7 +259,7 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
         )
         held = 1.0
         if name == "sensor":
-            # Beside its edge nothing comes back.
+            # Nothing returns from beside the sensor's edge.
             spot = geometry.spot_radius + geometry.airy_step
             held = float(SensorEdge.of(target.sensor).share(place, spot))
         return _returned(name, scene, geometry, accepted, reflectance, transmittance, held)
@@ -279,7 +279,7 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     photons = one.watts * sensor.exposure / photon_energy(wavelength)
     electrons = photons * sensor.quantum_efficiency
     pixels = max(math.pi * one.radius_on_sensor**2 / sensor.pitch**2, 1.0)
-    # A pixel's own area keeps a spot smaller than it from making more electrons than there are.
+    # Adding the pixel's area keeps a spot smaller than it from giving more electrons than there are.
     spot = one.watts / one.peak_irradiance if one.watts > 0 else math.inf
     peak = electrons * sensor.pitch**2 / (spot + sensor.pitch**2)
     dark = dark_electrons(sensor)
@@ -325,8 +325,7 @@ def _returned(
     probe, distance = scene.probe, scene.distance
     share, aperture = g.returning * held, probe.lens.aperture_radius
     rays = return_radius_by_rays(g.radius, g.focal_length, g.image_distance, g.curvature, distance)
-    # The light that leaves, as a disc of the same area. Light that the target brings to a focus in its own lens is as
-    # wide there as diffraction makes it.
+    # A disc of the same area. Light focused into the target's own lens has the width of its diffraction there.
     lit = disc_overlap(g.radius, g.return_radius, 2 * g.image_distance * g.tangent)
     out = max(g.radius * math.sqrt(lit), min(g.radius, g.wavelength * g.image_distance / g.radius)) if share else 0.0
     leaving = math.pi * out**2

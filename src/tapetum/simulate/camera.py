@@ -63,10 +63,10 @@ _RINGS_SHOWN = 12
 # Wavelengths in the radius of an opening whose first dark ring is 0.12 rad from the axis.
 _LEAST_WIDTH = 5
 
-# Share of the accuracy that the sensor's edges may take of a spot's outer rings before they are computed.
+# Share of the accuracy that the sensor's edges may take from a spot's outer rings before they are computed.
 _EDGE_SHARE = 0.5
 
-# A mirror's one order.
+# A mirror's single order.
 _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
 
 
@@ -80,9 +80,9 @@ class _Line:
     scatterers: tuple[Scatterer, ...]
     geometry: DoublePassGeometry
     glints: Glints | None = None
-    # For each pass what it returns where its sensor does not hold the whole spot; None where no sensor is in it.
+    # For each pass, its return where the sensor does not hold the whole spot; None without a sensor.
     ends: tuple[SensorEnd | None, ...] = ()
-    # Of the sensor, as of `SpotLight`.
+    # Of the sensor, as in `SpotLight`.
     orders: torch.Tensor = _MIRRORS
 
 
@@ -141,7 +141,7 @@ class Camera:
         self._distance = self._scalar(scene.distance if distance is None else distance)
         self._power = self._scalar(scene.illumination.power if power is None else power)
         _check_focus(float(self._focal_length.detach()), float(self._object_distance.detach()))
-        # 1/z = 1/f - 1/x_d holds at infinity too, where x_i = f²/(x_d - f) would be 0/0 to its gradient.
+        # 1/z = 1/f - 1/x_d also holds at infinity, where the gradient of x_i = f²/(x_d - f) would be 0/0.
         self._z = 1 / (1 / self._focal_length - 1 / self._object_distance)
         _check_widths(scene)
         self._return_radius = self._widest_return()
@@ -221,9 +221,9 @@ class Camera:
     def _line(self, wavelength: float, watts: float, steepest: float) -> _Line:
         scene, geometry, lens = self.scene, self._geometry(wavelength, steepest), self._lens
         if lens is not None:
-            # Scattered light goes by a thin lens, with the prescription's own focus at this wavelength.
+            # Scattered light is computed for a thin lens with the prescription's focus at this wavelength.
             geometry = replace(geometry, focal_length=lens.thin_focal_length(wavelength))
-            # Beyond twice the aperture and the steepest tilt no order finds its way out again.
+            # Orders beyond twice the aperture and the steepest tilt do not leave the lens again.
             widest = 4 * lens.aperture_sine(wavelength)
         else:
             widest = 2 * (geometry.return_radius + geometry.radius) / geometry.image_distance + 2 * geometry.tangent
@@ -241,7 +241,7 @@ class Camera:
         share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
-            # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
+            # Without a mirror the scattered light uses the plan of a mirror's light.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
         way = float(self._distance.detach()) if self._finite else None
         glints = None if lens is None else lens.glints(self.output, wavelength, way, self._dtype.to_real())
@@ -381,7 +381,7 @@ class Camera:
                     found.append((sines, centres, ratio * share))
                     continue
                 angle = torch.tensor((x + dx, y + dy), dtype=torch.float64, device=sines.device)
-                # It meets the target steeper by its angle, and comes back along its own direction.
+                # It meets the target steeper by its angle, and returns along its own direction.
                 place = centres.to(angle) - focal * torch.tan(angle)
                 found.append((off_axis(sines.to(angle), angle), place, ratio * share))
         return found
@@ -404,19 +404,19 @@ class Camera:
                 if end is not None:
                     self._edge_error = max(self._edge_error, end.missed)
                 if end is not None and spots is not None and end.open_beside is None and bool(spots.beside.any()):
-                    # A picture without light has no peak to be right to.
+                    # A dark picture has no peak to relate an error to.
                     self._edge_error = math.inf
                 part = weight.to(image.dtype) * image
                 if narrow:
-                    # A beam within the lens is round across its own direction, and lights an ellipse of the lens.
+                    # A beam narrower than the lens is round across its own direction and lights an ellipse on the lens.
                     part = part / cosines(sines)[:, None, None].to(part) ** 2
                 total = part if total is None else total + part
             for scatterer in line.scatterers:
-                # The spot's light and what the lens sends of it go by the width that the tilted lens shows the probe; a
-                # beam within the lens brings all of its light, whatever the tilt.
+                # The spot's light and the return scale with the lens's foreshortened width; a beam narrower than the
+                # lens enters whole at any tilt.
                 seen = cosines(sines)[:, None, None].to(self._device) ** (1 if narrow else 2)
                 if spots is not None and scatterer.image_distance == line.geometry.image_distance:
-                    # The sensor's own: its layers scatter beside it, too.
+                    # Only the sensor's own: its layers also scatter beside it.
                     seen = seen * spots.share[:, None, None].to(seen)
                 part = weight * seen * self._scattered(line, scatterer, centres)
                 total = part if total is None else total + part.to(total.dtype)
@@ -486,7 +486,7 @@ class Camera:
         exit_angle = self._picture_angle() if self._lens is None else self._lens.exit_angle
         angle = exit_angle + _RINGS_SHOWN * g.wavelength / (2 * g.radius)
         if self._finite:
-            # No more than the probe's aperture lets through, and the fringes about its edge.
+            # At most the width of the probe's aperture, and the fringes at its edge.
             distance, radius = float(self._distance.detach()), self.scene.probe.lens.aperture_radius
             angle = min(angle, (radius + g.radius) / distance + 4 * math.sqrt(g.wavelength / distance))
         if margin:
@@ -520,7 +520,7 @@ class Camera:
             way += "; the return overfills the probe, which cuts off nothing here"
         return {
             "sampling": self.plan.as_dict(),
-            # With what the sensor's edges change of spots that lie near them, of all gazes so far.
+            # Includes the change by the sensor's edges of spots near them, over all gazes so far.
             "expected_error": max([self.plan.expected_error, *(one.missed for one in self._masks)])
             + self._edge_error
             + self._left_out(),

@@ -23,7 +23,7 @@ from tapetum.simulate.surfaces import Surface
 
 __all__ = ["CutSensor"]
 
-# Samples of the sensor for each period of its photosites, where their orders are no table's any more.
+# Samples of the sensor for each period of its photosites, where a table of orders no longer applies.
 _DETAILS = 5
 
 
@@ -105,7 +105,7 @@ class CutSensor:
         if distance is not None and radius is not None:
             planned = through_aperture(geometry, float(torch.as_tensor(distance).detach()), radius)
         array = self._bare.array
-        # What a straight edge makes of light that comes back through the lens has no finer detail.
+        # The light of a straight edge that returns through the lens has no finer detail.
         finest = geometry.airy_step / 2
         if array is not None or self._bare.microlens is not None:
             pitch = self._bare.pitch if array is None or array.pitch is None else array.pitch
@@ -122,7 +122,7 @@ class CutSensor:
         k, (across, down) = 2 * math.pi / self._geometry.wavelength, self._sensor.tilt
         plain = replace(self._bare, mask=None, diffuse=None, reflectance=1.0)
         bare = reflectance_at(plain, self._geometry.wavelength, self._edge.window)
-        # What layers and coherence leave of it: the surface's first order is the sensor's own, scaled.
+        # Reduced by layers and coherence: the surface's first order is the sensor's own, scaled.
         share = _scale_of(self._sensor, plain, self._geometry.wavelength)
 
         def plane(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:

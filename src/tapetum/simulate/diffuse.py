@@ -52,7 +52,7 @@ from tapetum.simulate.scattering import (
 
 __all__ = ["DiffuseProfile", "corner", "diffuse_profile", "diffuse_return"]
 
-# Samples of the target's pupil along its radius, and of the probe's along its own, in the factor of the latter.
+# Samples along the radius of the target's pupil, and of the probe's, in the factor of the probe's aperture.
 _FINEST, _STEPS = 48, 500
 # Samples a side of a pixel larger than the image's detail.
 _MOST_PARTS = 64
@@ -193,7 +193,7 @@ def diffuse_profile(
     if not 1e-4 <= accuracy < 1:
         raise InputError(f"must be from 1e-4 to below 1, is {accuracy}", where="accuracy", remedy="ask for 1e-2")
     f_p = geometry.probe_focal_length
-    # A ring's irradiance falls as the cube of its number: at this one the peak's `accuracy` is long past.
+    # A ring's irradiance falls as the cube of its number: here it is far below `accuracy` of the peak.
     rings = 30 * accuracy ** (-1 / 3)
     end = min(reach / f_p, plane.reach(rings))
     step = plane.wavelength / (6 * plane.limit)
@@ -221,12 +221,12 @@ def _passing(plane: ScatteringPlane, distance: float, probe_radius: float, angle
     """Share of the light of each angle that the probe's aperture lets through, by rays and |w|²."""
     r = plane.radius
     end = min(angles[-1] * distance, _lit_at_probe(plane, distance, probe_radius, accuracy))
-    # What follows is smooth on this scale, in metres at the probe: finer fringes than these average out.
+    # The following is smooth on this scale, in metres at the probe: finer fringes average out.
     fine = max(r / _FINEST, end / _STEPS)
     places = np.arange(math.ceil(end / fine) + 3) * fine
     grid, power = _window(plane.wavelength, probe_radius, distance, fine, places[-1] + r + 4 * fine)
     pupil = disc_quadrature(r, 2 * _FINEST, _FINEST)
-    # Rows lie symmetric about the line through both middles: one half does.
+    # Rows are symmetric about the line through both middles: one half suffices.
     half = _FINEST // 2
     x, y, w = pupil.x.numpy(), pupil.y.numpy()[:half], 2 * pupil.weights.numpy()[:half]
     radiance = _smooth_radiance(plane, r / _FINEST, places[-1] / distance + 1.1 * r * abs(plane.outward))
@@ -243,7 +243,6 @@ def _passing(plane: ScatteringPlane, distance: float, probe_radius: float, angle
         shares[i : i + block] = (light * seen).sum(1) / np.maximum(light.sum(1), 1e-300)
     shares = np.where(np.isfinite(shares), np.maximum(shares, 0.0), 0.0)
     inside = np.minimum(angles * distance, places[-1])
-    # Beyond the last place nothing is left.
     return np.where(angles * distance <= places[-1], CubicSpline(places, shares)(inside), 0.0)
 
 
@@ -257,7 +256,7 @@ def _window(wavelength: float, radius: float, distance: float, fine: float, reac
     k = 2 * math.pi / wavelength
     values, step = disc_transform(radius, k / (2 * distance), k / distance, reach + 5 * fine)
     x = np.arange(len(values)) * step
-    # By area: the middle's bright point is small.
+    # Weighted by area: the middle's bright point is small.
     area = x + step / 4
     power = gaussian_filter1d(np.abs(values) ** 2 * area, fine / step, mode="mirror")
     return x, power / gaussian_filter1d(area, fine / step, mode="mirror") / (wavelength * distance) ** 2

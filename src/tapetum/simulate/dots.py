@@ -29,9 +29,9 @@ Array = npt.NDArray[np.float64]
 DIVERGENCE = math.radians(0.5)
 # Electrons a photon of 940 nm, of a silicon sensor made for visible light: assumed.
 EFFICIENCY = 0.05
-# What a filter before the probe's camera, made for its own laser, leaves of it: assumed, an optical density of 4.
+# Transmission at 940 nm of a filter for the probe's own laser: assumed, an optical density of 4.
 PASSED = 1e-4
-# Light may turn so far between two samples of the aperture, in radians.
+# Largest phase step between two samples of the aperture, in radians.
 _RADIANS = 2.0
 _LEAST_SAMPLES = 48
 _RINGS = 12
@@ -59,10 +59,11 @@ def beam_offsets(directions: Array, sines: Array, distance: Array) -> Array:
     against the light before it rolls: positive values put the probe right of and below the middle of the phone's
     picture. A beam that points away from the probe gets an infinite offset.
     """
-    # Face to face, the right of the phone's picture is the probe's left.
+    # Phone and probe face each other: right in the phone's picture is left in the probe's.
     x, y = -sines[:, 0], sines[:, 1]
     z = np.sqrt(1 - x**2 - y**2)
-    # The shortest turn that brings the way to the probe, d, onto the axis: v - d (v·(d + z))/(1 + d_z), across it.
+    # The shortest rotation that takes the direction to the probe, d, to the axis: v - d (v·(d + z))/(1 + d_z), across
+    # it.
     to_probe = np.stack([x, y, z], axis=-1)
     along = to_probe @ directions.T
     lean = (along + directions[:, 2]) / (1 + z[:, None])
@@ -127,5 +128,5 @@ def lit_time(dots: Dots, times: Array, exposure: Array, phase: float) -> Array:
         turns = np.floor((at - phase) / dots.period)
         return turns * dots.pulse + np.minimum(at - phase - turns * dots.period, dots.pulse)
 
-    # To the nanosecond: an exposure wholly in the dark must see nothing.
+    # Rounded to nanoseconds: an exposure wholly in the dark must see nothing.
     return np.maximum(0.0, np.round(before(times + exposure / 2) - before(times - exposure / 2), 9))

@@ -32,7 +32,7 @@ from tapetum.simulate.true_paths import Leg, TruePaths
 
 __all__ = ["DoublePass"]
 
-# Working memory of one batch of gazes, in bytes: past the processor's caches larger batches gain nothing.
+# Working memory of one batch of gazes, in bytes: batches larger than the processor's caches are no faster.
 _BATCH_BYTES = 192 << 20
 
 
@@ -118,7 +118,7 @@ class DoublePass:
             dtype=dtype,
             device=device,
         )
-        # Constants ride along with the spot, so that the hot loop is products and phases alone.
+        # The spot includes all constants, so that the hot loop has only products and phases.
         self._spot = (spot * (sensor.pitch**2 / wave * self._path.constant)).to(dtype)
         self._exit = (weights * phasor(defocus + self._path.chirp * rho_squared)).to(dtype)
         k, radius, curvature = (_scalar(value, device) for value in (self._k, geometry.radius, geometry.curvature))
@@ -143,7 +143,7 @@ class DoublePass:
     def exit_pupil(self, sines: torch.Tensor) -> torch.Tensor:
         """Field leaving the lens, tilt removed, times weights and the way's constant: [B, rows, columns]."""
         sines = sines.to(self.device, torch.float64)
-        # A mirror may turn with the pupil, a mask may not.
+        # A mirror may rotate with the pupil, a mask may not.
         turned = self._mask is None and foreshortens(self, sines)
         slopes = tangents(sines)
         offset = 2 * self._k * (twisted(slopes, sines) if turned else slopes)
@@ -163,7 +163,7 @@ class DoublePass:
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
         sines = sines.to(self.device, torch.float64)
-        # What a tilted pupil sends spreads over a foreshortened picture.
+        # A tilted pupil's light spreads over a foreshortened picture.
         pupil = self.exit_pupil(sines) * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
         shortened = foreshortens(self, sines) or self._path.aperture is not None
         if self._mask is not None and shortened:
@@ -177,7 +177,7 @@ class DoublePass:
         size = 16 if self.dtype == torch.complex128 else 8
         masked = self._mask is not None
         one = self.plan.bytes_needed(1, self.output.rows * self.output.columns, size, masked=masked)
-        # A graph for gradients keeps every intermediate result anyway.
+        # Gradients keep every intermediate result anyway.
         return 1 << 20 if gradients else max(1, _BATCH_BYTES // one)
 
 

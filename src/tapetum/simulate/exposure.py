@@ -26,9 +26,9 @@ from tapetum.simulate.radiometry import electrons
 __all__ = ["count_moments", "count_variance", "digitise", "expected_counts", "expose", "gain_of", "hot_currents"]
 __all__ += ["most_electrons", "readout_variance"]
 
-# Keeps the hot pixels' draws apart from all others made of small numbers.
+# Separates the hot pixels' draws from other streams seeded by small numbers.
 _HOT_STREAM = 0x407
-# Read noise, in electrons, above which the clipping at zero sees a normal distribution.
+# Read noise, in electrons, above which clipping at zero uses a normal distribution.
 _NOISY = 8.0
 
 
@@ -154,10 +154,10 @@ def count_moments(mean: torch.Tensor, sensor: ProbeSensor) -> tuple[torch.Tensor
     gain = gain_of(sensor)
     low = -sensor.offset / gain
     high = most_electrons(sensor)
-    # Less read noise than this is none: its square, or its inverse, would be no number.
+    # Smaller read noise counts as this: its square or inverse would not be finite.
     read_noise = sensor.read_noise if sensor.read_noise > 1e-9 else 0.0
     noise = read_noise**2
-    # A floor far below any noise, for the root's gradient at no light and no read noise.
+    # A floor far below any noise keeps the root's gradient finite without light and read noise.
     variance = light + noise
     scale = variance.clamp_min(1e-6).sqrt()
     over, over2 = _beyond((light - high) / scale, scale)
@@ -213,7 +213,7 @@ def _with_hot_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
 def _hot_currents(rows: int, columns: int, share: float, current: float, serial: int) -> torch.Tensor:
     rng = np.random.default_rng([serial, _HOT_STREAM])
     chosen = torch.from_numpy(rng.random((rows, columns))) < share
-    # The logarithm of a uniform number, not NumPy's own exponential draw: that one may change between versions.
+    # The logarithm of a uniform number, because NumPy's exponential draw may change between versions.
     return torch.from_numpy(-np.log1p(-rng.random((rows, columns)))) * current * chosen
 
 

@@ -231,8 +231,8 @@ def _at(beam: Beam, distance: float, exposure: float) -> AtDistance:
 
 
 def _positions(beam: Beam) -> list[float]:
-    # An extended source is judged where it is worst (5.4.3). Its limits shrink with it until it is a point; beyond,
-    # only the light that passes the pupil changes, and it gets less.
+    # An extended source is judged where it is worst (5.4.3). Its limits shrink with the distance until it is a point;
+    # beyond that only the light through the pupil changes, and decreases.
     end = NEAREST * beam.source_angle / SMALL_SOURCE
     if end <= NEAREST:
         return [NEAREST]
@@ -248,7 +248,7 @@ def _classify(beam: Beam, base: float, aided: float, telescope: dict[str, float]
             beam.through(PUPIL, place) <= limit * _ROUNDING for place, limit in zip(positions, limits, strict=True)
         )
 
-    # The M classes ask for their own limit from the naked eye and for Class 3B's from the telescope.
+    # The M classes apply their own limit to the naked eye and Class 3B's to the telescope.
     order: tuple[tuple[LaserClass, str, str], ...] = (
         ("1", "1", "1"),
         ("1M", "1", "3B"),

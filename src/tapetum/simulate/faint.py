@@ -17,7 +17,7 @@ __all__ = ["FaintPass", "Pass"]
 
 Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 
-# Peak over a mirror's below which a picture counts as faint: what a mirror's error makes of it is 30 times the error.
+# Peak over a mirror's below which a picture counts as faint: there a mirror's error counts 30 times.
 _FAINT = 1e-3
 
 

@@ -21,12 +21,12 @@ __all__ = ["FieldMap", "field_map"]
 _COUNT = 21
 _NEWTON = 6
 _BISECTIONS = 12
-# Sine of the steepest tilt that is looked at.
+# Sine of the steepest tilt to be tried.
 _STEEPEST = 0.95
-# How far the fit may be off its rays, over the height at the field's edge; else the field is taken to end earlier, and
-# this much. A lens far beyond its field has rays that cross, and no place that the light of a tilt lands at.
+# Largest misfit, over the height at the field's edge; beyond it the field is shortened by this factor. Far beyond a
+# lens's field rays cross, and a tilt's light has no single place.
 _TRUE, _SHORTER = 1e-3, 0.9
-# Last coefficients of the fit, whose sum is what the next ones would add; places where its slope is looked at.
+# Number of last coefficients whose sum estimates the next ones'; places at which the slope is checked.
 _TAIL, _LOOKED_AT = 3, 200
 _EDGE = 1 + 1e-9
 
@@ -73,7 +73,7 @@ class FieldMap:
             found = height.detach() / most * steepest
             for _ in range(_NEWTON):
                 found = (found - (self._height(found) - height.detach()) / self._slope(found)).clamp(0, float(steepest))
-        # One more step, with gradients.
+        # One more step, which carries gradients.
         return found - (self._height(found) - height) / self._slope(found)
 
     @property

@@ -47,7 +47,6 @@ def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     slopes = torch.tan(angles)
     along = 1 / torch.sqrt(1 + slopes.square().sum())
     across = slopes * along
-    # M a + s a_z, with M of `foreshortening`.
     share = (sines * across).sum(-1, keepdim=True) / (1 + cosines(sines)[:, None])
     return across + sines * (along - share)
 
@@ -59,7 +58,7 @@ def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
     tilt = float((sines.detach() ** 2).sum(-1).max()) if len(sines) else 0.0
     g = one.geometry
     reach = min(g.exit_angle + 2 * g.wavelength / g.radius, g.window / g.probe_focal_length)
-    # The edge of the pupil sees the picture's edge move by this phase; its share in a picture's error is smaller.
+    # Phase by which the picture's edge moves for the pupil's edge; its share in a picture's error is smaller.
     allowed = one.plan.expected_error - (one.plan.missing if math.isfinite(one.plan.missing) else 0.0)
     return 2 * math.pi / g.wavelength * g.radius * reach * tilt / 2 > 2 * min(allowed, 1e-2)
 

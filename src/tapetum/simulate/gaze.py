@@ -13,7 +13,7 @@ from tapetum.simulate.field_map import FieldMap, field_map
 __all__ = ["gaze_of", "largest_sine", "spot_places", "tilt_of_gaze"]
 
 _NO_TILT = 1e-12
-# Nearer to the axis a traced lens counts as linear: the fit's own offset there, some 1e-11 m, would spoil the slope.
+# Nearer to the axis a traced lens counts as linear: the fit's offset there, some 1e-11 m, would spoil the slope.
 _NEAR_TILT, _NEAR_PLACE = 1e-4, 1e-6
 
 

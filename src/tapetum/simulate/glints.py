@@ -39,7 +39,7 @@ __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
 _PLACES, _BESIDE = 1201, 1e-4
 # Between the indices of air and of any glass.
 _AIR = 1.1
-# Of the radial profile, in parts of the finest ring's period.
+# Step of the radial profile, in parts of the finest ring's period.
 _FINE = 8
 
 
@@ -77,7 +77,7 @@ class GlintTable:
         which, k = meets.nonzero(as_tuple=True)
         t = (sines[which] - low[k]) / (high[k] - low[k])
         e = self.e[k] + t * (self.e[k + 1] - self.e[k])
-        # The area is smooth where it is finite; its inverse is smooth where it is not.
+        # The area is smooth where it is finite, its inverse elsewhere.
         inverse = 1 / self.area[k] + t * (1 / self.area[k + 1] - 1 / self.area[k])
         return which, e, 1 / inverse
 
@@ -94,22 +94,22 @@ def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintT
     zero = torch.zeros_like(h)
     height, _ = sag(lens, surface, h**2)
     at = torch.stack([zero, h, lens.z[surface] + height], -1)
-    # Outwards along the normal: where such a ray leaves the lens, another one comes in.
+    # Outwards along the normal: the reversed path of a ray that enters.
     out = trace_out(before(lens, surface), at, -normals(lens, surface, at))
     crossing, _ = to_plane(out.position, out.direction, focused.entrance_pupil)
     sine, e = -out.direction[:, 1], crossing[:, 1]
     inwards = -out.direction
-    # Three rays of the same direction: this one, and those beside it across and along.
+    # Three rays of one direction: this one, and its neighbours across and along the tilt.
     step = _BESIDE * focused.entrance_radius
     beside = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64) * step
     start = torch.stack([zero, e, zero + focused.entrance_pupil], -1)[:, None] + beside
     back, good = _there_and_back(lens, surface, start, inwards[:, None].expand_as(start))
-    # Seen along the ray, so in the coordinates across it: its own, and those of the displacements.
+    # In coordinates across the ray: its own, and those of the displacements.
     along = torch.stack([zero, inwards[:, 2], -inwards[:, 1]], -1)
     turned = (back[:, 1:] - back[:, :1]) / step
     matrix = torch.stack([turned[..., 0], (turned * along[:, None]).sum(-1)], -1)
-    # Where rays would all go one way, at folds and where a whole ring of the surface faces the light, the pupil spreads
-    # what returns as an L of its Fresnel length a²/λ would.
+    # At folds, and where a whole ring of the surface faces the light, all rays go one way; diffraction by the pupil
+    # then spreads the return like an L of its Fresnel length a²/λ.
     most = focused.entrance_radius**2 / wavelength
     spread = torch.linalg.svdvals(torch.nan_to_num(matrix)).clamp_min(1 / most)
     area = inwards[:, 2] / spread.prod(-1)
@@ -149,7 +149,7 @@ class Glints:
         self._tables, self._dtype = tables, dtype
         self._output, self._scale = output, probe_focal_length / distance
         k = 2 * math.pi / wavelength
-        # Shadow of the aperture, its rings, and as far as a picture reaches beyond them.
+        # Shadow of the aperture, its rings, and the picture's extent beyond them.
         reach = math.hypot(output.width, output.height) + probe_radius * self._scale
         finest = wavelength * probe_focal_length / (2 * probe_radius)
         values, step = disc_transform(
@@ -213,7 +213,7 @@ def _there_and_back(
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Directions [..., 3] in which rays leave that a surface reflected, and whether they came through, rims apart."""
     part = before(lens, surface + 1)
-    # Glass does not change at the surface: the rays arrive there as they are.
+    # The index is the same on both sides: the surface does not bend the rays.
     part = replace(part, index=torch.cat([part.index[:-1], part.index[-2:-1]]))
     rays = trace(part, position, direction)
     normal = normals(lens, surface, rays.position)

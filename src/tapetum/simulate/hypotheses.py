@@ -63,7 +63,7 @@ def sign_dprime(
     opposite = -gaze if centre is None else 2 * centre - gaze
     sines = torch.stack([tilt_of_gaze(scene, gaze), tilt_of_gaze(scene, opposite)], 1)
     steepest = largest_sine(sines.flatten(0, 1))
-    # As films take the sensor's edge.
+    # As recordings treat the sensor's edge.
     rough = Camera(scene, steepest, accuracy=accuracy, edge="dimmed")
     # Room for the second beam's RR beside the first one's.
     output = rough.window(margin=True)

@@ -158,7 +158,7 @@ class Image:
                 group.attrs.update({"units": "W/m^2", "pitch_m": self.pitch, **_plain(self.metadata)})
             return path
         with atomic_file(path) as part:
-            # By way of memory: NumPy and OpenCV do not say why a disk would not take what they write.
+            # Encoded in memory first: NumPy and OpenCV do not say why a write to disk fails.
             if suffix == ".npy":
                 buffer = io.BytesIO()
                 np.save(buffer, images[0] if len(images) == 1 else images)

@@ -68,7 +68,7 @@ class FisherInformation:
         own = self.information.diagonal().clamp_min(0).sqrt()
         deviations = torch.full_like(own, torch.inf)
         told = own > 0
-        # Parameters differ by many powers of ten: each in units of what it would be known to alone.
+        # Parameters differ by many powers of ten: scale each by its bound when all others are known.
         shared = self.information[told][:, told] / (own[told, None] * own[None, told])
         deviations[told] = 1 / (own[told] * _independent_shares(shared).sqrt())
         return dict(zip(self.parameters, deviations.tolist(), strict=True))
@@ -258,7 +258,7 @@ def _independent_shares(shared: torch.Tensor) -> torch.Tensor:
         rest = [j for j in range(len(shared)) if j != i]
         values, vectors = torch.linalg.eigh(shared[rest][:, rest])
         along = (shared[i, rest] @ vectors).square()
-        # Eigenvalues of zero belong to combinations of the others that change nothing: only rounding is left of them.
+        # Zero eigenvalues belong to combinations of the others without effect: only rounding is left of them.
         kept = values > _ROUNDING
         left[i] -= (along[kept] / values[kept]).sum()
     return torch.where(left > _ROUNDING, left, torch.zeros_like(left))
@@ -271,12 +271,12 @@ def _information_of_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Ten
         top, left = (rows - mean.shape[-2]) // 2, (columns - mean.shape[-1]) // 2
         hot = hot_currents(sensor)[top : top + mean.shape[-2], left : left + mean.shape[-1]]
         mean = mean + (hot * sensor.exposure).to(mean)
-    # It depends on the mean alone, so a table serves millions of pixels. Unclipped, the moments are straight lines.
+    # It depends on the mean alone, so a table serves millions of pixels. Unclipped moments are linear.
     most = _clipped_from(sensor)
     nodes = (torch.arange(2 + int(most**0.5 / _STEP), dtype=torch.float64) * _STEP).square().requires_grad_()
     numbers, variance = count_moments(nodes, replace(sensor, hot_pixels=0.0))
     (slope,) = torch.autograd.grad(numbers.sum(), nodes)
-    # What rounding leaves of a slope in saturation is none.
+    # In saturation the slope is only rounding: set it to zero.
     slope = torch.where(slope > 1e-9, slope, torch.zeros_like(slope))
     table = torch.stack([nodes, slope, variance]).detach().to(mean.device)
     light = mean.clamp(0, most)
@@ -303,9 +303,9 @@ def _where_it_matters(scene: Scene, sines: torch.Tensor) -> Grid | None:
 
 # Spacing of the table of a pixel's moments, in roots of electrons: a 25th of the shot noise's standard deviation.
 _STEP = 0.02
-# Information from which an inverse, or a share of one parameter's own, is distinguished from rounding.
+# Information below which an inverse, or a parameter's independent share, is rounding.
 _ROUNDING = 1e-10
-# What may be zero is counted in units of its own.
+# Units of parameters whose values may be zero.
 _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
 
 

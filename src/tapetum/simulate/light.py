@@ -70,8 +70,8 @@ def directions(light: Illumination, airy_angle: float) -> list[tuple[float, floa
     if light.source_size == 0:
         return [(0.0, 0.0, 1.0)]
     radius = light.source_size / 2
-    # The finest fringes of a picture, those between two ends of the pupil, turn by so much from the source's middle to
-    # its rim. A few circles of directions, at Gauss's nodes of the area, hold such a turn.
+    # The phase of the finest fringes, those between two ends of the pupil, changes by this from the source's middle to
+    # its rim. A few circles of directions, at Gaussian nodes of the area, resolve it.
     turn = 2 * math.pi * radius / airy_angle
     circles, around = math.ceil(turn / math.pi) + 1, math.ceil(turn) + 5
     if circles * around > _MOST_DIRECTIONS:
@@ -86,7 +86,7 @@ def directions(light: Illumination, airy_angle: float) -> list[tuple[float, floa
     for circle, (node, weight) in enumerate(zip(nodes, weights, strict=True)):
         away = radius * math.sqrt((node + 1) / 2)
         for i in range(around):
-            # Every second circle turned by half a step.
+            # Rotate every second circle by half a step.
             angle = 2 * math.pi * (i + circle % 2 / 2) / around
             found.append((away * math.cos(angle), away * math.sin(angle), float(weight) / 2 / around))
     return found

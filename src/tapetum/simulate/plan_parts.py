@@ -136,7 +136,7 @@ class EyeCheck:
         found = self.found
         if found is None:
             return [("not computed", self.refused or "")]
-        # The wording of a class is eye safety's own.
+        # Eye safety words the class itself.
         meaning = next(line for line in found.lines() if line.startswith(f"Class {found.laser_class} by calc"))
         naked, aided = (in_si(found.emission[condition], "W") for condition in ("3", "1"))
         return [
@@ -182,7 +182,7 @@ def _reach(distance: float) -> str:
 def in_si(value: float, unit: str) -> str:
     """A number with four digits and a prefix, 509.3 mW/m² for 0.5093 W/m²."""
     for factor, prefix in _PREFIXES:
-        # What rounds up to the next prefix takes it.
+        # A number that rounds up to the next prefix takes that prefix.
         if abs(value) >= 0.99995 * factor:
             return f"{value / factor:.4g} {prefix}{unit}"
     return f"{value:.4g} {unit}"

@@ -139,17 +139,17 @@ def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] 
         left_out = {name: why for name, why in reasons.items() if why is not None}
         parameters = [name for name in PARAMETERS if name not in left_out]
     else:
-        # A real lens takes long to plan: a name that is refused is refused before.
+        # A real lens takes long to plan: refuse bad names first.
         parameters = checked_parameters(scene, parameters)
     light = scene.illumination
     wavelengths = (light.wavelength, *(line.wavelength for line in light.lines))
     budgets = tuple(link_budget(scene, wavelength) for wavelength in wavelengths)
-    # Keyword arguments are evaluated in their order: the planner refuses before derivatives of every pixel are taken.
+    # Keyword arguments are evaluated in order: the planner refuses before the costly derivatives.
     return Plan(
         geometry=_geometry(scene),
         budgets=budgets,
         sampling=_sampling(scene, budgets[0]),
-        # A person's own choice is refused rather than left out.
+        # Parameters named by the user are refused, not left out.
         limit=fisher(scene, parameters) if parameters or not left_out else None,
         left_out=left_out,
         eye=_eye(scene),
@@ -215,7 +215,7 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
     error, returning = float(known["expected_error"]), float(known["return_radius_at_probe"])
     claim = f"within {error:.1e} of the peak"
     if not math.isfinite(error):
-        # Not known, or without meaning, for three reasons.
+        # Three reasons: unknown, or without meaning.
         claim = "no claim: some of the light is past the cut-off"
         if not any(one.returning for one in budget.reflections):
             claim = "no light returns past the cut-off"

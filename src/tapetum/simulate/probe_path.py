@@ -21,7 +21,7 @@ from tapetum.simulate.foreshortening import cosines, foreshortening
 
 __all__ = ["ProbeAperture", "ProbePath", "missed_path"]
 
-# How far light may turn between two samples of the probe's aperture behind a traced lens, in radians.
+# Largest phase step between two samples of the probe's aperture behind a traced lens, in radians.
 _APERTURE_RADIANS = 2.0
 
 
@@ -85,9 +85,9 @@ class ProbePath:
         k = 2 * math.pi / wavelength
         self._to_pixels = k / probe_focal_length
         pixels = output.x(device=device), output.y(device=device)
-        # Every constant of the way, to be multiplied in once.
+        # All constants of the path, multiplied in once.
         self.constant = 1 / (1j * wavelength * probe_focal_length)
-        # What the way adds to the pupil's phase, in radians per m²: the Fresnel chirp of a finite distance.
+        # Phase added to the pupil, in radians per m²: the Fresnel chirp of a finite distance.
         self.chirp = torch.zeros((), dtype=torch.float64, device=device)
         self._seen, self._kappa = pixels, self._to_pixels
         if aperture is not None:
@@ -112,8 +112,8 @@ class ProbePath:
             pupil = pupil * self._ramp(centres, self._x, self._y[rows])
         if tilts is None:
             return self._first.at_nodes(pupil, rows.start)
-        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation goes
-        # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
+        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation acts
+        # on the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
         _, t = foreshortening(tilts)
         mix, down = self._rest(t, self._y[rows])
         return down @ (self._first.across(pupil, t[:, 0, 0]) * mix)
@@ -122,8 +122,8 @@ class ProbePath:
         """As `gather`, of all rows of a pupil whose coordinates are not turned by the rotation R: behind a mask."""
         if centres is not None and self.aperture is None:
             pupil = pupil * self._ramp(centres, self._x, self._y)
-        # M as it is: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Of its four phases the one of y and qx fits into no
-        # product. It turns slowly, by the square of the tilt: a few Chebyshev nodes in qx hold it.
+        # M unchanged: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Three of its four phases fit into the products. The
+        # one of y and qx changes slowly, by the square of the tilt: a few Chebyshev nodes in qx suffice.
         rotation, t = foreshortening(tilts)
         m = self._kappa * (rotation @ t)
         qx, qy = self._first.ux, self._first.uy
@@ -159,18 +159,18 @@ class ProbePath:
         rotation, t = foreshortening(sines)
         middle_x, middle_y = (x[:, :1] + x[:, -1:]) / 2, (y[:, :1] + y[:, -1:]) / 2
         step = (x[:, 1] - x[:, 0]) * (y[:, 1] - y[:, 0])
-        # What a tilted pupil sends spreads over a foreshortened picture.
+        # A tilted pupil's light spreads over a foreshortened picture.
         strength = step * torch.sqrt(cosines(sines)) * self.constant
         pupil = pupil * strength[:, None, None].to(self.dtype)
         if self.aperture is not None:
-            # Fresnel's chirp of the distance: seen from the probe the pupil is shortened along the tilt.
+            # Fresnel chirp of the distance: for the probe the pupil is foreshortened along the tilt.
             tilt = (rotation.mT @ sines[..., None])[..., 0]
             along = tilt[:, 0, None, None] * x[:, None, :] + tilt[:, 1, None, None] * y[:, :, None]
             square = x[:, None, :] ** 2 + y[:, :, None] ** 2 - along**2
             pupil = pupil * phasor(self.chirp * square, self.dtype)
         elif centres is not None:
             pupil = pupil * self._ramp(centres, x, y)
-        # A pupil off its middle only turns the phase of the picture: taken out of what is summed at the nodes.
+        # A pupil off its middle adds a linear phase to the picture: apply it after the sum over nodes.
         columns = self._kernel(-self._kappa * t[:, 0, 0, None] * (x - middle_x), self._first.ux)
         mix, down = self._rest(t, y - middle_y)
         wide, high = self._seen
@@ -193,7 +193,7 @@ class ProbePath:
             return first
         passed = first * self._passed
         if centres is not None:
-            # The beam comes back to the probe's middle, under an angle.
+            # The beam returns to the probe's middle, under an angle.
             passed = passed * self._ramp(centres, *self._seen)
         return self._second(passed)
 

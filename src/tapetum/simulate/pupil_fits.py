@@ -31,15 +31,15 @@ __all__ = [
     "values_at",
 ]
 
-# Degrees of the polynomials: a phase needs many, an edge must not swing between its rays.
+# Degrees of the polynomials: a phase needs many, an edge must not oscillate between its rays.
 PHASE_DEGREE, MAP_DEGREE, SMOOTH_DEGREE = 12, 10, 8
-# Degree in the tilt of the box about a pupil, and how much larger it is.
+# Degree in the tilt of the box about a pupil, and its enlargement.
 _BOX_DEGREE, _BOX_MARGIN = 6, 1.03
 # Rays farther out than this are not fitted, in half widths of the box.
 _FITTED = 1.15
-# Fields a radian of tilt: the interpolation between them is then far better than the fits (tests).
+# Fields a radian of tilt: the interpolation between them is far better than the fits (tests).
 _FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS = 33, 5, 21
-# Places evaluated at a time: what they take stays in the processor's caches.
+# Places evaluated at a time: their memory fits the processor's caches.
 _PLACES_AT_ONCE = 1 << 15
 
 
@@ -211,7 +211,7 @@ def fit_functions(
     odd: Sequence[tuple[torch.Tensor, int]] = (),
 ) -> tuple[Fit, float]:
     """Fit functions of places [T, N, 2], each given as values [T, N] and a degree; with the RMS misfit of the first."""
-    # Rays that went astray may be anywhere, or nowhere.
+    # Stray rays may be anywhere, or not finite.
     places = torch.where(bundle.near[..., None], places, torch.zeros_like(places))
     centre, half = _boxes(nodes, places, bundle.passing)
     u = (places - centre[:, None]) / half[:, None]
@@ -257,7 +257,7 @@ def on_grid(
     """
     unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
     centre, half = tilt @ fit.centre, tilt @ fit.half
-    # Columns and rows that hold the box turned to the tilt; its corners hold no pupil.
+    # Columns and rows that hold the rotated box; its corners hold no pupil.
     c, s = toward[:, 0].abs(), toward[:, 1].abs()
     x_wide = torch.hypot(half[:, 0] * s, half[:, 1] * c)
     y_wide = torch.hypot(half[:, 0] * c, half[:, 1] * s)
@@ -273,7 +273,7 @@ def on_grid(
             [across / half[:, 0, None, None], (along - centre[:, 1, None, None]) / half[:, 1, None, None]], -1
         )
 
-    # Turned or not, a polynomial of this degree is known from as many columns and rows: so few places are evaluated.
+    # Rotated or not, this many columns and rows determine a polynomial of the degree, so few places are evaluated.
     order = max(fit.degrees) + 1
     nodes = torch.cos(torch.pi * (torch.arange(order, dtype=torch.float64, device=tilt.device) + 0.5) / order)
     few = scaled(at[:, 0:1] + wide[:, 0:1] * nodes, at[:, 1:2] + wide[:, 1:2] * nodes).flatten(1, 2)
@@ -302,7 +302,7 @@ def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor
 
 def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
     """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]: a rim is straight there."""
-    # A lens may have no rim that covers anything: then there are no heights to take a shape from.
+    # Where no rim covers anything there are no heights.
     total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(torch.float64)
     for height in heights.unbind(1):
         gx, gy = torch.gradient(height, dim=(2, 1))
@@ -368,7 +368,7 @@ def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tup
     far = torch.full_like(places, math.inf)
     lower = torch.where(passing[..., None], places, far).amin(1)
     upper = torch.where(passing[..., None], places, -far).amax(1)
-    # Left and right are alike.
+    # Left and right are symmetric.
     wide = torch.maximum(upper[:, 0], -lower[:, 0])
     lower, upper = torch.stack([-wide, lower[:, 1]], -1), torch.stack([wide, upper[:, 1]], -1)
     step = (upper - lower) / math.sqrt(places.shape[1])
@@ -376,7 +376,7 @@ def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tup
     terms = chebyshev(nodes.places, nodes.count)[:, :degree]
     low = terms @ nodes.coefficients(lower - step)[:degree]
     high = terms @ nodes.coefficients(upper + step)[:degree]
-    # What smoothing cuts off anywhere is added everywhere.
+    # Enlarge everywhere by the most that smoothing cuts off anywhere.
     low = low - (low - lower).clamp_min(0).amax(0)
     high = high + (upper - high).clamp_min(0).amax(0)
     return (low + high) / 2, (high - low) / 2 * _BOX_MARGIN
@@ -387,7 +387,7 @@ def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tenso
     weights = used[..., None].to(torch.float64)
     a = matrix * weights
     b = torch.where(used[..., None], values, torch.zeros_like(values))
-    # A touch of damping: where a field's pupil is small its rays do not separate the highest terms.
+    # Slight damping: the rays of a small pupil do not determine the highest terms.
     scale = 1e-9 * torch.sqrt((a**2).sum((-2, -1), keepdim=True) / a.shape[-1])
     eye = torch.eye(a.shape[-1], dtype=torch.float64).expand(len(a), -1, -1) * scale
     none = torch.zeros(len(b), a.shape[-1], b.shape[-1], dtype=torch.float64)
@@ -399,11 +399,11 @@ def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tenso
 def _covered(value: torch.Tensor, gx: torch.Tensor, gy: torch.Tensor) -> torch.Tensor:
     """Share of a unit square where value + gx u + gy w > 0 for u, w in -½ … ½: exact for a straight edge."""
     share = (value > 0).to(value.dtype)
-    # Few squares lie across an edge.
+    # An edge crosses few squares.
     some = (2 * value.abs() < gx + gy).nonzero(as_tuple=True)
     value, gx, gy = value[some], gx[some], gy[some]
     a, b = torch.maximum(gx, gy).clamp_min(1e-12), torch.minimum(gx, gy)
-    # An edge along the samples has no second slope: a tiny one takes its place.
+    # An edge along the samples has no second slope: use a tiny one.
     b = torch.maximum(b, 1e-5 * a)
 
     def ramp(t: torch.Tensor) -> torch.Tensor:

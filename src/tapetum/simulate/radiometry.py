@@ -34,7 +34,7 @@ __all__ = [
 
 _PLANCK = 6.62607015e-34  # J s, exact (SI)
 _LIGHT = 299792458.0  # m/s, exact (SI)
-# Up to here a beam's phase is integrated, at 0.8 nodes a radian (a factor of 1.6 above Nyquist's).
+# Largest phase that is integrated, at 0.8 nodes a radian (a factor of 1.6 above Nyquist's).
 _MOST_RADIANS = 400.0
 
 
@@ -67,9 +67,9 @@ def return_radius_by_rays(
 
     `image_distance` is from the lens to the reflecting plane; `curvature`, in 1/m, is positive from a source at R.
     """
-    # Collimated light leaves with curvature 2/(x_d + f), converging; other light arrives with a slope of its own.
+    # Collimated light leaves with curvature 2/(x_d + f), converging; other light enters with a slope of its own.
     slope_in = 1 / focal_length - curvature
-    # A ray that entered at x leaves at gain·x with the slope slope_out·x, if that is inside of the aperture.
+    # A ray that entered at x leaves at gain·x with the slope slope_out·x, if that is inside the aperture.
     gain = 1 - 2 * image_distance * slope_in
     slope_out = slope_in + gain / focal_length
     return radius / max(1.0, abs(gain)) * abs(gain - distance * slope_out)

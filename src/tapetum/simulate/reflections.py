@@ -29,7 +29,7 @@ __all__ = [
 ]
 
 
-# Share of a plane's power that is not followed.
+# Share of a plane's power that is neglected.
 _DARK = 1e-6
 
 
@@ -168,7 +168,7 @@ def reaching_sensor(scene: Scene, wavelength: float) -> float:
 def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, widest: float) -> list[_Plane]:
     sensor = scene.target.sensor
     through, planes = 1.0, list[_Plane]()
-    # From the lens inwards: each layer dims what lies behind it, there and back.
+    # From the lens inwards: each layer attenuates the light behind it twice.
     for layer in sorted(sensor.layers, key=lambda layer: -layer.depth):
         reflectance = at_wavelength(layer.reflectance, wavelength)
         orders = (_turned(Order(amplitude=math.sqrt(reflectance)), layer.tilt),) if reflectance > 0 else ()
@@ -178,7 +178,7 @@ def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, wides
         through *= layer_transmittance(layer, wavelength) ** 2
     orders: tuple[Order, ...] = ()
     if sensor.array is not None or sensor.microlens is not None:
-        # A tilted plane turns orders towards the aperture that a straight one sends past it.
+        # A tilted plane turns orders into the aperture that an untilted one sends past it.
         orders = orders_of(sensor, wavelength, widest + 2 * math.hypot(*sensor.tilt))
     elif sensor.reflectance > 0 and sensor.mask is None:
         orders = (Order(amplitude=math.sqrt(sensor.reflectance)),)

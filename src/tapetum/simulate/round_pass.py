@@ -32,15 +32,15 @@ from tapetum.simulate.true_paths import Leg, TruePaths, neglected_path
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
-# Samples of pupils looked up at a time: what they take stays in the processor's caches.
+# Samples of pupils looked up at a time: their memory fits the processor's caches.
 _SAMPLES_AT_ONCE = 1 << 18
-# Samples up to which the lens's phase and weights are kept: those of larger pupils are recomputed for each band.
+# Samples up to which the lens's phase and weights are kept; larger pupils recompute them for each band.
 _SAMPLES_KEPT = 1 << 24
-# Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
+# Degree of the pupil's end correction: with these few samples a higher one amplifies the faint steep light.
 _END_ORDER = 3
-# Share of the expected error, in radians, below which a path that the table does not hold is left out.
+# Share of the expected error, in radians, below which a path beyond the table is neglected.
 _SHARE_MISSED = 0.25
-# What automatic differentiation keeps for each sample of the pupil (some forty numbers), and may keep in all.
+# Bytes that automatic differentiation keeps for each pupil sample (some forty numbers), and may keep in all.
 _BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
 
@@ -137,7 +137,7 @@ class RoundPass:
         )
         directions = [math.hypot(*order.direction) for one in surfaces for order in one.orders]
         self._steepest = geometry.tangent + max(directions, default=0.0) / 2
-        # One plane mirror needs no phase of its own: nothing interferes with it.
+        # A single plane needs no phase: nothing interferes with it.
         self._interferes = interferes or sum(len(one.orders) for one in surfaces) > 1
         self._lit: torch.Tensor | None = None
         if lit_radius is not None and lit_radius < geometry.radius:
@@ -165,14 +165,14 @@ class RoundPass:
         tilt = torch.tensor(surface.tilt, dtype=torch.float64, device=self.device)
 
         def table(image_distance: float) -> RadialTable:
-            # The ray that comes along the tilt is read where a round lens's would be: a little farther out.
+            # Light along the tilt is read where a round lens's would be: slightly farther out.
             moved = 1 + 1.5 * abs(self.geometry.curvature) * self.geometry.sine**2 * 2 * self.geometry.focal_length
             return returning_field(
                 wavelength,
                 float(lit.detach()),
                 image_distance,
                 float(vergence.detach()),
-                # Beyond the pupil's edge only the end correction reads: a few samples.
+                # Only the end correction reads beyond the pupil's edge: a few samples.
                 moved * (1.05 * radius + 2 * image_distance * self._steepest * (1 + 1e-6)),
                 (self.plan.flat_slope, self.plan.end_slope),
                 partials=self.differentiable,
@@ -183,7 +183,7 @@ class RoundPass:
         tables = focus_tables(table, z_now, reach, float(self._k.detach()) * float(lit.detach()) ** 2, error)
         moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
         if len(tables.nodes) > 1:
-            # Each table stays at its own distance: the weights between them follow the gaze's.
+            # Each table keeps its own distance; the weights between tables follow the gaze's.
             del moving["image_distance"]
         moves = {name: value - value.detach() for name, value in moving.items() if value.requires_grad}
         bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) + self._path.chirp
@@ -244,7 +244,7 @@ class RoundPass:
 
     def _field(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         twist = foreshortens(self, sines)
-        # A pupil too large for the caches is taken in bands of rows.
+        # Pupils too large for the caches are computed in bands of rows.
         whole = self.differentiable or sines.requires_grad
         if whole:
             self._check_graph(len(sines))
@@ -255,7 +255,7 @@ class RoundPass:
             part = self._path.gather(self._pupil(sines, rows, twist), rows, sines if twist else None, centres)
             gathered = part if gathered is None else gathered + part
         assert gathered is not None
-        # The tilted lens takes in cosθ of what falls on it, and what it sends spreads over a foreshortened picture.
+        # The tilted lens receives cosθ of the light, and its return spreads over a foreshortened picture.
         gathered = gathered * cosines(sines)[:, None, None].to(self._real)
         return self._path.to_image(gathered, centres)
 
@@ -288,7 +288,7 @@ class RoundPass:
                     value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
                 amplitude = order.at(z[:, None] * slopes)
                 if self._interferes:
-                    # The mirror's own phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
+                    # The mirror's phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
                     phase = self._k * z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
                     value = value * (phasor(phase) * amplitude).to(self.dtype)[:, None, None]
                 elif isinstance(amplitude, torch.Tensor):
@@ -328,7 +328,7 @@ class RoundPass:
     ) -> torch.Tensor:
         """As `_looked_up`, along the light's true paths."""
         tilt = one.tilt.expand(len(sines), -1)
-        # Along a tilted plane the ways to it grow by less than the plane's own a·v.
+        # Along a tilted plane the path to it grows by less than the plane's own a·v.
         turn = tau - (slopes**2).sum(-1, keepdim=True) * tilt
         vectors = (sines, slopes, turn, tilt)
         if twist:
@@ -345,7 +345,7 @@ class RoundPass:
         across = ((self._x[None, :] - offset[:, 0:1]) / table.step) ** 2
         down = ((self._y[None, rows] - offset[:, 1:2]) / table.step) ** 2
         if self.differentiable or seen.requires_grad or self.dtype == torch.complex128:
-            # The root has no gradient at zero: a distance of nothing counts as a billionth of a step.
+            # The root has no gradient at zero: a zero distance counts as a billionth of a step.
             steps = torch.sqrt((down[:, :, None] + across[:, None, :]).clamp_min(1e-18))
             return table.smooth(steps, **one.moves).to(self.dtype)
         steps = (down.to(self._real)[:, :, None] + across.to(self._real)[:, None, :]).sqrt_()

@@ -13,7 +13,7 @@ from scipy.interpolate import CubicSpline
 
 __all__ = ["RoundPicture"]
 
-# Entries of the table for each sample: linear interpolation then errs by 1e-4 of what turns in six samples.
+# Entries of the table for each sample: linear interpolation errs by 1e-4 for detail of six samples' period.
 _FINER = 32
 
 
@@ -38,7 +38,7 @@ class RoundPicture:
     def at(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         """Values [len(y), len(x)] on columns x and rows y, in metres from the middle."""
         x, y = (one.to(self._values) * ((self._last - 1) / self.end) for one in (x, y))
-        # The floor keeps the root's gradient a number in the very middle.
+        # The floor keeps the root's gradient finite in the very middle.
         place = torch.sqrt((x[None, :] ** 2 + y[:, None] ** 2).clamp_min(1e-12)).clamp_max(self._last)
         low = place.detach().long().flatten()
         picture = torch.addcmul(self._values.take(low), place.flatten() - low, self._rises.take(low))

@@ -29,7 +29,7 @@ NOTHING = 14.0
 AT_ONCE = 1 << 21
 """Numbers that are computed at once, to bound the memory."""
 
-# Nodes of one panel of a Gauss-Legendre rule, and radians that its integrand may turn: π a sample is the limit.
+# Nodes of one panel of a Gauss-Legendre rule, and its largest phase in radians: the limit is π a sample.
 _NODES, _RADIANS = 32, 36.0
 
 
@@ -122,7 +122,7 @@ def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
     block = max(1, AT_ONCE // len(nodes))
     for i in range(0, len(share), block):
         s = share[i : i + block, None]
-        # a + Δ/2 = r cosθ: the chord's root is gone.
+        # a + Δ/2 = r cosθ removes the chord's root.
         angle = np.arccos(s) * nodes
         wave = np.cos(2 * bend * radius**2 * s * (np.cos(angle) - s))
         out[i : i + block] = 4 * radius**2 * ((np.sin(angle) ** 2 * wave) @ weights) * np.arccos(s[:, 0])

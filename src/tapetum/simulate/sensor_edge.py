@@ -14,11 +14,11 @@ __all__ = ["EdgeRule", "SensorEdge", "Spots"]
 
 EdgeRule = Literal["exact", "dimmed"]
 
-# Share of the returning amplitude that an edge takes from a focused spot N rings λz/2r away, times N: the light of an
-# Airy pattern beyond a straight line, 2/(π³N). The irradiance changes by twice that at the most.
+# Share of the returning amplitude that an edge N rings λz/2r away removes from a focused spot, times N: the light of an
+# Airy pattern beyond a straight line, 2/(π³N). The irradiance changes by at most twice that.
 _MISSED = 4 / math.pi**3
-# Rings from an edge up to which a spot on the sensor counts as cut, and one beside it: from there on less than 2e-3 of
-# the amplitude, 4e-6 of the irradiance, that a spot on the sensor returns comes back.
+# Rings from an edge within which a spot counts as cut, on the sensor and beside it: farther beside it less than 2e-3 of
+# the amplitude, 4e-6 of the irradiance, returns.
 _FEWEST_RINGS, _FAR_BESIDE = 2.0, 30.0
 
 
@@ -71,7 +71,7 @@ class SensorEdge:
         sides = torch.tensor([self.left, self.right, self.top, self.bottom], dtype=places.dtype, device=places.device)
         z, r, k = light.image_distance, light.radius, light.wavenumber
         sizes, directions = light.orders.to(places)[:, 0], light.orders.to(places)[:, 1:]
-        # What the orders make of the spot itself: those that meet the lens again.
+        # Orders that meet the lens again.
         away = ((2 * places[:, None, :] / z + directions) ** 2).sum(-1).sqrt()
         brightest = (sizes * (1 - away * z / (2 * r)).clamp_min(1e-3)).amax(-1)
         slopes = 2 * sides / z + directions[:, [0, 0, 1, 1]]
@@ -83,7 +83,7 @@ class SensorEdge:
 
     def share(self, places: torch.Tensor, spot: float) -> torch.Tensor:
         """Share of an even round spot that the sensor holds, by rays: [B]."""
-        # A corner counts as if both of its edges cut by themselves.
+        # A corner counts as both of its edges separately.
         along = (self.depths(places) / max(spot, 1e-9)).clamp(-1, 1)
         held = 0.5 + (along * torch.sqrt(1 - along**2) + torch.asin(along)) / math.pi
         return held.prod(-1)

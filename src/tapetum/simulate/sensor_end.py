@@ -84,7 +84,7 @@ class SensorEnd:
     def _layers(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         if self._beside is not None:
             return self._beside(sines, centres)
-        # Nothing, but with a gradient where one is asked for.
+        # Zero, with a gradient where one is asked for.
         return 0 * sines.sum(-1)[:, None, None] * torch.ones(self.output.rows, self.output.columns).to(sines)
 
 
@@ -117,7 +117,7 @@ def thin_end(
             except InputError as error:
                 what = f"the spot lies across the edge of the target's sensor, and there {error.what}"
                 raise InputError(what, where="rotation", remedy=_REMEDY) from error
-            # The sampled plane's error may be larger than that of a spot that the sensor holds.
+            # The sampled plane's error may exceed that of a spot wholly on the sensor.
             passed.missed = max(passed.missed, made.expected_error - plan.expected_error)
             return image
 

@@ -42,15 +42,15 @@ Reflectance = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Complex = npt.NDArray[np.complex128]
 Real = npt.NDArray[np.float64]
 
-# Samples a pitch of a cell without a closed form. At 512 the amplitudes of the orders are within 2e-5 of
-# those at 2048 (tests/simulate/test_sensor_plane.py).
+# Samples a pitch of a cell without a closed form: amplitudes of orders are within 2e-5 of those at 2048
+# (tests/simulate/test_sensor_plane.py).
 _FINE, _FINEST = 512, 1024
 # Power below which an order is left out, over the largest one's.
 _FAINT = 1e-8
 _MOST_ORDERS = 20_000
 _MOST_SHIFTED = 2000
-# Fourier coefficients of a microlens to either side that a shift is carried out with: amplitudes then are within 1e-3
-# of the shifted cell's (tests/simulate/test_tolerances.py).
+# Fourier coefficients of a microlens to either side that represent a shift: amplitudes are within 1e-3 of the shifted
+# cell's (tests/simulate/test_tolerances.py).
 _HARMONICS = 24
 # Second derivative from seven equally spaced values, exact to the sixth order (Fornberg, Math. Comp. 51, 699 (1988)).
 _SECOND_DERIVATIVE = (1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90)
@@ -176,7 +176,7 @@ def reflectance_at(
     return lambda x, y: periodic(x, y, bounds)
 
 
-# Left, right, upper and lower end of what reflects, in metres.
+# Left, right, upper and lower end of the reflecting area, in metres.
 _Bounds = tuple[float, float, float, float]
 
 
@@ -202,7 +202,7 @@ class _Cell:
         count = len(self.tiles)
         plain = self.transform(columns / count, rows / count)
         place = np.arange(count) + 0.5
-        # Centres of the photosites from the axis, in periods: turns too many are taken away while that is exact.
+        # Photosites' centres from the axis, in periods: removing whole turns here is exact.
         across = np.exp(-2j * np.pi * np.outer(columns, (place + self.corner[0] / self.pitch) / count % 1.0))
         down = np.exp(-2j * np.pi * np.outer(rows, (place + self.corner[1] / self.pitch) / count % 1.0))
         return math.sqrt(self.reflectance) * plain * (down @ self.tiles @ across.T) / count**2
@@ -284,7 +284,7 @@ def _shifted_orders(
     b = np.arange(-_HARMONICS, _HARMONICS + 1).astype(np.float64)
     # The lenses alone, over photosites that fill the plane.
     lenses = replace(cell, surround=1.0).transform(b, b)
-    # The places of the lenses count from the sensor's middle, those of the spot from the lens's axis.
+    # The lenses' places count from the sensor's middle, the spot's from the lens's axis.
     turn = 2 * np.pi * shift / cell.pitch
     to_axis = np.outer(np.exp(1j * turn * b * decentre[1]), np.exp(1j * turn * b * decentre[0]))
     count, step = len(cell.tiles), cell.wavelength / cell.period
@@ -338,11 +338,11 @@ class _Periodic:
         """How much of each step every sample sees between two places, [..., n, steps]."""
         padded, step = widened(u)
         p, start, h = self._period, self._low.to(u.device), self._wide.to(u.device)
-        # Beyond the ends what was integrated goes on in a straight line.
+        # Beyond the ends the integral continues linearly.
         at = padded.clamp(low, high)
         within = torch.remainder(at, p)[..., None]
-        # Integrated once a step is a ramp up to its width h, twice h a parabola and a line. Its mean, h/p, is left out
-        # of the integral and added at the end: what remains is periodic, and loses no digits far from the origin.
+        # A step integrated once is a ramp up to its width h, twice a parabola and a line. Its mean, h/p, is added only
+        # at the end: the rest is periodic, so nothing cancels far from the origin.
         end = p - start - h
         ramp = (within - start).clamp_min(0).minimum(h)
         parabola = 0.5 * ramp**2 + h * (within - start - h).clamp_min(0)
@@ -375,12 +375,12 @@ class _Sampled:
         places = (torch.arange(some.start, some.stop, dtype=u.dtype, device=u.device) - middle) * h
         at = padded.clamp(low, high)
         apart = (at[..., None] - places) / h
-        # Linear interpolation is a hat about each column; integrated twice it is made of cubes, and far on a line,
-        # which is written as such to lose no digits.
+        # Linear interpolation is a hat about each column; integrated twice it is cubic, and a line far out, written as
+        # such against cancellation.
         near = apart.clamp(-2, 2)
         left, top, right = (near + 1).clamp_min(0), near.clamp_min(0), (near - 1).clamp_min(0)
         twice = h**2 * ((left**3 - 2 * top**3 + right**3) / 6 + (apart - near).clamp_min(0))
-        # Beyond the ends what was integrated goes on in a straight line.
+        # Beyond the ends the integral continues linearly.
         twice = twice + h * (left**2 - 2 * top**2 + right**2) / 2 * (padded - at)[..., None]
         return second_derivative(twice, step), some
 

@@ -81,7 +81,7 @@ def speckle_return(
     sensor = Grid(side, side, 2 * half / side)
     bend = r * abs(plane.outward)
     clipped = math.isfinite(probe_radius)
-    # The steepest slope of the field on the target's pupil against what it goes to, and on the probe's.
+    # Steepest slopes of the field on the target's pupil and on the probe's, each against its next plane.
     onward = r / distance + probe_radius / distance if clipped else image
     columns = max(48, math.ceil(2 * r * k * (half / z + bend + onward) / _TURN))
     stop = math.ceil(2 * probe_radius * k * ((r + probe_radius) / distance + image) / _TURN) if clipped else 0
@@ -101,7 +101,7 @@ def speckle_return(
     onto_pupil = MatrixFourier(v, v, pupil.x, pupil.y, k / z)
     scale = 1 / (plane.wavelength * z) / (plane.wavelength * f_p)
     steps: list[MatrixFourier] = [onto_pupil]
-    # What the field is multiplied by after each of them.
+    # Factors of the field after each transform.
     screens = [pupil.weights * phasor(phase) * scale]
     end = pupil
     if clipped:

@@ -10,8 +10,8 @@ from tapetum.simulate.true_paths import neglected_path
 
 __all__ = ["of_narrow_beam", "of_tilted_planes"]
 
-# Share of what a tilted plane changes of the paths that rays, which end at the pupil's edge, do not tell: up to 0.093
-# against the judge's sums (spots of no to 10 dark rings).
+# Share of a tilted plane's path changes that rays, which end at the pupil's edge, miss: up to 0.093 against the
+# reference sums (spots of 0 to 10 dark rings).
 _EDGE_WAVES = 0.12
 
 

@@ -28,9 +28,9 @@ __all__ += ["trace_bundle"]
 
 # Rays a side of a bundle, and of the coarse one that finds the pupil.
 _COARSE = 49
-# How far rays are followed beyond the pupil's edge, so that its polynomials hold on both sides of it.
+# How far rays extend beyond the pupil's edge, so that its polynomials hold on both sides of it.
 BEYOND = 1.06
-# Farthest exit pupil before the sensor, in focal lengths: one farther away (or behind it) is as good as this.
+# Farthest exit pupil before the sensor, in focal lengths, in place of one farther away or behind it.
 _FARTHEST_PUPIL = 40.0
 
 
@@ -141,7 +141,7 @@ def trace_bundle(
         s, psi, landing, middle, chief = _followed(focused, rays, before, middle)
     jacobian = torch.full_like(psi, torch.nan)
     if sloped:
-        # Every ray's s depends on its own e alone: two sums give the whole map's derivative.
+        # Every ray's s depends on its own e alone: two sums give the derivatives of all.
         own = right_half(s)
         x = torch.autograd.grad(own[..., 0].sum(), right, retain_graph=True)[0]
         y = torch.autograd.grad(own[..., 1].sum(), right)[0]
@@ -205,7 +205,7 @@ def _landed(focused: FocusedLens, rays: Rays) -> tuple[torch.Tensor, torch.Tenso
     """Where rays meet the sensor, [F, N, 3], and the mean y of those that pass, [F]."""
     landing, _ = to_plane(rays.position, rays.direction, focused.image)
     passing = rays.good & (rays.height <= 1).all(-1)
-    # A ray that went astray may have landed nowhere.
+    # A stray ray may not have landed at all.
     landed = torch.where(passing, landing[..., 1], torch.zeros_like(landing[..., 1]))
     return landing, (landed.sum(-1) / passing.sum(-1)).detach()
 
@@ -248,14 +248,14 @@ def _incoming(
         return start, axis.expand_as(start), along
     way = across * curvature + axis
     far = length(way)[..., None]
-    # |e - source| - D, without the difference of two large numbers.
+    # |e - source| - D, without cancellation.
     before = (2 * along + curvature * (across**2).sum(-1)) / (far[..., 0] + 1)
     return start, way / far, before
 
 
 def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
     """Corners [F, 2] of the boxes that hold what passes of each field, smooth from field to field."""
-    # A sensor or a filter moved behind the same lens changes none of them.
+    # The same for a sensor or a filter moved behind the same lens.
     anywhere = replace(focused, image=0.0)
     return _searched_boxes(anywhere, tuple(float(one) for one in sines), curvature)
 
@@ -270,7 +270,7 @@ def _searched_boxes(
     upper = -lower
     for _ in range(2):
         line = torch.linspace(-1, 1, _COARSE, dtype=torch.float64)
-        # Left and right are alike: x from the middle on.
+        # Left and right are symmetric: x from the middle on.
         grid = torch.stack(torch.meshgrid(line[_COARSE // 2 :], line, indexing="xy"), -1).reshape(-1, 2)
         centre, half = (upper + lower) / 2, (upper - lower) / 2
         e = centre[:, None, :] + half[:, None, :] * grid
@@ -284,7 +284,7 @@ def _searched_boxes(
                 where="target.lens",
                 remedy="stay within the field it covers, or check its semi-diameters",
             )
-        # One step of the grid on either side: the edge lies between the last ray that passes and the next.
+        # One grid step more on either side: the edge lies between the last ray that passes and the next.
         step = 2 * half / (_COARSE - 1)
         big = torch.full_like(e, math.inf)
         lower = torch.where(passing[..., None], e, big).amin(1) - step

@@ -34,16 +34,16 @@ from tapetum.simulate.unknowns import NUISANCES, PHOTOSITES, TRACED, checked_par
 
 __all__ = ["NUISANCES", "TRACED", "TracedSlopes", "sensor_part"]
 
-# Share of the finest thing on a traced lens's sensor, spot or photosite, and of the probe's fringes, by which gaze and
-# place are stepped. Smaller steps take the picture's own sampling for change, larger ones miss the change.
+# Steps of gaze and place, as shares of the finest detail: spot or photosite on the sensor, fringe at the probe. Smaller
+# steps show the picture's sampling, larger ones average the change.
 _SHARE = 1 / 25
-# What a step of focus or focal length turns the light at the pupil's edge by, in radians.
+# Phase change, in radians, at the pupil's edge by a step of focus or focal length.
 _TURN = 0.1
-# Turns of the light at the pupil's edge, in radians, that a picture shows even in focus: ten of its rings.
+# Phase change, in radians, at the pupil's edge that even a focused picture shows: ten of its rings.
 _IN_FOCUS = 60.0
-# No step of a length is longer than this share of it.
+# Largest step of a length, as a share of it.
 _LONGEST = 0.03
-# Tilts beyond those asked for that a step may need, in parts of them.
+# Extra tilt that a step may need, as a share of the steepest one asked for.
 _MARGIN = 0.01
 _SECANTS = 3
 
@@ -103,14 +103,15 @@ class TracedSlopes:
         self._steps = _Steps.of(scene, step)
         self._by_sites = bool(PHOTOSITES & set(self.names))
         if self._by_sites:
-            # From one photosite to the next, where the spot falls as it fell: what is left is not theirs.
+            # A whole photosite's step, so the spot falls alike on the next one: the difference is not due to the
+            # photosites.
             wide, high = _field(scene)
             self._steps = replace(self._steps, gaze=(_period(scene) / wide, _period(scene) / high))
         around = torch.tensor([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=torch.float64)
         self._tilts = tilt_of_gaze(scene, self._gazes[:, None] + around * torch.tensor(self._steps.gaze))
         steepest = largest_sine(self._tilts.reshape(-1, 2)) * (1 + _MARGIN)
         camera = _Camera(scene, steepest, accuracy=accuracy, dtype=dtype, device=device)
-        # No more pixels than hold both beams' RR but for its faintest rings.
+        # Only the pixels that hold both beams' RR without the faintest rings.
         seen = _inside(camera.window(), scene)
         if seen is not None:
             camera = _Camera(scene, steepest, output=seen, accuracy=accuracy, dtype=dtype, device=device)
@@ -141,7 +142,7 @@ class TracedSlopes:
     def __call__(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean electrons [H, W] without those of hot pixels, and their slopes [P, H W], at the gaze of this number."""
         own = self._tilts[number]
-        # One batch: no gaze, then two steps of each kind.
+        # One batch: the unchanged gaze, then two steps of each kind.
         tilts = own if (PHOTOSITES | {"gaze_x", "gaze_y"}) & set(self.names) else own[:1]
         made = self._electrons(self._camera, tilts)
         slopes: dict[str, torch.Tensor] = {"power": made[0] / self.scene.illumination.power}
@@ -155,7 +156,7 @@ class TracedSlopes:
             light = [self._electrons(one, one.tilts_like(self._camera, own[:1]))[0] for one in (more, less)]
             slopes[name] = (light[0] - light[1]) / (2 * (self._steps.photosite if name in PHOTOSITES else steps[name]))
         if self._by_sites:
-            # The array moves under a spot that stands still as the spot moves over the array.
+            # Moving the array under a fixed spot replaces moving the spot over the array.
             for axis, side in zip("xy", _field(self.scene), strict=True):
                 slopes[f"gaze_{axis}"] = slopes[f"gaze_{axis}"] - side * slopes[f"photosite_{axis}"]
         jacobian = torch.stack([slopes[name].flatten() for name in self.names])
@@ -204,9 +205,9 @@ class _Steps:
         lens = target.lens
         r, k = lens.aperture_radius, 2 * math.pi / light.wavelength
         spot = light.wavelength * lens.focal_length / (2 * r)
-        # There and back the light at the edge is turned by k r²/x_d, and by what it comes with.
+        # On both passes the phase at the edge is k r²/x_d, plus that of the incoming wave.
         away = k * r**2 * abs(1 / target.object_distance - illumination_curvature(scene))
-        # A mirror's picture shears with the pupil only, by two steps of the spot: slowly.
+        # A mirror's picture shears only slowly with the pupil, by two steps of the spot.
         shear = min(spot / 2, _TURN * r / (4 * away)) if away > 0 else spot / 2
         finest = _SHARE * min(spot, _period(scene)) if has_photosites(scene) else shear
         x, y = (factor * finest / side for side in _field(scene))

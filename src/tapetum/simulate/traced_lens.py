@@ -200,7 +200,7 @@ def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if passes(middle) else (low, middle)
     if low == 0:
-        # Says what is wrong with it.
+        # This raises with the reason.
         trace_bundle(focused, torch.zeros(1, dtype=torch.float64), curvature=curvature, count=_COUNT)
-    # At the very edge of the field a pupil is a sliver.
+    # At the very edge of the field the pupil is narrow.
     return 0.97 * low

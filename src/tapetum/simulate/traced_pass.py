@@ -34,11 +34,11 @@ __all__ = ["TracedGrids", "TracedPass", "tilt_and_azimuth"]
 # Gazes computed together.
 _AT_ONCE = 4
 _NO_TILT = 1e-11
-# Where the fade may begin at most, over the window's end, for light from the rim to count as spread about the middle.
+# Latest start of the fade, over the window's end, at which rim light still counts as centred.
 _LATEST_FADE = 0.75
 # Places at which the fade of the sensor's window is summed.
 _FADE_SAMPLES = 2000
-# A root of nothing has no slope, and its gradient would be no number.
+# The root of zero has no finite gradient.
 _DARK = 1e-30
 
 
@@ -110,7 +110,6 @@ class TracedPass:
         self._square = self._v[None, :] ** 2 + self._v[:, None] ** 2
         at = chebyshev(self.fits.nodes.places, self.fits.nodes.count).to(self.device)
         radius = float((at @ self.fits.radius).min())
-        # The window, with all constants.
         self._window = (_window(self._square.sqrt(), grids, self._k / radius) * (step / (1j * wavelength)) ** 2).to(
             dtype
         )
@@ -128,7 +127,7 @@ class TracedPass:
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
-        # Most gazes of a phone lie where nothing returns: they are not computed.
+        # Most gazes of a phone return nothing: they are not computed.
         lit = self._returns(tilt_and_azimuth(sines)[0]).nonzero()[:, 0]
         parts: list[torch.Tensor] = []
         for i in range(0, len(lit), _AT_ONCE):
@@ -153,7 +152,7 @@ class TracedPass:
         tilt = fits.nodes.terms(size)
         middle, radius = tilt @ fits.middle, tilt @ fits.radius
         chief = middle / radius
-        # A plane that is tilted away is so much farther at the spot.
+        # A plane tilted away is farther at the spot by this.
         nearer = -self._along(self.surface.tilt, toward) * middle
 
         # The way in, across and along the tilt.
@@ -180,11 +179,11 @@ class TracedPass:
         s_along, s_across = even[:, 1], odd[:, 0]
         psi = even[:, 0] + self._taken(s_along**2 + s_across**2, s_along, chief, nearer)
 
-        # Where the pupil sees it, then at each sample's own direction.
+        # Seen from the pupil, then at each sample's own direction.
         columns, low_x, wide_x = self._line(s_across, inside)
         rows, low_y, wide_y = self._line(s_along, inside)
         back = self._kernel(rows, v[None]) @ spot @ self._kernel(columns, v[None]).mT
-        # Out of focus the field turns with the square of s': taken out before, put back after the interpolation.
+        # Defocus adds a phase by the square of s': remove it before the interpolation, restore it after.
         bend = k / 2 * fits.defocus
         centre = chief[:, None, None]
         back = back * phasor(bend * ((rows[:, :, None] + centre) ** 2 + columns[:, None, :] ** 2), self.dtype)
@@ -218,7 +217,7 @@ class TracedPass:
         across, along, values = on_tilt_grid(self.fits.entering, tilt, self.grids.pupil)
         share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:])
         cell = (across[:, 1] - across[:, 0]) * (along[:, 1] - along[:, 0])
-        # A tilted pupil catches less.
+        # A tilted pupil receives less light.
         return across, along, values[:, 0], share * ((1 - size**2) ** 0.25)[:, None, None], cell
 
     def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
@@ -262,7 +261,7 @@ class TracedPass:
         """What the orders make of the light at y0 + v: phases that turn slowly, the mask itself is never sampled."""
         total = torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device)
         tilt = self.surface.tilt
-        # What a tilt turns light by, 2a cosθ along the gaze and across it. Its phase at y0 is already in the path.
+        # Direction change by the plane's tilt, 2a cosθ along and across the gaze; the path holds its phase at y0.
         turn = 2 * torch.sqrt(1 - chief**2)
         tilted = turn * self._along(tilt, toward), turn * self._along((tilt[1], -tilt[0]), toward)
         # Where the chief ray meets the plane.
@@ -273,7 +272,7 @@ class TracedPass:
             at_spot = self._along(tau, toward)
             along = (at_spot + tilted[0])[:, None]
             across = (self._along((tau[1], -tau[0]), toward) + tilted[1])[:, None]
-            # What misses the pupil altogether would only come back as an alias.
+            # Light that misses the pupil altogether would only return as an alias.
             meets = torch.hypot(along + 2 * chief[:, None], across) < 2.05 * self.fits.aperture[0]
             if not bool(meets.any()):
                 continue

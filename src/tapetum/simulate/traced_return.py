@@ -39,14 +39,14 @@ from tapetum.simulate.traced_bundle import (
 
 __all__ = ["Returned", "TracedReturn", "check_return", "corrected", "trace_return"]
 
-# Share of a bundle below which a return is not worth fitting: its few rays say little of it, and it is faint.
+# Share of a bundle below which a return is not fitted: it is faint, and has too few rays.
 _LEAST_SHARE = 0.03
-# Of the tilt from which light still returns.
+# Bisections of the range of tilts that return light: those traced together, then the rest.
 _HALVINGS = (4, 3)
 # Rays that a fit needs, and how far beyond the accepted angles light is kept.
 _FEWEST_RAYS, _KEPT = 60, 4.0
 _COARSE, _NARROWINGS = 25, 2
-# Squared height over a rim beyond which a ray says nothing of the light inside.
+# Squared height over a rim's beyond which rays do not represent the light inside.
 _STRAY = 1.15
 
 
@@ -213,14 +213,14 @@ def corrected(
     box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, accepted)
     bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box, sloped=False)
     back = _sent_back(focused, bundle, nodes.sines)
-    # Of a part of the pupil all rays near it are fitted, whether a rim stops them or not: it may end within.
+    # For a part of the pupil fit all rays near it, stopped or not: its limit may lie inside the rims.
     passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
     if accepted is not None:
         near = back.good & (back.height <= _STRAY).all(-1)
         passing = near & (length(back.turned) <= _KEPT * accepted)
     if not bool((passing.sum(-1) >= _FEWEST_RAYS).all()):
         return None
-    # The way in is fitted again at the tilts that are left.
+    # Fit the way in again at the remaining tilts.
     inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
     more = back.path - _model_path(fits, tilt, back)
     rays = _Rays(passing, near)
@@ -280,7 +280,7 @@ def _between(
     At the steepest nodes, where few rays return, each node may be fitted by coefficients unlike its neighbours': right
     at every node, wrong between them.
     """
-    # In every second gap: tracing is most of what a correction costs.
+    # Every second gap only: tracing is most of a correction's cost.
     sines = ((nodes.sines[1:] + nodes.sines[:-1]) / 2)[1::2]
     tilt = fits.nodes.terms(sines)
     middle = tilt @ fits.middle
@@ -292,7 +292,7 @@ def _between(
         passing = back.good & (back.height <= 1).all(-1) & (length(back.turned) <= accepted)
     wanted = values_at(fits.leaving, tilt, back.e)[0][:, 0] + back.path - _model_path(fits, tilt, back)
     error = values_at(leaving, nodes.terms(sines), back.e)[0][:, 0] - wanted
-    # Where no ray passes there is nothing to be wrong about.
+    # Where no ray passes there is no error.
     return float(torch.nan_to_num(_spread(error, passing)).max())
 
 
@@ -307,10 +307,10 @@ def _accepted_box(
     for _ in range(_NARROWINGS):
         bundle = trace_bundle(focused, sines, curvature=curvature, box=box, count=_COARSE, sloped=False)
         back = _sent_back(focused, bundle, sines)
-        # Far outside its rims a lens may send light back as well, by surfaces that are not there.
+        # Far outside its rims a lens may also return light, by surfaces that do not exist there.
         good = back.good & (back.height <= _STRAY).all(-1)
         near = good & (length(back.turned) <= _KEPT * accepted)
-        # Where no ray falls within, the nearest ones stand for it.
+        # Where no ray falls inside, use the nearest ones.
         angle = torch.where(good, length(back.turned), torch.inf)
         near = near | (angle <= angle.amin(-1, keepdim=True))
         far = torch.full_like(bundle.e, torch.inf)

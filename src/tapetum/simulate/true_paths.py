@@ -21,11 +21,11 @@ from tapetum.optics.sampling import DoublePassGeometry
 
 __all__ = ["Leg", "TruePaths", "check_squash", "neglected_path"]
 
-# Rings of a spot in focus that its own tilt is estimated with.
+# Rings of a focused spot used in the estimate for its own tilt.
 _RINGS = 3
-# β z of a returning light that comes to a point in the lens.
+# β z of returning light focused in the lens.
 _STRAIGHT = 1e-6
-# Largest s²/(Rβ) that rays of the round lens are a start for.
+# Largest s²/(Rβ) at which the round lens's rays are a valid start.
 _MOST_SQUASHED = 0.1
 
 
@@ -116,15 +116,15 @@ class TruePaths:
         tx, ty = _both(leg.slopes)
         ox, oy = _both(leg.turn)
         wx, wy = x - z * (2 * tx + ox), y - z * (2 * ty + oy)
-        # Of the entering wave's bend the part along the tilt is smaller: β becomes the matrix β - s sᵀ/R.
+        # Along the tilt the entering wave bends less: β becomes the matrix β - s sᵀ/R.
         beta = self._v - 1 / self._f + 1 / (2 * z)
-        # Light that all returns to one point has no ray of its own there: any small bend does.
+        # Light that all returns to one point has no ray of its own: any small bend serves.
         beta = torch.where(beta.abs() * z < _STRAIGHT, _STRAIGHT / z, beta)
         squash = 1 - (sx**2 + sy**2) * self._v / beta
         along = (sx * wx + sy * wy) * (self._v / beta / squash)
         read_x, read_y = wx + sx * along, wy + sy * along
         x0, y0 = read_x / (2 * z * beta), read_y / (2 * z * beta)
-        # Light that no ray explains comes from the pupil's edge.
+        # Light without a ray comes from the pupil's edge.
         inside = (self._r / torch.sqrt(x0**2 + y0**2 + 1e-30)).clamp(max=1)
         x0, y0 = x0 * inside, y0 * inside
         path = ((read_x - wx) * x0 + (read_y - wy) * y0) / (2 * z)
@@ -133,7 +133,7 @@ class TruePaths:
         square = x0**2 + y0**2
         sphere = (2 * came + self._v * square) / (torch.sqrt(1 + 2 * self._v * came + self._v**2 * square) + 1)
         path = path + sphere - came - self._v * square / 2
-        # Both the wave's strength and the width of the lens that it sees change along the tilt.
+        # The wave's strength and the lens's visible width both change along the tilt.
         size = (1 - 1.5 * self._v * came) / torch.sqrt(squash)
         if leg.tilt is not None:
             path = path + self._tilted(x, y, x0, y0, leg)
@@ -155,7 +155,7 @@ class TruePaths:
         ux, uy = (x0 + x - z * ox) / 2, (y0 + y - z * oy) / 2
         farther = ax * (ux - z * tx) + ay * (uy - z * ty)
         ways = (ux - x0) ** 2 + (uy - y0) ** 2 + (ux - x) ** 2 + (uy - y) ** 2
-        # Of that the order's direction holds the part that is the same all over the spot.
+        # The order's direction already includes the part that is constant over the spot.
         return farther * (tx**2 + ty**2) - ways * farther / (2 * z * (z + farther))
 
     def _leaving(
@@ -173,14 +173,14 @@ class TruePaths:
         out, square = sx * x + sy * y, x**2 + y**2
         cosine_squared = 1 - sx**2 - sy**2
         seen = square - out**2
-        # The ray meets the aperture's plane at X = M x + d M⁻¹ p; light that misses it comes by way of its edge.
+        # The ray meets the aperture's plane at X = M x + d M⁻¹ p; light that misses it diffracts at its edge.
         across = x * px + y * py
         cross = seen + d * across
         far = seen + 2 * d * across + d**2 * (px**2 + py**2 + (sx * px + sy * py) ** 2 / cosine_squared)
         inside = (self._probe / torch.sqrt(far.clamp_min(1e-30))).clamp(max=1)
         cross, far = cross * inside, far * inside**2
         beside = far - 2 * cross + seen
-        # √((d + out)² + beside) - d - out, without the difference of long ways.
+        # √((d + out)² + beside) - d - out, without cancellation.
         length = beside / (torch.sqrt((d + out) ** 2 + beside) + d + out)
         return length - (beside + out**2) / (2 * d), 1 - 1.5 * out / d
 

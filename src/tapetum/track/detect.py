@@ -32,7 +32,7 @@ LARGEST_FRAME = 2**27
 def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: float) -> NDArray[np.bool_]:
     """Return which spots accompany a brighter one. Spots come brightest first."""
     x, y, peak = spots["x"], spots["y"], spots["peak"]
-    # How bright a saturated spot really is nobody knows: it may have twice the ghost.
+    # A saturated spot's true height is unknown: its ghost may be twice as bright.
     limit = ratio * peak * np.where(spots["saturated"] > 0, 2.0, 1.0)
     ghost = np.zeros(len(x), dtype=bool)
     for n in range(1, len(x)):

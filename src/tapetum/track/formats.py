@@ -116,7 +116,7 @@ FORMATS: dict[str, Format] = {
     ".parquet": Format(pa.ipc.new_stream, lambda path, known: pq.read_table(path), grows_as=".arrow"),
     ".csv": Format(pacsv.CSVWriter, _read_csv),
     ".jsonl": Format(_Lines, _read_lines),
-    # What a killed run leaves of a table in Parquet.
+    # A killed run leaves this of a table in Parquet.
     ".arrow": Format(pa.ipc.new_stream, lambda path, known: pa.Table.from_batches(list(_batches(path)))),
 }
 """By suffix."""

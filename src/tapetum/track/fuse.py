@@ -111,7 +111,7 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
         negative = kept & (weight < 0)
         if not negative.any():
             break
-        # The widest of them goes; then all are weighed again.
+        # Drop the most uncertain estimate of negative weight, then weight the others again.
         worst = np.where(negative, deviation, -np.inf).argmax(axis=0)
         rows = np.flatnonzero(negative.any(axis=0))
         kept[worst[rows], rows] = False
@@ -125,7 +125,7 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
 
 def _disagreement(value: Array, deviation: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return χ² and its degrees of freedom, [N] each, of estimates [M, N, K] that should be the same for all M."""
-    # Of errors that go together the differences are smaller: without correlation the test is the cautious one.
+    # Correlated errors differ less: ignoring the correlation makes the test cautious.
     mean = combine(value.reshape(len(value), -1), deviation.reshape(len(value), -1), 0.0)[0].reshape(value.shape[1:])
     squared = np.nansum(((value - mean) / deviation) ** 2, axis=(0, 2))
     return squared, np.maximum(np.isfinite(value).sum(axis=0) - 1, 0).sum(axis=1)
@@ -208,7 +208,7 @@ def at_times(series: Series, times: Array, max_gap: float | None = None) -> tupl
     after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)
     near = known[after] - known[np.maximum(after - 1, 0)] <= max_gap
     there = (known[after] == times) | ((times >= known[0]) & (times <= known[-1]) & near)
-    # Between two rows the mean of their errors is narrower than either; that is not claimed.
+    # The mean of two rows' errors is narrower than either; the interval does not claim that.
     told = (np.interp(times, known, one[rows]) for one in (series.value, series.half_width))
     value, half = (np.where(there, one, np.nan) for one in told)
     return value, value - half, value + half
@@ -238,7 +238,7 @@ def _one_track(table: pa.Table, number: int | None, where: str) -> pa.Table:
         seen = table["seen"].fill_null(False).to_numpy(zero_copy_only=False)
     if len(np.unique(times[seen])) < seen.sum():
         raise InputError("holds several tracks at once", where=where, remedy="name the target's track of each table")
-    # A target that went and came again elsewhere is a new track, beside which the old one coasts for a while.
+    # A target that left and returned elsewhere is a new track, while the old one coasts beside it.
     order = np.lexsort((tracks, seen, times))
     last = np.append(np.diff(times[order]) > 0, True)
     return table.take(np.sort(order[last]))
@@ -323,7 +323,7 @@ def _starts(tables: Sequence[pa.Table]) -> list[float]:
         if not len(dated):
             return [0.0] * len(tables)
         known.append((dated["utc_ns"][0].as_py(), dated["time"][0].as_py()))
-    # Nanoseconds since 1970 are whole numbers: as one float they would lose some hundreds.
+    # Nanoseconds since 1970 are integers: a float would lose some hundreds.
     utc, time = known[0]
     return [(other - utc) / 1e9 - (later - time) for other, later in known]
 
@@ -353,7 +353,7 @@ def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int
     if isinstance(places, Places):
         new = places.to_first(probe, gaze)
         half = np.abs(new[2] - new[1]) / 2
-        # A roll turns the offset: its error is across it.
+        # A roll turns the offset: its error is perpendicular to it.
         shape = places.field[1] / places.field[0]
         across = np.abs(new[0] - gaze[0])[:, ::-1] * np.array([shape, 1 / shape])
         half = np.hypot(half, NORMAL * places.roll_spread * across)

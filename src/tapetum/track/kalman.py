@@ -22,10 +22,10 @@ Array = NDArray[np.float64]
 NORMAL = 1.6448536269514722
 """Half-width of an interval that holds 90 % of a normal distribution, in standard deviations."""
 
-# Of the unknown rate at the start: so many times the quantity's own spread in a second.
+# Initial standard deviation of the rate: so many of the quantity's own spread a second.
 _FASTEST = 4.0
 _TINY = 1e-300
-# Where a state holds its covariance.
+# Places of the covariance in a state.
 _MATRIX = np.array([[2, 3], [3, 4]])
 
 
@@ -160,7 +160,7 @@ def _log_normal(off: float, variance: float) -> float:
 
 def correct(s: State, y: float, r: float, trust: float) -> State:
     """Take a measurement that is good with a probability: mean and covariance of the two cases' mixture."""
-    # The probabilistic data association filter's update, with no rival (Bar-Shalom and Tse, Automatica 11 (1975)).
+    # Update of the probabilistic data association filter without rivals (Bar-Shalom and Tse, Automatica 11 (1975)).
     variance, off = s.a + r, y - s.x
     k0, k1 = s.a / variance, s.b / variance
     gain = trust * (variance - (1 - trust) * off * off)
@@ -210,7 +210,7 @@ class Filter:
         motion, trust, density = self.motion, math.nan, 0.0
         if self.state is None:
             trust = 1.0 if trusted is None else trusted
-            # Of a first row that is wrong nothing is left but that the quantity is somewhere.
+            # A wrong first row leaves only the quantity's own spread.
             ahead = after = begin(y, min(r / max(trust, 1e-9), r + motion.spread**2), motion)
         else:
             ahead = after = predict(self.state, time - self.time, motion.acceleration)
@@ -256,11 +256,11 @@ def judged(series: Series, motion: Motion, smoothed: list[State], trust: Array) 
     for n, (s, y, r) in enumerate(zip(smoothed, series.value.tolist(), _variances(series, motion), strict=True)):
         if not math.isnan(r):
             own, all_told = float(trust[n]) / r, 1 / max(s.a, _TINY)
-            # Of what is known, take away what the row itself has told.
+            # Subtract the row's own contribution from the estimate.
             left = all_told - own
             if left > 1e-6 * all_told:
                 found[n], _ = trust_in(y - (s.x * all_told - own * y) / left, r + 1 / left, motion)
             else:
-                # It stands alone: nobody can judge it.
+                # An isolated row: no other can judge it.
                 found[n] = 1.0
     return found

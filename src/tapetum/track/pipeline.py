@@ -104,7 +104,7 @@ def _merged(before: dict[str, Any], said: dict[str, Any], names: Sequence[str]) 
     applies = said.get("applies")
     if before:
         reason = "; ".join(one for one in (before["reason"], reason) if one)
-        # False where one does not apply, else None where one does not know.
+        # False where one does not apply, else None where one is unknown.
         applies = min(before["applies"], applies, key=lambda one: {False: 0, None: 1, True: 2}[one])
     return {**before, **said, "applies": applies, "reason": reason}
 
@@ -181,7 +181,7 @@ def _detector(detector: str | Detector, options: Mapping[str, Any] | None, side:
     """Return a detector by its name and options, or the one that was given."""
     if isinstance(detector, str):
         make = DETECTORS[one_of(detector, tuple(DETECTORS), "detector")]
-        # What is wider than the crops no model could be shown whole.
+        # Models cannot see spots wider than the crops as a whole.
         return make(**{"largest": float(side), **(options or {})})
     if options:
         what = "belong to a detector by its name"
@@ -222,7 +222,7 @@ def _track(
             if len(waiting) >= size:
                 yield from finished()
     except (Exception, KeyboardInterrupt):
-        # What was found before the frame that failed comes first.
+        # Yield the results before the failed frame first.
         yield from finished()
         raise
     yield from finished()

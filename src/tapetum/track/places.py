@@ -80,11 +80,11 @@ class Places:
         seen = np.concatenate([gaze * scale, np.ones((*gaze.shape[:-1], 1))], axis=-1)
         seen /= np.linalg.norm(seen, axis=-1, keepdims=True)
         cos, sin = math.cos(self.roll), math.sin(self.roll)
-        # Of the upright camera: pan about y, then tilt about x. What is left is to find both.
+        # Of the upright camera: pan about y, then tilt about x. Both are to be found.
         upright = np.stack([cos * seen[..., 0] - sin * seen[..., 1], sin * seen[..., 0] + cos * seen[..., 1]], axis=-1)
         ux, uy, uz = upright[..., 0], upright[..., 1], seen[..., 2]
         (sx, sy, sz), (gx, gy, gz) = (_direction(place, self.distance) for place in (source, goal))
-        # A tilt leaves x alone, and a pan y.
+        # A tilt keeps x, and a pan y.
         pan = np.arcsin(np.clip(ux / math.hypot(sx, sz), -1, 1)) - math.atan2(sx, sz)
         depth = np.sqrt(np.maximum(1 - ux**2 - sy**2, 0.0))
         tilt = np.arctan2(uy, uz) - np.arctan2(sy, depth)

@@ -175,7 +175,7 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         rows = list(group)
         spots = [row for row in rows if row["x"] is not None]
         found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
-        # Tables of older versions do not say whether the models apply.
+        # Tables of older versions lack whether the models apply.
         answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
         moment = {name: rows[0].get(name) for name in MOMENT}
         frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}

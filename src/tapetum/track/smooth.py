@@ -20,7 +20,7 @@ __all__ += ["smooth", "smooth_tracks"]
 
 Array = NDArray[np.float64]
 
-# Rows that the likelihood looks at: enough for two numbers, and a second's work.
+# Rows in the likelihood: enough for two numbers, and a second's work.
 _MOST_ROWS = 1200
 _REMEDY = "give a table of tracks"
 
@@ -78,7 +78,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
     states, trust = passed.filtered, passed.trust
     if not causal:
         states = backward(part.times, passed)
-        # Twice more, each row judged by its neighbours on both sides: a filter alone may doubt the truth after a turn.
+        # Two more rounds, each row judged by both neighbours: a filter alone may reject the truth after a turn.
         for _ in range(2):
             trust = judged(part, motion, states, trust)
             states = backward(part.times, forward(part, motion, trust))
@@ -86,7 +86,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
     deviation = np.sqrt(np.maximum(known[:, 2], 0.0))
     raw = np.interp(part.times, times[rows], series.half_width[rows])
     half = np.hypot(NORMAL * deviation, motion.systematic * raw)
-    # A guess wider than the quantity itself ever is: after a track's end, or a gap too long.
+    # Wider than the quantity's own range: after a track's end, or in too long a gap.
     known[~part.measured & (deviation > motion.spread)] = np.nan
     x, rate = known[:, :2].T
     columns = (x, x - half, x + half, rate, deviation, trust)
@@ -166,7 +166,7 @@ def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: flo
     def cost(free: ArrayLike) -> float:
         return -sum(forward(run, motion(free)).likelihood for run in used)
 
-    # The likelihood may have a second hill, all noise and no motion: begin on the higher one.
+    # The likelihood may have a second maximum, all noise and no motion: start at the higher one.
     start = min(((q, noise) for q in (-9.0, -4.0, 0.0, 4.0) for noise in (-6.0, -3.0, 0.0)), key=cost)
     corners = np.array([start, (start[0] + 1.5, start[1]), (start[0], start[1] - 1.0)])
     options = {"xatol": 0.05, "fatol": 0.05, "maxfev": 90, "initial_simplex": corners}

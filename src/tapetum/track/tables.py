@@ -38,7 +38,7 @@ _SECONDS = 1.0
 
 _FRAME = {"frame": pa.int64(), "time": pa.float64()}
 _NAME = {"name": pa.string()}
-# What is known of a frame beside its time. Tables of older versions lack it.
+# Further data of a frame. Tables of older versions lack them.
 MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
@@ -169,7 +169,7 @@ class TableWriter:
             self.place.unlink(missing_ok=True)
             return ""
         with contextlib.suppress(OSError):
-            # A full disk may have taken a part of the last rows.
+            # On a full disk the last rows may be truncated.
             os.truncate(self.place, self._whole)
         if self._format.grows_as is not None:
             with contextlib.suppress(OSError, pa.ArrowException, InputError):

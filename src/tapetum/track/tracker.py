@@ -16,9 +16,9 @@ __all__ = ["TrackPoint", "Tracker"]
 
 Array = NDArray[np.float64]
 
-# Stands for "may not be paired"; far above any cost within the gates.
+# Cost of a forbidden pair, far above any cost within the gates.
 _NEVER = 1e9
-# Seconds in which a track forgets how bright its spot was, to 1/e.
+# Time constant, in seconds, of the remembered brightness of a track's spot.
 _MEMORY = 4.0
 
 
@@ -72,10 +72,10 @@ class _Track:
     def correct(self, place: Array, peak: float, diameter: float, noise: float, time: float) -> None:
         gain = self.covariance[0] / (self.covariance[0, 0] + noise**2)
         self.state = self.state + np.outer(gain, place - self.state[0])
-        # Joseph's form stays positive whatever the rounding.
+        # Joseph's form stays positive despite rounding.
         rest = np.eye(2) - np.outer(gain, [1.0, 0.0])
         self.covariance = rest @ self.covariance @ rest.T + noise**2 * np.outer(gain, gain)
-        # The brightness of the last seconds: while a spot fades, its ghost must not catch up with it.
+        # Brightness of the last seconds: while a spot fades, its ghost must not take over the track.
         self.peak = max(self.peak, peak)
         self.diameter += 0.5 * (diameter - self.diameter)
         self.hits, self.misses, self.seen_at = self.hits + 1, 0, time
@@ -155,7 +155,7 @@ class Tracker:
         squared = distance**2 / (variance + noise**2)
         dim = peak < self.ghost_ratio * bright
         apart = distance > 0.5 * np.maximum(wide, diameter)
-        # However sharp the turn: a spot that overlaps the place where it was expected is no other.
+        # However sharp the turn, a spot that overlaps the predicted place is the same.
         overlaps = distance <= 0.5 * np.minimum(wide, diameter)
         fits = ((squared <= self.gate**2) | overlaps) & (distance <= self.max_distance) & ~(apart & dim)
         # Brightness decides between spots that fit equally well.
@@ -206,7 +206,7 @@ class Tracker:
                 track.misses += 1
         self._tracks = [track for track in self._tracks if self._lives(track, time)]
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
-            # What looks like the ghost of a track, of one that has just begun too, begins none.
+            # A spot like the ghost of a track, even of a new one, begins no track.
             if not self._fit(*(one[n : n + 1] for one in (place, peak, diameter, noise)))[1].any():
                 seen[self._next] = n
                 self._tracks.append(_Track(self._next, *looks[n], time, self.speed))

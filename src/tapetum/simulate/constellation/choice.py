@@ -140,7 +140,7 @@ def single_probe(volume: Volume, kit: ProbeKit, position: Point, *, cap: float, 
     rays = volume.place(corners) - np.asarray(position)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     axis = rays.mean(axis=0)
-    # Badoiu and Clarkson's walk to the middle of the smallest ball: a step of 1/n towards the farthest.
+    # Badoiu and Clarkson's iteration for the centre of the smallest ball: a step of 1/n towards the farthest.
     for step in range(2, 2000):
         axis += (rays[np.argmin(rays @ axis)] - axis) / step
     axis /= np.linalg.norm(axis)
@@ -175,7 +175,7 @@ class _Problem:
         cap: float,
     ) -> None:
         self.probes, self.cap, self.weight = probes, cap, snr_weight
-        # Around 1 in the solver, whose tolerances are absolute.
+        # Scaled to about 1: the solver's tolerances are absolute.
         self.low = irradiance(probes, points, margin=-margin)
         self.high = irradiance(probes, points, margin=margin)
         self.unit = float(self.high.max()) or 1.0
@@ -202,7 +202,7 @@ class _Problem:
         bound = bound - matrix[:, columns] * (deviation + slack)
         matrix = matrix[:, :columns]
         weight = np.ones(columns)
-        # The free level M costs nothing.
+        # The free level M has no cost.
         weight[len(power) :] = 0
         for _ in range(rounds):
             found = linprog(weight, A_ub=matrix, b_ub=bound, method="highs").x
@@ -233,7 +233,7 @@ class _Problem:
             part = rows[:, chosen]
             light += [np.hstack([part, -ones, -2 / self.weight * ones])]
             light += [np.hstack([-part, ones, -2 / self.weight * ones])]
-            # M between a half and twice the last level, or darkness would be even too.
+            # M between a half and twice the last level; otherwise darkness would count as even.
             free = np.zeros((2, light[0].shape[1]))
             free[:, -2] = 1, -1
             light.append(free)
@@ -243,7 +243,7 @@ class _Problem:
     def _rows(self, power: Array) -> Array:
         """SNR² per relative power of each probe, its own noise as at `power`; of mean 1 there."""
         watts = self.capped(power)
-        # Probes that are off are judged as if they had the power of those that are on.
+        # Probes without power count as if they had the median power of the others.
         usual = float(np.median(watts[watts > 1e-6 * watts.max()]))
         counts = self.gain * np.where(watts > 1e-6 * watts.max(), watts, usual)
         rows = self.gain * counts / (counts + self.noise)

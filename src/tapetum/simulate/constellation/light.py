@@ -19,7 +19,7 @@ from tapetum.simulate.radiometry import dark_electrons
 
 __all__ = ["Evenness", "OverlapLaw", "Signals", "coverage", "evenness", "irradiance", "overlap_law", "signal"]
 
-# Of the lattice of links: distances a doubling, tilts a unit of their sine; and links that are computed one by one.
+# Lattice of links: distances a doubling, tilts a unit of their sine; and the most links computed one by one.
 _A_DOUBLING, _A_SINE, _FEW = 16, 100, 200
 _WIDE = 1.0
 
@@ -38,7 +38,7 @@ def coverage(constellation: Constellation, points: npt.ArrayLike, *, margin: flo
     """
     depth, reach, half = _geometry(constellation, points)
     across = np.sqrt(np.maximum(reach**2 - depth**2, 0.0))
-    # A billionth is for rounding: the axis of a narrow cone must lie in it.
+    # A billionth for rounding: a narrow cone must contain its axis.
     edge = depth * np.tan(half) + margin / np.cos(half) + 1e-9 * reach
     return (depth > 0) & (across <= edge)
 
@@ -148,10 +148,10 @@ def signal(
     for p, probe in enumerate(constellation.probes):
         optics = Probe(ThinLens(probe.focal_length, probe.aperture_radius), sensor, probe.transmission)
         links = _links(target, optics, constellation.wavelength, reach[:, p], sine[:, p])
-        # A beam narrower than the aperture goes in whole.
+        # A beam narrower than the aperture enters whole.
         entering = np.minimum(lit[:, p], probe.power / (area * np.sqrt(1 - sine[:, p] ** 2).clip(1e-9)))
         count[:, p], full[:, p] = links[:, 0] * entering, links[:, 1] * entering
-        # Near the cut-off what returns spreads without end.
+        # Near the cut-off the return's spread diverges.
         pixels[:, p] = np.minimum(np.exp(links[:, 2]), math.prod(sensor.pixels))
     dark = dark_electrons(sensor)
     noise = pixels * max(dark + readout_variance(sensor), 1e-12)
@@ -181,7 +181,7 @@ def _link(target: Target, probe: Probe, wavelength: float, reach: float, sine: f
     steepest = math.sin(STEEPEST[target.lens.kind]) * (1 - 1e-9)
     if sine >= steepest:
         return 0.0, 0.0, 0.0
-    # Any beam wider than the aperture: the link does not depend on the probe's own.
+    # Any beam wider than the aperture gives the same link.
     light = Illumination("diverging", wavelength, 1.0, _WIDE)
     turned = replace(target, rotation=(math.asin(sine), 0.0))
     found = link_budget(Scene(distance=reach, target=turned, probe=probe, illumination=light))

@@ -206,7 +206,7 @@ def between(
 ) -> None:
     above = value >= low if low_too else value > low
     below = value <= high if high_too else value < high
-    # Infinity passes no bound, and NaN no comparison.
+    # Infinity fails every bound, and NaN every comparison.
     if not (above and below and math.isfinite(value)):
         remedy = f"give one {'from' if low_too else 'above'} {low:g} {'to' if high_too else 'and below'} {high:g}"
         raise InputError(f"is {value:g}", where=where, remedy=remedy)
