@@ -214,7 +214,7 @@ def front_focus(lens: Lens) -> float:
 
 
 def _to_sphere(rays: Rays, image: float, pupil: float) -> torch.Tensor:
-    """Way from the last surface, along each ray, to the sphere about the image that goes through the exit pupil."""
+    """Path along each ray from the last surface to the sphere about the image through the exit pupil."""
     centre = torch.zeros_like(rays.position)
     centre[..., 2] = image
     to_centre = centre - rays.position

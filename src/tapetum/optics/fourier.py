@@ -112,7 +112,7 @@ class BandLimitedFourier:
         return field @ phasor(places * self.ux[None, :], field.dtype)
 
     def at_nodes(self, field: torch.Tensor, start: int = 0) -> torch.Tensor:
-        """What the rows of `field` from `start` on add to the transform at the nodes: [..., Y', X] to [..., V', U']."""
+        """Contribution of the rows of `field` from `start` on to the nodes: [..., Y', X] to [..., V', U']."""
         return self.rows[:, start : start + field.shape[-2]] @ self.across(field)
 
     def lift(
@@ -137,7 +137,7 @@ def _weighed(matrix: torch.Tensor, factor: torch.Tensor | None) -> torch.Tensor:
 
 
 class _Blocks:
-    """Rows of very many samples, summed block by block: within a block the kernel needs few terms."""
+    """Very long rows, summed block by block: within a block the kernel needs few terms."""
 
     def __init__(self, x: torch.Tensor, u: torch.Tensor, kappa: float | torch.Tensor, dtype: torch.dtype) -> None:
         count = math.ceil(len(x) / _BLOCK)
@@ -152,7 +152,7 @@ class _Blocks:
         self.places = (starts[:, None] + nodes[None, :] * (step / step.detach())).flatten()
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
-        """From the samples [..., Y, X] to what stands for them at the blocks' nodes, [..., Y, places]."""
+        """From samples [..., Y, X] to their equivalents at the blocks' nodes, [..., Y, places]."""
         padded = torch.nn.functional.pad(field, (0, self._padding)) if self._padding else field
         blocks = padded.reshape(*field.shape[:-1], -1, _BLOCK)
         return (blocks @ self._gather).flatten(-2)
@@ -178,7 +178,7 @@ def _barycentric(at: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
 
 
 def chebyshev_lift(places: torch.Tensor, turn: float, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
-    """Nodes that hold a phase of ±`turn` radians over places, and the matrix [places, nodes] back from them."""
+    """Nodes that resolve a phase of ±`turn` radians over places, and the matrix [places, nodes] back from them."""
     error, count, left = 1e-12 if dtype == torch.complex128 else 1e-6, 1, turn
     # With n nodes the error of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
     while left > error:
@@ -192,7 +192,7 @@ def chebyshev_lift(places: torch.Tensor, turn: float, dtype: torch.dtype) -> tup
 def _nodes(
     x: torch.Tensor, u: torch.Tensor, kappa: float, dtype: torch.dtype
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Where to take the transform, and the matrix that carries it to `u`; None where `u` itself are few enough."""
+    """Nodes of the transform and the matrix from them to `u`; None where `u` itself is short enough."""
     half = float(u.max() - u.min()) / 2
     reach = float(x.detach().abs().max())
     nodes = _chebyshev(kappa * reach * half, dtype, u.device)
@@ -210,6 +210,6 @@ def naive_fourier(
     uy: torch.Tensor,
     kappa: float,
 ) -> torch.Tensor:
-    """The same sum as MatrixFourier, term by term: slow, and there to be compared with."""
+    """The same sum as MatrixFourier, term by term: a slow reference."""
     phase = uy[:, None, None, None] * y[:, None] + ux[None, :, None, None] * x[None, :]
     return (phasor(-kappa * phase) * field).sum(dim=(-2, -1))

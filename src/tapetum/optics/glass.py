@@ -118,7 +118,7 @@ def refractive_index(glass: str, wavelength: float) -> float:
 
 
 def abbe_number(glass: str) -> float:
-    """(n_d - 1)/(n_F - n_C) of one of `GLASSES`: the larger, the less its index changes with the colour."""
+    """(n_d - 1)/(n_F - n_C) of one of `GLASSES`: the larger, the smaller its dispersion."""
     n_f, n_d, n_c = (refractive_index(glass, line) for line in (_F_LINE, _D_LINE, _C_LINE))
     return (n_d - 1) / (n_f - n_c)
 

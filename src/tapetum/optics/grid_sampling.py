@@ -172,7 +172,7 @@ def _check_memory(plan: SamplingPlan, pixels: int, finest: float | None) -> None
 
 
 def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None = None) -> SamplingPlan:
-    """The grids that an effort makes of a scene and its mask's finest detail, unchecked."""
+    """The grids of an effort for a scene and its mask's finest detail, unchecked."""
     g = geometry
     wavenumber = 2 * math.pi / g.wavelength
     # A large RR is faint in its middle, and waves from its edges count for more: they follow the rays' slopes.
@@ -236,7 +236,7 @@ def _lost_at_the_axis(g: DoublePassGeometry, half: float, flat: float) -> float:
 
 
 def _width_on_return(g: DoublePassGeometry) -> float:
-    """Half-widths of the returning and of the accepting pupil and their offset: what one period must hold."""
+    """Half-widths of the returning and of the accepting pupil and their offset, which one period must hold."""
     return g.return_radius + g.radius + 2 * g.image_distance * g.tangent
 
 

@@ -56,12 +56,10 @@ class Square:
         self.breaks: tuple[float, ...] | None = (-self._side / 2, self._side / 2)
 
     def transform(self, across: Real, down: Real) -> Real:
-        """As of `Photosite`."""
         w = self._side
         return w**2 * np.outer(np.sinc(w * down), np.sinc(w * across))
 
     def half_width(self, y: Real) -> Real:
-        """As of `Photosite`."""
         return np.where(np.abs(y) < self._side / 2, self._side / 2, 0.0)
 
 
@@ -75,14 +73,12 @@ class Round:
         self.breaks: tuple[float, ...] | None = None
 
     def transform(self, across: Real, down: Real) -> Real:
-        """As of `Photosite`."""
         a, nu = self._radius, np.hypot(*np.meshgrid(across, down))
         slow = nu < _SLOW
         safe = np.where(slow, 1.0, nu)
         return np.where(slow, math.pi * a**2, a * j1(2 * math.pi * a * safe) / safe)
 
     def half_width(self, y: Real) -> Real:
-        """As of `Photosite`."""
         return np.sqrt(np.maximum(self._radius**2 - y**2, 0.0))
 
 
@@ -114,7 +110,6 @@ class Hexagon:
         return np.where(slow, self._fill, total / (2 * np.pi * safe))
 
     def half_width(self, y: Real) -> Real:
-        """As of `Photosite`."""
         return np.clip(math.sqrt(3) * (self._corner - np.abs(y)), 0.0, math.sqrt(3) / 2 * self._corner)
 
 

@@ -104,7 +104,7 @@ class FocusTables:
 
     @property
     def only(self) -> RadialTable:
-        """The table where there is but one."""
+        """The table where there is only one."""
         return self.tables[0]
 
     def at(self, distances: torch.Tensor, z: torch.Tensor, moves: dict[str, torch.Tensor]) -> torch.Tensor:
@@ -319,7 +319,7 @@ def _cubic(values: torch.Tensor, places: torch.Tensor, t: torch.Tensor) -> torch
 
 
 class _Lowpass:
-    """Leaves out what oscillates faster than wanted, and resamples `finer` times as densely. The field is even."""
+    """Removes oscillations faster than wanted, and resamples `finer` times as densely. The field is even."""
 
     def __init__(self, step: float, low: float, high: float, count: int, finer: int) -> None:
         self._count, self._finer = count, finer

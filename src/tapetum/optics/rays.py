@@ -195,7 +195,7 @@ def to_plane(position: torch.Tensor, direction: torch.Tensor, z: torch.Tensor | 
 
 
 def reversed_lens(lens: Lens) -> Lens:
-    """The lens turned round: z is counted from the old last vertex, towards the old first one."""
+    """The lens reversed: z is counted from the old last vertex, towards the old first one."""
     return replace(
         lens,
         z=(lens.z[-1] - lens.z).flip(0),

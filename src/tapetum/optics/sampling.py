@@ -69,7 +69,7 @@ class DoublePassGeometry:
 
     @property
     def tangent(self) -> float:
-        """Tangent of the largest tilt: slopes behind the lens go by it."""
+        """Tangent of the largest tilt, which sets the slopes behind the lens."""
         return self.sine / math.sqrt(1 - self.sine**2)
 
     @property
@@ -99,7 +99,7 @@ class DoublePassGeometry:
 
     @property
     def returning(self) -> float:
-        """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
+        """Share of the returning light that leaves the aperture again, by rays: 1 at zero tilt, 0 past the cut-off."""
         lit = min(1.0, self.lit_radius / self.radius) * self.return_radius
         return disc_overlap(lit, self.radius, 2 * self.image_distance * self.tangent)
 
@@ -115,20 +115,22 @@ class DoublePassGeometry:
 
     @property
     def own_slope(self) -> float:
-        """The steepest slope that a ray has against the pupil, before or after it."""
+        """The steepest slope of a ray against the pupil, before or after it."""
         bend = 1 / self.image_distance - 1 / self.focal_length + self.curvature
         return max(self.radius * abs(bend), self.exit_angle)
 
     @property
     def ray_slope(self) -> float:
-        """The steepest slope that a ray has against the pupil, before or after it, seen from the picture's edge."""
+        """The steepest slope of a ray against the pupil, before or after it, from the picture's edge."""
         bend = 1 / self.image_distance - 1 / self.focal_length + self.curvature
         return max(self.radius * abs(bend), self.exit_angle + self.window / self.probe_focal_length)
 
     @property
     def fading(self) -> float:
-        """How much errors grow near the cut-off, 1 or more: the peak fades with the light that still returns, the error
-        with the light that entered. Infinite past the cut-off."""
+        """Growth of errors near the cut-off, 1 or more; infinite past it.
+
+        The peak fades with the returning light, the error with the entering light.
+        """
         returning = self.returning
         return max(1.0, _FADING / returning if returning else math.inf)
 
@@ -253,7 +255,7 @@ class RoundPlan(Plan):
 
     @property
     def missing(self) -> float:
-        """The part of the error that does not come of the samples: it is not known apart."""
+        """The part of the error that no sampling removes; it is not known separately."""
         return 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
@@ -264,7 +266,7 @@ class RoundPlan(Plan):
         return complex_size // 8 * (kept + at_work + kernels + 24 * batch * pixels)
 
     def too_large(self, pixels: int) -> bool:
-        """Whether an image of `pixels` pixels is beyond the memory, or the time, that the engine allows itself."""
+        """Whether an image of `pixels` pixels exceeds the memory or time allowed."""
         return self.bytes_needed(1, pixels) > _MOST_BYTES or self.columns * self.rows > _MOST_SAMPLES
 
 
@@ -317,7 +319,7 @@ def plan_round(
 
 
 def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundPlan:
-    """The samples that an effort makes of a scene, unchecked."""
+    """The samples of an effort for a scene, unchecked."""
     g = geometry
     spot = g.spot_radius / g.image_distance
     rays = g.ray_slope
@@ -355,7 +357,7 @@ def _forced(plan: RoundPlan, g: DoublePassGeometry, columns: int) -> RoundPlan:
 
 
 def _nearest_that_fits(g: DoublePassGeometry, effort: RoundEffort, pixels: int) -> str:
-    """What to change so that the memory suffices: the nearest aperture, focus and accuracy that fit."""
+    """Changes that make the memory suffice: the nearest aperture, focus and accuracy that fit."""
 
     def fits(one: DoublePassGeometry) -> bool:
         return not plan_round_with(one, effort).too_large(pixels)
@@ -394,7 +396,7 @@ def through_aperture(geometry: DoublePassGeometry, distance: float, probe_radius
 
 
 def aperture_samples(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> tuple[int, int]:
-    """Columns and rows over the probe's aperture: it sees the whole lens, and its rays under their own angles."""
+    """Columns and rows over the probe's aperture: it sees the whole lens, and rays under their own angles."""
     g = geometry
     widest = (probe_radius + g.radius) / distance
     seen = g.window / g.probe_focal_length
@@ -454,7 +456,7 @@ def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) 
 
 
 def disc_overlap(first: float, second: float, offset: float) -> float:
-    """Area that two discs of these radii share at this distance of centres, in fractions of the first's."""
+    """Area shared by two discs of these radii and distance of centres, in fractions of the first's."""
     if offset >= first + second:
         return 0.0
     small, large = sorted((first, second))

@@ -38,7 +38,7 @@ GRAZING = 0.1
 
 @dataclass(frozen=True)
 class _Band:
-    """The band around the carrier, in cycles per metre, and what becomes of the rays within."""
+    """The band around the carrier, in cycles per metre, and its rays' slopes."""
 
     x: float  # half-width
     y: tuple[float, float]

@@ -27,7 +27,7 @@ __all__ = [
 
 
 def mode_count(order: int) -> int:
-    """Return the number of modes of radial order n <= `order` (91 for the paper's 12)."""
+    """Number of modes of radial order n <= `order` (91 for the paper's 12)."""
     if order < 0:
         raise InputError(f"must not be negative, is {order}", where="order", remedy="give a radial order of 0 or more")
     return (order + 1) * (order + 2) // 2

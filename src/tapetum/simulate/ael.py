@@ -58,22 +58,22 @@ def visible(wavelength: float) -> bool:
 
 
 def c3(wavelength: float) -> float:
-    """C3, how much less blue light harms at longer wavelengths; 400 to 600 nm (table 9)."""
+    """C3, the smaller hazard of blue light at longer wavelengths; 400 to 600 nm (table 9)."""
     return 10 ** (0.02 * max(nanometres(wavelength) - 450, 0))
 
 
 def c4(wavelength: float) -> float:
-    """C4, how much less the retina absorbs beyond 700 nm (table 9)."""
+    """C4, the smaller absorption of the retina beyond 700 nm (table 9)."""
     return 10 ** (0.002 * min(max(nanometres(wavelength) - 700, 0), 350)) if nanometres(wavelength) < 1050 else 5.0
 
 
 def c6(source_angle: float) -> float:
-    """C6, how much more an extended source may send, for exposures of 0.25 s and more (table 9)."""
+    """C6, the larger limit of an extended source, for exposures of 0.25 s and more (table 9)."""
     return min(max(source_angle, SMALL_SOURCE), _LARGEST) / SMALL_SOURCE
 
 
 def c7(wavelength: float) -> float:
-    """C7, how much the eye's water takes away beyond 1150 nm (table 9; the edition of 2007 stopped at 8)."""
+    """C7, the absorption by the eye's water beyond 1150 nm (table 9; the edition of 2007 stopped at 8)."""
     nm = nanometres(wavelength)
     if nm < 1150:
         return 1.0
@@ -81,7 +81,7 @@ def c7(wavelength: float) -> float:
 
 
 def t2(source_angle: float) -> float:
-    """T2 in seconds: from then on a source of that size heats the retina no further (table 9)."""
+    """T2 in seconds, after which a source of that size heats the retina no further (table 9)."""
     angle = min(max(source_angle, SMALL_SOURCE), _LARGEST)
     return 10 * 10 ** ((angle - SMALL_SOURCE) / (_LARGEST - SMALL_SOURCE))
 

@@ -88,7 +88,7 @@ class Beam:
         return self.power * min(1.0, (aperture / width) ** 2)
 
     def angle_at(self, distance: float) -> float:
-        """What the source subtends at a distance, in radians; nearer than 100 mm no more than there."""
+        """Angle, in radians, that the source subtends at a distance; constant within 100 mm."""
         return self.source_angle * NEAREST / max(distance, NEAREST)
 
     def reach(self, aperture: float, limit: float) -> float:

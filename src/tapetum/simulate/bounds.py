@@ -95,7 +95,7 @@ class GazeInformation:
         return _bounds(self.names, self.information, _GAZE, self.names[2:] if nuisances is None else nuisances, priors)
 
     def curve(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> GazeBound:
-        """The bounds by the distance from the centre: gazes of the same distance, to 1e-6, are put together."""
+        """The bounds by the distance from the centre; gazes of the same distance, to 1e-6, are combined."""
         deviation = self.bounds(nuisances, priors)
         distance = np.hypot(self.gazes[:, 0], self.gazes[:, 1]).round(6)
         rings = np.unique(distance)
@@ -133,11 +133,11 @@ class FocusBounds:
 
     @property
     def mae(self) -> Array:
-        """[D, F, 2] of Gaussian errors as small as can be, in metres."""
+        """[D, F, 2] mean absolute errors of the best estimate with Gaussian errors, in metres."""
         return _MAE * self.deviation
 
     def bounds(self, wanted: Sequence[str], unknown: Sequence[str] | None = None) -> Array:
-        """Standard deviations [D, F, W] of some names, while `unknown` ones are not known: all where left out."""
+        """Standard deviations [D, F, W] of the wanted names while the `unknown` ones are unknown, by default all."""
         return _bounds(self.names, self.information, wanted, self.names if unknown is None else unknown)
 
 

@@ -149,7 +149,7 @@ class LinkBudget:
 
     @property
     def total_watts(self) -> float:
-        """On the probe's sensor, of all reflections, which add as power."""
+        """On the probe's sensor, of all reflections, added as power."""
         return sum(one.watts for one in self.reflections)
 
     def as_dict(self) -> dict[str, Any]:
@@ -158,7 +158,7 @@ class LinkBudget:
         return {**content, "reflections": [asdict(one) for one in self.reflections], "notes": list(self.notes)}
 
     def lines(self) -> list[str]:
-        """The budget to read, a line a step."""
+        """The budget as text, one line a step."""
         sensor, *layers = self.reflections
         reach = "" if self.rayleigh_range is None else f", Rayleigh range {in_si(self.rayleigh_range, 'm')}"
         rows = [

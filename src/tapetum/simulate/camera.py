@@ -72,7 +72,7 @@ _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
 
 @dataclass(frozen=True)
 class _Line:
-    """Light of one wavelength: its power over the scene's first line, and what it makes of a gaze."""
+    """Light of one wavelength: its power over the scene's first line, and its passes."""
 
     wavelength: float
     power: torch.Tensor
@@ -173,7 +173,7 @@ class Camera:
 
     @cached_property
     def plan(self) -> Plan:
-        """The sampling of the plane that is computed least accurately. Planning is left to the first use."""
+        """The sampling of the plane with the largest error; planned at the first use."""
         assert self._lines
         return max(self._plans, key=lambda plan: (plan.expected_error, plan.columns))
 
@@ -330,12 +330,12 @@ class Camera:
         return one
 
     def _curvature(self) -> torch.Tensor | float:
-        """1/R of the light at the target: it follows the distance where that is a tensor."""
+        """1/R of the light at the target; it follows a distance given as a tensor."""
         follows = self.scene.illumination.follows_distance
         return 1 / self._distance if follows else illumination_curvature(self.scene)
 
     def _scale(self) -> torch.Tensor:
-        """Irradiance of the first line at the target, times what the way back keeps; it follows power and distance."""
+        """Irradiance of the first line at the target, times the way back's transmission; it follows power and distance."""
         scene, light = self.scene, self.scene.illumination
         at_target = irradiance_at_target(scene) * self._power / light.power
         if light.wave.spreads:
@@ -428,7 +428,7 @@ class Camera:
         return total
 
     def _left_out(self) -> float:
-        """What the passes of a thin lens leave out whatever their sampling, over the peak."""
+        """Error of a thin lens's passes at any sampling, over the peak."""
         if self._lens is not None:
             return 0.0
         geometries, sensor = [line.geometry for line in self._lines], self.scene.target.sensor
@@ -437,7 +437,7 @@ class Camera:
         return narrow + of_tilted_planes(geometries, tilt, self._steepest)
 
     def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
-        """Where the gazes put their spots on the sensor, and how much of each it holds."""
+        """Places of the gazes' spots on the sensor, and the share of each that it holds."""
         g = line.geometry
         lit = min(g.radius, beam_radius(self.scene))
         places = spot_places(self.scene, self._z, sines)
@@ -450,7 +450,7 @@ class Camera:
         return spots
 
     def _scattered(self, line: _Line, scatterer: Scatterer, centres: torch.Tensor) -> torch.Tensor:
-        """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target, head on."""
+        """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target, at zero tilt."""
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]
@@ -495,7 +495,7 @@ class Camera:
         return Grid(side, side, self.output.pitch)
 
     def _picture_angle(self) -> float:
-        """Half-angle of the widest picture of all that returns behind a thin lens, by rays, in radians."""
+        """Half-angle of the widest picture of all returns behind a thin lens, by rays, in radians."""
         widest = 0.0
         for line in self._light():
             g = self._geometry(line, self._steepest)
@@ -534,7 +534,7 @@ class Camera:
 
 
 def _orders_of(groups: Sequence[Sequence[Surface]]) -> torch.Tensor:
-    """Size and direction [M, 3] of what the sensor makes of light; a mirror's where it only lets layers answer."""
+    """Amplitude and direction [M, 3] of the sensor's orders; a mirror's where only its layers reflect."""
     sensors = [one for group in groups for one in group if one.depth == 0]
     orders = [(abs(order.amplitude), *order.direction) for one in sensors for order in one.orders if order.amplitude]
     return torch.tensor(orders, dtype=torch.float64) if orders else _MIRRORS
@@ -589,7 +589,7 @@ def pick_device(device: torch.device | str) -> torch.device:
 
 
 def _check_widths(scene: Scene) -> None:
-    """Refuse light that is no beam: it would leave an opening of a few wavelengths under any angle."""
+    """Refuse light that is no beam: an opening of a few wavelengths radiates under any angle."""
     light = scene.illumination
     least = _LEAST_WIDTH * max(light.wavelength, *(line.wavelength for line in light.lines), 0.0)
     beam = "divergence" if light.divergence is not None else "diameter"

@@ -62,7 +62,7 @@ class CutSensor:
 
     @property
     def layers(self) -> RoundPass:
-        """What answers where the spot misses the sensor: the layers before it, of which there must be some."""
+        """The pass where the spot misses the sensor: the layers before it, of which there must be some."""
         assert self._layers is not None
         return self._layers
 
@@ -87,7 +87,7 @@ class CutSensor:
         return field.real**2 + field.imag**2
 
     def mirror(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        """Irradiance [B, H, W] of a mirror in the sensor's place, endless, as bright as its strongest order."""
+        """Irradiance [B, H, W] of an infinite mirror in the sensor's place, as bright as its strongest order."""
         z = torch.as_tensor(self._sensor.image_distance, dtype=torch.float64)
         brightest = max(abs(order.amplitude) for order in self._sensor.orders)
         return brightest**2 * self._made(z, None)(sines, centres)
@@ -118,7 +118,7 @@ class CutSensor:
         return DoublePass(geometry, plan, self._output, image_distance=z, mask=mask, followed=True, **options)
 
     def _plane(self) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
-        """The sensor's reflectance as its surface weighs it, up to its edge."""
+        """The sensor's reflectance, weighted as its surface, up to its edge."""
         k, (across, down) = 2 * math.pi / self._geometry.wavelength, self._sensor.tilt
         plain = replace(self._bare, mask=None, diffuse=None, reflectance=1.0)
         bare = reflectance_at(plain, self._geometry.wavelength, self._edge.window)

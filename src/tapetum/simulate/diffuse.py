@@ -247,7 +247,7 @@ def _passing(plane: ScatteringPlane, distance: float, probe_radius: float, angle
 
 
 def _lit_at_probe(plane: ScatteringPlane, distance: float, probe_radius: float, accuracy: float) -> float:
-    """Distance from the axis, in metres, beyond which no light counts: edge waves die away as its inverse."""
+    """Distance from the axis, in metres, beyond which light is neglected: edge waves fall as its inverse."""
     return probe_radius + plane.radius + math.sqrt(plane.wavelength * distance / accuracy)
 
 

@@ -141,7 +141,7 @@ class DoublePass:
         return torch.cat([(u.real**2 + u.imag**2) for u in images])
 
     def exit_pupil(self, sines: torch.Tensor) -> torch.Tensor:
-        """Field leaving the lens, tilt removed, times weights and the way's constant: [B, rows, columns]."""
+        """Field leaving the lens, tilt removed, times weights and constants: [B, rows, columns]."""
         sines = sines.to(self.device, torch.float64)
         # A mirror may rotate with the pupil, a mask may not.
         turned = self._mask is None and foreshortens(self, sines)

@@ -83,7 +83,7 @@ def gain_of(sensor: ProbeSensor) -> float:
 
 
 def most_electrons(sensor: ProbeSensor) -> float:
-    """Electrons of a pixel from which on the full well or the largest digital number cuts off."""
+    """Electrons of a pixel at which the full well or the largest digital number clips."""
     return min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor))
 
 

@@ -35,7 +35,7 @@ LaserClass = Literal["1", "1M", "2", "2M", "3R", "3B", "4"]
 
 @dataclass(frozen=True)
 class AtDistance:
-    """What meets an eye at `distance` (m): `irradiance` averaged over 7 mm, and the `mpe` there, both in W/m²."""
+    """Light at an eye at `distance` (m): `irradiance` averaged over 7 mm, and the `mpe` there, both in W/m²."""
 
     distance: float
     irradiance: float
@@ -90,7 +90,7 @@ class EyeSafety:
     aided_nohd: float
 
     def lines(self) -> list[str]:
-        """What was found and assumed, for people; the last line says what it is not."""
+        """Result and assumptions as text; the last line states that it is no certificate."""
         beam, near = self.beam, self.nearest
         spread = f"spreading {beam.divergence:.3g} rad" if beam.divergence else "parallel"
         width = f"{beam.diameter * 1e3:.3g} mm wide" if beam.diameter else "from a point"

@@ -78,7 +78,7 @@ class FieldMap:
 
     @property
     def holds(self) -> bool:
-        """Whether each place stands for one tilt, and the fit has converged to the rays."""
+        """Whether each place has one tilt, and the fit has converged to the rays."""
         tail = float(self.height[-_TAIL:].abs().sum())
         sizes = torch.linspace(0, self.nodes.steepest, _LOOKED_AT, dtype=torch.float64)
         heights = self._height(sizes)

@@ -20,7 +20,7 @@ class _Plan(Protocol):
 
 
 class Tilted(Protocol):
-    """What a pass reports about itself here."""
+    """What a pass reports here of itself."""
 
     @property
     def geometry(self) -> DoublePassGeometry: ...
@@ -76,6 +76,6 @@ def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def twisted(directions: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
-    """Directions [B, 2] in the pupil's coordinates once R of the tilts [B, 2] has gone to the pupil."""
+    """Directions [B, 2] in the pupil's coordinates when R of the tilts [B, 2] acts on the pupil."""
     rotation, _ = foreshortening(sines)
     return (rotation.mT @ directions[:, :, None])[:, :, 0]

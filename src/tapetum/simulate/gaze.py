@@ -78,7 +78,7 @@ def _field(scene: Scene) -> torch.Tensor:
 
 
 def _axis(scene: Scene) -> torch.Tensor:
-    """Where the lens's axis meets the sensor, from its middle, in metres: gaze counts from the middle."""
+    """Where the lens's axis meets the sensor, in metres from its middle, where gaze is zero."""
     return torch.tensor(scene.target.sensor.decentre, dtype=torch.float64)
 
 

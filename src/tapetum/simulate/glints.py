@@ -68,7 +68,7 @@ class GlintTable:
     passes: torch.Tensor
 
     def at(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Glints of tilts [B] of these sines: the number of each one's tilt, its place e and its area, [G] each."""
+        """Glints of tilts [B] (sines): the index of each one's tilt, its place e and its area, [G] each."""
         low, high = self.sine[:-1], self.sine[1:]
         both = self.passes[:-1] & self.passes[1:]
         s = sines[:, None]
@@ -83,7 +83,7 @@ class GlintTable:
 
 
 def glint_tables(focused: FocusedLens, wavelength: float) -> list[GlintTable]:
-    """The tables of all surfaces between glass and air, plane plates' apart, at the wavelength of `focused`."""
+    """Tables of all surfaces between glass and air except plane plates, at the wavelength of `focused`."""
     return [glint_table(focused, i, wavelength) for i in range(len(focused.lens)) if _coated(focused.lens, i)]
 
 
@@ -196,7 +196,7 @@ class Glints:
 
 
 def _coated(lens: Lens, i: int) -> bool:
-    """Whether a surface parts glass from air: cement has no coat, and plane plates are a sensor's layers."""
+    """Whether a surface separates glass from air: cement has no coating, and plane plates are a sensor's layers."""
     before, behind = float(lens.index[i]), float(lens.index[i + 1])
     if not min(before, behind) < _AIR < max(before, behind):
         return False
@@ -211,7 +211,7 @@ def _bends(lens: Lens, i: int) -> bool:
 def _there_and_back(
     lens: Lens, surface: int, position: torch.Tensor, direction: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Directions [..., 3] in which rays leave that a surface reflected, and whether they came through, rims apart."""
+    """Directions [..., 3] in which rays reflected by a surface leave, and whether they came through, rims apart."""
     part = before(lens, surface + 1)
     # The index is the same on both sides: the surface does not bend the rays.
     part = replace(part, index=torch.cat([part.index[:-1], part.index[-2:-1]]))

@@ -53,7 +53,7 @@ class Image:
 
     @property
     def light(self) -> torch.Tensor:
-        """What a sensor counts: irradiance of the metadata's wavelength, [B, H, W] in W/m²."""
+        """Irradiance [B, H, W] in W/m² as a sensor counts it: of the metadata's wavelength."""
         return self.irradiance if self.equivalent is None else self.equivalent
 
     def __len__(self) -> int:
@@ -120,7 +120,7 @@ class Image:
         return f"<Image: {count} of {width} x {height} pixels of {self.pitch * 1e6:g} µm, peak {peak:.3g} W/m²>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the first images, and what they are."""
+        """For notebooks: the first images, with their metadata."""
         import base64
 
         few = self.numpy()[:4]

@@ -44,7 +44,7 @@ class FisherInformation:
     information: torch.Tensor
 
     def __add__(self, other: FisherInformation) -> FisherInformation:
-        """What two independent frames tell together: of the same parameters at the same values, by any two probes."""
+        """Information of two independent frames together: same parameters at the same values, from any two probes."""
         if self.parameters != other.parameters or self.values != other.values:
             raise InputError(
                 f"{list(other.parameters)} at {list(other.values)} are not {list(self.parameters)} at "
@@ -75,7 +75,7 @@ class FisherInformation:
 
     @property
     def alone(self) -> dict[str, float]:
-        """The same for each parameter with all the others known."""
+        """The bound of each parameter with all the others known."""
         diagonal = self.information.diagonal().clamp_min(0)
         return dict(zip(self.parameters, (1 / diagonal.sqrt()).tolist(), strict=True))
 
@@ -169,7 +169,7 @@ def slopes_of(
 
 
 def information_of(mean: torch.Tensor, jacobian: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
-    """Fisher's matrix [P, P] of a frame of mean electrons [H, W], hot pixels' left out, with slopes [P, H W]."""
+    """Fisher matrix [P, P] of a frame of mean electrons [H, W], without hot pixels', with slopes [P, H W]."""
     weight = _information_of_pixels(mean, sensor).flatten()
     return ((jacobian * weight[None, :]) @ jacobian.T).cpu()
 
@@ -293,7 +293,7 @@ def _clipped_from(sensor: ProbeSensor) -> float:
 
 
 def _where_it_matters(scene: Scene, sines: torch.Tensor) -> Grid | None:
-    """The pixels that hold a mirror's RR at a tilt [2], where they are fewer than all: dark ones tell nothing."""
+    """Window of the pixels that hold a mirror's RR at a tilt [2], if not all: dark ones carry no information."""
     sensor = scene.target.sensor
     if sensor.layers or any(one is not None for one in (sensor.array, sensor.microlens, sensor.mask, sensor.diffuse)):
         return None
@@ -310,7 +310,7 @@ _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
 
 
 def _jacobian(outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-    """∂outputs/∂inputs, [P, N]: one backward pass more than there are inputs, for the outputs are many."""
+    """∂outputs/∂inputs, [P, N], by one backward pass more than there are inputs: outputs are many."""
     # Jᵀu is linear in u: its own derivative along each input is a row of J.
     u = torch.zeros_like(outputs, requires_grad=True)
     (pulled,) = torch.autograd.grad(outputs, inputs, u, create_graph=True)

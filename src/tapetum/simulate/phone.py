@@ -35,7 +35,7 @@ class Unit:
     axis: tuple[float, float] = (0.0, 0.0)
 
     def sines(self, gazing: torch.Tensor) -> torch.Tensor:
-        """Sines [..., 2] of its tilts where the one that gazes has these."""
+        """Sines [..., 2] of its tilts where the camera that gazes has these."""
         if self.axis == (0.0, 0.0):
             return gazing
         return torch.sin(torch.asin(gazing) + torch.tensor(self.axis).to(gazing))
@@ -98,7 +98,7 @@ class PhoneCamera:
 
     @property
     def plan(self) -> Any:
-        """That of the camera whose plan claims the largest error."""
+        """The plan of the camera with the largest claimed error."""
         return max((camera.plan for camera, _ in self.units), key=lambda plan: plan.expected_error)
 
     @property

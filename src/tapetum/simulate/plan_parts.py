@@ -126,7 +126,7 @@ class SamplingChoice:
 
 @dataclass(frozen=True)
 class EyeCheck:
-    """What eye safety finds, or in `refused` why it says nothing: one of the two is None."""
+    """The eye safety, or in `refused` why it is not evaluated: one of the two is None."""
 
     found: EyeSafety | None
     refused: str | None
@@ -148,7 +148,7 @@ class EyeCheck:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """All numbers by name; the same names, with None, where nothing was computed."""
+        """All numbers by name; the same names with None where nothing was computed."""
         found = self.found
         places = [] if found is None else list(dict.fromkeys((found.nearest, *found.at)))
         return {
@@ -194,5 +194,5 @@ def row(label: str, text: str) -> list[str]:
 
 
 def wrapped(line: str) -> list[str]:
-    """A line that has its label already, indented and no wider than 100 columns."""
+    """A line with its label, indented and no wider than 100 columns."""
     return textwrap.wrap(line, _WIDTH, initial_indent="  ", subsequent_indent=" " * (LABEL + 2), break_on_hyphens=False)

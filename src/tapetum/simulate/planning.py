@@ -54,7 +54,7 @@ class Plan:
     eye: EyeCheck
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything as plain values that JSON knows, in SI units; None for what is not finite or not there."""
+        """Everything as plain JSON values in SI units; None for what is absent or not finite."""
         limit = self.limit
         return _finite(
             {
@@ -74,7 +74,7 @@ class Plan:
         )
 
     def lines(self) -> list[str]:
-        """The plan to read in a terminal 100 columns wide; the last line says what eye safety is not."""
+        """The plan as text of 100 columns; the last line states that eye safety is no certificate."""
         first, *further = self.budgets
         budget = [part for line in first.lines() for part in wrapped(line)]
         for one in further:

@@ -36,13 +36,13 @@ class ProbeAperture:
 
     @classmethod
     def behind_thin(cls, geometry: DoublePassGeometry, distance: torch.Tensor | float, radius: float) -> ProbeAperture:
-        """With the samples that a thin lens's scene needs."""
+        """The aperture with the samples that a thin lens's scene needs."""
         away = float(torch.as_tensor(distance).detach())
         return cls(distance, radius, *aperture_samples(geometry, away, radius))
 
     @classmethod
     def behind_traced(cls, distance: float, radius: float, wavelength: float, window: float) -> ProbeAperture:
-        """With the samples that a picture of half-diagonal `window` (an angle, in radians) needs."""
+        """The aperture with the samples for a picture of half-diagonal `window` (radians), behind a traced lens."""
         turn = 2 * math.pi / wavelength * radius * (radius / distance + window)
         samples = max(64, math.ceil(2 * turn / _APERTURE_RADIANS))
         return cls(distance, radius, samples, samples)

@@ -121,7 +121,7 @@ class PupilFits:
     aperture: tuple[float, float]
 
     def to(self, device: torch.device) -> PupilFits:
-        """The same on another device: lenses are traced on the CPU, fields are computed where one likes."""
+        """The same on another device: lenses are traced on the CPU, fields computed anywhere."""
         middle = self.middle.to(device)
         if middle is self.middle:
             return self
@@ -190,7 +190,7 @@ def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = N
 
 
 def _landings(bundle: Bundle) -> tuple[float, float, float]:
-    """How far rays land from y0, how that grows with s, and what is left of it, in metres."""
+    """Largest distance of rays' landings from y0, their slope with s, and the rest, in metres."""
     passing = bundle.passing[..., None]
     some = passing.sum(1, keepdim=True)
     s = torch.where(passing, bundle.s, torch.zeros_like(bundle.s))
@@ -210,7 +210,7 @@ def fit_functions(
     even: Sequence[tuple[torch.Tensor, int]],
     odd: Sequence[tuple[torch.Tensor, int]] = (),
 ) -> tuple[Fit, float]:
-    """Fit functions of places [T, N, 2], each given as values [T, N] and a degree; with the RMS misfit of the first."""
+    """Fit functions of places [T, N, 2], each given by values [T, N] and a degree; also return the first's RMS misfit."""
     # Stray rays may be anywhere, or not finite.
     places = torch.where(bundle.near[..., None], places, torch.zeros_like(places))
     centre, half = _boxes(nodes, places, bundle.passing)
@@ -301,7 +301,7 @@ def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor
 
 
 def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
-    """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]: a rim is straight there."""
+    """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]; rims count as straight there."""
     # Where no rim covers anything there are no heights.
     total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(torch.float64)
     for height in heights.unbind(1):
@@ -341,7 +341,7 @@ def _odd(fit: Fit, tilt: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
 def _of_terms(
     coefficients: torch.Tensor, degree: int, parity: int, tilt: torch.Tensor, u: torch.Tensor
 ) -> torch.Tensor:
-    """[B, K, N] at scaled places u [B, N, 2]: summed along first, then across, never term by term."""
+    """[B, K, N] at scaled places u [B, N, 2], summed along first, then across."""
     table = _table(coefficients, degree, parity, tilt)
     parts: list[torch.Tensor] = []
     for start in range(0, u.shape[1], _PLACES_AT_ONCE):
@@ -364,7 +364,7 @@ def _table(coefficients: torch.Tensor, degree: int, parity: int, tilt: torch.Ten
 
 
 def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Middle and half widths [T, 2] of boxes about what passes: low polynomials of the tilt that hold all of it."""
+    """Middle and half widths [T, 2] of boxes about all that passes, as low polynomials of the tilt."""
     far = torch.full_like(places, math.inf)
     lower = torch.where(passing[..., None], places, far).amin(1)
     upper = torch.where(passing[..., None], places, -far).amax(1)

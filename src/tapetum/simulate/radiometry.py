@@ -130,7 +130,7 @@ def specular_reflectance(sensor: TargetSensor, wavelength: float) -> float:
 
 
 def layer_transmittance(layer: Layer, wavelength: float) -> float:
-    """Power transmittance of one passage; where the layer gives none, what it neither reflects nor scatters."""
+    """Power transmittance of one passage; by default 1 less reflection and scattering."""
     if layer.transmittance is not None:
         return at_wavelength(layer.transmittance, wavelength)
     scattered = layer.diffuse.albedo if layer.diffuse is not None else 0.0

@@ -35,7 +35,7 @@ _DARK = 1e-6
 
 @dataclass(frozen=True)
 class Scatterer:
-    """A plane that scatters: its reduced distance from the lens in metres, what reaches it and leaves it, and how."""
+    """A scattering plane: its reduced distance from the lens in metres, the power on both ways, and how it scatters."""
 
     image_distance: float
     transmittance: float
@@ -111,7 +111,7 @@ def _chains(nearer: Sequence[float], reach: float) -> list[slice]:
 
 
 def _coherent_sets(chain: list[_Plane], scene: Scene) -> list[list[float]]:
-    """Columns of the Cholesky factor of the planes' mutual coherence; what carries less than 1e-6 is left out."""
+    """Columns of the Cholesky factor of the planes' mutual coherence; shares below 1e-6 are left out."""
     paths = [2 * plane.nearer for plane in chain]
     gamma = [[degree_of_coherence(scene.illumination, one - other) for other in paths] for one in paths]
     rest: npt.NDArray[np.float64] = np.array(gamma)
@@ -135,7 +135,7 @@ def scatterers(scene: Scene, wavelength: float, image_distance: float) -> list[S
 
 
 def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[float]:
-    """Reduced distances from the lens, in metres, of the planes that mirror; the sensor's own where none does."""
+    """Reduced distances from the lens, in metres, of mirroring planes; the sensor's own where there is none."""
     sensor = scene.target.sensor
     found = [
         image_distance - layer.depth / layer.index
@@ -146,7 +146,7 @@ def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[floa
 
 
 def glinting(scene: Scene, wavelength: float | None = None) -> float:
-    """Power reflectance of the lens's surfaces, the largest of the scene's light without a wavelength; 0 for none."""
+    """Largest power reflectance of the lens's surfaces over the given wavelength or all of the scene's; 0 for none."""
     lens, light = scene.target.lens, scene.illumination
     if not isinstance(lens, PrescriptionLens):
         return 0.0
@@ -155,13 +155,13 @@ def glinting(scene: Scene, wavelength: float | None = None) -> float:
 
 
 def only_sensor(scene: Scene) -> bool:
-    """Whether nothing answers but the sensor's mirror: no layer, nothing that scatters, no glint."""
+    """Whether only the sensor's mirror returns light: no layer, no scattering, no glint."""
     sensor = scene.target.sensor
     return not sensor.layers and sensor.diffuse is None and not glinting(scene)
 
 
 def reaching_sensor(scene: Scene, wavelength: float) -> float:
-    """Power that reaches the sensor through its layers and comes back through them, in fractions."""
+    """Share of the power that passes the layers to the sensor and back."""
     return math.prod(layer_transmittance(layer, wavelength) ** 2 for layer in scene.target.sensor.layers)
 
 

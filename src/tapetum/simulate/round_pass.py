@@ -47,7 +47,7 @@ _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal
 
 @dataclass(frozen=True)
 class _Prepared:
-    """What a surface needs at every gaze."""
+    """Data of a surface for every gaze."""
 
     z: torch.Tensor
     tables: FocusTables
@@ -193,7 +193,7 @@ class RoundPass:
         return prepared
 
     def _leaving(self, one: _Prepared, rows: slice) -> torch.Tensor:
-        """What the lens makes of light that passes it on its way out: weight, phase and constants, [rows, columns]."""
+        """Factor of the lens on the way out: weight, phase and constants, [rows, columns]."""
         if one.exit is not None:
             return one.exit[rows]
         across = phasor(one.bend * self._x**2).to(self.dtype)
@@ -260,7 +260,7 @@ class RoundPass:
         return self._path.to_image(gathered, centres)
 
     def _check_graph(self, batch: int) -> None:
-        """Refuse gradients that would not fit: they keep every step of every sample."""
+        """Refuse gradients that exceed the memory: they keep every step of every sample."""
         needed = _BYTES_OF_GRAPH * batch * self.plan.columns * self.plan.rows
         if needed > _MOST_GRAPH:
             raise InputError(
@@ -305,7 +305,7 @@ class RoundPass:
         return total
 
     def _follows(self, one: _Prepared, sines: torch.Tensor) -> bool:
-        """Whether these gazes need paths that the table does not hold."""
+        """Whether these gazes need paths beyond the table."""
         if one.tilted:
             return True
         if sines.requires_grad and (self.geometry.curvature or self._distance is not None):

@@ -68,13 +68,13 @@ class ScatteringPlane:
         return self.radius * abs(1 + self.outward * distance) + distance * angle
 
     def coherence(self, apart: Real) -> Real:
-        """Transform of the scattering irradiance: what the spot's pupil and the spread leave at these distances."""
+        """Transform of the scattering irradiance at these distances, by the spot's pupil and the spread."""
         spot = autocorrelation(apart, self.lit, self.inward * self.wavenumber)
         return spot * np.exp(-((self.wavenumber * self.spread * apart / self.z) ** 2) / 2)
 
 
 class PlaneOptions(TypedDict, total=False):
-    """What says how a plane scatters; parameters of `diffuse_return`."""
+    """How a plane scatters: parameters of `diffuse_return`."""
 
     albedo: Required[float]
     spread: float
@@ -92,7 +92,7 @@ def scattering_plane(
     image_distance: float | None = None,
     lit_radius: float | None = None,
 ) -> ScatteringPlane:
-    """Check what is known of a plane: parameters and errors of `diffuse_return`."""
+    """Check the data of a plane: parameters and errors of `diffuse_return`."""
     z = geometry.image_distance if image_distance is None else image_distance
     for name, value in (("distance", distance), ("image_distance", z)):
         if not (math.isfinite(value) and value > 0):
@@ -130,7 +130,7 @@ def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
 
 
 def legendre(low: float, high: float, turns: float) -> tuple[Real, Real]:
-    """Composite Gauss-Legendre nodes and weights for an integrand that turns by so many radians."""
+    """Composite Gauss-Legendre nodes and weights for an integrand whose phase covers so many radians."""
     panels = max(1, math.ceil(turns / _RADIANS))
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     width = (high - low) / panels

@@ -50,13 +50,13 @@ class SensorEdge:
 
     @classmethod
     def of(cls, sensor: TargetSensor) -> SensorEdge:
-        """That of a target's sensor, which the lens's axis meets off its middle where it is decentred."""
+        """The rectangle of a target's sensor, off the lens's axis where it is decentred."""
         (columns, rows), (x, y) = sensor.pixels, sensor.decentre
         across, down = columns * sensor.pitch / 2, rows * sensor.pitch / 2
         return cls(-across - x, across - x, -down - y, down - y)
 
     def depths(self, places: torch.Tensor) -> torch.Tensor:
-        """How far inside of each of the four edges places [B, 2] lie, negative outside: [B, 4], in metres."""
+        """Distances [B, 4] of places [B, 2] inside the four edges, negative outside, in metres."""
         x, y = places[:, 0], places[:, 1]
         return torch.stack([x - self.left, self.right - x, y - self.top, self.bottom - y], -1)
 

@@ -38,7 +38,7 @@ class SensorEnd:
 
     @property
     def missed(self) -> float:
-        """What the error of pictures of cut spots has had above the planned one so far, over their peaks."""
+        """Largest error of cut spots' pictures above the planned one so far, over their peaks."""
         across = vars(self).get("_across")
         return 0.0 if across is None else across.missed
 
@@ -97,7 +97,7 @@ def thin_end(
     sensor: TargetSensor,
     **options: Any,
 ) -> SensorEnd | None:
-    """That of planes behind a thin lens, with the arguments of `CutSensor`; None without a sensor among them."""
+    """The end for planes behind a thin lens, with the arguments of `CutSensor`; None without a sensor among them."""
     if all(one.depth != 0 for one in surfaces):
         return None
 
@@ -131,7 +131,7 @@ def thin_end(
 def traced_end(
     surfaces: Sequence[Surface], opened: Callable[[Sequence[Surface]], TracedGroup], output: Grid
 ) -> SensorEnd | None:
-    """That of planes behind a traced lens, `opened` making a group's pass; None without a sensor among them."""
+    """The end for planes behind a traced lens, `opened` making a group's pass; None without a sensor among them."""
     layers = [one for one in surfaces if one.depth != 0]
     if len(layers) == len(surfaces):
         return None

@@ -216,8 +216,7 @@ class _Cell:
         return (1 - self.surround) * self.site.transform(across, down) + self.surround * all_of_it
 
     def steps(self) -> tuple[Real, Complex]:
-        """Edges from one pitch's left to its right, and the cell's values between them, [rows, columns]: exact for
-        square photosites without a lens."""
+        """Edges over one pitch and values between them, [rows, columns]: exact for square photosites without a lens."""
         if self.lens is not None or self.site.breaks is None:
             return self.fine()
         edges = self.pitch * np.array([-0.5, *self.site.breaks, 0.5])
@@ -226,7 +225,7 @@ class _Cell:
         return edges, values
 
     def fine(self, count: int | None = None) -> tuple[Real, Complex]:
-        """Means over small squares, edges by the area that they cover."""
+        """Means over small squares, edges weighted by the covered area."""
         p = self.pitch
         if count is None:
             turns = 0.0 if self.lens is None else p**2 / (self.wavelength * self.lens[0])
@@ -272,7 +271,7 @@ def _shifted_orders(
     decentre: tuple[float, float],
     strongest: float,
 ) -> tuple[Order, ...]:
-    """Orders whose amplitudes follow the place of the spot, and those that are faint everywhere left out."""
+    """Orders whose amplitudes follow the place of the spot, without those that are faint everywhere."""
     if len(found) > _MOST_SHIFTED:
         raise InputError(
             f"{len(found)} orders are too many to follow over the field",
@@ -316,7 +315,7 @@ def _chirp_means(edges: Real, bend: float) -> Complex:
 
 
 class _Periodic:
-    """An array at any place."""
+    """An infinite array, as a function of place."""
 
     def __init__(self, cell: _Cell) -> None:
         edges, values = cell.steps()
@@ -335,7 +334,7 @@ class _Periodic:
         return _woven(down, self._values.to(x.device), across)
 
     def _seen(self, u: torch.Tensor, low: float, high: float) -> torch.Tensor:
-        """How much of each step every sample sees between two places, [..., n, steps]."""
+        """Weight of each step in every sample between two places, [..., n, steps]."""
         padded, step = widened(u)
         p, start, h = self._period, self._low.to(u.device), self._wide.to(u.device)
         # Beyond the ends the integral continues linearly.
@@ -353,7 +352,7 @@ class _Periodic:
 
 
 class _Sampled:
-    """A mask from a file, interpolated bilinearly, its middle on the axis; nothing a pitch beyond its outer samples."""
+    """A mask from a file, interpolated bilinearly, centred on the axis; zero a pitch beyond its outer samples."""
 
     def __init__(self, values: Complex, pitch: float) -> None:
         self._values = torch.from_numpy(values)
@@ -366,7 +365,7 @@ class _Sampled:
         return _woven(down, self._values[some_rows, some_columns].to(x.device), across)
 
     def _seen(self, u: torch.Tensor, count: int, low: float, high: float) -> tuple[torch.Tensor, slice]:
-        """How much of each of the file's columns every sample sees, [..., n, columns], and which columns these are."""
+        """Weight of each of the file's columns in every sample, [..., n, columns], and which columns these are."""
         padded, step = widened(u)
         h, middle = self._pitch, (count - 1) / 2
         first = math.floor(float(padded.detach().min()) / h + middle)
@@ -390,7 +389,7 @@ def _bounds(window: tuple[float, float, float, float] | None) -> _Bounds:
 
 
 def _held(u: torch.Tensor, low: float, high: float) -> torch.Tensor:
-    """How much of a plane between two places every sample sees, [..., n, 1]."""
+    """Share of every sample that lies between two places, [..., n, 1]."""
     if math.isinf(low) and math.isinf(high):
         return torch.ones_like(u.double())[..., None]
     padded, step = widened(u.double())
@@ -399,7 +398,7 @@ def _held(u: torch.Tensor, low: float, high: float) -> torch.Tensor:
 
 
 def widened(u: torch.Tensor) -> tuple[torch.Tensor, float]:
-    """Equally spaced places with those that the second derivative needs on both sides, and their distance."""
+    """Equally spaced places, extended on both sides for the second derivative, and their spacing."""
     if u.shape[-1] < 2:
         raise InputError("needs two columns and rows or more", where="reflectance", remedy="give places in equal steps")
     step = float((u[..., -1] - u[..., 0]).detach().flatten()[0]) / (u.shape[-1] - 1)

@@ -55,14 +55,14 @@ class Order:
     series: PlaceSeries | None = None
 
     def scaled(self, factor: float) -> Order:
-        """The same order of a plane reached by so much of the amplitude."""
+        """The same order with its amplitude times this factor."""
         if factor == 1:
             return self
         series = self.series and replace(self.series, coefficients=self.series.coefficients * factor)
         return replace(self, amplitude=self.amplitude * factor, series=series)
 
     def at(self, places: torch.Tensor) -> torch.Tensor | complex:
-        """Its amplitude, [B] where it depends on the places [B, 2] of the spot."""
+        """Its amplitude; [B] where it depends on the places [B, 2] of the spot."""
         return self.amplitude if self.series is None else self.series(places)
 
 

@@ -79,7 +79,7 @@ class Bundle:
 
     @property
     def near(self) -> torch.Tensor:
-        """[F, N] rays that pass, or miss by little: what a function of the pupil is fitted to."""
+        """[F, N] rays that pass or miss by little, to which functions of the pupil are fitted."""
         return self.good & (self.height <= BEYOND**2).all(-1)
 
     @property
@@ -172,7 +172,7 @@ def mirrored(rays: Rays, count: int) -> Rays:
 
 
 def _both(values: torch.Tensor, count: int, turn: torch.Tensor | None = None) -> torch.Tensor:
-    """Values [F, n², …] from those of the right half, mirrored to the left; vectors are turned."""
+    """Values [F, n², …] from those of the right half, mirrored to the left; vectors are mirrored too."""
     right = values.reshape(values.shape[0], count, -1, *values.shape[2:])
     left = right[:, :, count % 2 :].flip(2)
     return torch.cat([left if turn is None else left * turn, right], 2).flatten(1, 2)
@@ -227,7 +227,7 @@ def _followed(
 
 
 def _exit_plane(focused: FocusedLens) -> float:
-    """z of the exit pupil, or a plane far before the sensor that does as well where the lens is nearly telecentric."""
+    """z of the exit pupil, or of a plane far before the sensor where the lens is nearly telecentric."""
     farthest = _FARTHEST_PUPIL * abs(focused.focal_length)
     away = focused.image - focused.exit_pupil
     if not math.isfinite(away) or away <= 0 or away > farthest:
@@ -238,7 +238,7 @@ def _exit_plane(focused: FocusedLens) -> float:
 def _incoming(
     focused: FocusedLens, e: torch.Tensor, sines: torch.Tensor, curvature: float
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Starting points [F, N, 3] on the entrance pupil's plane, directions and paths already gone."""
+    """Starting points [F, N, 3] on the entrance pupil's plane, directions and paths so far."""
     cosines = torch.sqrt(1 - sines**2)
     axis = torch.stack([torch.zeros_like(sines), sines, cosines], -1)[:, None, :]
     across = torch.cat([e, torch.zeros_like(e[..., :1])], -1)
@@ -254,7 +254,7 @@ def _incoming(
 
 
 def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Corners [F, 2] of the boxes that hold what passes of each field, smooth from field to field."""
+    """Corners [F, 2] of the boxes that hold the passing rays of each field, smooth from field to field."""
     # The same for a sensor or a filter moved behind the same lens.
     anywhere = replace(focused, image=0.0)
     return _searched_boxes(anywhere, tuple(float(one) for one in sines), curvature)
@@ -299,7 +299,7 @@ def length(vectors: torch.Tensor) -> torch.Tensor:
 
 
 def limiting_surfaces(bundle: Bundle) -> list[int]:
-    """Numbers of the surfaces whose rims are the pupil's: the fewest that together stop every ray that is stopped."""
+    """Numbers of the surfaces whose rims bound the pupil: the fewest that together stop every stopped ray."""
     left = bundle.good[..., None] & (bundle.height > 1)
     chosen: list[int] = []
     while True:

@@ -132,7 +132,7 @@ class TracedSlopes:
 
     @property
     def expected_error(self) -> float:
-        """Of the pictures, in fractions of the peak; the differences' is smaller, for most of it cancels."""
+        """Of the pictures, in fractions of the peak; in differences most of it cancels."""
         return self._camera.plan.expected_error
 
     def __len__(self) -> int:
@@ -226,7 +226,7 @@ _Again = Callable[[TracedPass, float, bool], TracedPass]
 
 
 class _Camera(Camera):
-    """A camera whose lens can be set to neighbouring values on the very same samples."""
+    """A camera whose lens can be set to neighbouring values on the same samples."""
 
     @property
     def device(self) -> torch.device:
@@ -246,7 +246,7 @@ class _Camera(Camera):
         return self._changed(again)
 
     def with_sites_moved(self, axis: int, by: float) -> _Camera:
-        """The same, its pixel array moved under the spot by so much, in metres: the phases of its orders turn."""
+        """The same with its pixel array moved under the spot, in metres: the phases of its orders change."""
 
         def again(one: TracedPass, wavelength: float, by_rays: bool) -> TracedPass:
             del by_rays
@@ -287,7 +287,7 @@ class _Camera(Camera):
 
 
 def _period(scene: Scene) -> float:
-    """Of the photosites, in metres; the lenses over them repeat alike."""
+    """Of the photosites, in metres, and of the lenses over them."""
     sensor = scene.target.sensor
     return sensor.pitch if sensor.array is None or sensor.array.pitch is None else sensor.array.pitch
 
@@ -304,7 +304,7 @@ def _group(one: object) -> TracedGroup:
 
 
 def _with(one: TracedPass, fits: PupilFits, surface: Surface, wavelength: float) -> TracedPass:
-    """The same samples of another lens or plane."""
+    """The same samples with another lens or plane."""
     return TracedPass(
         fits,
         one.grids,
@@ -330,7 +330,7 @@ def _fits(focused: FocusedLens, one: TracedPass, curvature: float, by_rays: bool
 
 
 def _moved_sites(surface: Surface, axis: int, by: float, wavelength: float) -> Surface:
-    """An array moved by d: its order of direction τ turns by -kτd."""
+    """An array moved by d: the phase of its order of direction τ changes by -kτd."""
     orders = []
     for order in surface.orders:
         tau = order.direction[axis] - 2 * surface.tilt[axis]
@@ -341,14 +341,14 @@ def _moved_sites(surface: Surface, axis: int, by: float, wavelength: float) -> S
 
 
 def _inside(window: Grid, scene: Scene) -> Grid | None:
-    """The sensor's own pixels that hold a beam's window, the second one's too; None where it has not as many."""
+    """The sensor's own pixels that hold a beam's window, the second one's too; None where they are too few."""
     second, lens = scene.illumination.second_beam, scene.probe.lens
     apart = lens.focal_length * max(math.tan(abs(one)) for one in second.angle) if second is not None else 0.0
     return sensor_part(scene, window.rows + 2 * math.ceil(apart / window.pitch), window.pitch)
 
 
 def sensor_part(scene: Scene, side: int, pitch: float) -> Grid | None:
-    """The middle of the probe's sensor, `side` of its own pixels or one less; None where it has not as many."""
+    """The middle of the probe's sensor, `side` of its own pixels or one less; None where they are too few."""
     columns, rows = scene.probe.sensor.pixels
     if side >= min(rows, columns):
         return None

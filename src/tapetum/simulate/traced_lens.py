@@ -183,7 +183,7 @@ def _return_angle(
 
 
 def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
-    """Sine of the steepest tilt, up to `steepest`, that a lens lets any light through at: none returns beyond."""
+    """Sine of the steepest tilt, up to `steepest`, at which a lens lets light through; beyond it nothing returns."""
 
     def passes(sine: float) -> bool:
         try:

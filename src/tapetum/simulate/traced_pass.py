@@ -200,7 +200,7 @@ class TracedPass:
         return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi + self.surface.phase / k), x, y
 
     def _returns(self, size: torch.Tensor) -> torch.Tensor:
-        """Whether anything returns from tilts of these sizes [B]: past the last one the polynomials mean nothing."""
+        """Whether anything returns from tilts of these sizes [B]: beyond the last node the polynomials are invalid."""
         return size <= self.fits.nodes.steepest * (1 + 1e-9)
 
     def entering_power(self, sines: torch.Tensor) -> torch.Tensor:
@@ -221,7 +221,7 @@ class TracedPass:
         return across, along, values[:, 0], share * ((1 - size**2) ** 0.25)[:, None, None], cell
 
     def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
-        """Fades out what leaves under angles that the picture never sees."""
+        """Fades out light under angles outside the picture."""
         if self.accepted is None:
             return torch.ones_like(along)
         fade = (torch.hypot(along, across) / self.accepted - 2) / 2
@@ -249,7 +249,7 @@ class TracedPass:
     def _taken(
         self, square: torch.Tensor, along: torch.Tensor, chief: torch.Tensor, nearer: torch.Tensor
     ) -> torch.Tensor:
-        """What a plane nearer by so much at the spot takes off a path, about the place where the chief ray meets it."""
+        """Path difference of a plane nearer by this much at the spot, about the place where the chief ray meets it."""
         if self.surface.tilt == (0.0, 0.0):
             return torch.zeros((), dtype=torch.float64, device=self.device)
         shift = nearer * chief / torch.sqrt(1 - chief**2)
@@ -258,7 +258,7 @@ class TracedPass:
     def _reflectance(
         self, middle: torch.Tensor, chief: torch.Tensor, toward: torch.Tensor, nearer: torch.Tensor
     ) -> torch.Tensor:
-        """What the orders make of the light at y0 + v: phases that turn slowly, the mask itself is never sampled."""
+        """The orders' sum at y0 + v: phases that change slowly; the mask itself is never sampled."""
         total = torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device)
         tilt = self.surface.tilt
         # Direction change by the plane's tilt, 2a cosθ along and across the gaze; the path holds its phase at y0.
@@ -310,7 +310,7 @@ def _window(distance: torch.Tensor, grids: TracedGrids, chirp: float) -> torch.T
 
 
 def tilt_and_azimuth(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Sizes [B] and unit vectors [B, 2] of tilts [B, 2]; none counts as along y, and keeps its gradient finite."""
+    """Sizes [B] and unit vectors [B, 2] of tilts [B, 2]; zero counts as along y, with a finite gradient."""
     size = torch.sqrt((sines**2).sum(-1).clamp_min(_NO_TILT**2))
     along_y = torch.zeros_like(sines)
     along_y[:, 1] = 1

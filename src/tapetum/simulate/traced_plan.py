@@ -29,7 +29,7 @@ __all__ = ["TracedGroup", "TracedPlan", "return_angle", "traced_group"]
 
 @dataclass(frozen=True)
 class _Effort:
-    """Airy rings of the spot kept, samples over the pupil at the least, and over what the spot needs."""
+    """Airy rings of the spot kept, fewest samples over the pupil, and samples over the spot's need."""
 
     rings: float
     pupil: int
@@ -122,14 +122,14 @@ class TracedGroup:
 
 
 def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
-    """Largest angle of a ray that returns from the sensor , or a mirror at one of the depths, reduced to air."""
+    """Largest angle of a ray that returns from the sensor, or from a mirror at one of the depths, reduced to air."""
     sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
     found = [trace_return(_nearer(focused, depth), sines, curvature=curvature).angle for depth in depths]
     return max(float(one.max()) for one in found)
 
 
 def _nearer(focused: FocusedLens, depth: float) -> FocusedLens:
-    """A mirror before the sensor is a sensor that stands nearer."""
+    """The lens with its sensor moved to a mirror before it."""
     return replace(focused, image=focused.image - depth)
 
 
@@ -218,7 +218,7 @@ def traced_group(
 
 
 def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> float:
-    """The error of planes that interfere, over the peak of their sum: each one's amplitude is off by half its own."""
+    """Error of planes that interfere, over the peak of their sum: each amplitude errs by half its plane's own."""
     head_on = torch.zeros(1, 2, dtype=torch.float64)
     fields = [one.field(head_on) for one in passes]
     peak = float((sum(fields[1:], fields[0]).abs() ** 2).max())
@@ -338,7 +338,7 @@ def _apart(image: torch.Tensor, better: torch.Tensor) -> float:
 
 
 def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float, angle: float) -> TracedGrids:
-    """The samples that an effort makes of a lens and a plane."""
+    """The samples of an effort for a lens and a plane."""
     nodes = fits.nodes
     sine, reach = fits.aperture
     at = chebyshev(nodes.places, nodes.count)

@@ -254,7 +254,7 @@ def _whole_pupil(
 
 
 def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor) -> tuple[Fit, float]:
-    """The part of the pupil whose light reaches the picture, and the angles that it leaves under."""
+    """The part of the pupil whose light reaches the picture, and the angles under which it leaves."""
     even, odd = values_at(fits.leaving, fits.nodes.terms(nodes.sines), back.e)
     surfaces = back.bundle.height.shape[-1]
     return fit_functions(
@@ -302,7 +302,7 @@ def _accepted_box(
     curvature: float,
     accepted: float,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Corners [F, 2] of where light enters that leaves under accepted angles, found by narrowing down."""
+    """Corners [F, 2] of the entrance region of light that leaves under accepted angles, by successive narrowing."""
     box = None
     for _ in range(_NARROWINGS):
         bundle = trace_bundle(focused, sines, curvature=curvature, box=box, count=_COARSE, sloped=False)
@@ -324,7 +324,7 @@ def _accepted_box(
 
 
 def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Tensor:
-    """Path [F, N] that the double pass of waves takes for rays: stationary there, so small departures do not count."""
+    """Path [F, N] of rays in the double pass of waves: it is stationary, so small departures do not count."""
     middle, radius = tilt @ fits.middle, tilt @ fits.radius
     chief = middle / radius
     v = back.mirror - torch.stack([torch.zeros_like(middle), middle], -1)[:, None, :]
@@ -370,7 +370,7 @@ def _returns(focused: FocusedLens, sines: torch.Tensor, curvature: float, accept
 
 @dataclass(frozen=True)
 class _Rays:
-    """What `fit_functions` asks of a bundle."""
+    """The part of a bundle that `fit_functions` reads."""
 
     passing: torch.Tensor
     near: torch.Tensor

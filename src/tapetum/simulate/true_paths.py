@@ -52,7 +52,7 @@ def neglected_path(
     probe_radius: float = 0.0,
     tilt: float = 0.0,
 ) -> float:
-    """The most, in metres, that the table and the transform miss of any path, up to the tilt whose sine is given."""
+    """Largest error, in metres, of any path by table and transform, up to the tilt of this sine."""
     r, v = g.radius, abs(g.curvature)
     missed = v * (r * sine) ** 2 / 2 + v**2 * sine * r**3 / 2 + v**3 * r**4 / 8
     if distance is not None:
@@ -167,7 +167,7 @@ class TruePaths:
         sx: torch.Tensor,
         sy: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The way to the probe, by the exact distance, without what the transform over it holds; and its strength."""
+        """The path to the probe, by the exact distance, less that of the transform over it; and its strength."""
         d = self._distance
         assert d is not None and self._probe is not None
         out, square = sx * x + sy * y, x**2 + y**2

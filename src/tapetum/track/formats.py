@@ -59,7 +59,7 @@ class _Lines:
 
 
 def _text(path: Path) -> bytes:
-    """Return the text of a table, without the last line that a kill has torn in what was being written."""
+    """Text of a table, without a last line truncated by a kill."""
     text = path.read_bytes()
     return text[: text.rfind(b"\n") + 1] if ".unfinished" in path.name else text
 
@@ -86,7 +86,7 @@ def _read_lines(path: Path, known: Types) -> pa.Table:
 
 
 def _batches(stream: Path) -> Iterator[pa.RecordBatch]:
-    """Yield the batches of an Arrow stream, an empty one first, as far as it is whole."""
+    """Yield the complete batches of an Arrow stream, an empty one first."""
     with stream.open("rb") as file, pa.ipc.open_stream(file) as reader:
         yield pa.RecordBatch.from_pylist([], schema=reader.schema)
         while True:

@@ -215,7 +215,7 @@ def at_times(series: Series, times: Array, max_gap: float | None = None) -> tupl
 
 
 def _timeline(clocks: Sequence[Array]) -> Array:
-    """Return the first probe's times, and of every other those at which nobody before it has one."""
+    """The first probe's times, and of every other those at which no earlier probe has one."""
     line = np.unique(clocks[0])
     for clock in clocks[1:]:
         apart = float(np.median(np.diff(clock))) / 2 if len(clock) > 1 else 0.0
@@ -368,7 +368,7 @@ def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int
 def _table(
     fused: Fused, names: Sequence[str], times: Array, rows: Sequence[pa.Table], clocks: Sequence[Array]
 ) -> pa.Table:
-    """Return the fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
+    """Fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
     schema = track_schema(names)
     schema = schema.append(pa.field("probes", pa.float64())).append(pa.field("consistency", pa.float64()))
     kept = ("x", "y", "snr", "peak_x", "peak_y", "diameter", "active", "name", *MOMENT)

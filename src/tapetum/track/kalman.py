@@ -181,13 +181,13 @@ class Forward(NamedTuple):
 
 
 def variance_of(half: Array, motion: Motion) -> Array:
-    """Return the variances of measurement that half-widths speak of."""
+    """Variances of measurement that correspond to half-widths."""
     # An interval without width would divide by zero.
     return np.maximum(motion.noise * (half / NORMAL) ** 2, (1e-6 * motion.spread) ** 2)
 
 
 def _variances(series: Series, motion: Motion) -> list[float]:
-    """Return those of every row; NaN where it measures nothing."""
+    """Variance of every row; NaN where it measures nothing."""
     return np.where(series.measured, variance_of(series.half_width, motion), np.nan).tolist()
 
 
@@ -251,7 +251,7 @@ def backward(times: Array, passed: Forward) -> list[State]:
 
 
 def judged(series: Series, motion: Motion, smoothed: list[State], trust: Array) -> Array:
-    """Return each measurement's trust by what all others say of it, before and after."""
+    """Each measurement's trust, from all other rows before and after."""
     found = np.full(len(series), np.nan)
     for n, (s, y, r) in enumerate(zip(smoothed, series.value.tolist(), _variances(series, motion), strict=True)):
         if not math.isnan(r):

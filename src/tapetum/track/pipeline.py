@@ -41,7 +41,7 @@ Models: TypeAlias = "Predictor | str | os.PathLike[str] | Sequence[Predictor | s
 
 @dataclass(frozen=True)
 class TrackSummary:
-    """What was written: numbers of frames, tracks, rows, rows in which the spot was seen, and frames that were lost."""
+    """Counts of a written table: frames, tracks, rows, rows in which the spot was seen, and lost frames."""
 
     frames: int
     tracks: int
@@ -99,7 +99,7 @@ def _plain(value: Any) -> Any:
 
 
 def _merged(before: dict[str, Any], said: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Add what a model says of a spot to what others said: together they apply where each does."""
+    """Combine the estimates of several models for a spot: they apply together where each does."""
     reason = f"{', '.join(names)}: {said['reason']}" if said.get("reason") else ""
     applies = said.get("applies")
     if before:

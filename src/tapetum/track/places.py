@@ -75,7 +75,7 @@ class Places:
         return self._between((0.0, 0.0), self.places[probe], np.asarray(gaze, dtype=np.float64))
 
     def _between(self, source: tuple[float, float], goal: tuple[float, float], gaze: Array) -> Array:
-        """Turn the target until it sees `source` at `gaze`; return where it then sees `goal`."""
+        """Rotate the target until it sees `source` at `gaze`; return where it then sees `goal`."""
         scale = 2 * np.tan(np.array(self.field) / 2)
         seen = np.concatenate([gaze * scale, np.ones((*gaze.shape[:-1], 1))], axis=-1)
         seen /= np.linalg.norm(seen, axis=-1, keepdims=True)

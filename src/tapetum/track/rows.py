@@ -109,7 +109,7 @@ class TrackedFrame:
     def of(
         cls, about: Mapping[str, Any], found: Detections, answers: Sequence[Mapping[str, Any]], tracker: Tracker
     ) -> TrackedFrame:
-        """Follow the spots of a frame, of which `about` says frame, time, name and moment."""
+        """Follow the spots of a frame; `about` holds its frame, time, name and moment."""
         rows: list[TrackRow] = []
         for point in tracker.update(found, about["time"]):
             n = point.detection
@@ -131,7 +131,7 @@ class TrackedFrame:
 
 
 def about(frame: Frame) -> dict[str, Any]:
-    """Return what tables keep of a frame."""
+    """The frame's data that tables keep."""
     moment = {name: getattr(frame, name) for name in MOMENT}
     return {"frame": frame.index, "time": frame.time, "name": frame.name, "moment": moment}
 

@@ -71,7 +71,7 @@ def _blur(image: Picture, sigma: float) -> Picture:
 
 
 def _in_noise(smooth: Picture, noise: Picture, sigma: float, tail: float) -> Picture:
-    """Divide a smoothed frame by its noise: what white noise keeps after a Gaussian, or more if it is not."""
+    """Divide a smoothed frame by its noise: that of smoothed white noise, or more where it is not white."""
     gain = min(2 * math.sqrt(math.pi) * sigma, _EVEN) / tail
     thin = max(1, math.isqrt(smooth.size // 20000))
     sample = gain * smooth[::thin, ::thin] / noise[::thin, ::thin]
@@ -113,7 +113,7 @@ def _window(maps: Maps, x: float, y: float, reach_x: float, reach_y: float) -> W
 def _moments(
     weight: Picture, rows: NDArray[np.float64], columns: NDArray[np.float64]
 ) -> tuple[float, float, float, float, float, float] | None:
-    """Return centroid, covariance and total of a weight, x, y, xx, xy, yy, total; None where it is dark."""
+    """Centroid, covariance and total of a weight as x, y, xx, xy, yy, total; None where it is dark."""
     total = float(weight.sum(dtype=np.float64))
     if total <= 0:
         return None
@@ -206,7 +206,7 @@ def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_
 def search(
     maps: Maps, full: NDArray[np.bool_], min_snr: float, max_count: int, largest: float = math.inf
 ) -> list[Spot]:
-    """Return the spots, brightest first, but for those wider than `largest` pixels."""
+    """The spots, brightest first, without those wider than `largest` pixels."""
     height, width = maps.excess.shape
     mask = (maps.snr > min_snr).astype(np.uint8)
     # Labelling is the main cost; most of a frame holds nothing to label.

@@ -87,7 +87,7 @@ def detections_schema(estimates: Sequence[str] = ()) -> pa.Schema:
 
 
 def checked_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the kind of table that a path names by its suffix, or raise an InputError."""
+    """The kind of table of a path, by its suffix, or an InputError."""
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise InputError(f"unknown kind of table {suffix!r}", where=path, remedy=f"use one of {', '.join(FORMATS)}")
@@ -95,13 +95,13 @@ def checked_suffix(path: str | os.PathLike[str]) -> str:
 
 
 def check_columns(table: pa.Table, names: Iterable[str], where: object, remedy: str | None = None) -> None:
-    """Raise an InputError where a table lacks columns, but for those of `MOMENT`, which older tables lack."""
+    """Raise an InputError where a table lacks columns, except those of `MOMENT`, which older tables lack."""
     if missing := [name for name in names if name not in table.column_names and name not in MOMENT]:
         raise InputError(f"no column {', '.join(missing)}", where=where, remedy=remedy)
 
 
 def plain(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """Return a row as tables hold it: what it lacks and what is not finite (an interval without an end) is empty."""
+    """A row as tables hold it: missing and infinite values are empty."""
     row: dict[str, Any] = {}
     for name in names:
         value = values.get(name)
@@ -160,7 +160,7 @@ class TableWriter:
         sync(self._target.absolute().parent)
 
     def abandon(self) -> str:
-        """Close the file after work that failed; return what of it is kept, and where."""
+        """Close the file after a failure; return what is kept, and where."""
         with contextlib.suppress(OSError, pa.ArrowException):
             self.flush()
         with contextlib.suppress(OSError, pa.ArrowException, ValueError):
@@ -256,6 +256,6 @@ def write_tracks(table: pa.Table, path: str | os.PathLike[str]) -> None:
 
 
 def rows_of_table(table: pa.Table) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a table; as Python objects they take a hundred times the memory, so only some thousands."""
+    """Yield the rows of a table, some thousands at a time: as Python objects they take a hundred times the memory."""
     for batch in table.to_batches(max_chunksize=_FLUSH):
         yield from batch.to_pylist()

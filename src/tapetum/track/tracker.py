@@ -52,7 +52,7 @@ class TrackPoint:
 
 
 class _Track:
-    """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and what is known of the spot's looks."""
+    """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size."""
 
     def __init__(
         self, number: int, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float

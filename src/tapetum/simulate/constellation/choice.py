@@ -184,7 +184,7 @@ class _Problem:
         self.gain, self.noise = seen.electrons, seen.noise
 
     def capped(self, power: Array) -> Array:
-        """Powers in watts of which the largest illumination, with the wider cones, is the cap."""
+        """Powers in watts at which the largest illumination, with the wider cones, is the cap."""
         return power * (self.cap / (self.unit * float((self.high @ power).max())))
 
     def solve(self, chosen: npt.NDArray[np.intp], rounds: int = 3) -> tuple[Array, float]:

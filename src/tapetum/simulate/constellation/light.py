@@ -217,7 +217,7 @@ def _cosine(constellation: Constellation, points: npt.ArrayLike, facing: npt.Arr
 
 @dataclass(frozen=True)
 class Evenness:
-    """Smallest, largest and mean of something over a volume; `ratio` is largest over smallest."""
+    """Smallest, largest and mean of a quantity over a volume; `ratio` is largest over smallest."""
 
     low: float
     high: float
@@ -229,7 +229,7 @@ class Evenness:
 
 
 def evenness(values: npt.ArrayLike) -> Evenness:
-    """How even finite, non-negative `values` are."""
+    """Evenness of finite, non-negative `values`."""
     array = np.asarray(values, dtype=np.float64)
     if array.size == 0 or not np.isfinite(array).all() or (array < 0).any():
         raise InputError("must be finite and not negative, and at least one", where="values", remedy="check them")
