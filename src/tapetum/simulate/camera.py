@@ -335,7 +335,7 @@ class Camera:
         return 1 / self._distance if follows else illumination_curvature(self.scene)
 
     def _scale(self) -> torch.Tensor:
-        """Irradiance of the first line at the target, times the way back's transmission; it follows power and distance."""
+        """First line's irradiance at the target times the transmission back; it follows power and distance."""
         scene, light = self.scene, self.scene.illumination
         at_target = irradiance_at_target(scene) * self._power / light.power
         if light.wave.spreads:

@@ -210,7 +210,7 @@ def fit_functions(
     even: Sequence[tuple[torch.Tensor, int]],
     odd: Sequence[tuple[torch.Tensor, int]] = (),
 ) -> tuple[Fit, float]:
-    """Fit functions of places [T, N, 2], each given by values [T, N] and a degree; also return the first's RMS misfit."""
+    """Fit functions of places [T, N, 2], given by values [T, N] and a degree; also return the first's RMS misfit."""
     # Stray rays may be anywhere, or not finite.
     places = torch.where(bundle.near[..., None], places, torch.zeros_like(places))
     centre, half = _boxes(nodes, places, bundle.passing)
