@@ -160,11 +160,9 @@ def best_focus(lens: Lens, object_distance: float) -> float:
     rays = trace(lens, position, direction)
     n = lens.index[-1]
 
-    def without_mean(values: torch.Tensor) -> torch.Tensor:
-        return values - (weight * values).sum()
-
     def path(image: float) -> torch.Tensor:
-        return without_mean(before + rays.path + n * _to_sphere(rays, image, cardinal.exit_pupil))
+        found = before + rays.path + n * _to_sphere(rays, image, cardinal.exit_pupil)
+        return found - (weight * found).sum()
 
     image = paraxial_image(lens, object_distance)
     if not math.isfinite(image) or image <= float(lens.z[-1]):

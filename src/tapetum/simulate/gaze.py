@@ -10,7 +10,7 @@ from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.field_map import FieldMap, field_map
 
-__all__ = ["gaze_of", "largest_sine", "spot_places", "tilt_of_gaze"]
+__all__ = ["field_size", "gaze_of", "largest_sine", "spot_places", "tilt_of_gaze"]
 
 _NO_TILT = 1e-12
 # Nearer to the axis a traced lens counts as linear: the fit's offset there, some 1e-11 m, would spoil the slope.
@@ -37,7 +37,7 @@ def gaze_of(scene: Scene, sines: torch.Tensor) -> torch.Tensor:
         place = sines / size * traced.image(size[..., 0])[..., None]
     else:
         place = sines / torch.sqrt(1 - size**2) * _image_distance(scene)
-    return (place + _axis(scene)) / _field(scene)
+    return (place + _axis(scene)) / field_size(scene)
 
 
 def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
@@ -48,7 +48,7 @@ def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
     InputError
         For a gaze beyond what a traced lens covers.
     """
-    place = gaze * _field(scene) - _axis(scene)
+    place = gaze * field_size(scene) - _axis(scene)
     traced = _traced(scene)
     if traced is not None:
         height = torch.sqrt((place**2).sum(-1, keepdim=True).clamp_min(_NEAR_PLACE**2))
@@ -71,7 +71,7 @@ def spot_places(scene: Scene, image_distance: torch.Tensor, sines: torch.Tensor)
     return torch.where(size > edge * (1 + 1e-9), math.inf, height) * (sines / size.clamp_min(_NEAR_TILT))
 
 
-def _field(scene: Scene) -> torch.Tensor:
+def field_size(scene: Scene) -> torch.Tensor:
     """Width and height of the target's sensor, in metres."""
     sensor = scene.target.sensor
     return torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch

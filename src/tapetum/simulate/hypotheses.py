@@ -11,7 +11,7 @@ from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import readout_variance
-from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
+from tapetum.simulate.gaze import field_size, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 
 __all__ = ["point_of_symmetry", "sign_dprime"]
@@ -30,9 +30,8 @@ def point_of_symmetry(scene: Scene) -> torch.Tensor:
     else:
         pupil, _ = lens_numbers(target.lens.focal_length, target.object_distance)
     sensor = target.sensor
-    field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
     tilt = torch.tensor(sensor.tilt, dtype=torch.float64)
-    return (torch.tensor(sensor.decentre, dtype=torch.float64) - tilt * pupil) / field
+    return (torch.tensor(sensor.decentre, dtype=torch.float64) - tilt * pupil) / field_size(scene)
 
 
 def sign_dprime(

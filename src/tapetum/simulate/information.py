@@ -16,7 +16,7 @@ from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import count_moments, hot_currents, most_electrons
-from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
+from tapetum.simulate.gaze import field_size, gaze_of, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 from tapetum.simulate.traced_information import TracedSlopes, sensor_part
 from tapetum.simulate.unknowns import NUISANCES, PARAMETERS, checked_parameters, not_told
@@ -209,9 +209,8 @@ def expected_electrons(
     if isinstance(scene.target.lens, PrescriptionLens):
         sines = tilt_of_gaze(scene, gaze)[None, :]
     else:
-        field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
         axis = torch.tensor(sensor.decentre, dtype=torch.float64)
-        tangents = (gaze * field - axis) * (1 / at["focal_length"] - 1 / at["object_distance"])
+        tangents = (gaze * field_size(scene) - axis) * (1 / at["focal_length"] - 1 / at["object_distance"])
         sines = (tangents / torch.sqrt(1 + tangents.square().sum()))[None, :]
     places = torch.stack([at["place_x"], at["place_y"]])[None, :]
     camera = Camera(

@@ -23,7 +23,7 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
-from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
+from tapetum.simulate.gaze import field_size, largest_sine, tilt_of_gaze
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import dark_electrons, illumination_curvature, photoelectrons
 from tapetum.simulate.round_pass import Surface
@@ -105,7 +105,7 @@ class TracedSlopes:
         if self._by_sites:
             # A whole photosite's step, so the spot falls alike on the next one: the difference is not due to the
             # photosites.
-            wide, high = _field(scene)
+            wide, high = field_size(scene).tolist()
             self._steps = replace(self._steps, gaze=(_period(scene) / wide, _period(scene) / high))
         around = torch.tensor([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=torch.float64)
         self._tilts = tilt_of_gaze(scene, self._gazes[:, None] + around * torch.tensor(self._steps.gaze))
@@ -157,7 +157,7 @@ class TracedSlopes:
             slopes[name] = (light[0] - light[1]) / (2 * (self._steps.photosite if name in PHOTOSITES else steps[name]))
         if self._by_sites:
             # Moving the array under a fixed spot replaces moving the spot over the array.
-            for axis, side in zip("xy", _field(self.scene), strict=True):
+            for axis, side in zip("xy", field_size(self.scene).tolist(), strict=True):
                 slopes[f"gaze_{axis}"] = slopes[f"gaze_{axis}"] - side * slopes[f"photosite_{axis}"]
         jacobian = torch.stack([slopes[name].flatten() for name in self.names])
         return made[0] + dark_electrons(self.scene.probe.sensor), jacobian
@@ -210,7 +210,7 @@ class _Steps:
         # A mirror's picture shears only slowly with the pupil, by two steps of the spot.
         shear = min(spot / 2, _TURN * r / (4 * away)) if away > 0 else spot / 2
         finest = _SHARE * min(spot, _period(scene)) if has_photosites(scene) else shear
-        x, y = (factor * finest / side for side in _field(scene))
+        x, y = (factor * finest / side for side in field_size(scene).tolist())
         far = target.object_distance
         focus = min(_TURN * far / (k * r**2), _LONGEST) * far if math.isfinite(far) else 0.0
         return cls(
@@ -290,12 +290,6 @@ def _period(scene: Scene) -> float:
     """Of the photosites, in metres, and of the lenses over them."""
     sensor = scene.target.sensor
     return sensor.pitch if sensor.array is None or sensor.array.pitch is None else sensor.array.pitch
-
-
-def _field(scene: Scene) -> tuple[float, float]:
-    """Width and height of the target's sensor, in metres."""
-    sensor = scene.target.sensor
-    return sensor.pixels[0] * sensor.pitch, sensor.pixels[1] * sensor.pitch
 
 
 def _group(one: object) -> TracedGroup:
