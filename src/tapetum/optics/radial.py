@@ -87,16 +87,9 @@ class RadialTable:
 
 @dataclass(frozen=True)
 class FocusTables:
-    """Returning light of planes whose distances lie within a range: tables at Chebyshev nodes of the distance.
+    """Returning light of planes at a range of distances: `tables` at Chebyshev `nodes` of the distance z, in metres.
 
     At the same angle ξ/2z the light times z changes smoothly with z, by no more than the pupil's change of focus.
-
-    Parameters
-    ----------
-    nodes
-        Distances z of the tables, in metres.
-    tables
-        One for each.
     """
 
     nodes: tuple[float, ...]

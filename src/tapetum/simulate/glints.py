@@ -126,12 +126,10 @@ class Glints:
         Of its surfaces, at the wavelength.
     reflectance
         Of each surface between glass and air, for power.
-    output
-        Pixels of the probe's sensor.
+    output, dtype
+        Pixels of the probe's sensor, and the pictures' type.
     wavelength, distance, probe_radius, probe_focal_length
         λ, d, R_p and f_p, in metres.
-    dtype
-        Of the pictures.
     """
 
     def __init__(
@@ -161,11 +159,8 @@ class Glints:
     def places(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """All G glints of tilts [B, 2] (sines).
 
-        Returns
-        -------
-        tuple
-            The index of each one's tilt [G], its (x, y) on the probe's sensor from the RR's centre [G, 2] in metres,
-            and its area [G] in m²/sr.
+        Returns the index of each one's tilt [G], its (x, y) on the probe's sensor from the RR's centre [G, 2] in
+        metres, and its area [G] in m²/sr.
         """
         size = torch.sqrt((sines**2).sum(-1).clamp_min(1e-22))
         found = [table.at(size) for table in self._tables]
@@ -178,12 +173,8 @@ class Glints:
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Irradiance [B, H, W] on the probe's pixels for 1 W/m² at the target.
 
-        Parameters
-        ----------
-        sines
-            [B, 2] sines of the tilt along x and y.
-        centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; default: the middle.
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
         """
         sines = sines.cpu().to(torch.float64)
         x, y = self._output.x(), self._output.y()

@@ -61,19 +61,15 @@ def seen_from_probe(places: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
 class PhoneCamera:
     """All cameras of a phone, for any number of gazes. Their irradiances add.
 
+    Overlapping returns of two cameras would interfere in fringes of λ f_p over their distance, a few pixels wide. The
+    slightest motion averages them out, so they are left out.
+
     Parameters
     ----------
     scene
         With a `PhoneTarget`.
-    steepest, output
-        As for `Camera`.
-    options
-        Further arguments of `Camera`.
-
-    Notes
-    -----
-    Overlapping returns of two cameras would interfere in fringes of λ f_p over their distance, a few pixels wide. The
-    slightest motion averages them out, so they are left out.
+    steepest, output, options
+        As for `Camera`; `options` are its further arguments.
     """
 
     def __init__(self, scene: Scene, steepest: float, *, output: Grid | None = None, **options: Any) -> None:

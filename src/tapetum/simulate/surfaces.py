@@ -17,12 +17,7 @@ __all__ = ["Order", "PlaceSeries", "Surface"]
 class PlaceSeries:
     """An amplitude that depends on the place u of the spot: Σ c_b exp(iκ b·u), b = -n to n.
 
-    Parameters
-    ----------
-    coefficients
-        c, [2n + 1, 2n + 1], rows and columns.
-    wavenumber
-        κ, in 1/m.
+    `coefficients` are c, [2n + 1, 2n + 1], rows and columns; `wavenumber` is κ, in 1/m.
     """
 
     coefficients: npt.NDArray[np.complex128]

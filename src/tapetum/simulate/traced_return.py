@@ -156,14 +156,9 @@ def check_return(
     *,
     curvature: float = 0.0,
 ) -> TracedReturn:
-    """Compare the paths of real rays with those that the double pass of waves assumes.
+    """Compare the paths of real rays with those that the double pass of waves assumes by the lens's `fits`.
 
-    Parameters
-    ----------
-    focused, fits
-        The lens, and the pupils that the model takes.
-    sines, curvature
-        As for `trace_return`.
+    `sines` [F] and `curvature` as for `trace_return`.
     """
     tilt = fits.nodes.terms(sines)
     back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle)

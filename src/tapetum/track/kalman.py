@@ -31,19 +31,11 @@ _MATRIX = np.array([[2, 3], [3, 4]])
 
 @dataclass(frozen=True)
 class Series:
-    """One quantity of one track.
+    """One quantity of one track, as N rows.
 
-    Parameters
-    ----------
-    times
-        [N] seconds, never falling.
-    value, lower, upper
-        [N] estimates and the ends of their 90 % intervals, in the quantity's unit. NaN where there is none.
-
-    Raises
-    ------
-    InputError
-        When shapes differ, or times are not finite or run backwards.
+    `times` [N] are in seconds, never falling; `value`, `lower` and `upper` [N] are estimates and the ends of their 90 %
+    intervals, in the quantity's unit, NaN where there is none. InputError when shapes differ, or times are not finite
+    or run backwards.
     """
 
     times: Array

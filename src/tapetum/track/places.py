@@ -59,14 +59,9 @@ class Places:
             )
 
     def to_first(self, probe: int, gaze: ArrayLike) -> Array:
-        """The gaze that the first probe sees where `probe` sees `gaze`, both [..., 2].
+        """The gaze that the first probe sees where probe number `probe`, from 0, sees `gaze`.
 
-        Parameters
-        ----------
-        probe
-            Its number, from 0.
-        gaze
-            In fractions of the field. NaN stays NaN.
+        Both are [..., 2], in fractions of the field; NaN stays NaN.
         """
         return self._between(self.places[probe], (0.0, 0.0), np.asarray(gaze, dtype=np.float64))
 
