@@ -1,7 +1,7 @@
-"""Cramér-Rao bounds for the sets' figures: of the gaze by its distance from the centre, and of the focus.
+"""Cramér-Rao bounds of the gaze by its distance from the centre, and of the focus, for the frames of training sets.
 
-The frames are those of a set but for its sensor's fixed pattern (1 % of the pixels' sensitivity, which an estimate may
-know): light, second beam, exposure, background, bits and noise are the scene's.
+Light, second beam, exposure, background, bits and noise are the scene's. The sensor's fixed pattern (1 % of the pixels'
+sensitivity) is left out, because an estimate may know it.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ tell nothing, and the limit is that of the smooth change from one photosite to t
 
 Array = NDArray[np.float64]
 _GAZE, _FOCUS = ("gaze_x", "gaze_y"), ("object_distance", "focal_length")
-# Of a Gaussian error with the standard deviation 1.
+# MAE of a Gaussian error with the standard deviation 1.
 _MAE = math.sqrt(2 / math.pi)
-# Azimuths off the sensor's axes and diagonals, which are like no others.
+# Azimuths off the sensor's axes and diagonals, where the symmetry makes special cases.
 _FIRST_AZIMUTH = 0.35
 
 
@@ -54,8 +54,8 @@ class GazeBound:
     distance
         [R] in fractions of the field.
     rms, mae
-        [R] of an unbiased estimate as good as can be, mean over both axes, median over the azimuths; fractions of the
-        field. The MAE is that of a Gaussian error.
+        [R] of the best unbiased estimate, mean over both axes, median over the azimuths; fractions of the field. The
+        MAE assumes a Gaussian error.
     """
 
     distance: Array
@@ -65,7 +65,7 @@ class GazeBound:
 
 @dataclass(frozen=True)
 class GazeInformation:
-    """What one frame tells at each of many gazes.
+    """Information of one frame at each of many gazes.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class GazeInformation:
     gazes
         [G, 2] in fractions of the field.
     information
-        [G, P, P] Fisher's matrices.
+        [G, P, P] Fisher matrices.
     """
 
     names: tuple[str, ...]
@@ -82,20 +82,20 @@ class GazeInformation:
     information: Array
 
     def bounds(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> Array:
-        """Standard deviations [G, 2] of gaze_x and gaze_y while the nuisances are unknown, all where left out.
+        """Standard deviations [G, 2] of gaze_x and gaze_y while the nuisances are unknown, by default all.
 
         Parameters
         ----------
         nuisances
-            Of `names`. What is not among them counts as known.
+            Of `names`. All others count as known.
         priors
-            What is known before the frame, by name: standard deviations. The bound is then van Trees', which holds for
-            biased estimates too, with the information at this gaze in place of its mean over the prior.
+            Standard deviations known before the frame, by name. The bound is then van Trees', which also holds for
+            biased estimates, with the information at this gaze in place of its mean over the prior.
         """
         return _bounds(self.names, self.information, _GAZE, self.names[2:] if nuisances is None else nuisances, priors)
 
     def curve(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> GazeBound:
-        """The bounds by the distance from the centre: gazes of the same distance, to 1e-6, are put together."""
+        """The bounds by the distance from the centre; gazes of the same distance, to 1e-6, are combined."""
         deviation = self.bounds(nuisances, priors)
         distance = np.hypot(self.gazes[:, 0], self.gazes[:, 1]).round(6)
         rings = np.unique(distance)
@@ -118,7 +118,7 @@ class FocusBounds:
     names
         Of all that is unknown.
     information
-        [D, F, P, P] Fisher's matrices of one frame.
+        [D, F, P, P] Fisher matrices of one frame.
     """
 
     object_distances: Array
@@ -133,19 +133,19 @@ class FocusBounds:
 
     @property
     def mae(self) -> Array:
-        """[D, F, 2] of Gaussian errors as small as can be, in metres."""
+        """[D, F, 2] mean absolute errors of the best estimate with Gaussian errors, in metres."""
         return _MAE * self.deviation
 
     def bounds(self, wanted: Sequence[str], unknown: Sequence[str] | None = None) -> Array:
-        """Standard deviations [D, F, W] of some names, while `unknown` ones are not known: all where left out."""
+        """Standard deviations [D, F, W] of the wanted names while the `unknown` ones are unknown, by default all."""
         return _bounds(self.names, self.information, wanted, self.names if unknown is None else unknown)
 
 
 def gaze_prior(extent: float) -> float:
-    """The standard deviation, extent/π, that counts in `priors` for a gaze within ± extent.
+    """Standard deviation, extent/π, to pass in `priors` for a gaze within ± extent.
 
     Van Trees' bound requires a prior density that vanishes at its ends. Of these cos²(πx/2e) has the least information,
-    (π/e)². The uniform density of the sets does not vanish there, and tells no more than this one.
+    (π/e)². The sets' uniform density does not vanish there, and carries no more information.
     """
     return extent / math.pi
 
@@ -167,16 +167,16 @@ def gaze_information(
     gazes
         [G, 2] in fractions of the field.
     nuisances
-        What else may be unknown, as `fisher` names it; of traced lenses `roll`, `photosite_x` and `photosite_y` too.
+        Other unknowns, as `fisher` names them; of traced lenses also `roll`, `photosite_x` and `photosite_y`.
     accuracy
         Of the simulation, in place of the scene's.
     progress
-        Shows how far it is.
+        Reports how many gazes are done.
 
     Raises
     ------
     InputError
-        For gazes of another shape, no number, or outside the field, and as `fisher`.
+        For gazes of another shape, not finite, or outside the field, and as `fisher`.
     """
     at, names = _checked(gazes), (*_GAZE, *nuisances)
     slopes = slopes_of(scene, names, torch.as_tensor(at), accuracy=accuracy, dtype=torch.complex64)
@@ -233,7 +233,7 @@ def focus_bounds(
     gaze
         In fractions of the field.
     nuisances
-        What else is unknown.
+        Other unknowns.
     accuracy, progress
         As for `gaze_information`.
     workers
@@ -242,7 +242,7 @@ def focus_bounds(
     Raises
     ------
     InputError
-        As `gaze_information`, and for focal lengths and distances that the lens has not.
+        As `gaze_information`, and for focal lengths and distances that the lens does not offer.
     """
     at, names = _checked([gaze]), (*_FOCUS, *nuisances)
     pairs = [(distance, length) for distance in object_distances for length in focal_lengths]

@@ -1,7 +1,7 @@
-"""The link budget: where the laser's watts go on their way to the probe's sensor, in closed forms.
+"""The link budget: the laser's power on its way to the probe's sensor, in closed forms, before any simulation.
 
-Rays say how much of the returning beam the target's aperture lets out, rays and diffraction how much of that the
-probe's aperture takes in. An estimate before any simulation: no image is computed.
+Rays give the share of the returning beam that leaves the target's aperture; rays and diffraction give the share of that
+which enters the probe's aperture. No image is computed.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ __all__ = ["LinkBudget", "Reflection", "link_budget"]
 
 @dataclass(frozen=True)
 class Reflection:
-    """What one reflecting plane of the target sends to the probe.
+    """The return of one reflecting plane of the target.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ class Reflection:
     transmittance
         Of the layers before the plane, there and back.
     returning
-        Share of the light that the sensor's edges leave on it and the target's aperture lets out again, by rays.
+        Share of the light on the sensor, within its edges, that leaves the target's aperture again, by rays.
     return_radius
         Of the beam at the probe, by rays and diffraction, in metres.
     inside_probe
@@ -78,7 +78,7 @@ class Reflection:
 
 @dataclass(frozen=True)
 class LinkBudget:
-    """From watts at the laser to electrons a frame. SI units; the chain's numbers are those of the target's sensor.
+    """Powers from the laser to the probe's sensor, and electrons a frame. SI units, for the target's sensor.
 
     Parameters
     ----------
@@ -93,17 +93,18 @@ class LinkBudget:
     irradiance_at_target
         In W/m².
     accepted_watts, reflected_watts, leaving_watts, probe_watts, sensor_watts
-        That enter the target's aperture; that the target's sensor reflects, layers passed; that leave the target; that
-        enter the probe; that arrive on its sensor.
+        Powers that enter the target's aperture, are reflected by its sensor (layers included), leave the target, enter
+        the probe, and arrive on its sensor.
     reflections
-        The target's sensor first, then its layers, each by itself.
+        The target's sensor first, then each of its layers alone.
     transmission
         Of the probe.
     photons, electrons
         A frame, of the RR of the target's sensor.
     rr_pixels, peak_electrons
         Pixels that the RR covers to its first dark ring, and mean electrons of the brightest one: an estimate in closed
-        form (see `link_budget`). A picture's is some percent away in focus, up to a factor of 1.6 elsewhere (tests).
+        form (see `link_budget`), within some percent of the picture's in focus, up to a factor of 1.6 elsewhere
+        (tests).
     dark_electrons
         A pixel and frame: background and dark current.
     noise_electrons
@@ -148,7 +149,7 @@ class LinkBudget:
 
     @property
     def total_watts(self) -> float:
-        """On the probe's sensor, of all reflections, which add as power."""
+        """On the probe's sensor, of all reflections, added as power."""
         return sum(one.watts for one in self.reflections)
 
     def as_dict(self) -> dict[str, Any]:
@@ -157,7 +158,7 @@ class LinkBudget:
         return {**content, "reflections": [asdict(one) for one in self.reflections], "notes": list(self.notes)}
 
     def lines(self) -> list[str]:
-        """The budget to read, a line a step."""
+        """The budget as text, one line a step."""
         sensor, *layers = self.reflections
         reach = "" if self.rayleigh_range is None else f", Rayleigh range {in_si(self.rayleigh_range, 'm')}"
         rows = [
@@ -202,9 +203,9 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     Parameters
     ----------
     scene
-        What stands on the bench.
+        A scene, its name or its path.
     wavelength
-        Which of the illumination's lines, in metres; its first where it is left out.
+        One of the illumination's lines, in metres; default: the first.
 
     Raises
     ------
@@ -213,13 +214,13 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
 
     Notes
     -----
-    What is lost where the returning beam overfills the probe: `radiometry.share_in_disc`, for a round beam of the area
-    that leaves. The brightest pixel: the power over the sum of the areas of
-    diffraction, (λ f_p)²/A for an exit pupil of area A, of a quarter of the geometric disc (on the axis a defocused
-    round pupil reaches four times its disc's mean: Born and Wolf, section 8.8), of the source, and of the pixel.
+    A beam that overfills the probe loses what `radiometry.share_in_disc` says of a round beam of the area that leaves.
+    The brightest pixel gets the power over the sum of these areas: of diffraction, (λ f_p)²/A for an exit pupil of area
+    A, of a quarter of the geometric disc (on the axis a defocused round pupil reaches four times its disc's mean: Born
+    and Wolf, section 8.8), of the source, and of the pixel.
 
-    A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field the gaze is
-    in; the notes say so.
+    A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field holds the
+    gaze; the notes say so.
     """
     scene = as_scene(scene)
     notes: list[str] = []
@@ -239,13 +240,13 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     light, target, probe = scene.illumination, scene.target, scene.probe
     wavelength, watts = line_of(scene, wavelength)
     f = focal_length_at(target.lens.focal_length, target.lens.glass, target.lens.design_wavelength, wavelength)
-    # The sensor stands where the design wavelength is sharp.
+    # The sensor is in focus at the design wavelength.
     z, _ = lens_numbers(target.lens.focal_length, target.object_distance)
     f_p = focal_length_at(probe.lens.focal_length, probe.lens.glass, probe.lens.design_wavelength, wavelength)
     lit = beam_radius(scene)
     irradiance = irradiance_at_target(scene) * watts / light.power
     sine = math.hypot(*(math.sin(angle) for angle in target.rotation))
-    # Turned, the aperture takes less of the beam; a beam narrower than the aperture goes in whole.
+    # The tilted aperture takes less of the beam, but all of a beam narrower than itself.
     cosine = math.sqrt(1 - sine**2)
     accepted = min(irradiance * math.pi * target.lens.aperture_radius**2 * cosine, watts)
 
@@ -258,7 +259,7 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
         )
         held = 1.0
         if name == "sensor":
-            # Beside its edge nothing comes back.
+            # Nothing returns from beside the sensor's edge.
             spot = geometry.spot_radius + geometry.airy_step
             held = float(SensorEdge.of(target.sensor).share(place, spot))
         return _returned(name, scene, geometry, accepted, reflectance, transmittance, held)
@@ -278,7 +279,7 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     photons = one.watts * sensor.exposure / photon_energy(wavelength)
     electrons = photons * sensor.quantum_efficiency
     pixels = max(math.pi * one.radius_on_sensor**2 / sensor.pitch**2, 1.0)
-    # A pixel's own area keeps a spot smaller than it from making more electrons than there are.
+    # Adding the pixel's area keeps a spot smaller than it from giving more electrons than there are.
     spot = one.watts / one.peak_irradiance if one.watts > 0 else math.inf
     peak = electrons * sensor.pitch**2 / (spot + sensor.pitch**2)
     dark = dark_electrons(sensor)
@@ -324,8 +325,7 @@ def _returned(
     probe, distance = scene.probe, scene.distance
     share, aperture = g.returning * held, probe.lens.aperture_radius
     rays = return_radius_by_rays(g.radius, g.focal_length, g.image_distance, g.curvature, distance)
-    # The light that leaves, as a disc of the same area. Light that the target brings to a focus in its own lens is as
-    # wide there as diffraction makes it.
+    # A disc of the same area. Light focused into the target's own lens has the width of its diffraction there.
     lit = disc_overlap(g.radius, g.return_radius, 2 * g.image_distance * g.tangent)
     out = max(g.radius * math.sqrt(lit), min(g.radius, g.wavelength * g.image_distance / g.radius)) if share else 0.0
     leaving = math.pi * out**2

@@ -23,25 +23,16 @@ from tapetum.simulate.surfaces import Surface
 
 __all__ = ["CutSensor"]
 
-# Samples of the sensor for each period of its photosites, where their orders are no table's any more.
+# Samples of the sensor for each period of its photosites, where a table of orders no longer applies.
 _DETAILS = 5
 
 
 class CutSensor:
-    """Planes that interfere, the sensor among them, which ends at its edge.
+    """Planes that interfere, among them the sensor (the surface of depth 0), which ends at its edge.
 
-    Parameters
-    ----------
-    geometry, plan, output, surfaces
-        As for `RoundPass`; the sensor is the surface of no depth.
-    sensor, edge
-        Its array, and where it ends.
-    accuracy
-        Of the sampled plane, in fractions of the peak.
-    finer
-        Whether to sample more finely than the accuracy asks for: to measure its error against.
-    options
-        Those of `RoundPass`.
+    `geometry`, `plan`, `output`, `surfaces` and `options` are those of `RoundPass`; `sensor` and `edge` give the
+    sensor's array and outline. `accuracy` of the sampled plane is in fractions of the peak; `finer` samples it more
+    finely than that, to measure its error.
     """
 
     def __init__(
@@ -71,17 +62,14 @@ class CutSensor:
 
     @property
     def layers(self) -> RoundPass:
-        """What answers where the spot misses the sensor: the layers before it, of which there must be some."""
+        """The pass where the spot misses the sensor: the layers before it, of which there must be some."""
         assert self._layers is not None
         return self._layers
 
     def across(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        """Irradiance [B, H, W] where the edge cuts the spot, by a sampled sensor plane.
+        """Irradiance [B, H, W] of spots that the edge cuts, by a sampled sensor plane.
 
-        Raises
-        ------
-        InputError
-            Where the samples are too many, and for shifted microlenses, which are not sampled.
+        Raises InputError where the samples are too many, and for shifted microlenses, which are not sampled.
         """
         return torch.cat([self._one(sines[i : i + 1], None if centres is None else centres[i : i + 1])
                           for i in range(len(sines))])  # fmt: skip
@@ -99,7 +87,7 @@ class CutSensor:
         return field.real**2 + field.imag**2
 
     def mirror(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        """Irradiance [B, H, W] of a mirror in the sensor's place, endless, as bright as its strongest order."""
+        """Irradiance [B, H, W] of an infinite mirror in the sensor's place, as bright as its strongest order."""
         z = torch.as_tensor(self._sensor.image_distance, dtype=torch.float64)
         brightest = max(abs(order.amplitude) for order in self._sensor.orders)
         return brightest**2 * self._made(z, None)(sines, centres)
@@ -117,7 +105,7 @@ class CutSensor:
         if distance is not None and radius is not None:
             planned = through_aperture(geometry, float(torch.as_tensor(distance).detach()), radius)
         array = self._bare.array
-        # What a straight edge makes of light that comes back through the lens has no finer detail.
+        # The light of a straight edge that returns through the lens has no finer detail.
         finest = geometry.airy_step / 2
         if array is not None or self._bare.microlens is not None:
             pitch = self._bare.pitch if array is None or array.pitch is None else array.pitch
@@ -130,11 +118,11 @@ class CutSensor:
         return DoublePass(geometry, plan, self._output, image_distance=z, mask=mask, followed=True, **options)
 
     def _plane(self) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
-        """The sensor's reflectance as its surface weighs it, up to its edge."""
+        """The sensor's reflectance, weighted as its surface, up to its edge."""
         k, (across, down) = 2 * math.pi / self._geometry.wavelength, self._sensor.tilt
         plain = replace(self._bare, mask=None, diffuse=None, reflectance=1.0)
         bare = reflectance_at(plain, self._geometry.wavelength, self._edge.window)
-        # What layers and coherence leave of it: the surface's first order is the sensor's own, scaled.
+        # Reduced by layers and coherence: the surface's first order is the sensor's own, scaled.
         share = _scale_of(self._sensor, plain, self._geometry.wavelength)
 
         def plane(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:

@@ -1,16 +1,17 @@
-"""The double pass by grids: through the target's lens, off its sampled sensor and back, to the probe's focal plane.
+"""The double pass on grids: through the target's lens, off its sampled sensor, back, and to the probe's focal plane.
 
-The slower engine, for any sensor plane. `RoundPass` computes mirrors and gratings from a round field's table.
+This is the slower engine, for any sensor plane; `RoundPass` computes mirrors and gratings from the table of a round
+field.
 
-The quadratic phases of lens and free space are taken out before anything is sampled; what is left is the defocus
-and a tilt (paper, equations 1 to 6, in the form of docs/conventions.md, "The double pass"):
+The quadratic phases of lens and free space are removed before sampling; defocus and a tilt remain (paper, equations 1
+to 6, in the form of docs/conventions.md, "The double pass"):
 
     G(v)  = 1/(iλz) ∫ P(x) exp(iφ_in(x)) exp(-ik x·v/z) d²x            the spot, seen from its own centre u0 = z t
     U3(x) = 1/(iλz) ∫ Arr G(v) exp(ik|v|²/z) exp(-ik (x - 2u0)·v/z) d²v
     U5(q) = cosθ/(iλf_p) ∫ P(x) exp(iφ_out(x)) U3(x) exp(-ik x·Mq/f_p) d²x
 
-G does not depend on the gaze, so one instance serves a whole sweep; Arr is the sensor's reflectance where the gaze puts
-the spot, at u0 + v; t are the tilt's tangents. M foreshortens the probe's picture by the cosine of the tilt along it.
+G does not depend on the gaze, so one instance serves a whole sweep. Arr is the sensor's reflectance at the spot, u0 +
+v; t are the tangents of the tilt. M foreshortens the probe's picture by the cosine of the tilt, along the tilt.
 """
 
 from __future__ import annotations
@@ -31,14 +32,14 @@ from tapetum.simulate.true_paths import Leg, TruePaths
 
 __all__ = ["DoublePass"]
 
-# Working memory of one batch of gazes, in bytes: past the processor's caches larger batches gain nothing.
+# Working memory of one batch of gazes, in bytes: batches larger than the processor's caches are no faster.
 _BATCH_BYTES = 192 << 20
 
 
 class DoublePass:
     """The retro-reflection of a thin lens before a plane mirror or mask, for any number of gazes.
 
-    Holding the instance is the cache: the spot on the sensor and all fixed kernels are formed once.
+    The spot on the sensor and all fixed kernels are computed once, when the instance is made.
 
     Parameters
     ----------
@@ -49,12 +50,12 @@ class DoublePass:
     output
         Pixels of the probe's sensor.
     focal_length, image_distance
-        Of the target, in metres, as float64 scalars: gradients flow through them where they ask for it.
+        Of the target, in metres, as float64 scalars, which may carry gradients.
     mask
-        Complex reflectance of the sensor plane, for columns x [B, n] and rows y [B, m] in metres from the optical axis:
-        [B, m, n]. Plan for its finest detail. A perfect mirror when left out.
+        Complex reflectance [B, m, n] of the sensor plane at columns x [B, n] and rows y [B, m], in metres from the
+        optical axis; plan the grids for its finest detail. Default: a perfect mirror.
     distance, probe_radius
-        Both given, the light of a mask travels the distance and through the probe's round aperture, in metres.
+        Both given, the light of a mask travels this distance and through the probe's round aperture, in metres.
     followed
         Whether to follow the paths of `true_paths`, along the rays of a mirror.
     dtype
@@ -117,26 +118,17 @@ class DoublePass:
             dtype=dtype,
             device=device,
         )
-        # Constants ride along with the spot, so that the hot loop is products and phases alone.
+        # The spot includes all constants, so that the hot loop has only products and phases.
         self._spot = (spot * (sensor.pitch**2 / wave * self._path.constant)).to(dtype)
         self._exit = (weights * phasor(defocus + self._path.chirp * rho_squared)).to(dtype)
         k, radius, curvature = (_scalar(value, device) for value in (self._k, geometry.radius, geometry.curvature))
         self._paths = TruePaths(k, radius, f, curvature, way, probe_radius) if followed else None
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
-        """Irradiance on the probe's pixels for an illumination of 1 W/m² and the mask's reflectance, or 1.
+        """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target.
 
-        Parameters
-        ----------
-        sines
-            [B, 2] sines of the tilt along x and y.
-        centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
-
-        Returns
-        -------
-        torch.Tensor
-            [B, H, W], W/m².
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
         """
         sines = sines.to(self.device, torch.float64)
         size = self._batch(sines.requires_grad)
@@ -145,9 +137,9 @@ class DoublePass:
         return torch.cat([(u.real**2 + u.imag**2) for u in images])
 
     def exit_pupil(self, sines: torch.Tensor) -> torch.Tensor:
-        """Field leaving the lens, tilt removed, times weights and the way's constant: [B, rows, columns]."""
+        """Field leaving the lens, tilt removed, times weights and constants: [B, rows, columns]."""
         sines = sines.to(self.device, torch.float64)
-        # A mirror may turn with the pupil, a mask may not.
+        # A mirror may rotate with the pupil, a mask may not.
         turned = self._mask is None and foreshortens(self, sines)
         slopes = tangents(sines)
         offset = 2 * self._k * (twisted(slopes, sines) if turned else slopes)
@@ -167,7 +159,7 @@ class DoublePass:
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
         sines = sines.to(self.device, torch.float64)
-        # What a tilted pupil sends spreads over a foreshortened picture.
+        # A tilted pupil's light spreads over a foreshortened picture.
         pupil = self.exit_pupil(sines) * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
         shortened = foreshortens(self, sines) or self._path.aperture is not None
         if self._mask is not None and shortened:
@@ -181,7 +173,7 @@ class DoublePass:
         size = 16 if self.dtype == torch.complex128 else 8
         masked = self._mask is not None
         one = self.plan.bytes_needed(1, self.output.rows * self.output.columns, size, masked=masked)
-        # A graph for gradients keeps every intermediate result anyway.
+        # Gradients keep every intermediate result anyway.
         return 1 << 20 if gradients else max(1, _BATCH_BYTES // one)
 
 

@@ -1,6 +1,6 @@
 """Is the illumination safe to look into? An aid to planning after IEC 60825-1:2014; never a certificate.
 
-Only continuous light of 400 to 1400 nm is handled. Whatever is unknown is taken at its worst: the source is a point,
+Only continuous light of 400 to 1400 nm is handled. Unknown quantities take their worst case: the source is a point,
 light only spreads, air and optics lose nothing. The limits are in [`tapetum.simulate.ael`][tapetum.simulate.ael].
 """
 
@@ -35,7 +35,7 @@ LaserClass = Literal["1", "1M", "2", "2M", "3R", "3B", "4"]
 
 @dataclass(frozen=True)
 class AtDistance:
-    """What meets an eye at `distance` (m): `irradiance` averaged over 7 mm, and the `mpe` there, both in W/m²."""
+    """Light at an eye at `distance` (m): `irradiance` averaged over 7 mm, and the `mpe` there, both in W/m²."""
 
     distance: float
     irradiance: float
@@ -49,7 +49,7 @@ class AtDistance:
 
 @dataclass(frozen=True)
 class EyeSafety:
-    """What [`eye_safety`][tapetum.simulate.eye_safety.eye_safety] finds.
+    """Result of [`eye_safety`][tapetum.simulate.eye_safety.eye_safety].
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ class EyeSafety:
     at
         The same at each distance asked for.
     naked_distance
-        Where condition 3 was taken, in metres: 0.1, or where an extended source is worst.
+        Where condition 3 is evaluated, in metres: 0.1, or where an extended source is worst.
     emission
         Accessible emission in watts under condition `3` (naked eye) and `1` (telescope).
     limits
@@ -90,7 +90,7 @@ class EyeSafety:
     aided_nohd: float
 
     def lines(self) -> list[str]:
-        """What was found and assumed, for people; the last line says what it is not."""
+        """Result and assumptions as text; the last line states that it is no certificate."""
         beam, near = self.beam, self.nearest
         spread = f"spreading {beam.divergence:.3g} rad" if beam.divergence else "parallel"
         width = f"{beam.diameter * 1e3:.3g} mm wide" if beam.diameter else "from a point"
@@ -182,12 +182,12 @@ def eye_safety(
     beam
         The light.
     distances
-        Where else to compare irradiance and MPE, in metres.
+        Further distances at which to compare irradiance and MPE, in metres.
     exposure
-        In seconds. Default: 0.25 for visible light, 100 for infrared, which nobody sees and turns from; 30000 where
+        In seconds. Default: 0.25 for visible light; 100 for infrared, which triggers no aversion; 30000 where
         `looked_into`.
     nearest
-        The nearest a viewer's eye comes to the exit, in metres, at least 0.1. It does not change the class.
+        Smallest distance of a viewer's eye from the exit, in metres, at least 0.1. It does not change the class.
     looked_into
         Whether people look into the light for long by design; the time base of Class 1 is then 30000 s, not 100 s.
 
@@ -231,8 +231,8 @@ def _at(beam: Beam, distance: float, exposure: float) -> AtDistance:
 
 
 def _positions(beam: Beam) -> list[float]:
-    # An extended source is judged where it is worst (5.4.3). Its limits shrink with it until it is a point; beyond,
-    # only the light that passes the pupil changes, and it gets less.
+    # An extended source is judged where it is worst (5.4.3). Its limits shrink with the distance until it is a point;
+    # beyond that only the light through the pupil changes, and decreases.
     end = NEAREST * beam.source_angle / SMALL_SOURCE
     if end <= NEAREST:
         return [NEAREST]
@@ -248,7 +248,7 @@ def _classify(beam: Beam, base: float, aided: float, telescope: dict[str, float]
             beam.through(PUPIL, place) <= limit * _ROUNDING for place, limit in zip(positions, limits, strict=True)
         )
 
-    # The M classes ask for their own limit from the naked eye and for Class 3B's from the telescope.
+    # The M classes apply their own limit to the naked eye and Class 3B's to the telescope.
     order: tuple[tuple[LaserClass, str, str], ...] = (
         ("1", "1", "1"),
         ("1M", "1", "3B"),

@@ -1,4 +1,4 @@
-"""Fisher information and Cramér-Rao bounds of one frame: how precisely any estimate can know a scene's parameters."""
+"""Fisher information and Cramér-Rao bounds of one frame: the best precision of any unbiased estimate."""
 
 # Torch types autograd.grad, linalg and tolist in part only.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -16,7 +16,7 @@ from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import count_moments, hot_currents, most_electrons
-from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
+from tapetum.simulate.gaze import field_size, gaze_of, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 from tapetum.simulate.traced_information import TracedSlopes, sensor_part
 from tapetum.simulate.unknowns import NUISANCES, PARAMETERS, checked_parameters, not_told
@@ -27,16 +27,16 @@ __all__ += ["not_told", "slopes_of", "true_values"]
 
 @dataclass(frozen=True)
 class FisherInformation:
-    """What one frame tells about some parameters.
+    """Fisher information of one frame about some parameters.
 
     Parameters
     ----------
     parameters
         Their names.
     values
-        Where the information was taken, in SI units and fractions of the field.
+        At which it was taken, in SI units and fractions of the field.
     information
-        Fisher's matrix, [P, P], in inverse products of the parameters' units.
+        Fisher matrix, [P, P], in inverse products of the parameters' units.
     """
 
     parameters: tuple[str, ...]
@@ -44,7 +44,7 @@ class FisherInformation:
     information: torch.Tensor
 
     def __add__(self, other: FisherInformation) -> FisherInformation:
-        """What two independent frames tell together: of the same parameters at the same values, by any two probes."""
+        """Information of two independent frames together: same parameters at the same values, from any two probes."""
         if self.parameters != other.parameters or self.values != other.values:
             raise InputError(
                 f"{list(other.parameters)} at {list(other.values)} are not {list(self.parameters)} at "
@@ -63,20 +63,19 @@ class FisherInformation:
     def bounds(self) -> dict[str, float]:
         """Cramér-Rao bound of each parameter's standard deviation while all parameters are unknown.
 
-        Infinite for a parameter whose effect on the frame equals that of some combination of the others, to 1 part in
-        10⁵.
+        It is infinite where a combination of the other parameters changes the frame in the same way, to 1 part in 10⁵.
         """
         own = self.information.diagonal().clamp_min(0).sqrt()
         deviations = torch.full_like(own, torch.inf)
         told = own > 0
-        # Parameters differ by many powers of ten: each in units of what it would be known to alone.
+        # Parameters differ by many powers of ten: scale each by its bound when all others are known.
         shared = self.information[told][:, told] / (own[told, None] * own[None, told])
         deviations[told] = 1 / (own[told] * _independent_shares(shared).sqrt())
         return dict(zip(self.parameters, deviations.tolist(), strict=True))
 
     @property
     def alone(self) -> dict[str, float]:
-        """The same for each parameter with all the others known."""
+        """The bound of each parameter with all the others known."""
         diagonal = self.information.diagonal().clamp_min(0)
         return dict(zip(self.parameters, (1 / diagonal.sqrt()).tolist(), strict=True))
 
@@ -93,19 +92,14 @@ def fisher(
     Parameters
     ----------
     scene
-        Its rotation, focus, light and noise.
+        A scene, its name or its path.
     parameters
-        Which values are unknown: names of `PARAMETERS`. `place_x` and `place_y` are where on the probe's sensor the RR
-        lies; name them where the target may stand anywhere.
+        The unknown values: names of `PARAMETERS`. `place_x` and `place_y`, the RR's place on the probe's sensor, belong
+        among them where the target may stand anywhere.
     accuracy
         Of the simulation, in fractions of the peak, in place of the scene's.
     device
         As for `retroreflect`.
-
-    Returns
-    -------
-    FisherInformation
-        With `bounds`, the Cramér-Rao limit of each.
 
     Raises
     ------
@@ -119,18 +113,18 @@ def fisher(
     -----
     F_ij = Σ_pixels (∂m/∂a_i)(∂m/∂a_j)/v, m and v the mean and the variance of a pixel's digital number
     (`exposure.count_moments`). Between the ends of the digital range that is (∂μ/∂a_i)(∂μ/∂a_j)/(μ + σ²), μ the mean
-    electrons and σ² the variance of readout and rounding. A saturated pixel tells nothing.
+    electrons and σ² the variance of readout and rounding. A saturated pixel carries no information.
 
-    What means and variances tell is never more than the whole distribution does (M. Stein, A. Mezghani, J. A. Nossek,
-    IEEE Signal Process. Lett. 21, 796 (2014)). Where the numbers' steps are finer than the noise, the difference is
-    below 1 % of the information for pixels of 10 electrons or more; for darker ones it grows to 1, 11 and 39 % for a
-    read noise of 6, 2 and 1 electrons. Steps coarser than the noise count as noise, too: the limits are estimates then.
+    Means and variances never carry more than the whole distribution (M. Stein, A. Mezghani, J. A. Nossek, IEEE Signal
+    Process. Lett. 21, 796 (2014)). Where the numbers' steps are finer than the noise, the difference is below 1 % of
+    the information for pixels of 10 electrons or more; for darker ones it grows to 1, 11 and 39 % for a read noise of
+    6, 2 and 1 electrons. Steps coarser than the noise also count as noise: the limits are estimates then.
 
-    The gaze is the laser's place in the target's picture, z tan θ/(pN): that is what stays where focus or focal length
-    are varied, not the angle. The derivatives come by automatic differentiation through the whole chain, with the grids
-    as planned; a traced lens's by differences of pictures on the same grids (`traced_information`). A thin lens's
-    aperture stays where its focal length is varied. A traced prime is scaled as a whole, so its F-number stays, and a
-    zoom's stop opens as its states say, or keeps its `f_number`; the object distance stays.
+    The gaze is the laser's place in the target's picture, z tan θ/(pN): that place, not the angle, is kept where focus
+    or focal length are varied. Derivatives come by automatic differentiation through the whole chain, on the planned
+    grids; a traced lens's by differences of pictures on the same grids (`traced_information`). Varying the focal length
+    keeps a thin lens's aperture. A traced prime is scaled as a whole, so its F-number stays; a zoom's stop follows its
+    states, or keeps its `f_number`; the object distance stays.
     """
     scene = as_scene(scene)
     names = checked_parameters(scene, parameters)
@@ -151,8 +145,9 @@ def slopes_of(
 ) -> Callable[[int], tuple[torch.Tensor, torch.Tensor]]:
     """How a frame changes at any of many gazes: by automatic differentiation, or for a traced lens by differences.
 
-    Arguments as for `TracedSlopes`, errors as of `fisher`. Returns what gives, by a gaze's number, the mean electrons
-    [H, W], hot pixels' left out, and their slopes [P, H W]. The fields of a thin lens are complex128 whatever `dtype`.
+    Arguments as for `TracedSlopes`, errors as of `fisher`. The function returned takes a gaze's number and gives the
+    mean electrons [H, W] without hot pixels' and their slopes [P, H W]. Fields of a thin lens are complex128 whatever
+    `dtype`.
     """
     if isinstance(scene.target.lens, PrescriptionLens):
         return TracedSlopes(scene, names, gazes, accuracy=accuracy, dtype=dtype, device=device)
@@ -174,7 +169,7 @@ def slopes_of(
 
 
 def information_of(mean: torch.Tensor, jacobian: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
-    """Fisher's matrix [P, P] of a frame of mean electrons [H, W], hot pixels' left out, with slopes [P, H W]."""
+    """Fisher matrix [P, P] of a frame of mean electrons [H, W], without hot pixels', with slopes [P, H W]."""
     weight = _information_of_pixels(mean, sensor).flatten()
     return ((jacobian * weight[None, :]) @ jacobian.T).cpu()
 
@@ -187,23 +182,19 @@ def expected_electrons(
     accuracy: float | None = None,
     device: torch.device | str = "auto",
 ) -> torch.Tensor:
-    """Mean electrons of one frame without those of hot pixels, for some values in place of the scene's; differentiable.
+    """Mean electrons [H, W], float64, of one frame without those of hot pixels, for given values; differentiable.
 
     Parameters
     ----------
     scene
-        What stands on the bench.
+        What is simulated.
     values
-        By names of `PARAMETERS`, in their units. The gaze stays where focus or focal length are changed.
+        Replace the scene's, by names of `PARAMETERS`, in their units. The gaze stays where focus or focal length
+        change.
     output
         Pixels in place of the probe's whole sensor.
     accuracy, device
         As for `fisher`.
-
-    Returns
-    -------
-    torch.Tensor
-        [H, W], float64.
 
     Raises
     ------
@@ -218,9 +209,8 @@ def expected_electrons(
     if isinstance(scene.target.lens, PrescriptionLens):
         sines = tilt_of_gaze(scene, gaze)[None, :]
     else:
-        field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
         axis = torch.tensor(sensor.decentre, dtype=torch.float64)
-        tangents = (gaze * field - axis) * (1 / at["focal_length"] - 1 / at["object_distance"])
+        tangents = (gaze * field_size(scene) - axis) * (1 / at["focal_length"] - 1 / at["object_distance"])
         sines = (tangents / torch.sqrt(1 + tangents.square().sum()))[None, :]
     places = torch.stack([at["place_x"], at["place_y"]])[None, :]
     camera = Camera(
@@ -260,14 +250,14 @@ def true_values(scene: Scene, names: Iterable[str]) -> dict[str, float]:
 def _independent_shares(shared: torch.Tensor) -> torch.Tensor:
     """Share of each parameter's information that is independent of the others', from a matrix of unit diagonal.
 
-    1/(F⁻¹)_ii for an F that can be inverted; for any other the residual of each derivative's projection on the others'.
+    1/(F⁻¹)_ii for an invertible F, else the residual of each derivative's projection on the others'.
     """
     left = torch.ones(len(shared), dtype=shared.dtype, device=shared.device)
     for i in range(len(shared)):
         rest = [j for j in range(len(shared)) if j != i]
         values, vectors = torch.linalg.eigh(shared[rest][:, rest])
         along = (shared[i, rest] @ vectors).square()
-        # Eigenvalues of zero belong to combinations of the others that change nothing: only rounding is left of them.
+        # Zero eigenvalues belong to combinations of the others without effect: only rounding is left of them.
         kept = values > _ROUNDING
         left[i] -= (along[kept] / values[kept]).sum()
     return torch.where(left > _ROUNDING, left, torch.zeros_like(left))
@@ -280,12 +270,12 @@ def _information_of_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Ten
         top, left = (rows - mean.shape[-2]) // 2, (columns - mean.shape[-1]) // 2
         hot = hot_currents(sensor)[top : top + mean.shape[-2], left : left + mean.shape[-1]]
         mean = mean + (hot * sensor.exposure).to(mean)
-    # It depends on the mean alone, so a table serves millions of pixels. Unclipped, the moments are straight lines.
+    # It depends on the mean alone, so a table serves millions of pixels. Unclipped moments are linear.
     most = _clipped_from(sensor)
     nodes = (torch.arange(2 + int(most**0.5 / _STEP), dtype=torch.float64) * _STEP).square().requires_grad_()
     numbers, variance = count_moments(nodes, replace(sensor, hot_pixels=0.0))
     (slope,) = torch.autograd.grad(numbers.sum(), nodes)
-    # What rounding leaves of a slope in saturation is none.
+    # In saturation the slope is only rounding: set it to zero.
     slope = torch.where(slope > 1e-9, slope, torch.zeros_like(slope))
     table = torch.stack([nodes, slope, variance]).detach().to(mean.device)
     light = mean.clamp(0, most)
@@ -302,7 +292,7 @@ def _clipped_from(sensor: ProbeSensor) -> float:
 
 
 def _where_it_matters(scene: Scene, sines: torch.Tensor) -> Grid | None:
-    """The pixels that hold a mirror's RR at a tilt [2], where they are fewer than all: dark ones tell nothing."""
+    """Window of the pixels that hold a mirror's RR at a tilt [2], if not all: dark ones carry no information."""
     sensor = scene.target.sensor
     if sensor.layers or any(one is not None for one in (sensor.array, sensor.microlens, sensor.mask, sensor.diffuse)):
         return None
@@ -312,14 +302,14 @@ def _where_it_matters(scene: Scene, sines: torch.Tensor) -> Grid | None:
 
 # Spacing of the table of a pixel's moments, in roots of electrons: a 25th of the shot noise's standard deviation.
 _STEP = 0.02
-# Information from which an inverse, or a share of one parameter's own, is distinguished from rounding.
+# Information below which an inverse, or a parameter's independent share, is rounding.
 _ROUNDING = 1e-10
-# What may be zero is counted in units of its own.
+# Units of parameters whose values may be zero.
 _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
 
 
 def _jacobian(outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-    """∂outputs/∂inputs, [P, N]: one backward pass more than there are inputs, for the outputs are many."""
+    """∂outputs/∂inputs, [P, N], by one backward pass more than there are inputs: outputs are many."""
     # Jᵀu is linear in u: its own derivative along each input is a row of J.
     u = torch.zeros_like(outputs, requires_grad=True)
     (pulled,) = torch.autograd.grad(outputs, inputs, u, create_graph=True)

@@ -1,9 +1,9 @@
 """From the target's pupil to the probe's pixels: to the far field, or over the distance and through a round aperture.
 
-The paper's last step (equation 6) is a propagation over d, the probe's lens, and one over its focal length. In the
-probe's focal plane the distance shows only by what the aperture cuts off: a beam that fits needs one transform, one
-that does not needs two. All passes end here: those of a thin lens with columns and rows that all gazes share, those of
-a traced lens with columns and rows of each gaze's own.
+The paper's last step (equation 6) propagates over d, through the probe's lens, and over its focal length. In the focal
+plane the distance matters only through what the aperture cuts off: a beam that fits needs one transform, any other
+needs two. All passes end here. In those of a thin lens all gazes share columns and rows; in those of a traced lens each
+gaze has its own.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tapetum.simulate.foreshortening import cosines, foreshortening
 
 __all__ = ["ProbeAperture", "ProbePath", "missed_path"]
 
-# How far light may turn between two samples of the probe's aperture behind a traced lens, in radians.
+# Largest phase step between two samples of the probe's aperture behind a traced lens, in radians.
 _APERTURE_RADIANS = 2.0
 
 
@@ -36,31 +36,23 @@ class ProbeAperture:
 
     @classmethod
     def behind_thin(cls, geometry: DoublePassGeometry, distance: torch.Tensor | float, radius: float) -> ProbeAperture:
-        """With the samples that a thin lens's scene needs."""
+        """The aperture with the samples that a thin lens's scene needs."""
         away = float(torch.as_tensor(distance).detach())
         return cls(distance, radius, *aperture_samples(geometry, away, radius))
 
     @classmethod
     def behind_traced(cls, distance: float, radius: float, wavelength: float, window: float) -> ProbeAperture:
-        """With the samples that a picture of half-diagonal `window` (an angle, in radians) needs."""
+        """The aperture with the samples for a picture of half-diagonal `window` (radians), behind a traced lens."""
         turn = 2 * math.pi / wavelength * radius * (radius / distance + window)
         samples = max(64, math.ceil(2 * turn / _APERTURE_RADIANS))
         return cls(distance, radius, samples, samples)
 
 
 def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float, wavelength: float) -> float:
-    """The most, in metres, that Fresnel's chirps miss of the way from the pupil to the probe's aperture.
+    """Largest path, in metres, that Fresnel's chirps miss between the pupil and the probe's aperture.
 
-    Parameters
-    ----------
-    aperture
-        The probe's; light that spreads less than it does counts as far as it spreads.
-    reach, angle
-        Half width of the pupil and the largest angle of what leaves it.
-    sine
-        Of the tilt.
-    wavelength
-        In metres.
+    `reach` is the pupil's half width in metres, `angle` the largest angle of the light that leaves it, `sine` that of
+    the tilt. Light that spreads less than the aperture counts only as far as it spreads.
     """
     d = float(aperture.distance)
     wide = reach + min(aperture.radius, reach + angle * d + math.sqrt(wavelength * d))
@@ -68,20 +60,11 @@ def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float
 
 
 class ProbePath:
-    """Carries pupil fields to the probe's focal plane.
+    """Carries pupil fields to the probe's focal plane, on the pixels of `output`.
 
-    Parameters
-    ----------
-    output
-        Pixels of the probe's sensor.
-    x, y
-        The pupil's columns and rows, in metres; of pupils with their own, two ends that hold all of them.
-    wavelength, probe_focal_length
-        In metres; tensors carry gradients.
-    aperture
-        What the light goes through; all of it reaches the probe's sensor when left out.
-    dtype, device
-        Of the fields.
+    `x` and `y` are the pupil's columns and rows in metres; for pupils with their own, two ends that enclose all of
+    them. `wavelength` and `probe_focal_length` (metres) may be tensors that carry gradients. Without an `aperture` all
+    light reaches the probe's sensor.
     """
 
     def __init__(
@@ -102,9 +85,9 @@ class ProbePath:
         k = 2 * math.pi / wavelength
         self._to_pixels = k / probe_focal_length
         pixels = output.x(device=device), output.y(device=device)
-        # Every constant of the way, to be multiplied in once.
+        # All constants of the path, multiplied in once.
         self.constant = 1 / (1j * wavelength * probe_focal_length)
-        # What the way adds to the pupil's phase, in radians per m²: the Fresnel chirp of a finite distance.
+        # Phase added to the pupil, in radians per m²: the Fresnel chirp of a finite distance.
         self.chirp = torch.zeros((), dtype=torch.float64, device=device)
         self._seen, self._kappa = pixels, self._to_pixels
         if aperture is not None:
@@ -121,16 +104,16 @@ class ProbePath:
     def gather(
         self, pupil: torch.Tensor, rows: slice, tilts: torch.Tensor | None, centres: torch.Tensor | None
     ) -> torch.Tensor:
-        """What rows of the shared pupil [B, rows, columns] add to the field at the first transform's nodes.
+        """Contribution of some rows of the shared pupil [B, rows, columns] to the field at the first transform's nodes.
 
-        `tilts` [B, 2] foreshorten the picture where they are given; `centres` [B, 2] move it, in metres.
+        `tilts` [B, 2], where given, foreshorten the picture; `centres` [B, 2] move it, in metres.
         """
         if centres is not None and self.aperture is None:
             pupil = pupil * self._ramp(centres, self._x, self._y[rows])
         if tilts is None:
             return self._first.at_nodes(pupil, rows.start)
-        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation goes
-        # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
+        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation acts
+        # on the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
         _, t = foreshortening(tilts)
         mix, down = self._rest(t, self._y[rows])
         return down @ (self._first.across(pupil, t[:, 0, 0]) * mix)
@@ -139,8 +122,8 @@ class ProbePath:
         """As `gather`, of all rows of a pupil whose coordinates are not turned by the rotation R: behind a mask."""
         if centres is not None and self.aperture is None:
             pupil = pupil * self._ramp(centres, self._x, self._y)
-        # M as it is: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Of its four phases the one of y and qx fits into no
-        # product. It turns slowly, by the square of the tilt: a few Chebyshev nodes in qx hold it.
+        # M unchanged: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Three of its four phases fit into the products. The
+        # one of y and qx changes slowly, by the square of the tilt: a few Chebyshev nodes in qx suffice.
         rotation, t = foreshortening(tilts)
         m = self._kappa * (rotation @ t)
         qx, qy = self._first.ux, self._first.uy
@@ -168,32 +151,26 @@ class ProbePath:
         sines: torch.Tensor,
         centres: torch.Tensor | None,
     ) -> torch.Tensor:
-        """Field on the pixels, [B, H, W], of pupils with columns and rows of their own.
+        """Field on the pixels, [B, H, W], of pupils [B, n, n] with their own columns x and rows y [B, n].
 
-        Parameters
-        ----------
-        pupil
-            [B, n, n] field that leaves, tilt removed, per unit area.
-        x, y
-            [B, n] columns and rows of the pupil, in coordinates turned by the rotation R of `foreshortening`.
-        sines, centres
-            Those of the pass.
+        `pupil` is the field that leaves per unit area, tilt removed; x and y are in coordinates turned by the rotation
+        R of `foreshortening`.
         """
         rotation, t = foreshortening(sines)
         middle_x, middle_y = (x[:, :1] + x[:, -1:]) / 2, (y[:, :1] + y[:, -1:]) / 2
         step = (x[:, 1] - x[:, 0]) * (y[:, 1] - y[:, 0])
-        # What a tilted pupil sends spreads over a foreshortened picture.
+        # A tilted pupil's light spreads over a foreshortened picture.
         strength = step * torch.sqrt(cosines(sines)) * self.constant
         pupil = pupil * strength[:, None, None].to(self.dtype)
         if self.aperture is not None:
-            # Fresnel's chirp of the distance: seen from the probe the pupil is shortened along the tilt.
+            # Fresnel chirp of the distance: for the probe the pupil is foreshortened along the tilt.
             tilt = (rotation.mT @ sines[..., None])[..., 0]
             along = tilt[:, 0, None, None] * x[:, None, :] + tilt[:, 1, None, None] * y[:, :, None]
             square = x[:, None, :] ** 2 + y[:, :, None] ** 2 - along**2
             pupil = pupil * phasor(self.chirp * square, self.dtype)
         elif centres is not None:
             pupil = pupil * self._ramp(centres, x, y)
-        # A pupil off its middle only turns the phase of the picture: taken out of what is summed at the nodes.
+        # A pupil off its middle adds a linear phase to the picture: apply it after the sum over nodes.
         columns = self._kernel(-self._kappa * t[:, 0, 0, None] * (x - middle_x), self._first.ux)
         mix, down = self._rest(t, y - middle_y)
         wide, high = self._seen
@@ -216,7 +193,7 @@ class ProbePath:
             return first
         passed = first * self._passed
         if centres is not None:
-            # The beam comes back to the probe's middle, under an angle.
+            # The beam returns to the probe's middle, under an angle.
             passed = passed * self._ramp(centres, *self._seen)
         return self._second(passed)
 

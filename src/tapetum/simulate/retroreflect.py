@@ -35,15 +35,15 @@ def retroreflect(
     dtype: torch.dtype = torch.complex64,
     device: torch.device | str = "auto",
 ) -> Image:
-    """Simulate what the probe's sensor receives.
+    """Simulate the light on the probe's sensor.
 
     Parameters
     ----------
     scene
-        What stands on the bench; or its name or path, as for `tapetum.bench.load_scene`.
+        A scene, or its name or path, as for `tapetum.bench.load_scene`.
     rotation
-        In degrees. One number or [B]: about x, as the paper turns its target. [B, 2]: about y and about x. The scene's
-        own rotation when left out.
+        In degrees. One number or [B]: about x, as the paper turns its target. [B, 2]: about y and about x. Default: the
+        scene's own.
     object_distance, focal_length
         Of the target, in metres, in place of the scene's.
     accuracy

@@ -1,14 +1,14 @@
-"""The double pass of a round lens before plane mirrors, gratings included: the fast way.
+"""The double pass of a round lens before plane mirrors, gratings included: the fast engine.
 
-Light that enters a round aperture, meets a plane mirror and comes back to the lens is a round field F about a point
-that the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sines s and its tangents t = s/cosθ:
+Light that enters a round aperture, meets a plane mirror and returns to the lens is a round field F about a point that
+the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sines s and its tangents t = s/cosθ:
 
     U3'(x) = √cosθ P(x) exp(ik x²(1/z - 1/f)/2) exp(ikz t²) F(|x - 2z t|)
     U5(q)  = √cosθ/(iλf_p) ∫ U3'(x) exp(-ik x·Mq/f_p) d²x
 
-F is tabulated once for all gazes; a gaze costs a look-up for each sample of the pupil and one transform onto the
-probe's pixels. A grating's order m of direction τ = mλ/p returns what the mirror would return from the tangents
-t + τ/2, and every plane has its own z, so pixel arrays and layers are sums of such terms.
+F is tabulated once for all gazes; a gaze costs one look-up for each sample of the pupil and one transform onto the
+probe's pixels. A grating's order m of direction τ = mλ/p returns what a mirror would from the tangents t + τ/2. Every
+plane has its own z, so pixel arrays and layers are sums of such terms.
 """
 
 from __future__ import annotations
@@ -32,22 +32,22 @@ from tapetum.simulate.true_paths import Leg, TruePaths, neglected_path
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
-# Samples of pupils looked up at a time: what they take stays in the processor's caches.
+# Samples of pupils looked up at a time: their memory fits the processor's caches.
 _SAMPLES_AT_ONCE = 1 << 18
-# Samples up to which the lens's phase and weights are kept: those of larger pupils are recomputed for each band.
+# Samples up to which the lens's phase and weights are kept; larger pupils recompute them for each band.
 _SAMPLES_KEPT = 1 << 24
-# Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
+# Degree of the pupil's end correction: with these few samples a higher one amplifies the faint steep light.
 _END_ORDER = 3
-# Share of the expected error, in radians, below which a path that the table does not hold is left out.
+# Share of the expected error, in radians, below which a path beyond the table is neglected.
 _SHARE_MISSED = 0.25
-# What automatic differentiation keeps for each sample of the pupil (some forty numbers), and may keep in all.
+# Bytes that automatic differentiation keeps for each pupil sample (some forty numbers), and may keep in all.
 _BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
 
 
 @dataclass(frozen=True)
 class _Prepared:
-    """What a surface needs at every gaze."""
+    """Data of a surface for every gaze."""
 
     z: torch.Tensor
     tables: FocusTables
@@ -65,7 +65,7 @@ class _Prepared:
 
 
 class RoundPass:
-    """The retro-reflection of a thin lens, for any number of gazes. Holding the instance is the cache.
+    """The retro-reflection of a thin lens, for any number of gazes; its tables are computed once, with the instance.
 
     Parameters
     ----------
@@ -76,16 +76,16 @@ class RoundPass:
     output
         Pixels of the probe's sensor.
     surfaces
-        Planes that reflect, summed coherently. One mirror at the geometry's image distance when left out.
+        Planes that reflect, summed coherently. Default: one mirror at the geometry's image distance.
     distance, probe_radius
-        Both given, the light travels the distance and through the probe's round aperture, in metres; the plan must
-        have been made for it (`optics.sampling.through_aperture`). Left out, all of it reaches the probe's sensor.
+        Both given, the light travels the distance and through the probe's round aperture, in metres; the plan must be
+        made for it (`optics.sampling.through_aperture`). Default: all light reaches the probe's sensor.
     lit_radius
-        Of the light that enters, in metres, where the beam is narrower than the aperture.
+        Of a beam narrower than the aperture, in metres.
     interferes
-        Whether the field meets others', so that it needs the phases of its planes even for a single one.
+        Whether the field meets others', so that even a single plane needs its phase.
     parameters
-        Tensors in place of the geometry's numbers where gradients shall flow: `focal_length`, `radius`, `wavelength`,
+        Tensors that carry gradients, in place of the geometry's numbers: `focal_length`, `radius`, `wavelength`,
         `curvature`, `probe_focal_length`; a surface carries its own image distance.
     dtype
         complex64 or complex128.
@@ -137,7 +137,7 @@ class RoundPass:
         )
         directions = [math.hypot(*order.direction) for one in surfaces for order in one.orders]
         self._steepest = geometry.tangent + max(directions, default=0.0) / 2
-        # One plane mirror needs no phase of its own: nothing interferes with it.
+        # A single plane needs no phase: nothing interferes with it.
         self._interferes = interferes or sum(len(one.orders) for one in surfaces) > 1
         self._lit: torch.Tensor | None = None
         if lit_radius is not None and lit_radius < geometry.radius:
@@ -165,14 +165,14 @@ class RoundPass:
         tilt = torch.tensor(surface.tilt, dtype=torch.float64, device=self.device)
 
         def table(image_distance: float) -> RadialTable:
-            # The ray that comes along the tilt is read where a round lens's would be: a little farther out.
+            # Light along the tilt is read where a round lens's would be: slightly farther out.
             moved = 1 + 1.5 * abs(self.geometry.curvature) * self.geometry.sine**2 * 2 * self.geometry.focal_length
             return returning_field(
                 wavelength,
                 float(lit.detach()),
                 image_distance,
                 float(vergence.detach()),
-                # Beyond the pupil's edge only the end correction reads: a few samples.
+                # Only the end correction reads beyond the pupil's edge: a few samples.
                 moved * (1.05 * radius + 2 * image_distance * self._steepest * (1 + 1e-6)),
                 (self.plan.flat_slope, self.plan.end_slope),
                 partials=self.differentiable,
@@ -183,7 +183,7 @@ class RoundPass:
         tables = focus_tables(table, z_now, reach, float(self._k.detach()) * float(lit.detach()) ** 2, error)
         moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
         if len(tables.nodes) > 1:
-            # Each table stays at its own distance: the weights between them follow the gaze's.
+            # Each table keeps its own distance; the weights between tables follow the gaze's.
             del moving["image_distance"]
         moves = {name: value - value.detach() for name, value in moving.items() if value.requires_grad}
         bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) + self._path.chirp
@@ -193,7 +193,7 @@ class RoundPass:
         return prepared
 
     def _leaving(self, one: _Prepared, rows: slice) -> torch.Tensor:
-        """What the lens makes of light that passes it on its way out: weight, phase and constants, [rows, columns]."""
+        """Factor of the lens on the way out: weight, phase and constants, [rows, columns]."""
         if one.exit is not None:
             return one.exit[rows]
         across = phasor(one.bend * self._x**2).to(self.dtype)
@@ -202,19 +202,10 @@ class RoundPass:
         return (weights * self._values["radius"] ** 2).to(self._real) * down[:, None] * across[None, :]
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
-        """Irradiance on the probe's pixels for an illumination of 1 W/m² and surfaces of the amplitudes given.
+        """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target and the surfaces' amplitudes.
 
-        Parameters
-        ----------
-        sines
-            [B, 2] sines of the tilt along x and y.
-        centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
-
-        Returns
-        -------
-        torch.Tensor
-            [B, H, W], W/m².
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
         """
         u = self.field(sines, centres)
         return u.real**2 + u.imag**2
@@ -236,7 +227,7 @@ class RoundPass:
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights.
 
-        Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the light that comes.
+        Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the incoming light.
         """
         sines = sines.to(self.device, torch.float64)
         weights = self._disc.weights(slice(0, self.plan.rows)) * self._values["radius"] ** 2
@@ -249,7 +240,7 @@ class RoundPass:
 
     def _field(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         twist = foreshortens(self, sines)
-        # A pupil too large for the caches is taken in bands of rows.
+        # Pupils too large for the caches are computed in bands of rows.
         whole = self.differentiable or sines.requires_grad
         if whole:
             self._check_graph(len(sines))
@@ -260,12 +251,12 @@ class RoundPass:
             part = self._path.gather(self._pupil(sines, rows, twist), rows, sines if twist else None, centres)
             gathered = part if gathered is None else gathered + part
         assert gathered is not None
-        # The tilted lens takes in cosθ of what falls on it, and what it sends spreads over a foreshortened picture.
+        # The tilted lens receives cosθ of the light, and its return spreads over a foreshortened picture.
         gathered = gathered * cosines(sines)[:, None, None].to(self._real)
         return self._path.to_image(gathered, centres)
 
     def _check_graph(self, batch: int) -> None:
-        """Refuse gradients that would not fit: they keep every step of every sample."""
+        """Refuse gradients that exceed the memory: they keep every step of every sample."""
         needed = _BYTES_OF_GRAPH * batch * self.plan.columns * self.plan.rows
         if needed > _MOST_GRAPH:
             raise InputError(
@@ -293,7 +284,7 @@ class RoundPass:
                     value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
                 amplitude = order.at(z[:, None] * slopes)
                 if self._interferes:
-                    # The mirror's own phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
+                    # The mirror's phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
                     phase = self._k * z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
                     value = value * (phasor(phase) * amplitude).to(self.dtype)[:, None, None]
                 elif isinstance(amplitude, torch.Tensor):
@@ -310,7 +301,7 @@ class RoundPass:
         return total
 
     def _follows(self, one: _Prepared, sines: torch.Tensor) -> bool:
-        """Whether these gazes need paths that the table does not hold."""
+        """Whether these gazes need paths beyond the table."""
         if one.tilted:
             return True
         if sines.requires_grad and (self.geometry.curvature or self._distance is not None):
@@ -333,7 +324,7 @@ class RoundPass:
     ) -> torch.Tensor:
         """As `_looked_up`, along the light's true paths."""
         tilt = one.tilt.expand(len(sines), -1)
-        # Along a tilted plane the ways to it grow by less than the plane's own a·v.
+        # Along a tilted plane the path to it grows by less than the plane's own a·v.
         turn = tau - (slopes**2).sum(-1, keepdim=True) * tilt
         vectors = (sines, slopes, turn, tilt)
         if twist:
@@ -350,7 +341,7 @@ class RoundPass:
         across = ((self._x[None, :] - offset[:, 0:1]) / table.step) ** 2
         down = ((self._y[None, rows] - offset[:, 1:2]) / table.step) ** 2
         if self.differentiable or seen.requires_grad or self.dtype == torch.complex128:
-            # The root has no gradient at zero: a distance of nothing counts as a billionth of a step.
+            # The root has no gradient at zero: a zero distance counts as a billionth of a step.
             steps = torch.sqrt((down[:, :, None] + across[:, None, :]).clamp_min(1e-18))
             return table.smooth(steps, **one.moves).to(self.dtype)
         steps = (down.to(self._real)[:, :, None] + across.to(self._real)[:, None, :]).sqrt_()

@@ -1,4 +1,4 @@
-"""Irradiance that depends on the distance from one point only: tabulated once, drawn wherever that point lies."""
+"""Irradiance that depends only on the distance from one point: tabulated once, drawn anywhere."""
 
 # SciPy types its splines in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -13,21 +13,15 @@ from scipy.interpolate import CubicSpline
 
 __all__ = ["RoundPicture"]
 
-# Entries of the table for each sample: linear interpolation then errs by 1e-4 of what turns in six samples.
+# Entries of the table for each sample: linear interpolation errs by 1e-4 for detail of six samples' period.
 _FINER = 32
 
 
 class RoundPicture:
-    """A profile by the distance from its middle, ready to be drawn on any pixels; differentiable by their places.
+    """A radial profile, ready to be drawn on any pixels; differentiable by their places.
 
-    Parameters
-    ----------
-    radii
-        [N] distances in metres, evenly spaced from 0; beyond the last one the picture is dark.
-    profile
-        [N] values there, any unit.
-    dtype
-        Of the pictures; float32 takes half the time.
+    `radii` [N] are distances in metres, evenly spaced from 0; beyond the last the picture is dark. `profile` [N] has
+    any unit. Drawing in float32 takes half the time.
     """
 
     def __init__(
@@ -44,7 +38,7 @@ class RoundPicture:
     def at(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         """Values [len(y), len(x)] on columns x and rows y, in metres from the middle."""
         x, y = (one.to(self._values) * ((self._last - 1) / self.end) for one in (x, y))
-        # The floor keeps the root's gradient a number in the very middle.
+        # The floor keeps the root's gradient finite in the very middle.
         place = torch.sqrt((x[None, :] ** 2 + y[:, None] ** 2).clamp_min(1e-12)).clamp_max(self._last)
         low = place.detach().long().flatten()
         picture = torch.addcmul(self._values.take(low), place.flatten() - low, self._rises.take(low))

@@ -1,4 +1,4 @@
-"""A plane of the target that scatters: what lights it, and how coherent the light is that it sends back."""
+"""Scattering planes of the target: how they are lit, and how coherent the light is that they return."""
 
 # SciPy and NumPy type these functions in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -29,7 +29,7 @@ NOTHING = 14.0
 AT_ONCE = 1 << 21
 """Numbers that are computed at once, to bound the memory."""
 
-# Nodes of one panel of a Gauss-Legendre rule, and radians that its integrand may turn: π a sample is the limit.
+# Nodes of one panel of a Gauss-Legendre rule, and its largest phase in radians: the limit is π a sample.
 _NODES, _RADIANS = 32, 36.0
 
 
@@ -68,13 +68,13 @@ class ScatteringPlane:
         return self.radius * abs(1 + self.outward * distance) + distance * angle
 
     def coherence(self, apart: Real) -> Real:
-        """Transform of the scattering irradiance: what the spot's pupil and the spread leave at these distances."""
+        """Transform of the scattering irradiance at these distances, by the spot's pupil and the spread."""
         spot = autocorrelation(apart, self.lit, self.inward * self.wavenumber)
         return spot * np.exp(-((self.wavenumber * self.spread * apart / self.z) ** 2) / 2)
 
 
 class PlaneOptions(TypedDict, total=False):
-    """What says how a plane scatters; parameters of `diffuse_return`."""
+    """How a plane scatters: parameters of `diffuse_return`."""
 
     albedo: Required[float]
     spread: float
@@ -92,7 +92,7 @@ def scattering_plane(
     image_distance: float | None = None,
     lit_radius: float | None = None,
 ) -> ScatteringPlane:
-    """Check what is known of a plane: parameters and errors of `diffuse_return`."""
+    """Check the data of a plane: parameters and errors of `diffuse_return`."""
     z = geometry.image_distance if image_distance is None else image_distance
     for name, value in (("distance", distance), ("image_distance", z)):
         if not (math.isfinite(value) and value > 0):
@@ -122,7 +122,7 @@ def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
     block = max(1, AT_ONCE // len(nodes))
     for i in range(0, len(share), block):
         s = share[i : i + block, None]
-        # a + Δ/2 = r cosθ: the chord's root is gone.
+        # a + Δ/2 = r cosθ removes the chord's root.
         angle = np.arccos(s) * nodes
         wave = np.cos(2 * bend * radius**2 * s * (np.cos(angle) - s))
         out[i : i + block] = 4 * radius**2 * ((np.sin(angle) ** 2 * wave) @ weights) * np.arccos(s[:, 0])
@@ -130,7 +130,7 @@ def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
 
 
 def legendre(low: float, high: float, turns: float) -> tuple[Real, Real]:
-    """Composite Gauss-Legendre nodes and weights for an integrand that turns by so many radians."""
+    """Composite Gauss-Legendre nodes and weights for an integrand whose phase covers so many radians."""
     panels = max(1, math.ceil(turns / _RADIANS))
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     width = (high - low) / panels

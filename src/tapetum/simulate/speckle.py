@@ -1,4 +1,4 @@
-"""Speckle: what coherent light makes of a rough plane of the target, one roughness at a time."""
+"""Speckle: coherent light from a rough plane of the target, one pattern for each roughness."""
 
 # NumPy types what torch takes from it in part only.
 # pyright: reportUnknownMemberType=false
@@ -36,7 +36,7 @@ def speckle_return(
     rings: float = 12.0,
     **options: Unpack[PlaneOptions],
 ) -> torch.Tensor:
-    """Speckle patterns of a scattering plane of the target: coherent light off a rough plane, one at a time.
+    """Speckle patterns of a scattering plane of the target, in coherent light.
 
     Parameters
     ----------
@@ -47,8 +47,8 @@ def speckle_return(
     count
         Number of patterns.
     rings
-        Airy rings of the spot that scatter, beyond its geometric radius. What lies outside is left out: about
-        0.2/rings of the light.
+        Airy rings of the spot that scatter, beyond its geometric radius. About 0.2/rings of the light lies outside and
+        is left out.
 
     Returns
     -------
@@ -63,9 +63,9 @@ def speckle_return(
     Notes
     -----
     The plane's field is circular Gaussian white noise of the variance λ² L(v)/dv² (J. W. Goodman, Speckle Phenomena in
-    Optics, 2007, sections 2.2 and 4.5); samples at half the Airy ring's width make its coherence on the pupil exact.
-    A clipped pattern goes over the probe's aperture in two matrix Fourier transforms. Polarisation is left out: where
-    scattering mixes it, half as many patterns again are seen, and the contrast is 1/√2.
+    Optics, 2007, sections 2.2 and 4.5); samples at half the Airy ring's width make its coherence on the pupil exact. A
+    clipped pattern passes the probe's aperture by two matrix Fourier transforms. Polarisation is left out: a
+    depolarising plane shows two independent patterns at once, and the contrast falls to 1/√2.
     """
     plane = scattering_plane(geometry, distance, probe_radius, **options)
     if count < 1:
@@ -81,7 +81,7 @@ def speckle_return(
     sensor = Grid(side, side, 2 * half / side)
     bend = r * abs(plane.outward)
     clipped = math.isfinite(probe_radius)
-    # The steepest slope of the field on the target's pupil against what it goes to, and on the probe's.
+    # Steepest slopes of the field on the target's pupil and on the probe's, each against its next plane.
     onward = r / distance + probe_radius / distance if clipped else image
     columns = max(48, math.ceil(2 * r * k * (half / z + bend + onward) / _TURN))
     stop = math.ceil(2 * probe_radius * k * ((r + probe_radius) / distance + image) / _TURN) if clipped else 0
@@ -101,7 +101,7 @@ def speckle_return(
     onto_pupil = MatrixFourier(v, v, pupil.x, pupil.y, k / z)
     scale = 1 / (plane.wavelength * z) / (plane.wavelength * f_p)
     steps: list[MatrixFourier] = [onto_pupil]
-    # What the field is multiplied by after each of them.
+    # Factors of the field after each transform.
     screens = [pupil.weights * phasor(phase) * scale]
     end = pupil
     if clipped:

@@ -15,14 +15,9 @@ __all__ = ["Order", "PlaceSeries", "Surface"]
 
 @dataclass(frozen=True, eq=False)
 class PlaceSeries:
-    """An amplitude that depends on the place of the spot: Σ c_b exp(iκ b·u), c [rows, columns] of b = -n to n.
+    """An amplitude that depends on the place u of the spot: Σ c_b exp(iκ b·u), b = -n to n.
 
-    Parameters
-    ----------
-    coefficients
-        [2n + 1, 2n + 1].
-    wavenumber
-        κ, in 1/m.
+    `coefficients` are c, [2n + 1, 2n + 1], rows and columns; `wavenumber` is κ, in 1/m.
     """
 
     coefficients: npt.NDArray[np.complex128]
@@ -45,7 +40,7 @@ class Order:
     direction
         Its sines (τ_x, τ_y), (m_x, m_y) λ/p for a grating; a plane tilted by a adds 2a.
     amplitude
-        Complex; on the optical axis where it depends on the place.
+        Complex; with a `series`, that on the optical axis.
     series
         Its amplitude by the place of the spot, where it depends on it.
     """
@@ -55,14 +50,14 @@ class Order:
     series: PlaceSeries | None = None
 
     def scaled(self, factor: float) -> Order:
-        """The same order of a plane reached by so much of the amplitude."""
+        """The same order with its amplitude times this factor."""
         if factor == 1:
             return self
         series = self.series and replace(self.series, coefficients=self.series.coefficients * factor)
         return replace(self, amplitude=self.amplitude * factor, series=series)
 
     def at(self, places: torch.Tensor) -> torch.Tensor | complex:
-        """Its amplitude, [B] where it depends on the places [B, 2] of the spot."""
+        """Its amplitude; [B] where it depends on the places [B, 2] of the spot."""
         return self.amplitude if self.series is None else self.series(places)
 
 
@@ -77,14 +72,13 @@ class Surface:
     orders
         What it returns; a mirror has one order of direction 0.
     phase
-        Of its reflection against the others', in radians: twice the optical path by which it is nearer, times -k.
+        Of its reflection against the others', in radians: -k times twice the optical path by which it is nearer.
     depth, index
-        Where it lies before the sensor, in metres, and the refractive index between: image_distance and phase follow
-        from them for a thin lens, a traced one takes them as they are.
+        Distance before the sensor, in metres, and the refractive index between. For a thin lens image_distance and
+        phase follow from them; a traced lens uses them directly.
     tilt
-        Of its plane, a in radians, which the orders' directions already hold (2a). The plane lies a·u0 farther at the
-        spot u0, and each gaze is computed with that change of focus. For a tilt of half a degree and a spot 2 mm from
-        the axis that is 17 um.
+        Of its plane, a in radians, which the orders' directions already hold (2a). At the spot u0 the plane lies a·u0
+        farther (17 um for half a degree and 2 mm), and each gaze is computed with that change of focus.
     """
 
     image_distance: torch.Tensor | float

@@ -1,4 +1,4 @@
-"""A scene's traced lens: its pupils at each wavelength, and the passes of what reflects behind it."""
+"""A scene's traced lens: its pupils at each wavelength, and the passes of the planes behind it."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COUNT, _BISECTIONS = 21, 9
 
 
 class TracedLens:
-    """The target's lens of a scene, traced. Holding it is the cache.
+    """The target's lens of a scene, traced once for all wavelengths and passes.
 
     Parameters
     ----------
@@ -41,7 +41,8 @@ class TracedLens:
     Raises
     ------
     InputError
-        For a lens that lets nothing through, and what a traced lens does not do: masks, beams narrower than the lens.
+        For a lens that lets nothing through, and for what a traced lens does not support: masks, beams narrower than
+        the lens.
     """
 
     def __init__(self, scene: Scene, object_distance: float, steepest: float) -> None:
@@ -83,10 +84,9 @@ class TracedLens:
         return self._at(wavelength)[1].aperture[0]
 
     def thin_focal_length(self, wavelength: float) -> float:
-        """Focal length, in metres, of the thin lens that is as much out of focus at a wavelength as this one.
+        """Focal length, in metres, of the thin lens with the same defocus at a wavelength.
 
-        Its sensor stands where a thin lens of the focal length at the design wavelength is sharp: what is scattered
-        goes by it.
+        The sensor stands where a thin lens of the design wavelength's focal length is sharp. Scattered light uses it.
         """
         focused, _ = self._at(wavelength)
         sensor = 1 / (1 / self._lens.focal_length - 1 / self._object_distance)
@@ -128,7 +128,7 @@ class TracedLens:
     def glints(
         self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype = torch.float64
     ) -> Glints | None:
-        """What its surfaces themselves send back; None where they are not said to reflect.
+        """The glints of its surfaces; None where these are not said to reflect.
 
         Raises
         ------
@@ -183,7 +183,7 @@ def _return_angle(
 
 
 def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
-    """Sine of the steepest tilt, up to `steepest`, that a lens lets any light through at: none returns beyond."""
+    """Sine of the steepest tilt, up to `steepest`, at which a lens lets light through; beyond it nothing returns."""
 
     def passes(sine: float) -> bool:
         try:
@@ -200,7 +200,7 @@ def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if passes(middle) else (low, middle)
     if low == 0:
-        # Says what is wrong with it.
+        # This raises with the reason.
         trace_bundle(focused, torch.zeros(1, dtype=torch.float64), curvature=curvature, count=_COUNT)
-    # At the very edge of the field a pupil is a sliver.
+    # At the very edge of the field the pupil is narrow.
     return 0.97 * low

@@ -1,4 +1,4 @@
-"""What a frame may be asked to tell: the parameters of Fisher information, and those that have no limit in a scene."""
+"""Parameters of Fisher information, and which of them have no limit in a scene."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def not_told(scene: Scene, name: str) -> str | None:
 
 
 def checked_parameters(scene: Scene, parameters: Sequence[str], known: Iterable[str] = PARAMETERS) -> tuple[str, ...]:
-    """Names of parameters, of the `known` ones, as `fisher` takes them; what has no limit in a scene is refused."""
+    """Parameters of `fisher`, checked against the `known` ones; refuse those without a limit in the scene."""
     names = (parameters,) if isinstance(parameters, str) else tuple(parameters)
     for name in names:
         if name not in (all_known := tuple(known)):

@@ -1,8 +1,8 @@
 """Finding retro-reflections in a whole frame of the probe.
 
 A spot may be an Airy pattern five pixels wide or a saturated, ringed beam of several hundred; it may have lobes and
-fringes, and reflections of reflections beside it. Each comes out as one detection: the light is sought at two scales,
-the brightest place first, and everything within the reach of a spot's second moments belongs to it.
+fringes, and reflections of reflections beside it. Each becomes one detection: light is sought at two scales, the
+brightest place first, and everything within the reach of a spot's second moments belongs to it.
 
 `Detector` is the interface that tracking uses; `SpotDetector` is its one implementation.
 """
@@ -32,7 +32,7 @@ LARGEST_FRAME = 2**27
 def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: float) -> NDArray[np.bool_]:
     """Return which spots accompany a brighter one. Spots come brightest first."""
     x, y, peak = spots["x"], spots["y"], spots["peak"]
-    # How bright a saturated spot really is nobody knows: it may have twice the ghost.
+    # A saturated spot's true height is unknown: its ghost may be twice as bright.
     limit = ratio * peak * np.where(spots["saturated"] > 0, 2.0, 1.0)
     ghost = np.zeros(len(x), dtype=bool)
     for n in range(1, len(x)):
@@ -57,14 +57,14 @@ def detect(
     """Find the retro-reflections in a frame.
 
     The background is a surface of the fourth order fitted from below, the noise comes from differences of neighbours,
-    single hot pixels are replaced. What stands out of the noise at 1.5 or 6 px of smoothing is a spot; its centroid and
-    its size come from the second moments within 1.5 times its own diameter (ISO 11146-1 with a narrower aperture), and
-    whatever lies in there, lobes, fringes, inner rings, is part of it.
+    and single hot pixels are replaced. Light above the noise at 1.5 or 6 px of smoothing is a spot; its centroid and
+    size come from the second moments within 1.5 times its own diameter (ISO 11146-1 with a narrower aperture), and
+    everything within it, lobes, fringes, inner rings, is part of it.
 
-    A probe's beam splitter gives every retro-reflection a dim companion at a fixed offset, and lenses give bright light
-    stray reflections. A spot is called a *ghost* when a brighter one within `ghost_radius` outshines it by more than
+    A probe's beam splitter gives every retro-reflection a dim companion at a fixed offset, and bright light causes
+    stray reflections in lenses. A spot is a *ghost* when a brighter one within `ghost_radius` outshines it by more than
     1/`ghost_ratio` (half as much where the brighter one is saturated), or when it has less than `stray` of the height
-    of the brightest spot of the frame. The price: a second camera that near and that much dimmer is taken for a ghost;
+    of the brightest spot of the frame. A second camera that near and that much dimmer is therefore taken for a ghost;
     set ``ghosts="mark"`` to see them all.
 
     Parameters
@@ -72,7 +72,7 @@ def detect(
     image
         [H, W], uint8, uint16 or float, grey.
     full_scale
-        Value at which a pixel is saturated; the type's largest where not given (none for float).
+        Value at which a pixel is saturated; default: the type's largest (none for float).
     min_snr
         Smallest height of a spot over the noise, after smoothing.
     max_count
@@ -82,12 +82,12 @@ def detect(
     ghost_ratio
         Largest height of a ghost, as a fraction of the spot it belongs to. 0: there are no ghosts nearby.
     ghost_radius
-        Largest distance of a ghost in pixels; 0.35 of the frame's diagonal where not given.
+        Largest distance of a ghost in pixels; default: 0.35 of the frame's diagonal.
     stray
         Height, as a fraction of the brightest spot's, below which light anywhere is stray. 0: never.
     largest
-        Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are left out before ghosts
-        are looked for, and outshine nothing. None: no limit.
+        Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are removed before ghosts are
+        sought. None: no limit.
 
     Returns
     -------
@@ -165,9 +165,9 @@ class Detector(Protocol):
 
 
 class SpotDetector:
-    """Looks at every frame by itself, with `detect` and its options; an InputError says where it has no such option.
+    """Applies `detect` to every frame separately; InputError for options that `detect` does not have.
 
-    A frame's own full scale holds where none is given.
+    A frame's own full scale applies where none is given.
     """
 
     def __init__(self, **options: Any) -> None:

@@ -1,4 +1,4 @@
-"""What was seen in one frame: a small table of spots that every step of tracking takes and returns."""
+"""The spots of one frame: a small table that every step of tracking takes and returns."""
 
 from __future__ import annotations
 
@@ -32,14 +32,14 @@ class Detections:
         centre of the first pixel, x right, y down.
     peak_x, peak_y
         Brightest point of the smoothed frame within the spot (`tapetum.data.crop.find_centre`), pixels: where the paper
-        centres its crops. In a spot with fringes or two lobes it may be far from the centroid.
+        centres its crops. With fringes or two lobes it may be far from the centroid.
     snr
         Height of the smoothed spot over the noise of the smoothed background, the better of two scales.
     peak
         Height of the slightly smoothed spot (1.5 px) above the background, in the frame's own units.
     diameter
-        Diameter from the second moments, ``2 sqrt(2) (var_x + var_y)^(1/2)``: four standard deviations of a round spot
-        (D4 sigma of ISO 11146-1), pixels.
+        From the second moments, ``2 sqrt(2) (var_x + var_y)^(1/2)``, pixels: four standard deviations of a round spot
+        (D4 sigma of ISO 11146-1).
     area
         Pixels significantly above the background, within the spot.
     saturated
@@ -116,7 +116,7 @@ class Detections:
 
     @classmethod
     def from_table(cls, table: pa.Table) -> Detections:
-        """Return the spots of an Arrow table; columns that are not ours are passed over.
+        """The spots of an Arrow table; other columns are ignored.
 
         Raises
         ------
@@ -138,7 +138,7 @@ class Detections:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Detections:
-        """Read what `save` wrote.
+        """Read a file that `save` wrote.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Tables on disk by suffix: how rows are written as they come, and read. A new kind is a `Format` in `FORMATS`."""
+"""Tables on disk by suffix: writing rows as they come, and reading. A new kind is a `Format` in `FORMATS`."""
 
 from __future__ import annotations
 
@@ -34,15 +34,9 @@ class Sink(Protocol):
 class Format:
     """One kind of table.
 
-    Parameters
-    ----------
-    sink
-        Returns what writes rows with a schema to an open file.
-    read
-        Returns the table in a file. It is given the types of known columns; others are numbers.
-    grows_as
-        Suffix of the file in which rows grow, where that is of another kind: a file in Parquet can be read only when it
-        is whole, so that its rows grow in an Arrow stream.
+    `sink` returns a writer of rows with a schema to an open file; `read` returns the table in a file, given the types
+    of known columns (others are numbers). `grows_as` is the suffix of the file in which rows grow, where that is of
+    another kind: Parquet can only be read when complete, so its rows grow in an Arrow stream.
     """
 
     sink: Callable[[BinaryIO, pa.Schema], Sink]
@@ -65,7 +59,7 @@ class _Lines:
 
 
 def _text(path: Path) -> bytes:
-    """Return the text of a table, without the last line that a kill has torn in what was being written."""
+    """Text of a table, without a last line truncated by a kill."""
     text = path.read_bytes()
     return text[: text.rfind(b"\n") + 1] if ".unfinished" in path.name else text
 
@@ -92,7 +86,7 @@ def _read_lines(path: Path, known: Types) -> pa.Table:
 
 
 def _batches(stream: Path) -> Iterator[pa.RecordBatch]:
-    """Yield the batches of an Arrow stream, an empty one first, as far as it is whole."""
+    """Yield the complete batches of an Arrow stream, an empty one first."""
     with stream.open("rb") as file, pa.ipc.open_stream(file) as reader:
         yield pa.RecordBatch.from_pylist([], schema=reader.schema)
         while True:
@@ -122,7 +116,7 @@ FORMATS: dict[str, Format] = {
     ".parquet": Format(pa.ipc.new_stream, lambda path, known: pq.read_table(path), grows_as=".arrow"),
     ".csv": Format(pacsv.CSVWriter, _read_csv),
     ".jsonl": Format(_Lines, _read_lines),
-    # What a killed run leaves of a table in Parquet.
+    # A killed run leaves this of a table in Parquet.
     ".arrow": Format(pa.ipc.new_stream, lambda path, known: pa.Table.from_batches(list(_batches(path)))),
 }
 """By suffix."""

@@ -1,4 +1,4 @@
-"""One target read by several probes: their estimates brought to one place and one clock, and made one."""
+"""Fusion of several probes' estimates of one target, converted to one place and one clock."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ GAZE = ("gaze_x", "gaze_y")
 
 @dataclass(frozen=True)
 class Fused:
-    """What several probes say together of N moments.
+    """Joint estimates of several probes at N moments.
 
     Parameters
     ----------
     value, lower, upper
         [N, K] estimates and 90 % intervals; NaN where no probe measures.
     used
-        [N, M] which of the M probes went into a row.
+        [N, M] which of the M probes contribute to a row.
     consistency
         [N] probability of so large a disagreement by chance (χ² over all quantities); NaN where a row has one probe.
     disagree
@@ -50,19 +50,19 @@ class Fused:
 
 @dataclass(frozen=True)
 class Fusion:
-    """A table of fused tracks, and in how many of its rows which probe had a part.
+    """A table of fused tracks, with the number of rows that each probe contributed to.
 
     Parameters
     ----------
     table
-        A table of tracks: `read_tracks` reads it. Two columns more: `probes`, how many went into the row, and
-        `consistency`, as of `Fused`.
+        A table of tracks, readable by `read_tracks`, with two more columns: `probes`, the number of probes in the row,
+        and `consistency`, as of `Fused`.
     used
-        Rows that each probe went into.
+        Rows that each probe contributed to.
     dropped
         Rows in which a probe was left out because the others contradict it.
     disagree
-        Rows in which probes contradict each other with nothing to decide.
+        Rows in which probes contradict each other and nothing decides between them.
     """
 
     table: pa.Table
@@ -72,7 +72,7 @@ class Fusion:
 
 
 def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[Array, Array]:
-    """Weigh estimates so that the variance of their mean is least.
+    """Weight estimates so that the variance of their mean is least.
 
     Parameters
     ----------
@@ -94,8 +94,8 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
 
     Notes
     -----
-    Best linear unbiased (Bar-Shalom and Campo, IEEE Trans. Aerosp. Electron. Syst. 22, 803 (1986)), with weights that
-    must not be negative: a correlation that is only a guess may not turn a bad estimate against a good one.
+    Best linear unbiased (Bar-Shalom and Campo, IEEE Trans. Aerosp. Electron. Syst. 22, 803 (1986)), with non-negative
+    weights: a guessed correlation must not subtract a poor estimate from a good one.
     """
     if not 0 <= correlation <= 1:
         raise InputError(f"must lie from 0 to 1, is {correlation}", where="correlation", remedy="1 is always safe")
@@ -111,7 +111,7 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
         negative = kept & (weight < 0)
         if not negative.any():
             break
-        # The widest of them goes; then all are weighed again.
+        # Drop the most uncertain estimate of negative weight, then weight the others again.
         worst = np.where(negative, deviation, -np.inf).argmax(axis=0)
         rows = np.flatnonzero(negative.any(axis=0))
         kept[worst[rows], rows] = False
@@ -125,7 +125,7 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
 
 def _disagreement(value: Array, deviation: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return χ² and its degrees of freedom, [N] each, of estimates [M, N, K] that should be the same for all M."""
-    # Of errors that go together the differences are smaller: without correlation the test is the cautious one.
+    # Correlated errors differ less: ignoring the correlation makes the test cautious.
     mean = combine(value.reshape(len(value), -1), deviation.reshape(len(value), -1), 0.0)[0].reshape(value.shape[1:])
     squared = np.nansum(((value - mean) / deviation) ** 2, axis=(0, 2))
     return squared, np.maximum(np.isfinite(value).sum(axis=0) - 1, 0).sum(axis=1)
@@ -134,7 +134,7 @@ def _disagreement(value: Array, deviation: Array) -> tuple[Array, NDArray[np.int
 def fuse(
     value: ArrayLike, lower: ArrayLike, upper: ArrayLike, *, correlation: float = 0.5, alpha: float = 1e-3
 ) -> Fused:
-    """Make one estimate of those of several probes, moment by moment.
+    """Fuse the estimates of several probes, moment by moment.
 
     Parameters
     ----------
@@ -144,8 +144,8 @@ def fuse(
     correlation
         As of `combine`.
     alpha
-        Probability below which a disagreement is no chance. Then, of three probes or more, the one that the others
-        contradict most is left out, and so on; of two the interval spans both.
+        Probability below which a disagreement is not chance. Of three probes or more, the one that the others
+        contradict most is then left out, and so on; of two the interval spans both.
 
     Raises
     ------
@@ -193,17 +193,10 @@ def _without(value: Array, deviation: Array, probe: int) -> float:
 
 
 def at_times(series: Series, times: Array, max_gap: float | None = None) -> tuple[Array, Array, Array]:
-    """Return a quantity at other times, [N] each of value, lower and upper, by straight lines between rows.
+    """A quantity at other times [N], in seconds: value, lower and upper, by linear interpolation between rows.
 
-    Parameters
-    ----------
-    series
-        The quantity.
-    times
-        [N] seconds.
-    max_gap
-        Seconds. Farther apart two rows do not speak for the time between them; three times the usual step where left
-        out. NaN there, and outside the series.
+    They are NaN outside the series and between rows more than `max_gap` seconds apart, by default three times the usual
+    step.
     """
     rows = series.measured
     known = series.times[rows]
@@ -215,14 +208,14 @@ def at_times(series: Series, times: Array, max_gap: float | None = None) -> tupl
     after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)
     near = known[after] - known[np.maximum(after - 1, 0)] <= max_gap
     there = (known[after] == times) | ((times >= known[0]) & (times <= known[-1]) & near)
-    # Between two rows the mean of their errors is narrower than either; that is not claimed.
+    # The mean of two rows' errors is narrower than either; the interval does not claim that.
     told = (np.interp(times, known, one[rows]) for one in (series.value, series.half_width))
     value, half = (np.where(there, one, np.nan) for one in told)
     return value, value - half, value + half
 
 
 def _timeline(clocks: Sequence[Array]) -> Array:
-    """Return the first probe's times, and of every other those at which nobody before it has one."""
+    """The first probe's times, and of every other those at which no earlier probe has one."""
     line = np.unique(clocks[0])
     for clock in clocks[1:]:
         apart = float(np.median(np.diff(clock))) / 2 if len(clock) > 1 else 0.0
@@ -245,7 +238,7 @@ def _one_track(table: pa.Table, number: int | None, where: str) -> pa.Table:
         seen = table["seen"].fill_null(False).to_numpy(zero_copy_only=False)
     if len(np.unique(times[seen])) < seen.sum():
         raise InputError("holds several tracks at once", where=where, remedy="name the target's track of each table")
-    # A target that went and came again elsewhere is a new track, beside which the old one coasts for a while.
+    # A target that left and returned elsewhere is a new track, while the old one coasts beside it.
     order = np.lexsort((tracks, seen, times))
     last = np.append(np.diff(times[order]) > 0, True)
     return table.take(np.sort(order[last]))
@@ -262,28 +255,28 @@ def fuse_tracks(
     quantities: Sequence[str] | None = None,
     names: Sequence[str] | None = None,
 ) -> Fusion:
-    """Fuse the tables of tracks of several probes that watch the same target, with the first one's gaze and clock.
+    """Fuse tables of tracks of probes that watch the same target, with the first one's gaze and clock.
 
     Parameters
     ----------
     tables
         One of each probe.
     places
-        Where the probes stand; or of each probe what must be added to its gaze to make it the first one's, in
-        fractions of the field, which holds for small fields and probes near each other.
+        Where the probes stand; or the offset to add to each probe's gaze to make it the first one's, in fractions of
+        the field, for small fields and probes near each other.
     tracks
         Which track of each table is the target. Not needed where no table has two at once.
     starts
-        When each table's time is 0, in seconds of one clock. Where left out, as the tables' UTC says; all the same
-        where one of them has none.
+        When each table's time is 0, in seconds of one clock. Default: by the tables' UTC, or all equal where one has
+        none.
     correlation
         As of `combine`.
     max_gap
-        Seconds between two rows of a probe beyond which it counts as lost; three times its usual step where left out.
+        Seconds between two rows of a probe beyond which it counts as lost; default: three times its usual step.
     quantities
-        What to fuse; all that every table has where left out.
+        What to fuse; default: all that every table has.
     names
-        What to call the tables in a message.
+        Of the tables, for messages.
 
     Raises
     ------
@@ -330,7 +323,7 @@ def _starts(tables: Sequence[pa.Table]) -> list[float]:
         if not len(dated):
             return [0.0] * len(tables)
         known.append((dated["utc_ns"][0].as_py(), dated["time"][0].as_py()))
-    # Nanoseconds since 1970 are whole numbers: as one float they would lose some hundreds.
+    # Nanoseconds since 1970 are integers: a float would lose some hundreds.
     utc, time = known[0]
     return [(other - utc) / 1e9 - (later - time) for other, later in known]
 
@@ -360,7 +353,7 @@ def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int
     if isinstance(places, Places):
         new = places.to_first(probe, gaze)
         half = np.abs(new[2] - new[1]) / 2
-        # A roll turns the offset: its error is across it.
+        # A roll turns the offset: its error is perpendicular to it.
         shape = places.field[1] / places.field[0]
         across = np.abs(new[0] - gaze[0])[:, ::-1] * np.array([shape, 1 / shape])
         half = np.hypot(half, NORMAL * places.roll_spread * across)
@@ -375,7 +368,7 @@ def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int
 def _table(
     fused: Fused, names: Sequence[str], times: Array, rows: Sequence[pa.Table], clocks: Sequence[Array]
 ) -> pa.Table:
-    """Return the fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
+    """Fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
     schema = track_schema(names)
     schema = schema.append(pa.field("probes", pa.float64())).append(pa.field("consistency", pa.float64()))
     kept = ("x", "y", "snr", "peak_x", "peak_y", "diameter", "active", "name", *MOMENT)

@@ -1,7 +1,7 @@
-"""The Kalman filter of one quantity of a track: a value and its rate, which white noise accelerates.
+"""The Kalman filter of one quantity of a track: a value and its rate, driven by white-noise acceleration.
 
-A row measures the value with the variance that its interval speaks of; a row without an interval measures nothing.
-Forward, written out for two states, it is quicker than small matrices: a fit runs it a hundred times.
+A row measures the value with the variance of its interval; a row without an interval measures nothing. The forward
+filter is written out for two states, which is faster than small matrices: a fit runs it a hundred times.
 """
 
 from __future__ import annotations
@@ -22,28 +22,20 @@ Array = NDArray[np.float64]
 NORMAL = 1.6448536269514722
 """Half-width of an interval that holds 90 % of a normal distribution, in standard deviations."""
 
-# Of the unknown rate at the start: so many times the quantity's own spread in a second.
+# Initial standard deviation of the rate: so many of the quantity's own spread a second.
 _FASTEST = 4.0
 _TINY = 1e-300
-# Where a state holds its covariance.
+# Places of the covariance in a state.
 _MATRIX = np.array([[2, 3], [3, 4]])
 
 
 @dataclass(frozen=True)
 class Series:
-    """One quantity of one track.
+    """One quantity of one track, as N rows.
 
-    Parameters
-    ----------
-    times
-        [N] seconds, never falling.
-    value, lower, upper
-        [N] estimates and the ends of their 90 % intervals, in the quantity's unit. NaN where there is none.
-
-    Raises
-    ------
-    InputError
-        When shapes differ, or times are not finite or run backwards.
+    `times` [N] are in seconds, never falling; `value`, `lower` and `upper` [N] are estimates and the ends of their 90 %
+    intervals, in the quantity's unit, NaN where there is none. InputError when shapes differ, or times are not finite
+    or run backwards.
     """
 
     times: Array
@@ -81,22 +73,22 @@ class Series:
 
 @dataclass(frozen=True)
 class Motion:
-    """How a quantity changes, and what its errors are like.
+    """How a quantity changes, and the statistics of its errors.
 
     Parameters
     ----------
     acceleration
-        Spectral density of the white noise that accelerates it, in its unit² / s³.
+        Spectral density of the white-noise acceleration, in its unit² / s³.
     spread
         Standard deviation of the quantity itself: an outlier may lie anywhere within.
     noise
         Share of the intervals' variance that is new in every row. Only this averages out.
     systematic
-        Share of the raw interval's half-width that stays however many rows are averaged, for the errors of
-        neighbouring frames resemble each other. 1, the default, keeps every interval at least as wide as it was;
-        `calibrate` finds less where less is true.
+        Share of the raw interval's half-width that stays however many rows are averaged, because errors of neighbouring
+        frames are correlated. 1, the default, keeps every interval at least as wide as it was; `calibrate` finds a
+        smaller value where the truth allows it.
     outliers
-        Share of rows that say nothing of the truth (a gaze of the wrong sign).
+        Share of rows without information on the truth (a gaze of the wrong sign).
 
     Raises
     ------
@@ -160,7 +152,7 @@ def _log_normal(off: float, variance: float) -> float:
 
 def correct(s: State, y: float, r: float, trust: float) -> State:
     """Take a measurement that is good with a probability: mean and covariance of the two cases' mixture."""
-    # The probabilistic data association filter's update, with no rival (Bar-Shalom and Tse, Automatica 11 (1975)).
+    # Update of the probabilistic data association filter without rivals (Bar-Shalom and Tse, Automatica 11 (1975)).
     variance, off = s.a + r, y - s.x
     k0, k1 = s.a / variance, s.b / variance
     gain = trust * (variance - (1 - trust) * off * off)
@@ -181,13 +173,13 @@ class Forward(NamedTuple):
 
 
 def variance_of(half: Array, motion: Motion) -> Array:
-    """Return the variances of measurement that half-widths speak of."""
+    """Variances of measurement that correspond to half-widths."""
     # An interval without width would divide by zero.
     return np.maximum(motion.noise * (half / NORMAL) ** 2, (1e-6 * motion.spread) ** 2)
 
 
 def _variances(series: Series, motion: Motion) -> list[float]:
-    """Return those of every row; NaN where it measures nothing."""
+    """Variance of every row; NaN where it measures nothing."""
     return np.where(series.measured, variance_of(series.half_width, motion), np.nan).tolist()
 
 
@@ -204,13 +196,13 @@ class Filter:
     ) -> tuple[State, State, float, float]:
         """Take a row that measures `y` with the variance `r`, NaN for nothing; the first row measures.
 
-        Return the states before and after, the trust in the measurement and the logarithm of its density. `trusted`,
-        where given, divides the variance; else the row is judged by what came before.
+        Returns the states before and after, the trust in the measurement and the logarithm of its density. `trusted`,
+        where given, divides the variance; else the row is judged by the state before it.
         """
         motion, trust, density = self.motion, math.nan, 0.0
         if self.state is None:
             trust = 1.0 if trusted is None else trusted
-            # Of a first row that is wrong nothing is left but that the quantity is somewhere.
+            # A wrong first row leaves only the quantity's own spread.
             ahead = after = begin(y, min(r / max(trust, 1e-9), r + motion.spread**2), motion)
         else:
             ahead = after = predict(self.state, time - self.time, motion.acceleration)
@@ -251,16 +243,16 @@ def backward(times: Array, passed: Forward) -> list[State]:
 
 
 def judged(series: Series, motion: Motion, smoothed: list[State], trust: Array) -> Array:
-    """Return each measurement's trust by what all others say of it, before and after."""
+    """Each measurement's trust, from all other rows before and after."""
     found = np.full(len(series), np.nan)
     for n, (s, y, r) in enumerate(zip(smoothed, series.value.tolist(), _variances(series, motion), strict=True)):
         if not math.isnan(r):
             own, all_told = float(trust[n]) / r, 1 / max(s.a, _TINY)
-            # Of what is known, take away what the row itself has told.
+            # Subtract the row's own contribution from the estimate.
             left = all_told - own
             if left > 1e-6 * all_told:
                 found[n], _ = trust_in(y - (s.x * all_told - own * y) / left, r + 1 / left, motion)
             else:
-                # It stands alone: nobody can judge it.
+                # An isolated row: no other can judge it.
                 found[n] = 1.0
     return found

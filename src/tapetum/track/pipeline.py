@@ -1,4 +1,4 @@
-"""From frames to tracks with estimates: detect, follow, cut out, ask the models."""
+"""From frames to tracks with estimates: detect, follow, crop, apply the models."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ Models: TypeAlias = "Predictor | str | os.PathLike[str] | Sequence[Predictor | s
 
 @dataclass(frozen=True)
 class TrackSummary:
-    """What was written: numbers of frames, tracks, rows, rows in which the spot was seen, and frames that were lost."""
+    """Counts of a written table: frames, tracks, rows, rows in which the spot was seen, and lost frames."""
 
     frames: int
     tracks: int
@@ -99,12 +99,12 @@ def _plain(value: Any) -> Any:
 
 
 def _merged(before: dict[str, Any], said: dict[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    """Add what a model says of a spot to what others said: together they apply where each does."""
+    """Combine the estimates of several models for a spot: they apply together where each does."""
     reason = f"{', '.join(names)}: {said['reason']}" if said.get("reason") else ""
     applies = said.get("applies")
     if before:
         reason = "; ".join(one for one in (before["reason"], reason) if one)
-        # False where one does not apply, else None where one does not know.
+        # False where one does not apply, else None where one is unknown.
         applies = min(before["applies"], applies, key=lambda one: {False: 0, None: 1, True: 2}[one])
     return {**before, **said, "applies": applies, "reason": reason}
 
@@ -121,11 +121,10 @@ def track(
     batch: int = 16,
     progress: Progress = quiet,
 ) -> Iterator[TrackedFrame]:
-    """Find the retro-reflections in frames, follow them, and let models say what each frame tells about the
-    camera.
+    """Find the retro-reflections in frames, follow them, and estimate the camera's state by models.
 
-    Models are shown the square around the brightest point of each smoothed spot, as the paper cuts it. A
-    model must have been trained on crops of this side, from a probe with the same pixels.
+    Models see the square around the brightest point of each smoothed spot, as the paper crops it. They must be trained
+    on crops of this side, from a probe with the same pixels.
 
     Parameters
     ----------
@@ -134,18 +133,18 @@ def track(
     model
         A fitted estimator, the folder of a saved one, or several of them that estimate different quantities.
     tracker
-        How to follow; with its usual options where not given. Its earlier tracks are kept.
+        Default: one with its usual options. Its earlier tracks are kept.
     detector
         What finds the spots of a frame: a name of `tapetum.track.detect.DETECTORS`, or a `Detector`.
     detect_options
-        Options of a detector by its name, those of `detect` as a rule. `largest` is `side` where not given: wider spots
-        are walls and lamps.
+        Options of a detector by its name, usually those of `detect`. `largest` is `side` by default: wider spots are
+        walls and lamps.
     stream
         Which stream of a recording.
     side
         Side of the crops in pixels.
     batch
-        Frames that the models are asked about at once. 1 for the least delay; more are quicker in all.
+        Frames per call of the models. 1 gives the least delay; more are faster in all.
     progress
         Shows how far the work is.
 
@@ -157,8 +156,8 @@ def track(
     Raises
     ------
     InputError
-        When the source or a model cannot be opened, two models estimate the same quantity, or an option is
-        out of range. A damaged frame raises when its turn comes.
+        When the source or a model cannot be opened, two models estimate the same quantity, or an option is out of
+        range. A damaged frame raises when its turn comes.
 
     Examples
     --------
@@ -182,7 +181,7 @@ def _detector(detector: str | Detector, options: Mapping[str, Any] | None, side:
     """Return a detector by its name and options, or the one that was given."""
     if isinstance(detector, str):
         make = DETECTORS[one_of(detector, tuple(DETECTORS), "detector")]
-        # What is wider than the crops no model could be shown whole.
+        # Models cannot see spots wider than the crops as a whole.
         return make(**{"largest": float(side), **(options or {})})
     if options:
         what = "belong to a detector by its name"
@@ -223,7 +222,7 @@ def _track(
             if len(waiting) >= size:
                 yield from finished()
     except (Exception, KeyboardInterrupt):
-        # What was found before the frame that failed comes first.
+        # Yield the results before the failed frame first.
         yield from finished()
         raise
     yield from finished()
@@ -251,14 +250,14 @@ def track_to_file(
     source, model, tracker, detector, detect_options, stream, side, batch, progress
         As for `track`.
     out
-        The table of tracks: .parquet, .csv or .jsonl. A file of this name is replaced once all went well. After Ctrl-C
-        or a frame that cannot be read the rows so far stay beside it, as `NAME.unfinished` with the same suffix. Ctrl-C
-        is how a camera's table ends: it is then whole.
+        The table of tracks: .parquet, .csv or .jsonl. An existing file is replaced only on success. After Ctrl-C or a
+        frame that cannot be read the rows so far stay beside it, as `NAME.unfinished` with the same suffix. Ctrl-C is
+        the normal end of a camera's table, which is then complete.
     detections
-        Where to keep what was detected, ghosts marked and included, with the models' estimates: `retrack`
-        makes tracks of it without the video. A frame in which nothing was found has one row without a spot.
+        Where to keep all detections, ghosts marked and included, with the models' estimates: `retrack` makes tracks of
+        it without the video. A frame in which nothing was found has one row without a spot.
     seconds
-        Length, from the first frame on; all of it where left out.
+        Length, from the first frame on; default: all.
 
     Raises
     ------

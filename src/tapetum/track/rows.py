@@ -1,4 +1,4 @@
-"""Rows of tracks: what a frame says of each track, and tracks made again from detections that were kept."""
+"""Rows of tracks: the tracks of each frame, and tracks recomputed from stored detections."""
 
 from __future__ import annotations
 
@@ -38,21 +38,21 @@ class TrackRow:
     Parameters
     ----------
     frame, time, name
-        The frame's number, its time in seconds and what it is called.
+        The frame's number, its time in seconds and its name.
     track
         Number of the track.
     x, y
-        Pixels: the spot's centroid; where the track is expected while it coasts.
+        Pixels: the spot's centroid; the predicted place while the track coasts.
     snr, peak_x, peak_y, diameter
         Of the spot (see `Detections`); None while the track coasts.
     seen
         Whether the spot was detected in this frame.
     moment
-        What else is known of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
+        Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
-        What the models say: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`; NaN or
-        "none of these" where the model does not apply; `applies` (None where nobody knows) and `reason`. Empty while
-        the track coasts.
+        Of the models: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`; NaN or "none
+        of these" where the model does not apply; `applies` (None where unknown) and `reason`. Empty while the track
+        coasts.
     """
 
     frame: int
@@ -70,10 +70,10 @@ class TrackRow:
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
-        """Return the row as the columns of the table.
+        """The row as the columns of the table.
 
-        `active` is left out, which makes it empty: whether a camera is recording shows in how its return changes with
-        time, which nothing looks at yet. So are `device` and `device_probability` where no model tells devices.
+        `active` stays empty: whether a camera records shows in how its return changes with time, which is not evaluated
+        yet. `device` and `device_probability` are absent where no model recognises devices.
         """
         own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates")}
         return {**own, **self.moment, **self.estimates}
@@ -81,18 +81,18 @@ class TrackRow:
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """What tracking makes of a frame.
+    """The result of tracking one frame.
 
     Parameters
     ----------
     frame, time, name
-        The frame's number, its time in seconds and what it is called.
+        The frame's number, its time in seconds and its name.
     rows
-        The tracks that live in it, those that coast included.
+        Its live tracks, those that coast included.
     detections
         The spots found in it.
     estimates
-        What the models say of each spot; nothing of ghosts.
+        Of the models for each spot; empty for ghosts.
     moment
         As of `TrackRow`.
     """
@@ -109,7 +109,7 @@ class TrackedFrame:
     def of(
         cls, about: Mapping[str, Any], found: Detections, answers: Sequence[Mapping[str, Any]], tracker: Tracker
     ) -> TrackedFrame:
-        """Follow the spots of a frame, of which `about` says frame, time, name and moment."""
+        """Follow the spots of a frame; `about` holds its frame, time, name and moment."""
         rows: list[TrackRow] = []
         for point in tracker.update(found, about["time"]):
             n = point.detection
@@ -131,20 +131,20 @@ class TrackedFrame:
 
 
 def about(frame: Frame) -> dict[str, Any]:
-    """Return what tables keep of a frame."""
+    """The frame's data that tables keep."""
     moment = {name: getattr(frame, name) for name in MOMENT}
     return {"frame": frame.index, "time": frame.time, "name": frame.name, "moment": moment}
 
 
 def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker | None = None) -> pa.Table:
-    """Make tracks again from what was detected before, without the video: to try other options of the tracker.
+    """Recompute tracks from stored detections, without the video, to try other options of the tracker.
 
     Parameters
     ----------
     detections
         The table that `track_to_file` kept, or its path.
     tracker
-        How to follow; with its usual options where not given. It forgets its earlier tracks.
+        Default: one with its usual options. Its earlier tracks are dropped.
 
     Returns
     -------
@@ -154,7 +154,7 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
     Raises
     ------
     InputError
-        When the table cannot be read or is none of detections.
+        When the table cannot be read or does not hold detections.
     """
     schema = detections_schema()
     table = read_table(detections, schema) if isinstance(detections, (str, os.PathLike)) else detections
@@ -175,7 +175,7 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         rows = list(group)
         spots = [row for row in rows if row["x"] is not None]
         found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
-        # Tables of older versions do not say whether the models apply.
+        # Tables of older versions lack whether the models apply.
         answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
         moment = {name: rows[0].get(name) for name in MOMENT}
         frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}

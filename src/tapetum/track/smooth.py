@@ -1,4 +1,4 @@
-"""A track's estimates over time: a Kalman filter forward, a Rauch-Tung-Striebel smoother there and back."""
+"""A track's estimates over time: a Kalman filter forwards, or a Rauch-Tung-Striebel smoother in both directions."""
 
 from __future__ import annotations
 
@@ -20,24 +20,24 @@ __all__ += ["smooth", "smooth_tracks"]
 
 Array = NDArray[np.float64]
 
-# Rows that the likelihood looks at: enough for two numbers, and a second's work.
+# Rows in the likelihood: enough for two numbers, and a second's work.
 _MOST_ROWS = 1200
 _REMEDY = "give a table of tracks"
 
 
 @dataclass(frozen=True)
 class Smoothed(Series):
-    """What filter or smoother say of each row.
+    """Filtered or smoothed rows.
 
     Parameters
     ----------
     times, value, lower, upper
-        As of `Series`. Rows without a measurement have values too, with wider intervals; not so before the first
-        measurement, nor where the value would be less certain than the quantity's own spread.
+        As of `Series`. Rows without a measurement have values too, with wider intervals, except before the first
+        measurement, and where the value would be less certain than the quantity's own spread.
     rate
         [N] change of the value a second.
     deviation
-        [N] standard deviation of the value, without what is systematic.
+        [N] standard deviation of the value, without the systematic part.
     trust
         [N] probability that the row's measurement is no outlier; NaN where there is none.
     """
@@ -57,7 +57,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
     motion
         How it moves: see `fit_motion`.
     causal
-        Use no row after the one that is estimated: what a live view can show. Else all rows, before and after.
+        Use no row after the estimated one, as a live view must. Else all rows, before and after.
 
     Raises
     ------
@@ -66,8 +66,8 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
 
     Notes
     -----
-    The half-width of the interval is √(NORMAL² P + (systematic h)²) with the variance P that filter or smoother gives
-    and the raw half-width h, between measurements that of the neighbours.
+    The half-width of the interval is √(NORMAL² P + (systematic h)²) with the variance P of filter or smoother and the
+    raw half-width h, between measurements that of the neighbours.
     """
     rows = np.flatnonzero(series.measured)
     if not len(rows):
@@ -78,7 +78,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
     states, trust = passed.filtered, passed.trust
     if not causal:
         states = backward(part.times, passed)
-        # Twice more, each row judged by its neighbours on both sides: a filter alone may doubt the truth after a turn.
+        # Two more rounds, each row judged by both neighbours: a filter alone may reject the truth after a turn.
         for _ in range(2):
             trust = judged(part, motion, states, trust)
             states = backward(part.times, forward(part, motion, trust))
@@ -86,7 +86,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
     deviation = np.sqrt(np.maximum(known[:, 2], 0.0))
     raw = np.interp(part.times, times[rows], series.half_width[rows])
     half = np.hypot(NORMAL * deviation, motion.systematic * raw)
-    # A guess wider than the quantity itself ever is: after a track's end, or a gap too long.
+    # Wider than the quantity's own range: after a track's end, or in too long a gap.
     known[~part.measured & (deviation > motion.spread)] = np.nan
     x, rate = known[:, :2].T
     columns = (x, x - half, x + half, rate, deviation, trust)
@@ -94,13 +94,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
 
 
 class LiveFilter:
-    """The causal filter of one quantity of one track, a row at a time.
-
-    Parameters
-    ----------
-    motion
-        How it moves.
-    """
+    """The causal filter of one quantity of one track, a row at a time."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
@@ -108,7 +102,7 @@ class LiveFilter:
         self._raw = math.nan
 
     def update(self, time: float, value: float, lower: float, upper: float) -> tuple[float, float, float]:
-        """Take a row; return value, lower and upper as they are now known, NaN where `smooth` gives none.
+        """Take a row; return value, lower and upper as now known, NaN where `smooth` gives none.
 
         Parameters
         ----------
@@ -139,12 +133,12 @@ class LiveFilter:
 
 
 def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: float = 0.02) -> Motion:
-    """Find how a quantity moves, and how much of its errors is new in every row, by maximum likelihood.
+    """Fit a quantity's motion, and the share of its errors that is new in every row, by maximum likelihood.
 
     Parameters
     ----------
     runs
-        Tracks of the same quantity. No truth is needed. Of long ones the first rows are enough.
+        Tracks of the same quantity, without truth. Of long ones the first rows are enough.
     systematic, outliers
         As of `Motion`.
 
@@ -172,7 +166,7 @@ def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: flo
     def cost(free: ArrayLike) -> float:
         return -sum(forward(run, motion(free)).likelihood for run in used)
 
-    # The likelihood may have a second hill, all noise and no motion: begin on the higher one.
+    # The likelihood may have a second maximum, all noise and no motion: start at the higher one.
     start = min(((q, noise) for q in (-9.0, -4.0, 0.0, 4.0) for noise in (-6.0, -3.0, 0.0)), key=cost)
     corners = np.array([start, (start[0] + 1.5, start[1]), (start[0], start[1] - 1.0)])
     options = {"xatol": 0.05, "fatol": 0.05, "maxfev": 90, "initial_simplex": corners}
@@ -183,7 +177,7 @@ def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: flo
 def calibrate(
     motion: Motion, runs: Sequence[tuple[Series, ArrayLike]], *, causal: bool = False, coverage: float = 0.9
 ) -> Motion:
-    """Find how much of the raw intervals has to stay, on recordings whose truth is known.
+    """Find the share of the raw intervals that must stay, on recordings with known truth.
 
     Parameters
     ----------
@@ -208,9 +202,9 @@ def calibrate(
 
     Notes
     -----
-    Split-conformal: intervals grow with `systematic`, so each row has the least value that makes its interval hold the
-    truth, √(e² − NORMAL² P)/h, and the ``ceil((n + 1) coverage)``-th smallest of n is taken. Rows of a video resemble
-    each other: the guarantee for exchangeable rows is a guide here, as for the raw intervals.
+    Split-conformal: intervals grow with `systematic`, so each row has the least value at which its interval holds the
+    truth, √(e² − NORMAL² P)/h, and the ``ceil((n + 1) coverage)``-th smallest of n is taken. The guarantee is for
+    exchangeable rows; rows of a video are correlated, so here, as for the raw intervals, it is a guide only.
     """
     needed: list[Array] = []
     for series, given in runs:
@@ -232,16 +226,16 @@ def calibrate(
 
 
 def quantities_in(table: pa.Table, wanted: Sequence[str] | None = None, *, where: object = "tracks") -> tuple[str, ...]:
-    """Return the quantities of a table of tracks that have estimates with intervals.
+    """The quantities of a table of tracks that have estimates with intervals.
 
     Parameters
     ----------
     table
         Of tracks.
     wanted
-        Those that must be among them; all there are where left out.
+        Those that must be among them; default: all there are.
     where
-        What to call the table in a message.
+        Name of the table in messages.
 
     Raises
     ------
@@ -265,7 +259,7 @@ def quantities_in(table: pa.Table, wanted: Sequence[str] | None = None, *, where
 
 
 def series_of(table: pa.Table, name: str) -> dict[int, Series]:
-    """Return one quantity of every track in a table, by the track's number.
+    """One quantity of every track in a table, by the track's number.
 
     Raises
     ------
@@ -309,13 +303,13 @@ def smooth_tracks(
     table
         Of tracks.
     motions
-        By quantity, calibrated ones for instance. Found from the table itself where not given.
+        By quantity, calibrated ones for instance. Default: fitted to the table itself.
     causal
         Use no later row: see `smooth`.
     systematic
-        As of `Motion`, for those that are found here.
+        As of `Motion`, for fitted ones.
     quantities
-        What to smooth; all that have intervals where left out. Others stay as they are.
+        What to smooth; default: all that have intervals. Others stay as they are.
 
     Returns
     -------

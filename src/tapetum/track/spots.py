@@ -1,4 +1,4 @@
-"""Light that stands out of a frame: maps of it at two scales, and the spots it makes."""
+"""Light above the background of a frame: maps of it at two scales, and the spots in them."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ __all__ = ["Maps", "Spot", "make_maps", "search"]
 Picture = NDArray[np.float32]
 Window = tuple[slice, slice]
 
-# Standard deviations of the two smoothings: matched to the smallest spot a lens draws, and to a spot with fringes.
+# Standard deviations of the two smoothings: matched to the smallest imaged spot, and to one with fringes.
 _FINE, _WIDE = 1.5, 6.0
 _REDUCE = 4
-# How many standard deviations of a spot still belong to it. 3: an aperture of 1.5 times the D4 sigma
-# diameter. ISO 11146-1 takes 3 times, which would hold the second beam of a beam splitter as well.
+# Standard deviations that belong to a spot. 3: an aperture of 1.5 times the D4 sigma diameter. ISO 11146-1 takes 3
+# times, which would include the second beam of a beam splitter.
 _REACH = 3.0
-# How much of a pixel's noise smoothing may take away: no background is evener than a twelfth of its noise,
-# so that wide and faint light must stand out by half of the noise to be seen at an SNR of 6.
+# Largest factor by which smoothing reduces noise: no background is more even than a twelfth of its noise, so wide and
+# faint light must exceed half of the noise for an SNR of 6.
 _EVEN = 12.0
-# Where many pixels read the lowest number, black is cut off: the noise that is left leans upwards, and its
-# tail is longer than its standard deviation says.
+# Where many pixels read the lowest number, black is clipped: the noise is skewed upwards, and its tail is longer than
+# its standard deviation implies.
 _TAIL = 1.25
-# A spot's own ground, in standard deviations (its own and the smoothing's): nothing else is sought there.
+# A spot's own area, in standard deviations (its own and the smoothing's), where no other spot is sought.
 _CLAIM = 3.75
-# Fringes of one spot have like heights, down to this ratio; what is dimmer is a ghost or another spot.
+# Smallest ratio of heights between fringes of one spot; dimmer light is a ghost or another spot.
 _LIKE = 0.2
 _MAD = 1.4826
 
@@ -65,13 +65,13 @@ class Spot:
 
 
 def _blur(image: Picture, sigma: float) -> Picture:
-    # Beyond the frame there is nothing: a mirrored border would count the noise at the edge twice.
+    # Zero beyond the frame: a mirrored border would count the noise at the edge twice.
     size = 2 * math.ceil(3 * sigma) + 1
     return np.asarray(cv2.GaussianBlur(image, (size, size), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
 
 
 def _in_noise(smooth: Picture, noise: Picture, sigma: float, tail: float) -> Picture:
-    """Divide a smoothed frame by its noise: what white noise keeps after a Gaussian, or more if it is not."""
+    """Divide a smoothed frame by its noise: that of smoothed white noise, or more where it is not white."""
     gain = min(2 * math.sqrt(math.pi) * sigma, _EVEN) / tail
     thin = max(1, math.isqrt(smooth.size // 20000))
     sample = gain * smooth[::thin, ::thin] / noise[::thin, ::thin]
@@ -96,7 +96,7 @@ def make_maps(image: NDArray[np.generic], quantum: float) -> Maps:
 
     sigma = _WIDE / _REDUCE
     wide = grown(_blur(reduced(excess), sigma))
-    # Clipped, so that the wide map finds what is faint and wide, not the halo of what is bright and small.
+    # Clipped, so that the wide map finds faint wide light, not the halo of bright small light.
     clipped = reduced(np.asarray(cv2.min(excess, 3 * noise), dtype=np.float32))
     wide_snr = grown(_in_noise(_blur(clipped, sigma), reduced(noise / np.float32(_REDUCE)), sigma, tail))
     return Maps(excess, fine, fine_snr, wide, np.asarray(cv2.max(fine_snr, wide_snr), dtype=np.float32))
@@ -113,7 +113,7 @@ def _window(maps: Maps, x: float, y: float, reach_x: float, reach_y: float) -> W
 def _moments(
     weight: Picture, rows: NDArray[np.float64], columns: NDArray[np.float64]
 ) -> tuple[float, float, float, float, float, float] | None:
-    """Return centroid, covariance and total of a weight, x, y, xx, xy, yy, total; None where it is dark."""
+    """Centroid, covariance and total of a weight as x, y, xx, xy, yy, total; None where it is dark."""
     total = float(weight.sum(dtype=np.float64))
     if total <= 0:
         return None
@@ -122,7 +122,7 @@ def _moments(
     dx, dy = columns - x, rows - y
     xx, yy = float(along_x @ dx**2) / total, float(along_y @ dy**2) / total
     xy = float(dy @ weight.astype(np.float64) @ dx) / total
-    # A pixel has a width of its own; it also keeps a spot of one pixel from having none.
+    # Add a pixel's own width, so that a spot of one pixel has one.
     # Noise below the background can make them negative.
     return x, y, max(xx, 0) + 1 / 12, xy, max(yy, 0) + 1 / 12, total
 
@@ -158,9 +158,9 @@ def _borders(lit: NDArray[np.bool_], window: Window, shape: tuple[int, int], str
 def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_snr: float) -> Spot | None:
     """Measure the spot around a bright pixel: its moments, in an aperture that follows them."""
     height, width = maps.excess.shape
-    # Where the light of fringes and lobes runs together, a quarter of the height bounds the spot.
+    # Where fringes and lobes merge, a quarter of the height bounds the spot.
     level = np.float32(0.25 * maps.wide[row, column])
-    # A small spot is bounded by the fine map: the wide one surrounds it with a halo of noise.
+    # A small spot is bounded by the fine map: the wide one adds a halo of noise.
     gate, least = (maps.fine_snr if maps.fine_snr[row, column] >= min_snr else maps.snr), 0.5 * min_snr
     reach = 32.0
     while True:
@@ -184,7 +184,7 @@ def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_
         window = _window(maps, x, y, _REACH * math.sqrt(xx), _REACH * math.sqrt(yy))
         if window[0].start >= window[0].stop or window[1].start >= window[1].stop:
             return None
-        # Wide spots are sampled: 160 points across give the moments to far better than a pixel.
+        # Wide spots are subsampled: 160 points across give the moments far better than to a pixel.
         stride = max(1, int(max(window[0].stop - window[0].start, window[1].stop - window[1].start) // 160))
         part = slice(window[0].start, window[0].stop, stride), slice(window[1].start, window[1].stop, stride)
         where = rows[part[0]], columns[part[1]]
@@ -206,10 +206,10 @@ def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_
 def search(
     maps: Maps, full: NDArray[np.bool_], min_snr: float, max_count: int, largest: float = math.inf
 ) -> list[Spot]:
-    """Return the spots, brightest first, but for those wider than `largest` pixels."""
+    """The spots, brightest first, without those wider than `largest` pixels."""
     height, width = maps.excess.shape
     mask = (maps.snr > min_snr).astype(np.uint8)
-    # Labelling costs more than all the rest; most of a frame holds nothing to label.
+    # Labelling is the main cost; most of a frame holds nothing to label.
     first_x, first_y, w, h = cv2.boundingRect(mask)
     if w == 0:
         return []
@@ -235,7 +235,7 @@ def search(
     for label in range(1, len(stats)):
         enqueue(label)
     found: list[Spot] = []
-    # A smear or a halo breaks into pieces; they are dim and come last, and nobody needs them all.
+    # A smear or a halo breaks into pieces; they are dim and come last, so their number is limited.
     for _ in range(4 * max_count):
         if not queue or len(found) >= max_count:
             break
@@ -245,7 +245,7 @@ def search(
             continue
         spot = _measure(maps, row, column, claimed, min_snr)
         if spot is not None and spot.diameter > largest:
-            # Nothing of a wall's surroundings belongs to it.
+            # A wall's surroundings belong to no spot.
             window, mine = ground(label)
             claimed[window][mine] = 1
             continue
@@ -279,7 +279,7 @@ def _joined(spots: list[Spot]) -> list[Spot]:
             done.append(one)
         else:
             rest.remove(other)
-            # The sum may reach others that its parts did not.
+            # The sum may reach others that its parts did not reach.
             rest.insert(0, _sum(one, other))
     return done
 

@@ -38,7 +38,7 @@ _SECONDS = 1.0
 
 _FRAME = {"frame": pa.int64(), "time": pa.float64()}
 _NAME = {"name": pa.string()}
-# What is known of a frame beside its time. Tables of older versions lack it.
+# Further data of a frame. Tables of older versions lack them.
 MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
@@ -59,7 +59,7 @@ _TRACK = {
 
 
 def estimate_columns(names: Iterable[str]) -> dict[str, pa.DataType]:
-    """Return the columns of what models estimate.
+    """The columns of the models' estimates.
 
     NAME, NAME_low and NAME_high for each quantity, two for the device, and, where there is any, whether the models
     apply and why not.
@@ -87,7 +87,7 @@ def detections_schema(estimates: Sequence[str] = ()) -> pa.Schema:
 
 
 def checked_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the kind of table that a path names by its suffix, or raise an InputError."""
+    """The kind of table of a path, by its suffix, or an InputError."""
     suffix = Path(path).suffix.lower()
     if suffix not in FORMATS:
         raise InputError(f"unknown kind of table {suffix!r}", where=path, remedy=f"use one of {', '.join(FORMATS)}")
@@ -95,13 +95,13 @@ def checked_suffix(path: str | os.PathLike[str]) -> str:
 
 
 def check_columns(table: pa.Table, names: Iterable[str], where: object, remedy: str | None = None) -> None:
-    """Raise an InputError where a table lacks columns, but for those of `MOMENT`, which older tables lack."""
+    """Raise an InputError where a table lacks columns, except those of `MOMENT`, which older tables lack."""
     if missing := [name for name in names if name not in table.column_names and name not in MOMENT]:
         raise InputError(f"no column {', '.join(missing)}", where=where, remedy=remedy)
 
 
 def plain(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
-    """Return a row as tables hold it: what it lacks and what is not finite (an interval without an end) is empty."""
+    """A row as tables hold it: missing and infinite values are empty."""
     row: dict[str, Any] = {}
     for name in names:
         value = values.get(name)
@@ -111,10 +111,10 @@ def plain(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
 
 
 class TableWriter:
-    """Writes rows as they come, so that an hour of tracks needs no memory. Made by `table_writer`.
+    """Writes rows as they come, so memory does not grow with the length of a track. Made by `table_writer`.
 
-    Rows grow in a file of their own, `NAME.unfinished` with the table's suffix (`.arrow` for a table in Parquet, which
-    can only be read when it is whole). Every second they are handed to the system: a kill costs no more than that.
+    Rows grow in a separate file, `NAME.unfinished` with the table's suffix (`.arrow` for Parquet, which can only be
+    read when complete). It is flushed every second, so a killed process loses no more than that.
     """
 
     def __init__(self, target: Path, schema: pa.Schema) -> None:
@@ -160,7 +160,7 @@ class TableWriter:
         sync(self._target.absolute().parent)
 
     def abandon(self) -> str:
-        """Close the file after work that failed; return what of it is kept, and where."""
+        """Close the file after a failure; return what is kept, and where."""
         with contextlib.suppress(OSError, pa.ArrowException):
             self.flush()
         with contextlib.suppress(OSError, pa.ArrowException, ValueError):
@@ -169,7 +169,7 @@ class TableWriter:
             self.place.unlink(missing_ok=True)
             return ""
         with contextlib.suppress(OSError):
-            # A full disk may have taken a part of the last rows.
+            # On a full disk the last rows may be truncated.
             os.truncate(self.place, self._whole)
         if self._format.grows_as is not None:
             with contextlib.suppress(OSError, pa.ArrowException, InputError):
@@ -182,15 +182,10 @@ class TableWriter:
 
 @contextmanager
 def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[TableWriter]:
-    """Open a table for writing; it takes its name only when all went well.
+    """Open a table for writing; `path` is replaced only when all rows are written.
 
-    Where the work fails or is interrupted, its rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note
-    on the error says so (`__notes__`). A file that stood at `path` then still stands.
-
-    Raises
-    ------
-    InputError
-        When the suffix is none of `FORMATS`, or the file cannot be written.
+    After a failure or an interruption the rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note on the
+    error says so (`__notes__`). InputError when the suffix is none of `FORMATS`, or the file cannot be written.
     """
     checked_suffix(path)
     writer = None
@@ -210,19 +205,10 @@ def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[Ta
 
 
 def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
-    """Read a table that `table_writer` wrote.
+    """Read a table that `table_writer` wrote, in one of `FORMATS`, or the `NAME.unfinished.SUFFIX` of a killed run.
 
-    Parameters
-    ----------
-    path
-        Of one of `FORMATS`; or what a killed run left, `NAME.unfinished.arrow` among them.
-    schema
-        Columns that must be there, but for those of `MOMENT`, which are empty then. Others are kept, behind them.
-
-    Raises
-    ------
-    InputError
-        When the file is missing or damaged, or lacks a column.
+    The columns of `schema` must be there, except those of `MOMENT`, which are empty if absent. Others are kept, behind
+    them. InputError when the file is missing or damaged, or lacks a column.
     """
     place = Path(path)
     suffix = checked_suffix(place)
@@ -270,6 +256,6 @@ def write_tracks(table: pa.Table, path: str | os.PathLike[str]) -> None:
 
 
 def rows_of_table(table: pa.Table) -> Iterator[dict[str, Any]]:
-    """Yield the rows of a table; as Python objects they take a hundred times the memory, so only some thousands."""
+    """Yield the rows of a table, some thousands at a time: as Python objects they take a hundred times the memory."""
     for batch in table.to_batches(max_chunksize=_FLUSH):
         yield from batch.to_pylist()

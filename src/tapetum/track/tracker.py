@@ -16,9 +16,9 @@ __all__ = ["TrackPoint", "Tracker"]
 
 Array = NDArray[np.float64]
 
-# Stands for "may not be paired"; far above any cost within the gates.
+# Cost of a forbidden pair, far above any cost within the gates.
 _NEVER = 1e9
-# Seconds in which a track forgets how bright its spot was, to 1/e.
+# Time constant, in seconds, of the remembered brightness of a track's spot.
 _MEMORY = 4.0
 
 
@@ -31,11 +31,11 @@ class TrackPoint:
     track
         Number of the track, from 1, never used twice by a tracker.
     x, y
-        Pixels: the detection's centroid where there is one, else where the track is expected to be.
+        Pixels: the detection's centroid where there is one, else the predicted place.
     vx, vy
         Estimated velocity, pixels per second.
     detection
-        Which detection of the frame it is; None while the track coasts.
+        Index of its detection in the frame; None while the track coasts.
     """
 
     track: int
@@ -52,7 +52,7 @@ class TrackPoint:
 
 
 class _Track:
-    """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and what is known of the spot's looks."""
+    """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size."""
 
     def __init__(
         self, number: int, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float
@@ -72,10 +72,10 @@ class _Track:
     def correct(self, place: Array, peak: float, diameter: float, noise: float, time: float) -> None:
         gain = self.covariance[0] / (self.covariance[0, 0] + noise**2)
         self.state = self.state + np.outer(gain, place - self.state[0])
-        # Joseph's form stays positive whatever the rounding.
+        # Joseph's form stays positive despite rounding.
         rest = np.eye(2) - np.outer(gain, [1.0, 0.0])
         self.covariance = rest @ self.covariance @ rest.T + noise**2 * np.outer(gain, gain)
-        # The brightness of the last seconds: while a spot fades, its ghost must not catch up with it.
+        # Brightness of the last seconds: while a spot fades, its ghost must not take over the track.
         self.peak = max(self.peak, peak)
         self.diameter += 0.5 * (diameter - self.diameter)
         self.hits, self.misses, self.seen_at = self.hits + 1, 0, time
@@ -83,16 +83,15 @@ class _Track:
 
 @dataclass(kw_only=True, eq=False)
 class Tracker:
-    """Gives the spots of successive frames the numbers of tracks.
+    """Assigns the spots of successive frames to numbered tracks.
 
-    A spot moves with constant velocity, disturbed by random accelerations; time stamps are taken as they are, so that
-    gaps and jitter do no harm. Spots and tracks are paired so that the sum of squared distances, in standard
-    deviations, is least (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track that
-    was seen in `confirm` frames coasts through frames without its spot; a younger one ends at the first.
+    A spot moves with constant velocity, disturbed by random accelerations; the filter uses the actual time stamps, so
+    gaps and jitter do no harm. The assignment of spots to tracks minimises the sum of squared distances, in standard
+    deviations (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track seen in
+    `confirm` frames coasts through frames without its spot; a younger one ends at the first.
 
-    When a spot fades, its ghost (see `tapetum.track.detect`) may be left for some frames. A spot much dimmer than a
-    track remembers, and away from where the track is expected, therefore neither continues that track nor begins one
-    near it.
+    When a spot fades, its ghost (see `tapetum.track.detect`) may remain for some frames. A spot much dimmer than a
+    track was, and away from the track's predicted place, therefore neither continues that track nor begins one near it.
 
     Parameters
     ----------
@@ -104,11 +103,11 @@ class Tracker:
         Standard deviation of a centroid, pixels, to which 2 % of the spot's diameter are added.
     gate
         Largest distance between a spot and its track, in standard deviations; spots that overlap their track's
-        expected place always fit.
+        predicted place always fit.
     max_distance
         The same in pixels, however uncertain the track has become.
     max_coast
-        Seconds for which a track goes on unseen. A track always survives two frames without its spot.
+        Seconds for which a track continues unseen. A track always survives two frames without its spot.
     confirm
         Frames in which a spot must be seen before its track may coast.
     ghost_ratio
@@ -156,7 +155,7 @@ class Tracker:
         squared = distance**2 / (variance + noise**2)
         dim = peak < self.ghost_ratio * bright
         apart = distance > 0.5 * np.maximum(wide, diameter)
-        # However sharp the turn: a spot that overlaps the place where it was expected is no other.
+        # However sharp the turn, a spot that overlaps the predicted place is the same.
         overlaps = distance <= 0.5 * np.minimum(wide, diameter)
         fits = ((squared <= self.gate**2) | overlaps) & (distance <= self.max_distance) & ~(apart & dim)
         # Brightness decides between spots that fit equally well.
@@ -170,14 +169,14 @@ class Tracker:
         Parameters
         ----------
         detections
-            Spots of the frame. Those marked as ghosts are passed over.
+            Spots of the frame. Those marked as ghosts are ignored.
         time
             Of the frame, in seconds; not before that of the frame before.
 
         Returns
         -------
         list of TrackPoint
-            The tracks that live in this frame, by number: those seen, and those that coast.
+            The live tracks of this frame, seen or coasting, by number.
 
         Raises
         ------
@@ -207,7 +206,7 @@ class Tracker:
                 track.misses += 1
         self._tracks = [track for track in self._tracks if self._lives(track, time)]
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
-            # What looks like the ghost of a track, of one that has just begun too, begins none.
+            # A spot like the ghost of a track, even of a new one, begins no track.
             if not self._fit(*(one[n : n + 1] for one in (place, peak, diameter, noise)))[1].any():
                 seen[self._next] = n
                 self._tracks.append(_Track(self._next, *looks[n], time, self.speed))

@@ -1,4 +1,4 @@
-"""The choice of a set of probes: a linear program over all places, aims and angles, thinned out to few probes."""
+"""The choice of a set of probes: a linear program over all places, aims and angles, reduced to few probes."""
 
 # SciPy types its solvers in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -26,8 +26,8 @@ __all__ = ["Design", "design", "single_probe"]
 class Design:
     """A constellation and how far it is from constant: illumination and SNR² were fitted to 1 ± `deviation`.
 
-    The deviation of the illumination is that of cones narrower and wider by the margin, so it also bounds points that
-    near a sample and aims that far off, up to the change of the range.
+    The deviation of the illumination is taken over cones narrower and wider by the margin. It therefore also bounds
+    points that near a sample and aims that far off, up to the change of the range.
     """
 
     constellation: Constellation
@@ -52,30 +52,30 @@ def design(
 ) -> Design:
     """Choose number, places, aims, divergences and powers of probes so that illumination and SNR are even.
 
-    Candidates are all mounts × aims × divergences. With their powers p ≥ 0 as unknowns, the illumination at the samples
-    is linear, A p, and a linear program finds the p that minimises δ in 1 - δ ≤ A p ≤ 1 + δ; this is the least ratio
-    of the largest to the smallest, (1 + δ)/(1 - δ). The cones' edges are sharp, so the lower bound takes them narrower
-    by `margin` and the upper bound wider. SNR² = Σ g²p²/(gp + B) joins as Σ w p with w = g·S/(S + B) of the
-    last solution, M - 2δ/weight ≤ Σ w p ≤ M + 2δ/weight around a free level M. Then few probes: re-weighted least sums
-    (Candès, Wakin and Boyd, J. Fourier Anal. Appl. 14, 877 (2008)) thin the solution out, the strongest are
-    spread along the rail by the least shifts that keep its spacing, and their powers are solved for again.
+    Candidates are all mounts × aims × divergences. In their powers p ≥ 0 the illumination at the samples is linear, A
+    p, and a linear program finds the p that minimises δ in 1 - δ ≤ A p ≤ 1 + δ; this minimises the ratio of the largest
+    to the smallest, (1 + δ)/(1 - δ). The cones' edges are sharp, so the lower bound takes them narrower by `margin` and
+    the upper bound wider. SNR² = Σ g²p²/(gp + B) joins as Σ w p with w = g·S/(S + B) of the last solution, M -
+    2δ/weight ≤ Σ w p ≤ M + 2δ/weight around a free level M. Re-weighted least sums (Candès, Wakin and Boyd, J. Fourier
+    Anal. Appl. 14, 877 (2008)) then reduce the solution to few probes; the strongest are spread along the rail by the
+    least shifts that keep its spacing, and their powers are solved for again.
 
     Parameters
     ----------
     volume, target, kit, rail
         Where cameras are, what they are, what probes are made of and where they may stand.
     cap
-        The illumination not to exceed at the samples, nor at twenty times as many other points, in W/m².
+        Largest illumination at the samples, and at twenty times as many other points, in W/m².
     probes
-        At most so many.
+        Largest number of probes.
     divergences
         Full angles to choose from, in radians.
     aims
         Points to aim at, across and in depth, at the volume's middle height.
     samples, margin
-        How many points stand for the volume, and how far (metres) around them the cones' edges are kept off.
+        Number of points that represent the volume, and the distance (metres) that cones' edges keep from them.
     snr_weight
-        0 leaves the SNR free; 1 asks as much of it as of the illumination.
+        Weight of the SNR: 0 leaves it free, 1 bounds it like the illumination.
     seed
         Of the samples.
 
@@ -140,7 +140,7 @@ def single_probe(volume: Volume, kit: ProbeKit, position: Point, *, cap: float, 
     rays = volume.place(corners) - np.asarray(position)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     axis = rays.mean(axis=0)
-    # Badoiu and Clarkson's walk to the middle of the smallest ball: a step of 1/n towards the farthest.
+    # Badoiu and Clarkson's iteration for the centre of the smallest ball: a step of 1/n towards the farthest.
     for step in range(2, 2000):
         axis += (rays[np.argmin(rays @ axis)] - axis) / step
     axis /= np.linalg.norm(axis)
@@ -175,7 +175,7 @@ class _Problem:
         cap: float,
     ) -> None:
         self.probes, self.cap, self.weight = probes, cap, snr_weight
-        # Around 1 in the solver, whose tolerances are absolute.
+        # Scaled to about 1: the solver's tolerances are absolute.
         self.low = irradiance(probes, points, margin=-margin)
         self.high = irradiance(probes, points, margin=margin)
         self.unit = float(self.high.max()) or 1.0
@@ -184,7 +184,7 @@ class _Problem:
         self.gain, self.noise = seen.electrons, seen.noise
 
     def capped(self, power: Array) -> Array:
-        """Powers in watts of which the largest illumination, with the wider cones, is the cap."""
+        """Powers in watts at which the largest illumination, with the wider cones, is the cap."""
         return power * (self.cap / (self.unit * float((self.high @ power).max())))
 
     def solve(self, chosen: npt.NDArray[np.intp], rounds: int = 3) -> tuple[Array, float]:
@@ -202,7 +202,7 @@ class _Problem:
         bound = bound - matrix[:, columns] * (deviation + slack)
         matrix = matrix[:, :columns]
         weight = np.ones(columns)
-        # The free level M costs nothing.
+        # The free level M has no cost.
         weight[len(power) :] = 0
         for _ in range(rounds):
             found = linprog(weight, A_ub=matrix, b_ub=bound, method="highs").x
@@ -233,7 +233,7 @@ class _Problem:
             part = rows[:, chosen]
             light += [np.hstack([part, -ones, -2 / self.weight * ones])]
             light += [np.hstack([-part, ones, -2 / self.weight * ones])]
-            # M between a half and twice the last level, or darkness would be even too.
+            # M between a half and twice the last level; otherwise darkness would count as even.
             free = np.zeros((2, light[0].shape[1]))
             free[:, -2] = 1, -1
             light.append(free)
@@ -243,7 +243,7 @@ class _Problem:
     def _rows(self, power: Array) -> Array:
         """SNR² per relative power of each probe, its own noise as at `power`; of mean 1 there."""
         watts = self.capped(power)
-        # Probes that are off are judged as if they had the power of those that are on.
+        # Probes without power count as if they had the median power of the others.
         usual = float(np.median(watts[watts > 1e-6 * watts.max()]))
         counts = self.gain * np.where(watts > 1e-6 * watts.max(), watts, usual)
         rows = self.gain * counts / (counts + self.noise)

@@ -1,4 +1,4 @@
-"""How much light each probe sends to points of the room, what comes back from a camera there, and how even both are."""
+"""Light that each probe sends to points of the room, its return from a camera there, and how even both are."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from tapetum.simulate.radiometry import dark_electrons
 
 __all__ = ["Evenness", "OverlapLaw", "Signals", "coverage", "evenness", "irradiance", "overlap_law", "signal"]
 
-# Of the lattice of links: distances a doubling, tilts a unit of their sine; and links that are computed one by one.
+# Lattice of links: distances a doubling, tilts a unit of their sine; and the most links computed one by one.
 _A_DOUBLING, _A_SINE, _FEW = 16, 100, 200
 _WIDE = 1.0
 
 
 def coverage(constellation: Constellation, points: npt.ArrayLike, *, margin: float = 0.0) -> npt.NDArray[np.bool_]:
-    """Which probes light, and so see, which points.
+    """Which probes light, and so see, which points: bool, [N, P].
 
     Parameters
     ----------
@@ -35,15 +35,10 @@ def coverage(constellation: Constellation, points: npt.ArrayLike, *, margin: flo
         [N, 3], in metres.
     margin
         Metres by which the cones are taken wider (negative: narrower), square to their edge.
-
-    Returns
-    -------
-    numpy.ndarray
-        bool, [N, P].
     """
     depth, reach, half = _geometry(constellation, points)
     across = np.sqrt(np.maximum(reach**2 - depth**2, 0.0))
-    # A billionth is for rounding: the axis of a narrow cone must lie in it.
+    # A billionth for rounding: a narrow cone must contain its axis.
     edge = depth * np.tan(half) + margin / np.cos(half) + 1e-9 * reach
     return (depth > 0) & (across <= edge)
 
@@ -51,24 +46,19 @@ def coverage(constellation: Constellation, points: npt.ArrayLike, *, margin: flo
 def irradiance(
     constellation: Constellation, points: npt.ArrayLike, facing: npt.ArrayLike | None = None, *, margin: float = 0.0
 ) -> Array:
-    """Irradiance from each probe, in W/m²; its sum over the last axis is the illumination.
+    """Irradiance from each probe, [N, P] in W/m²; its sum over the last axis is the illumination.
 
     As in `radiometry.irradiance_at_target` the power spreads evenly over the lit disc of radius z tan(divergence/2)
-    square to the beam's axis, at the depth z along it; so the flux density along a ray at the angle γ from the axis
-    is P/(π z² tan²(divergence/2) cosγ), and its integral over any plane that cuts the whole cone is P.
+    square to the beam's axis, at the depth z along it; so the flux density along a ray at the angle γ from the axis is
+    P/(π z² tan²(divergence/2) cosγ), and its integral over any plane that cuts the whole cone is P.
 
     Parameters
     ----------
     constellation, points, margin
         As for `coverage`.
     facing
-        Unit normals [N, 3] or [3] of a surface turned to the probes. None: square to each ray, the most an eye or a
-        camera there can get.
-
-    Returns
-    -------
-    numpy.ndarray
-        [N, P].
+        Unit normals [N, 3] or [3] of a surface turned to the probes. None: square to each ray, the largest irradiance
+        of an eye or a camera there.
     """
     depth, reach, half = _geometry(constellation, points)
     power = np.array([probe.power for probe in constellation.probes])
@@ -80,15 +70,15 @@ def irradiance(
 
 @dataclass(frozen=True)
 class Signals:
-    """What each probe's sensor gets from a camera at each point, all [N, P].
+    """Signals of each probe's sensor from a camera at each point, all [N, P].
 
     Parameters
     ----------
     electrons
         Mean photo-electrons of the RR in a frame.
     noise
-        Variance in electrons² of what is not the RR's own shot noise: background, dark current, readout and rounding,
-        over the RR's pixels.
+        Variance in electrons² apart from the RR's shot noise: background, dark current, readout and rounding, over the
+        RR's pixels.
     pixels
         That the RR covers.
     saturated
@@ -107,10 +97,9 @@ class Signals:
 
     @property
     def combined(self) -> Array:
-        """Of all probes together, [N]: √Σ SNR².
+        """SNR of all probes together, [N]: √Σ SNR², that of the best linear combination of their independent sums.
 
-        What the best linear combination of the probes' independent sums reaches; a probe that does not see the camera
-        adds nothing.
+        A probe that does not see the camera adds nothing.
         """
         return np.sqrt((self.snr**2).sum(axis=1))
 
@@ -125,10 +114,10 @@ def signal(
 ) -> Signals:
     """Photo-electrons a frame that a camera at each point returns to each probe.
 
-    Every pair of a point and a probe is a scene whose `link_budget` says what returns: its sensor's reflectance in the
-    mirror's direction, layers, overlap of the pupils, the part of the return inside the probe's aperture, and the
-    sensor's noise. Layers' own returns and higher orders are not counted, as there. Of many pairs those on a lattice
-    of distances and tilts are computed; what lies between is interpolated, within 2 % where it is bright.
+    Every pair of a point and a probe is a scene with a `link_budget`: the sensor's reflectance in the mirror's
+    direction, layers, overlap of the pupils, the part of the return inside the probe's aperture, and the sensor's
+    noise. Layers' own returns and higher orders are not counted, as there. Many pairs are interpolated from a lattice
+    of distances and tilts, within 2 % where it is bright.
 
     Parameters
     ----------
@@ -159,10 +148,10 @@ def signal(
     for p, probe in enumerate(constellation.probes):
         optics = Probe(ThinLens(probe.focal_length, probe.aperture_radius), sensor, probe.transmission)
         links = _links(target, optics, constellation.wavelength, reach[:, p], sine[:, p])
-        # A beam narrower than the aperture goes in whole.
+        # A beam narrower than the aperture enters whole.
         entering = np.minimum(lit[:, p], probe.power / (area * np.sqrt(1 - sine[:, p] ** 2).clip(1e-9)))
         count[:, p], full[:, p] = links[:, 0] * entering, links[:, 1] * entering
-        # Near the cut-off what returns spreads without end.
+        # Near the cut-off the return's spread diverges.
         pixels[:, p] = np.minimum(np.exp(links[:, 2]), math.prod(sensor.pixels))
     dark = dark_electrons(sensor)
     noise = pixels * max(dark + readout_variance(sensor), 1e-12)
@@ -192,7 +181,7 @@ def _link(target: Target, probe: Probe, wavelength: float, reach: float, sine: f
     steepest = math.sin(STEEPEST[target.lens.kind]) * (1 - 1e-9)
     if sine >= steepest:
         return 0.0, 0.0, 0.0
-    # Any beam wider than the aperture: the link does not depend on the probe's own.
+    # Any beam wider than the aperture gives the same link.
     light = Illumination("diverging", wavelength, 1.0, _WIDE)
     turned = replace(target, rotation=(math.asin(sine), 0.0))
     found = link_budget(Scene(distance=reach, target=turned, probe=probe, illumination=light))
@@ -228,7 +217,7 @@ def _cosine(constellation: Constellation, points: npt.ArrayLike, facing: npt.Arr
 
 @dataclass(frozen=True)
 class Evenness:
-    """Smallest, largest and mean of something over a volume; `ratio` is largest over smallest."""
+    """Smallest, largest and mean of a quantity over a volume; `ratio` is largest over smallest."""
 
     low: float
     high: float
@@ -240,7 +229,7 @@ class Evenness:
 
 
 def evenness(values: npt.ArrayLike) -> Evenness:
-    """How even finite, non-negative `values` are."""
+    """Evenness of finite, non-negative `values`."""
     array = np.asarray(values, dtype=np.float64)
     if array.size == 0 or not np.isfinite(array).all() or (array < 0).any():
         raise InputError("must be finite and not negative, and at least one", where="values", remedy="check them")
@@ -260,7 +249,7 @@ class OverlapLaw:
 def overlap_law(
     distance: npt.ArrayLike, nearest: float, electrons_nearest: float, noise: float, *, exponent: float = 2.0
 ) -> OverlapLaw:
-    """What n(d) = (d/nearest)^exponent equal overlapping diverging beams do, in closed form.
+    """Illumination and SNR of n(d) = (d/nearest)^exponent equal, overlapping, diverging beams, in closed form.
 
     Each beam gives E ∝ 1/d² and, while the return fits the probe's aperture, S = S₀ (nearest/d)². So
 

@@ -1,4 +1,4 @@
-"""What stands in the room: probes and the kit they are built of, the rail that holds them, the volume they light."""
+"""The room: probes and their kit, the rail that holds them, and the volume they light."""
 
 # SciPy types its samplers in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -26,7 +26,7 @@ Point = tuple[float, float, float]
 
 @dataclass(frozen=True)
 class PlacedProbe:
-    """A probe somewhere in the room; what it sees is what it lights, a cone.
+    """A probe somewhere in the room; it sees the cone that it lights.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class PlacedProbe:
     focal_length, aperture_radius
         Of its lens, in metres.
     transmission
-        Power that the way back keeps.
+        For power, on the way back.
     """
 
     position: Point
@@ -85,7 +85,7 @@ class Constellation:
 
 @dataclass(frozen=True)
 class Volume:
-    """A box, sheared upwards by the rake of the floor; `look_at` is where its cameras point.
+    """A box, sheared upwards by the rake of the floor.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ class Volume:
     rake
         Rise of the floor per metre of z, from `low`'s z on.
     look_at
-        A point in metres, or None for cameras that turn to whichever probe looks at them.
+        Where its cameras point, in metres, or None for cameras that turn to whichever probe looks at them.
     """
 
     low: Point
@@ -158,10 +158,10 @@ class Rail:
 
 @dataclass(frozen=True)
 class ProbeKit:
-    """What probes can be built of: the sensor, and a lens whose field is the cone.
+    """The parts of a probe: the sensor, and a lens whose field is the cone.
 
-    The shorter side of the sensor spans the cone, f = side/(2 tan(divergence/2)); the aperture is the largest that
-    neither `aperture_radius` (metres) nor the fastest `f_number` forbids. So a wide probe has a small aperture.
+    The shorter side of the sensor spans the cone, f = side/(2 tan(divergence/2)); the aperture is the largest that both
+    `aperture_radius` (metres) and the smallest `f_number` allow. So a wide probe has a small aperture.
     """
 
     sensor: ProbeSensor
@@ -206,7 +206,7 @@ def between(
 ) -> None:
     above = value >= low if low_too else value > low
     below = value <= high if high_too else value < high
-    # Infinity passes no bound, and NaN no comparison.
+    # Infinity fails every bound, and NaN every comparison.
     if not (above and below and math.isfinite(value)):
         remedy = f"give one {'from' if low_too else 'above'} {low:g} {'to' if high_too else 'and below'} {high:g}"
         raise InputError(f"is {value:g}", where=where, remedy=remedy)
