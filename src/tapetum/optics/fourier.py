@@ -134,8 +134,8 @@ class BandLimitedFourier:
 
 def _lifted(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
     """A real matrix [V, V'] times complex fields [..., V', U]: half the multiplications of a complex one."""
-    parts = torch.view_as_real(field.contiguous()).flatten(-2)
-    return torch.view_as_complex((matrix @ parts).unflatten(-1, (-1, 2)))
+    parts = matrix @ torch.view_as_real(field.contiguous()).flatten(-2)
+    return torch.view_as_complex(parts.reshape(*parts.shape[:-1], field.shape[-1], 2))
 
 
 class _Blocks:

@@ -32,7 +32,7 @@ from tapetum.simulate.surfaces import Surface
 __all__ = ["TracedGrids", "TracedPass", "tilt_and_azimuth"]
 
 # Gazes computed together.
-_AT_ONCE = 4
+_AT_ONCE = 8
 _NO_TILT = 1e-11
 # Latest start of the fade, over the window's end, at which rim light still counts as centred.
 _LATEST_FADE = 0.75
