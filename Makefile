@@ -22,7 +22,7 @@ $(VENV)/.peers: $(VENV)/.ready
 	@touch $@
 
 demo: setup
-	$(BIN)/tapetum demo --out $(DEMO_OUT)
+	$(BIN)/tapetum demo --out $(DEMO_OUT) --overwrite
 
 # One test file a process, one thread each: as many processes as there are cores, the longest files first
 # (tests/conftest.py).

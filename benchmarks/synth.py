@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import tempfile
 import time
@@ -11,16 +12,16 @@ from pathlib import Path
 from statistics import median
 from typing import Any
 
+import dask.config
 import distributed
 
 from tapetum.bench import load_scene, scene_names
 from tapetum.data.build import add_frames, labels_of
 from tapetum.data.synth import Plan, make_plan, rotation_plan, synthesise
 from tapetum.data.synth.clip import MARGIN, Clip
-from tapetum.data.synth.cluster import joined
 from tapetum.data.synth.plan import KINDS, PIECE, Part
-from tapetum.data.synth.store import Staging
-from tapetum.data.synth.work import Made, make_part, one_thread, shot_of
+from tapetum.data.synth.store import Made, Staging
+from tapetum.data.synth.work import MALLOC, make_part, one_thread, shot_of
 from tapetum.record import label_recording
 from tapetum.record.blobs import find_candidates
 
@@ -124,6 +125,30 @@ def _prepared(scene: Any, session: Any) -> Any:
     return shot
 
 
+# Dask's own types do not know all that it takes.
+_Cluster: Any = distributed.LocalCluster
+
+
+@contextlib.contextmanager
+def _joined(workers: int) -> Iterator[Any]:
+    """Start a cluster of so many processes here, and join it; each keeps its memory between arrays, as ours do."""
+    keeping = {**dask.config.get("distributed.nanny.pre-spawn-environ", {}), **MALLOC}
+    with (
+        tempfile.TemporaryDirectory() as scratch,
+        dask.config.set({"distributed.nanny.pre-spawn-environ": keeping}),
+        _Cluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address=None,
+            memory_limit=0,
+            local_directory=scratch,
+            silence_logs="CRITICAL",
+        ) as cluster,
+        distributed.Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
 class _Stages:
     """A progress that notes how long each stage takes, in seconds: filming, putting together."""
 
@@ -145,7 +170,7 @@ def _sharing(plan: Plan, videos: int, frames: int, rounds: int) -> list[Row]:
     for number in range(rounds):
         for workers in (1, 2) if number % 2 == 0 else (2, 1):
             start = time.perf_counter()
-            with joined(distributed, workers, None) as client, tempfile.TemporaryDirectory() as folder:
+            with _joined(workers) as client, tempfile.TemporaryDirectory() as folder:
                 address, stages = client.scheduler.address, _Stages()
                 # Warm: everything is imported, and no shot of the timed set is prepared.
                 synthesise(_little(plan, videos, 8, 1000), Path(folder) / "warm.zarr", cluster=address)
@@ -185,7 +210,7 @@ def _little(plan: Plan, videos: int, frames: int, seed: int) -> Plan:
 def _scheduling(count: int) -> float:
     """Seconds that Dask itself takes for a task: nothing is done, and a video's description is sent."""
     video = rotation_plan(load_scene("hand-held")).videos[0]
-    with joined(distributed, 1, None) as client:
+    with _joined(1) as client:
         client.gather([client.submit(_nothing, video, n, pure=False) for n in range(20)])
         _, took = _timed(lambda: client.gather([client.submit(_nothing, video, n, pure=False) for n in range(count)]))
     return took / count

@@ -11,9 +11,9 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from flash import fig_flash, flash, flash_table
+from sign_causes import fig_sign_causes, markdown, phone_target, sign_causes, thin_target
 from tapetum.bench import load_scene
-from tapetum.experiments.flash import fig_flash, flash, flash_table
-from tapetum.experiments.sign_causes import fig_sign_causes, markdown, phone_target, sign_causes, thin_target
 from tapetum.files import atomic_file
 from tapetum.report.figures import save_figure
 

@@ -30,10 +30,7 @@ def _refused(constant: str) -> NoReturn:
 def read_json(path: str | os.PathLike[str]) -> Any:
     """Read a JSON file; NaN and infinities, which JSON does not know, are refused.
 
-    Raises
-    ------
-    OSError, ValueError
-        When it cannot be read, or is no JSON.
+    Raises an OSError or a ValueError when it cannot be read, or is no JSON.
     """
     try:
         return json.loads(Path(path).read_text(encoding="utf-8"), parse_constant=_refused)
@@ -44,10 +41,7 @@ def read_json(path: str | os.PathLike[str]) -> Any:
 def check(schema: type[Schema], content: object, where: object, remedy: str) -> Schema:
     """Check plain values against a schema.
 
-    Raises
-    ------
-    InputError
-        With the path of the first key that does not fit.
+    Raises an InputError with the path of the first key that does not fit.
     """
     try:
         return schema.model_validate(content)

@@ -25,21 +25,14 @@ _IMPOSSIBLE = (errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.EEXIST, er
 
 @contextlib.contextmanager
 def told_when_full(path: str | os.PathLike[str]) -> Iterator[None]:
-    """Turn the system's errors of writing (no room, no permission, no such place) into one clear line about `path`.
+    """Turn the system's errors of writing (no room, no permission, no such place) into one InputError about `path`.
 
     An error that names a file elsewhere passes through: it is not about what is written here.
-
-    Raises
-    ------
-    InputError
-        In place of an error that a user can mend.
     """
     try:
         yield
-    except InputError:
-        raise
     except Exception as error:
-        told = _told(error, Path(path))
+        told = None if isinstance(error, InputError) else _told(error, Path(path))
         if told is None:
             raise
         raise told from error
@@ -75,21 +68,20 @@ def _concerns(error: OSError, path: Path) -> bool:
     return named.is_relative_to(target.parent) or target.is_relative_to(named)
 
 
-def _make_parents(target: Path) -> list[Path]:
-    """Make the folders above `target`; return those that were not there, the deepest first."""
-    made: list[Path] = []
-    for parent in target.absolute().parents:
-        if parent.exists():
-            break
-        made.append(parent)
+@contextlib.contextmanager
+def _parents(target: Path) -> Iterator[None]:
+    """Make the folders above `target` and flush their names and its own; on failure remove those that were made."""
+    made = list(itertools.takewhile(lambda parent: not parent.exists(), target.absolute().parents))
     target.parent.mkdir(parents=True, exist_ok=True)
-    return made
-
-
-def _remove_empty(folders: list[Path]) -> None:
-    for folder in folders:
-        with contextlib.suppress(OSError):  # something else is in it by now
-            folder.rmdir()
+    try:
+        yield
+        for path in (target.absolute(), *made):
+            sync(path.parent)
+    except BaseException:
+        for folder in made:
+            with contextlib.suppress(OSError):  # something else is in it by now
+                folder.rmdir()
+        raise
 
 
 @contextlib.contextmanager
@@ -100,8 +92,7 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     is the old file or the new one, whole.
     """
     target = Path(path)
-    with told_when_full(target):
-        made = _make_parents(target)
+    with told_when_full(target), _parents(target):
         clean_leftovers(target)
         # The suffix stays last, so that writers which go by it still recognise the format.
         part = part_name(target, end=f".part{target.suffix}")
@@ -113,10 +104,8 @@ def atomic_file(path: str | os.PathLike[str]) -> Iterator[Path]:
             part.chmod(mode)
             sync(part)
             part.replace(target)
-            _sync_above(target, made)
         except BaseException:
             part.unlink(missing_ok=True)
-            _remove_empty(made)
             raise
 
 
@@ -132,24 +121,17 @@ def atomic_folder(path: str | os.PathLike[str], *, overwrite: bool = False) -> I
         When `path` exists and `overwrite` is false, or another command is writing it.
     """
     target = Path(path)
-    with told_when_full(target):
-        made = _make_parents(target)
+    with told_when_full(target), _parents(target), sole_writer(target):
+        clean_leftovers(target)
+        if target.exists() and not overwrite:
+            raise InputError("exists already", where=target, remedy="choose another name or remove it first")
+        part = part_name(target, end=".part")
         try:
-            with sole_writer(target):
-                clean_leftovers(target)
-                if target.exists() and not overwrite:
-                    raise InputError("exists already", where=target, remedy="choose another name or remove it first")
-                part = part_name(target, end=".part")
-                try:
-                    part.mkdir()
-                    yield part
-                    replace_folder(part, target)
-                except BaseException:
-                    shutil.rmtree(part, ignore_errors=True)
-                    raise
-                _sync_above(target, made)
+            part.mkdir()
+            yield part
+            replace_folder(part, target)
         except BaseException:
-            _remove_empty(made)
+            shutil.rmtree(part, ignore_errors=True)
             raise
 
 
@@ -183,13 +165,6 @@ def free_name(path: Path, word: str) -> Path:
     numbers = itertools.chain([""], (f"-{n}" for n in itertools.count(2)))
     names = (path.with_name(f"{path.stem}.{word}{number}{path.suffix}") for number in numbers)
     return next(name for name in names if not name.exists() and not name.is_symlink())
-
-
-def _sync_above(target: Path, made: list[Path]) -> None:
-    """Flush the names of a file and of the folders that were made for it."""
-    sync(target.absolute().parent)
-    for folder in made:
-        sync(folder.parent)
 
 
 def sha256_file(path: str | os.PathLike[str]) -> str:

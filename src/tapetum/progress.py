@@ -31,15 +31,8 @@ def quiet(items: Iterable[T], what: str, *, total: int | None = None) -> Iterato
 def bar(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[T]:
     """Show a bar with the time left on standard error; where that is no terminal, one line when the loop is done."""
     # Rich is slow to import, and most uses of the library never show a bar.
+    from rich import progress as rich
     from rich.console import Console
-    from rich.progress import (
-        BarColumn,
-        MofNCompleteColumn,
-        TextColumn,
-        TimeElapsedColumn,
-        TimeRemainingColumn,
-    )
-    from rich.progress import Progress as RichProgress
 
     if total is None:
         # What has a length may still refuse to tell it, as an iterable dataset's loader does.
@@ -47,23 +40,14 @@ def bar(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[
             total = len(items)  # type: ignore[arg-type]
     console = Console(stderr=True)
     if not console.is_terminal:
-        # A log wants no frames of a bar, and a loop that failed says why by its error.
+        # In a log one line is enough, and of a loop that failed the error says why.
         start, done = time.monotonic(), 0
         for item in items:
             yield item
             done += 1
         console.print(f"{what}: {done} in {time.monotonic() - start:.1f} s", markup=False, soft_wrap=True)
         return
-    columns = (
-        TextColumn("{task.description:<28}"),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        TimeElapsedColumn(),
-        TextColumn("left"),
-        TimeRemainingColumn(),
-    )
-    with RichProgress(*columns, console=console) as shown:
-        task = shown.add_task(what, total=total)
-        for item in items:
-            yield item
-            shown.advance(task)
+    counts = (rich.BarColumn(bar_width=30), rich.MofNCompleteColumn(), rich.TimeElapsedColumn())
+    left = (rich.TextColumn("left"), rich.TimeRemainingColumn())
+    with rich.Progress(rich.TextColumn("{task.description:<28}"), *counts, *left, console=console) as shown:
+        yield from shown.track(items, total=total, description=what)

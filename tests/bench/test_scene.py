@@ -14,6 +14,7 @@ import pytest
 import yaml
 
 from tapetum.bench import (
+    Illumination,
     PhoneTarget,
     PrescriptionLens,
     Scene,
@@ -285,3 +286,22 @@ def test_the_schema_says_what_the_reader_asks() -> None:
     lens = schema["$defs"]["ThinLens"]
     assert set(lens["required"]) == {"focal_length", "aperture_radius"}
     assert {"type": "string"} in lens["properties"]["focal_length"]["anyOf"]
+
+
+@pytest.mark.parametrize(
+    ("light", "radius", "curvature", "nearer"),
+    [
+        (Illumination(), 0.01, 0.0, 1.0),
+        (Illumination(diameter=0.05), 0.025, 0.0, 1.0),
+        (Illumination("diverging", divergence=0.02), 4 * math.tan(0.01), 0.25, 4.0),
+        (Illumination("fixed_area", diameter=0.05), 0.025, 0.25, 1.0),
+        (Illumination("fixed_area", diameter=0.05, vergence=-0.5), 0.025, -0.5, 1.0),
+    ],
+)
+def test_each_mode_carries_its_radius_curvature_and_irradiance(
+    light: Illumination, radius: float, curvature: float, nearer: float
+) -> None:
+    assert light.radius(4.0, 0.01) == pytest.approx(radius)
+    assert light.curvature(4.0) == curvature
+    assert light.spread(2.0, 4.0) == nearer
+    assert light.follows_distance == (curvature == 0.25)

@@ -78,7 +78,7 @@ def test_track_with_a_model(run, chain, tmp_path: Path) -> None:
 
 def test_resnet_trains_and_drops_its_checkpoint(run, chain, tmp_path: Path) -> None:
     out = tmp_path / "net"
-    ran = run("train", chain.dataset, "-o", out, "--model", "resnet18", "--epochs", 1)
+    ran = run("train", chain.dataset, "-o", out, "--model", "resnet18", "--epochs", 1, "--size", 48)
     assert ran.code == 0 and "epoch 1 of 1: loss" in ran.out
     assert [path.name for path in tmp_path.iterdir()] == ["net"]
 

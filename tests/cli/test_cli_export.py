@@ -28,7 +28,7 @@ def test_what_was_exported_evaluates_and_tracks(run, chain, tmp_path: Path) -> N
     assert run("export", "thin-lens-gaze", "-o", fast).code == 0
     for name in ("thin-lens-gaze", str(fast)):
         out = tmp_path / "tracks.csv"
-        ran = run("track", chain.recording, "--model", name, "-o", out)
+        ran = run("track", chain.recording, "--model", name, "-o", out, "--overwrite")
         assert ran.code == 0
         tables[name] = csv.read_csv(out)
     slow, quick = tables.values()

@@ -133,5 +133,5 @@ def test_track(run, chain, small: Small, kind: str) -> None:
 def test_a_file_that_stood_there_stays(run, small: Small) -> None:
     with small(16_384) as folder:
         (folder / "x.npy").write_bytes(b"dear")
-        complaint(run("simulate", "thin-lens", "-o", folder / "x.npy"))
+        complaint(run("simulate", "thin-lens", "-o", folder / "x.npy", "--overwrite"))
         assert (folder / "x.npy").read_bytes() == b"dear" and len(list(folder.iterdir())) == 1

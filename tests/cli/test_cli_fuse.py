@@ -116,7 +116,7 @@ def test_track_smooths(run, chain, tmp_path: Path) -> None:
             values = pa.array(found[name].to_numpy() + wide)
             found = found.set_column(found.column_names.index(name + end), name + end, values)
     pq.write_table(found, kept)
-    assert run("track", kept, "-o", raw).code == 0
+    assert run("track", kept, "-o", raw, "--overwrite").code == 0
     again = run("track", kept, "-o", out, "--smooth", "whole", "--systematic", "0.5")
     assert again.code == 0, again.err
     before, after = read_tracks(raw), read_tracks(out)

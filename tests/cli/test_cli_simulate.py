@@ -99,7 +99,7 @@ def test_a_grid_forced_by_hand_claims_no_error(run, tmp_path: Path) -> None:
     forced = ("--set", f"sampling.pupil={plan.columns - 2}")
     ran = run("simulate", "thin-lens", *SMALL, *forced, "-o", tmp_path / "x.npy", "--json")
     assert ran.code == 0 and json.loads(ran.out)["expected_error"] is None
-    ran = run("simulate", "thin-lens", *SMALL, *forced, "-o", tmp_path / "x.npy")
+    ran = run("simulate", "thin-lens", *SMALL, *forced, "-o", tmp_path / "x.npy", "--overwrite")
     assert "error unknown" in ran.out and "cut-off" not in ran.out
 
 
@@ -159,4 +159,6 @@ def test_a_folder_is_never_replaced(run, tmp_path: Path) -> None:
     (kept / "mine").write_text("dear")
     ran = run("simulate", "thin-lens", *SMALL, "-o", kept)
     assert ran.code == 2 and "exists already" in ran.complaint
+    ran = run("simulate", "thin-lens", *SMALL, "-o", kept, "--overwrite")
+    assert ran.code == 2 and "is no store of images that may be replaced" in ran.complaint
     assert (kept / "mine").read_text() == "dear"

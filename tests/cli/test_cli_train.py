@@ -45,7 +45,7 @@ def test_an_error_of_the_program_in_the_evaluation_leaves_the_model(run, chain, 
     def broken(*given: object, **named: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("tapetum.report.evaluate.evaluate_model", broken)
+    monkeypatch.setattr("tapetum.report.evaluation.evaluate_model", broken)
     with pytest.raises(ZeroDivisionError):
         run("train", chain.dataset, "-o", tmp_path / "m")
     assert load_model(tmp_path / "m").target_names == ("gaze_x", "gaze_y")
@@ -76,7 +76,7 @@ def test_ctrl_c_in_the_evaluation_leaves_the_model(run, chain, tmp_path: Path, m
     def interrupted(*given: object, **named: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tapetum.report.evaluate.evaluate_model", interrupted)
+    monkeypatch.setattr("tapetum.report.evaluation.evaluate_model", interrupted)
     ran = run("train", chain.dataset, "-o", tmp_path / "m")
     assert ran.code == 130 and f"saved {tmp_path / 'm'}" in ran.out and (tmp_path / "m" / "model.json").exists()
 

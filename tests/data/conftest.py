@@ -8,7 +8,9 @@ from pathlib import Path
 import numpy as np
 import pyarrow as pa
 import pytest
+from synth_plans import little_plan
 
+from tapetum.data.synth import synthesise
 from tapetum.record.recording import RecordingWriter, StreamInfo, open_recording
 
 HEIGHT, WIDTH = 72, 90
@@ -58,3 +60,9 @@ def place(n: int) -> tuple[float, float]:
 @pytest.fixture
 def film(tmp_path: Path) -> Callable[..., Path]:
     return lambda name="a.rec", **how: filmed(tmp_path / name, **how)
+
+
+@pytest.fixture(scope="session")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The little plan's set, made by one process."""
+    return synthesise(little_plan(), tmp_path_factory.mktemp("synth") / "whole.zarr")

@@ -27,11 +27,14 @@ def shortened(session: Session, seconds: float) -> Session:
     return replace(session, seconds=seconds, motion=replace(session.motion, sway=3e-3))
 
 
-def little_plan(videos: int = 2, seconds: float = 9.0, seed: int = 0) -> Plan:
-    """Some videos of two parts each."""
+PIECE = 32
+
+
+def little_plan(videos: int = 2, seconds: float = 3.2, seed: int = 0) -> Plan:
+    """Some videos of two little parts each."""
     plan = rotation_plan(little_scene(), "small", seed)
     short = tuple(replace(one, session=shortened(one.session, seconds)) for one in plan.videos[:videos])
-    return replace(plan, videos=short, rules=Rules(side=40))
+    return replace(plan, videos=short, rules=Rules(side=40), piece=PIECE)
 
 
 def digest(store: Path) -> str:

@@ -55,7 +55,7 @@ def test_a_mapping_is_read_with_its_shorthands(tmp_path: Path):
         ("3 m", "[3]", "stacks.0.labels.object_distance: must be one value or a mapping"),
         ("side: 32", "side: 32\nside: 40", "key 'side' twice"),
         ("import/1", "import/2", "has schema 'tapetum/import/2'; begin it with 'schema: tapetum/import/1'"),
-        ("{file: l.csv, column: 0}", "{unit: px}", "says not where the values are"),
+        ("{file: l.csv, column: 0}", "{unit: px}", "does not say where the values are"),
         ("{file: l.csv, column: 0}", "{file: l.csv, value: 1}", "has a value and a file as well"),
         ("file: a.h5, array", "array", "needs either a file or a folder"),
         ("stacks:", "stacks: [", "is no YAML"),

@@ -40,5 +40,5 @@ def test_nothing_but_the_picture_tells_the_gaze(tmp_path: Path):
 @pytest.mark.parametrize("kind", ["rotation", "focusing", "phones"])
 def test_nothing_but_the_picture_tells_the_labels_of_a_small_set(kind: str, tmp_path: Path):
     plan = _longer(make_plan(kind, "small", 11), 12.0)
-    found = find_leaks(open_dataset(synthesise(plan, tmp_path / "set.zarr", workers=2)), seed=1)
+    found = find_leaks(open_dataset(synthesise(plan, tmp_path / "set.zarr", processes=2)), seed=1)
     assert [str(one) for one in found if one.name not in OF_SHORT_VIDEOS] == []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ def phone_scene() -> Scene:
     return with_values(little_scene(), {"target": {"kind": "phone", "name": "phone-05", "object_distance": 5.5}})
 
 
+@functools.cache
 def plan_of(kind: str, size: str = "small", seed: int = 0) -> Plan:
     if kind == "phones":
         return phones_plan(phone_scene(), size, seed)

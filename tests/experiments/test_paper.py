@@ -22,7 +22,7 @@ from tapetum.experiments.fig6 import Fig6, simulate_fig6
 from tapetum.experiments.fig7 import Fig7, Sample, sample
 from tapetum.experiments.fig8 import Fig8, simulate_fig8
 from tapetum.experiments.measure import holding_diameter, mirror_error, power_law, widths
-from tapetum.experiments.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
+from tapetum.experiments.templating import render
 from tapetum.experiments.workshop import Workshop
 from tapetum.report.figures import figure_png
 
@@ -187,11 +187,11 @@ def test_fig6_specular_keeps_its_size_and_is_brighter(fig6: Fig6) -> None:
 
 
 def test_figures_and_pages(fig4: Fig4, fig5: Fig5, fig6: Fig6) -> None:
-    figures = (draw_fig4(fig4, (0.1, 0.05), DISTANCES, ROTATIONS), draw_fig5(fig5), draw_fig6(fig6))
+    figures = (draw_fig4(fig4), draw_fig5(fig5), draw_fig6(fig6))
     for figure in figures:
         with Image.open(io.BytesIO(figure_png(figure, dpi=40))) as picture:
             assert np.asarray(picture.convert("L")).std() > 20
-    pages = (text_fig4(fig4), text_fig5(fig5), text_fig6(fig6))
+    pages = [render(name, one.numbers()) for name, one in zip(FIGURES, (fig4, fig5, fig6), strict=False)]
     for name, page, found in zip(FIGURES[:3], pages, (fig4, fig5, fig6), strict=True):
         assert f"({name}.png)" in page and "**The paper**" in page and "**What differs**" in page
         assert " nan" not in page.lower() and max(len(line) for line in page.splitlines() if line[:1] != "|") <= 120
@@ -229,25 +229,23 @@ def test_fig8_filters_show_the_probes_aperture(fig8: Fig8, validated) -> None:
 def test_figures_and_pages_of_samples(turned: list[Sample], fig8: Fig8) -> None:
     lost = Sample("3 m", np.zeros((400, 400), np.uint8), {}, "target: too far out of focus")
     fig7 = Fig7(turned, [lost, *turned], turned, 255, 2.2e-6)
-    for name, figure, page, found in (
-        ("fig7", draw_fig7(fig7), text_fig7(fig7), fig7),
-        ("fig8", draw_fig8(fig8), text_fig8(fig8), fig8),
-    ):
+    for name, figure, found in (("fig7", draw_fig7(fig7), fig7), ("fig8", draw_fig8(fig8), fig8)):
+        page = render(name, found.numbers())
         with Image.open(io.BytesIO(figure_png(figure, dpi=40))) as picture:
             assert np.asarray(picture.convert("L")).std() > 20
         assert f"({name}.png)" in page and "**The paper**" in page and "**What differs**" in page
         assert " nan" not in page.lower() and "imulat" in page
         assert max(len(line) for line in page.splitlines() if line[:1] != "|") <= 120
         json.dumps(found.numbers(), allow_nan=False)
-    assert "too far out of focus" in text_fig7(fig7)
+    assert "too far out of focus" in " ".join(render("fig7", fig7.numbers()).split())
 
 
 def test_files_of_a_figure(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, fig6: Fig6) -> None:
     made: list[str] = []
 
-    def small(work: object) -> tuple[object, str, dict[str, object]]:
+    def small(work: object) -> tuple[object, dict[str, object]]:
         made.append("fig6")
-        return draw_fig6(fig6), text_fig6(fig6), fig6.numbers()
+        return draw_fig6(fig6), fig6.numbers()
 
     monkeypatch.setitem(writing._MAKERS, "fig6", small)
     (one,) = reproduce(["fig6", "fig6"], tmp_path / "new" / "folder")

@@ -98,7 +98,7 @@ def test_only_devices_that_are_there_count(phones):
     two = phones.isel(frame=np.flatnonzero(phones["device"].values != phones.tp.classes.index("ring")))
     part = training_part(two, ("device",), 0.1)
     assert part.classes == ("pair", "spot")
-    assert set(part.device.tolist()) == {0, 1}
+    assert set(part.camera.tolist()) == {0, 1}
     one = phones.isel(frame=np.flatnonzero(phones["device"].values == 0))
     with pytest.raises(InputError, match="all frames show one device, pair"):
         ResNet18("device", **TINY).fit(one)

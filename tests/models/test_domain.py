@@ -22,12 +22,14 @@ COARSE = (f"probe.sensor.pixels=[{SIDE}, {SIDE}]", "sampling.accuracy=0.05", "pr
 
 
 @lru_cache(maxsize=16)
-def filmed(count: int, seed: int, *changes: str) -> tuple[NDArray[np.generic], NDArray[np.float64]]:
+def filmed(
+    count: int, seed: int, *changes: str, reach: float = 0.45
+) -> tuple[NDArray[np.generic], NDArray[np.float64]]:
     """Frames of the hand-held scene with noise, at gazes drawn over the field, and the gazes."""
     scene = tp.load_scene("hand-held", [*COARSE, *changes])
     rng = np.random.default_rng(seed)
     width = scene.target.sensor.pitch * np.array(scene.target.sensor.pixels)
-    gaze = rng.uniform(-0.45, 0.45, (count, 2))
+    gaze = rng.uniform(-reach, reach, (count, 2))
     turns = np.degrees(np.arctan(gaze * width / scene.target.lens.focal_length))
     images = tp.retroreflect(scene, rotation=turns)
     return np.asarray(tp.expose(images, scene.probe, seed=seed)), gaze
@@ -96,7 +98,8 @@ def test_a_lens_that_gives_the_same_pictures_is_answered_too(model):
     ids=["aperture", "distance", "focus", "phone"],
 )
 def test_another_camera_is_not_answered(model, changes):
-    found = model.predict(filmed(40, 4, *changes)[0])
+    # Nearer to the field's middle, so that no wide spot crosses the sensor's edge, which takes a second a frame.
+    found = model.predict(filmed(40, 4, *changes, reach=0.25)[0])
     assert found.applies.mean() < 0.1
     assert np.isnan(found.value[~found.applies]).all()
     assert np.isnan(found.lower[~found.applies]).all()

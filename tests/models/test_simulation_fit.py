@@ -15,9 +15,8 @@ from tapetum.errors import InputError
 from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.fit import SimulationFit
 from tapetum.models.simulation.noise import Noise
-from tapetum.models.simulation.pictures import Pictures, period_of
+from tapetum.models.simulation.pictures import Pictures, Pose, period_of
 from tapetum.models.simulation.search import Search
-from tapetum.models.simulation.starts import Start
 from tapetum.progress import quiet
 from tapetum.simulate.exposure import count_moments, digitise
 from tapetum.simulate.gaze import tilt_of_gaze
@@ -157,7 +156,7 @@ def test_looks_farther_where_no_start_explains_the_image(
     bank = model._pictures[128][1]
     best = bank.match
 
-    def worst_first(*given: object) -> list[Start]:
+    def worst_first(*given: object) -> list[Pose]:
         return best(*given)[::-1]  # type: ignore[arg-type]
 
     monkeypatch.setattr(bank, "match", worst_first)

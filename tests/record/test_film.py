@@ -11,7 +11,7 @@ import torch
 
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.errors import InputError
-from tapetum.record import HandMotion, Session, film, label_recording, open_recording
+from tapetum.record import HandMotion, Session, Source, film, label_recording, open_recording
 from tapetum.record.beats import CameraClock
 from tapetum.record.clutter import draw_clutter
 from tapetum.record.film import without_second_beam
@@ -144,6 +144,18 @@ def test_a_recording_says_all_that_was_drawn(small: Scene, tmp_path: Path) -> No
     assert {"roll", "distance", "exposure", "laser", "target", "x", "y"} <= set(truth.column_names)
     shot = Shot(small, session)
     assert np.array_equal(frames_of(tmp_path / "a.rec", "probe"), shot.probe(0, len(shot.beats["probe"])))
+
+
+def test_a_camera_of_the_bench_is_a_source_like_any_other(small: Scene, tmp_path: Path) -> None:
+    session = Session(0.4, seed=2, code=BlinkCode(seed=5))
+    recorded = list(film(small, tmp_path / "a.rec", session).source("target"))
+    camera = Shot(small, session).cameras["target"]
+    assert isinstance(camera, Source) and not camera.live and len(camera) == len(recorded)
+    for ours, kept in zip(camera, recorded, strict=True):
+        assert np.array_equal(ours.image, kept.image)
+        assert (ours.utc_ns, ours.monotonic_ns, ours.exposure) == (kept.utc_ns, kept.monotonic_ns, kept.exposure)
+        assert (ours.index, ours.lit, ours.lost) == (kept.index, kept.lit, kept.lost)
+        assert ours.time == pytest.approx(kept.time, abs=2e-9)
 
 
 def test_a_session_without_frames_and_a_name_taken_are_refused(small: Scene, tmp_path: Path) -> None:

@@ -197,7 +197,7 @@ def test_a_collimated_beam_needs_one_simulation(small: Scene) -> None:
     distance = np.array([4.0, 5.0, 6.0])
     (returns,) = returns_of(scene, np.full((3, 2), 0.1), np.full((3, 2), 1e-3), np.zeros(3), distance)
     patches = [returns.patches(i)[0] for i in range(3)]
-    assert len(returns._cameras) == 1
+    assert returns._camera_at.cache_info().currsize == 1
     assert patches[0].light.max() == pytest.approx(patches[2].light.max(), rel=0.05)
     assert returns.pixels[0, 0] - 79.5 == pytest.approx(1e-3 * 0.2 / 4.0 / 8e-6)
 

@@ -373,8 +373,11 @@ def test_ctrl_c_ends_a_recording_whole(webcams: type[Webcam], tmp_path: Path, ca
     ("arguments", "told"),
     [
         (("hand-held", "--target", "p.mkv"), "hand-held: is a scene of the virtual bench, which films its own target"),
-        (("p.mkv", "--target", "hand-held"), "--target hand-held: is a scene of the virtual bench, not a real target"),
-        (("p.mkv", "--target", "nothing.mkv"), "--target nothing.mkv: is no camera, video or folder"),
+        (
+            ("p.mkv", "--target", "hand-held"),
+            "--target-source hand-held: is a scene of the virtual bench",
+        ),
+        (("p.mkv", "--target", "nothing.mkv"), "--target-source nothing.mkv: is no camera, video or folder"),
         (("nothing.mkv", "--target", "p.mkv"), "nothing.mkv: does not exist; give the probe's camera:0"),
         (("nothing",), "no such scene, file or folder"),
         (("p.mkv", "--target", "./p.mkv"), "p.mkv: is both probe and target"),

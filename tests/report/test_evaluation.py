@@ -17,7 +17,7 @@ from scipy.stats import norm
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NONE_OF_THESE, Prediction, ZernikeRidge, crop_snr
-from tapetum.report.evaluate import describe, evaluate_model
+from tapetum.report import html
 from tapetum.report.evaluation import (
     Outcome,
     Subject,
@@ -27,7 +27,9 @@ from tapetum.report.evaluation import (
     by_recording,
     by_snr,
     confusion,
+    describe,
     error_map,
+    evaluate_model,
     gather,
     novelty_auroc,
     reliability,
@@ -36,10 +38,13 @@ from tapetum.report.evaluation import (
     top_1,
     write_evaluation,
 )
-from tapetum.report.evaluation.sections import opening
 from tapetum.report.evaluation.write import samples, subject_of
 
 NAMES = ("A", "B", "C")
+
+
+def opening(scores: dict[str, Any], name: str) -> str:
+    return " ".join(html.render("evaluation_opening.html", scores=scores, name=name).split())
 
 
 class Told:

@@ -14,13 +14,14 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from tapetum.errors import InputError
+from tapetum.report.binned import error_by_distance
 from tapetum.report.evaluation import Binned, ErrorMap, Group, Reliability
 from tapetum.report.figures import figure_png
+from tapetum.report.figures.by_image import fig_by_image
 from tapetum.report.figures.classes import fig_confusion, fig_reliability
 from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance
-from tapetum.report.figures.learning import fig_by_image, fig_path
 from tapetum.report.figures.maps import fig_error_map
-from tapetum.report.rings import error_by_distance
+from tapetum.report.figures.path import fig_path
 
 
 def drawn(figure: Figure) -> np.ndarray:

@@ -45,7 +45,7 @@ def turned(scene: Scene, gaze: tuple[float, float]) -> Scene:
     import torch
 
     sines = tilt_of_gaze(scene, torch.tensor(gaze, dtype=torch.float64))
-    return with_values(scene, {"target.rotation": torch.asin(sines).tolist()})
+    return with_values(scene, {"target.rotation": torch.rad2deg(torch.asin(sines)).tolist()})
 
 
 @pytest.mark.parametrize("lens", [(), (SINGLET,)], ids=["thin", "traced"])

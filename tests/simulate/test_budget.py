@@ -17,6 +17,7 @@ from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.simulate import retroreflect
 from tapetum.simulate.budget import link_budget
+from tapetum.simulate.camera import Camera
 from tapetum.simulate.exposure import digitise, gain_of
 from tapetum.simulate.radiometry import (
     beam_radius,
@@ -26,7 +27,6 @@ from tapetum.simulate.radiometry import (
     irradiance_at_target,
     layer_transmittance,
     photon_energy,
-    return_radius_at_probe,
     return_radius_by_rays,
     share_in_disc,
     specular_reflectance,
@@ -288,7 +288,8 @@ def test_return_radius_is_what_it_was(focus: float) -> None:
     rays = 1.5e-3 * abs(1 - 20 * (curvature or 0.0))
     if math.isinf(focus):
         rays = 1.5e-3
-    assert return_radius_at_probe(one) == pytest.approx(rays + 1.22 * WAVELENGTH * 20 / 3e-3)
+    found = Camera(one, 0.0).metadata()["return_radius_at_probe"]
+    assert found == pytest.approx(rays + 1.22 * WAVELENGTH * 20 / 3e-3)
 
 
 def test_vergence_takes_the_mode_s_place() -> None:

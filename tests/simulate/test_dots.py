@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 from scipy.special import jn_zeros
+from scipy.stats import ncx2
 
 from tapetum.bench import load_scene, with_values
 from tapetum.bench.phone import Dots, load_phone
@@ -18,13 +19,22 @@ from tapetum.simulate.dots import (
     dot_image,
     dot_window,
     lit_time,
-    power_through,
     waist_at,
 )
 
 SECTION = "LiDAR dots"
 WAVELENGTH, FOCAL = 940e-9, 0.1
 WIDE = math.radians(0.5)
+
+
+def power_through(power: float, waist: float, offset: np.ndarray, radius: float) -> float:
+    """Power of a Gaussian beam (waist to 1/e²) that passes a round aperture beside its middle: a noncentral χ² of two
+    degrees of freedom, in units of (waist/2)²."""
+    sigma = waist / 2
+    away = float((offset**2).sum()) / sigma**2
+    # SciPy has no noncentral distribution about the centre.
+    central = 1 - math.exp(-(radius**2) / (2 * sigma**2))
+    return power * (float(ncx2.cdf(radius**2 / sigma**2, 2, away)) if away > 1e-12 else central)
 
 
 def dots(**changes: object) -> Dots:

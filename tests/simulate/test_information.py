@@ -244,7 +244,7 @@ def test_pixel_tells_what_its_digital_numbers_do(
     validated: Validated, read_noise: float, means: tuple[float, ...], most: float
 ) -> None:
     sensor = ProbeSensor(bits=12, gain=2.0, offset=100.0, full_well=1500.0, read_noise=read_noise)
-    found = module._told_by_pixels(torch.tensor([means], dtype=torch.float64), sensor)[0].numpy()
+    found = module._information_of_pixels(torch.tensor([means], dtype=torch.float64), sensor)[0].numpy()
     exact = np.array([exact_information(one, sensor) for one in means])
     # Means and variances never tell more than the whole distribution.
     assert (found < exact * (1 + 1e-6)).all()
@@ -258,7 +258,9 @@ def test_saturated_pixels_tell_nothing(limit: dict[str, Any]) -> None:
     """By a full well, or by the largest digital number."""
     sensor = ProbeSensor(**{"bits": 12, "gain": 2.0, "read_noise": 3.0, **limit})
     means = torch.tensor([[600.0, 800.0, 900.0, 1100.0, 1e6]], dtype=torch.float64)
-    free, edge, few, none, lost = (module._told_by_pixels(means, sensor) * (means + noise_variance(sensor)))[0].tolist()
+    free, edge, few, none, lost = (module._information_of_pixels(means, sensor) * (means + noise_variance(sensor)))[
+        0
+    ].tolist()
     assert free == pytest.approx(1, abs=1e-6)
     assert 0.1 < edge < 0.9
     assert few < 0.05
@@ -377,7 +379,8 @@ def test_window_loses_little() -> None:
     large = [*BENCH, "target.object_distance=50", "probe.sensor.background=0"]
     names = ("gaze_x", "gaze_y", "object_distance", "power", "place_x")
     sensor = ["probe.sensor.pixels=[401, 310]"]
-    window = module._where_it_matters(load_scene("thin-lens", large + sensor))
+    scene = load_scene("thin-lens", large + sensor)
+    window = module._where_it_matters(scene, torch.sin(torch.tensor(scene.target.rotation, dtype=torch.float64)))
     assert window is not None and (window.rows % 2, window.columns % 2) == (0, 1)
     scene = load_scene("thin-lens", large + sensor)
     found = fisher(scene, names).bounds

@@ -26,7 +26,8 @@ from tapetum.optics.sampling import (
     through_aperture,
 )
 from tapetum.simulate import Camera, DoublePass
-from tapetum.simulate.round_pass import Order, RoundPass, Surface
+from tapetum.simulate.round_pass import RoundPass
+from tapetum.simulate.surfaces import Order, Surface
 
 WAVELENGTH, PROBE_FOCAL = 640e-9, 0.2
 K = 2 * math.pi / WAVELENGTH

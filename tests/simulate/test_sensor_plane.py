@@ -20,8 +20,9 @@ from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.optics.grid_sampling import plan_double_pass
 from tapetum.optics.sampling import DoublePassGeometry, disc_overlap, plan_round
 from tapetum.simulate.double_pass import DoublePass
-from tapetum.simulate.round_pass import Order, RoundPass, Surface
+from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_plane import _cell_of, _of_steps, orders_of, reflectance_at
+from tapetum.simulate.surfaces import Order, Surface
 
 SECTION = "Sensor plane"
 WAVELENGTH, PROBE_FOCAL, PITCH = 640e-9, 0.2, 2.2e-6

@@ -19,8 +19,9 @@ from tapetum.simulate import Camera, gaze_of, sign_dprime, tilt_of_gaze
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.hypotheses import point_of_symmetry
 from tapetum.simulate.reflections import specular_groups
-from tapetum.simulate.round_pass import Order, RoundPass, Surface
+from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
+from tapetum.simulate.surfaces import Order, Surface
 
 SECTION = "Tilt, decentre and microlens shift"
 WAVELENGTH, PITCH = 640e-9, 30e-6

@@ -19,9 +19,9 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.rays import to_plane, trace
-from tapetum.simulate.exit_path import ExitPath
+from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
-from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_bundle import trace_bundle
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 from tapetum.simulate.traced_plan import TracedGroup, traced_group
@@ -98,11 +98,13 @@ def bare(
     fits: PupilFits, grids: TracedGrids, output: Grid, surface: Surface = MIRROR, accepted: float | None = None
 ) -> TracedPass:
     """A pass to the far field in double precision."""
-    path = ExitPath(
+    ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64)
+    path = ProbePath(
         output,
+        ends,
+        ends,
         wavelength=WAVELENGTH,
         probe_focal_length=PROBE_FOCAL,
-        reach=1.3 * fits.aperture[1],
         dtype=torch.complex128,
     )
     return TracedPass(fits, grids, surface, path, wavelength=WAVELENGTH, accepted=accepted, dtype=torch.complex128)

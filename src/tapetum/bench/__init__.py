@@ -1,4 +1,4 @@
-"""What stands on the bench, as frozen dataclasses read from YAML."""
+"""Scenes, lenses, sensors and phones, as frozen dataclasses read from YAML."""
 
 from tapetum.bench.load import (
     as_scene,

@@ -1,48 +1,74 @@
-"""What pydantic finds wrong with a scene, said as Tapetum says it: the field, its value, the remedy."""
+"""The bench's dataclasses from plain values; pydantic's findings as errors with field, value and remedy."""
 
 from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Sequence
-from typing import Any
+import functools
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
+from tapetum.bench.plain_yaml import field_paths
 from tapetum.errors import InputError
 
-__all__ = ["first_fault"]
+__all__ = ["adapter", "build", "first_fault"]
+
+T = TypeVar("T")
 
 _UNKNOWN = ("unexpected_keyword_argument", "extra_forbidden", "invalid_key")
-# Where pydantic puts the kind that was meant into a path, and the kinds.
+# Fields after whose path pydantic inserts the kind, and those kinds.
 _TAGS = {("target",): ("camera", "phone"), ("target", "lens"): ("thin", "prescription")}
-_BOUNDS = {
-    "greater_than": ("gt", "more than"),
-    "greater_than_equal": ("ge", "at least"),
-    "less_than": ("lt", "less than"),
-    "less_than_equal": ("le", "at most"),
+_RANGE = "{given!r} is out of range"
+_WHOLE = ("must be a whole number{shown}", "give it without a fraction or a unit")
+_NUMBER = ("must be a number{shown}", "give it without a unit")
+_PAIR = ("must be a list of two values{shown}", "write it in brackets, for example [1, 2]")
+# Message and remedy by pydantic's error type.
+_SAID = {
+    "greater_than": (_RANGE, "give more than {gt:g}"),
+    "greater_than_equal": (_RANGE, "give at least {ge:g}"),
+    "less_than": (_RANGE, "give less than {lt:g}"),
+    "less_than_equal": (_RANGE, "give at most {le:g}"),
+    "union_tag_invalid": ("unknown value {tag!r}", "use {expected_tags}"),
+    "literal_error": ("unknown value {given!r}", "use {expected}"),
+    "dataclass_type": ("must be a mapping of fields{shown}", ""),
+    "finite_number": ("must be finite{shown}", "give a finite number"),
+    **dict.fromkeys(("tuple_type", "too_long"), _PAIR),
+    **dict.fromkeys(("int_from_float", "int_type", "int_parsing"), _WHOLE),
+    **dict.fromkeys(("float_type", "float_parsing"), _NUMBER),
 }
+
+
+@functools.cache
+def adapter(kind: type[T]) -> TypeAdapter[T]:
+    """Pydantic's adapter of a dataclass: validation, serialisation and schema."""
+    return TypeAdapter(kind)
+
+
+def build(kind: type[T], content: Mapping[str, Any], where: str, *, unit: float = 1.0) -> T:
+    """Return a dataclass of nested plain values; `unit`, in metres, is that of a lens file's bare numbers.
+
+    Raises an InputError that names `where`, the field's path, its value and the remedy.
+    """
+    try:
+        return adapter(kind).validate_python(dict(content), context={"unit": unit})
+    except ValidationError as error:
+        raise first_fault(error, where, field_paths(kind)) from error
 
 
 def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, ...]]) -> InputError:
     """Return the first of pydantic's findings, an unknown key before all others, as an InputError.
 
-    Parameters
-    ----------
-    error
-        What pydantic raised.
-    where
-        The file or argument that the scene came from.
-    paths
-        Every field of a scene, to guess what an unknown key meant.
+    `where` is the file or argument that the values came from, `paths` are all fields that an unknown key may mean.
     """
     found = error.errors(include_url=False)
-    # A misspelt key makes its field missing as well: the key is what to mend.
+    # A misspelt key also makes its field missing; report the key.
     first = next((one for one in found if one["type"] in _UNKNOWN), found[0])
     steps = _plain(first["loc"])
     kind, given, context = first["type"], first.get("input"), first.get("ctx", {})
     if kind in ("missing", "missing_argument") and steps and isinstance(steps[-1], int):
-        # A list that is too short: its own path helps, that of the absent item does not.
+        # For a list that is too short, name the list, not the absent item.
         count = steps.pop()
         what, remedy = f"has {count} of the values it needs, is {given!r}", "give all of them in brackets"
     elif kind in ("missing", "missing_argument"):
@@ -62,13 +88,13 @@ def first_fault(error: ValidationError, where: str, paths: Sequence[tuple[str, .
 
 
 def _plain(steps: Sequence[int | str]) -> list[int | str]:
-    """A path as a file has it, without what pydantic puts between its keys: kinds of a union, validators."""
+    """A path as written in the file, without the union kinds and validators that pydantic inserts."""
     found: list[int | str] = []
     tagged: int | None = None
     for step in steps:
         if str(step).startswith(("function-", "tuple[")):
             continue
-        # The key after a kind may well be of the same name.
+        # The key after a kind may have the same name.
         if tagged != len(found) and step in _TAGS.get(tuple(map(str, found)), ()):
             tagged = len(found)
             continue
@@ -77,30 +103,15 @@ def _plain(steps: Sequence[int | str]) -> list[int | str]:
 
 
 def _value_fault(kind: str, message: str, given: object, context: dict[str, Any]) -> tuple[str, str]:
-    """What is wrong with a value, and the remedy."""
+    """Message and remedy for a value."""
     if kind == "value_error":
         what, _, remedy = message.removeprefix("Value error, ").partition("; ")
         return what, remedy or "correct it"
     shown = "" if isinstance(given, dict) or dataclasses.is_dataclass(given) else f", is {given!r}"
-    if kind in _BOUNDS:
-        key, words = _BOUNDS[kind]
-        bound = f"{words} {context[key]:g}"
-        return f"{given!r} is out of range", f"give {bound}"
-    if kind == "union_tag_invalid":
-        return f"unknown value {context['tag']!r}", f"use {context['expected_tags'].replace(',', ' or')}"
-    if kind == "literal_error":
-        return f"unknown value {given!r}", f"use {context['expected']}"
-    if kind == "dataclass_type":
-        return f"must be a mapping of fields{shown}", ""
-    if kind in ("tuple_type", "too_long"):
-        return f"must be a list of two values{shown}", "write it in brackets, for example [1, 2]"
-    if kind in ("int_from_float", "int_type", "int_parsing"):
-        return f"must be a whole number{shown}", "give it without a fraction or a unit"
-    if kind in ("float_type", "float_parsing"):
-        return f"must be a number{shown}", "give it without a unit"
-    if kind == "finite_number":
-        return f"must be finite{shown}", "give a finite number"
-    return message.replace("Input should", "must").replace("must be a valid", "must be a") + shown, "correct it"
+    if kind not in _SAID:
+        return message.replace("Input should", "must").replace("must be a valid", "must be a") + shown, "correct it"
+    what, remedy = (words.format(given=given, shown=shown, **context) for words in _SAID[kind])
+    return what, remedy.replace(",", " or") if kind == "union_tag_invalid" else remedy
 
 
 def _at(path: tuple[str, ...], steps: Sequence[object]) -> bool:

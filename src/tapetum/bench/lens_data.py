@@ -1,16 +1,16 @@
-"""A lens by the numbers of its patent: surfaces, what lies behind each, and the states of a zoom."""
+"""A lens by its patent's data: surfaces, the media behind them, and the states of a zoom."""
 
 from __future__ import annotations
 
 import itertools
 import math
 from dataclasses import replace
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, ValidationInfo, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.quantity import Angle, Length
+from tapetum.bench.quantity import Angle, Length, to_si
 from tapetum.bench.strict import STRICT, Positive
 from tapetum.optics.glass import index_from_abbe, refractive_index
 
@@ -19,10 +19,57 @@ if TYPE_CHECKING:
 
 __all__ = ["LensState", "Prescription", "Surface", "build_lens", "clearance", "with_moves"]
 
-_HIGHEST_POWER = 16
-Radius = Annotated[Length, Field(description="of curvature; positive with the centre behind the surface")]
+# Published semi-diameters may overlap slightly at the rims: by at most 0.35 % in the catalogue.
+_TOUCHING = 5e-3
+
+
+def _unit(info: ValidationInfo) -> float:
+    return (info.context or {}).get("unit", 1.0)
+
+
+def _in_metres(value: Any, info: ValidationInfo) -> Any:
+    """A bare number is in the file's unit; a text may have its own."""
+    try:
+        return float(value) * _unit(info)
+    except (TypeError, ValueError):
+        return value
+    except OverflowError as error:
+        raise ValueError("is out of range; give a length") from error
+
+
+def _moves(value: Any, info: ValidationInfo) -> Any:
+    """A file gives changed gaps as a mapping from a surface's number to its new length."""
+    if not isinstance(value, dict):
+        return value
+    moves: list[tuple[Any, float]] = []
+    for number, length in value.items():
+        try:
+            moves.append((number, to_si(_in_metres(length, info), "m")))
+        except ValueError as error:
+            raise ValueError(f"surface {number}: {error}") from error
+    return moves
+
+
+def _terms(value: Any, info: ValidationInfo) -> Any:
+    """A file gives an asphere as a mapping from powers to coefficients, in its unit^(1 - power)."""
+    if not isinstance(value, dict):
+        return value
+    terms: list[tuple[int, float]] = []
+    for power, coefficient in value.items():
+        if not str(power).isdigit() or isinstance(coefficient, bool):
+            raise ValueError(f"{power!r}: {coefficient!r} is no term; write it as {{4: -1.2e-3, 6: 3.4e-5}}")
+        try:
+            # YAML reads 1e-5, without a point, as text.
+            terms.append((int(power), float(coefficient) * _unit(info) ** (1 - int(power))))
+        except (TypeError, ValueError, OverflowError) as error:
+            raise ValueError(f"coefficient {coefficient!r} of r^{power} is no number; give one, as 1.2e-3") from error
+    return terms
+
+
+InFile = BeforeValidator(_in_metres)
+Opening = Annotated[Positive, InFile]
 Number = Annotated[int, Field(ge=0)]
-Power = Annotated[int, Field(ge=2, le=_HIGHEST_POWER)]
+Power = Annotated[int, Field(ge=2, le=16)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -31,35 +78,27 @@ class Surface:
 
     Parameters
     ----------
-    semi_diameter
-        Beyond which it stops a ray, in metres.
+    semi_diameter, stop
+        Clear semi-diameter in metres, and whether the surface is the aperture stop.
     radius
-        Of curvature, in metres; None for a flat.
+        Of curvature, in metres, positive with the centre behind the surface; None for a plane.
     thickness
-        To the next surface along the axis, in metres. The last one runs to the image: the lens is focused anyway.
-    nd, vd
-        Index and Abbe number of the medium behind.
-    index
-        In their place, the index at all wavelengths, where only that is known.
-    glass
-        In their place, one of the bench's glasses.
-    conic
-        Conic constant.
-    asphere
-        Pairs (power, coefficient) of Σ a r^power, in m^(1 - power); powers from 2 to 16, odd ones too.
-    stop
-        Whether it is the aperture stop.
+        To the next surface along the axis, in metres. The last one's is unused: focusing sets it.
+    nd, vd, index, glass
+        Index and Abbe number of the medium behind, or its index at all wavelengths, or one of the bench's glasses.
+    conic, asphere
+        Conic constant, and pairs (power, coefficient) of Σ a r^power, in m^(1 - power); powers from 2 to 16.
     """
 
-    semi_diameter: Positive
-    radius: Radius | None = None
-    thickness: Length = 0.0
+    semi_diameter: Opening
+    radius: Annotated[Length | None, InFile] = None
+    thickness: Annotated[Length, InFile] = 0.0
     nd: Annotated[float, Field(gt=1, lt=5)] | None = None
     vd: Annotated[float, Field(ge=10, le=120)] | None = None
     index: Annotated[float, Field(ge=1, lt=5)] | None = None
     glass: str | None = None
     conic: float = 0.0
-    asphere: tuple[tuple[Power, float], ...] = ()
+    asphere: Annotated[tuple[tuple[Power, float], ...], BeforeValidator(_terms)] = ()
     stop: bool = False
 
     @model_validator(mode="after")
@@ -83,7 +122,7 @@ class Surface:
         return self.nd is None and self.index is None and self.glass is None
 
     def index_at(self, wavelength: float) -> float:
-        """Refractive index of what lies behind it, at a wavelength in metres."""
+        """Refractive index behind it, at a wavelength in metres."""
         if self.nd is not None and self.vd is not None:
             return index_from_abbe(self.nd, self.vd, wavelength)
         if self.glass is not None:
@@ -93,25 +132,17 @@ class Surface:
 
 @dataclass(frozen=True, config=STRICT)
 class LensState:
-    """What differs from the list of surfaces in one state of a lens: a zoom has several, a prime lens one.
+    """A state of a lens, by its differences from the list of surfaces: a zoom has several, a prime lens one (`prime`).
 
-    Parameters
-    ----------
-    name
-        `prime`, or for example `wide`.
-    f_number
-        As its source states it, where it does.
-    half_field
-        Half of the field of view that it covers, in radians, where it is known.
-    thickness, semi_diameter
-        Pairs (number of a surface, value in metres): the gaps that move, and the opening of the stop.
+    `f_number` and `half_field` (half of the field of view, radians) are as the source states them. `thickness` and
+    `semi_diameter` are pairs (number of a surface, value in metres): the gaps that move, and the opening of the stop.
     """
 
     name: str
     f_number: Annotated[float, Field(gt=0.3, lt=200)] | None = None
     half_field: Annotated[Angle, Field(gt=0, lt=math.pi / 2)] | None = None
-    thickness: tuple[tuple[Number, Length], ...] = ()
-    semi_diameter: tuple[tuple[Number, Positive], ...] = ()
+    thickness: Annotated[tuple[tuple[Number, Length], ...], BeforeValidator(_moves)] = ()
+    semi_diameter: Annotated[tuple[tuple[Number, Positive], ...], BeforeValidator(_moves)] = ()
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -121,11 +152,9 @@ class Prescription:
     Parameters
     ----------
     name, patent, source, use
-        What it is called here, where its numbers come from, and what it stands in for.
-    surfaces
-        In the order in which light meets them.
-    states
-        One, or those of a zoom by rising focal length.
+        Its name here, where its numbers come from, and which lens it represents.
+    surfaces, states
+        In the order in which light meets them; one state, or those of a zoom by rising focal length.
     assumed
         What its sources do not say.
     focus
@@ -167,7 +196,7 @@ class Prescription:
         return with_moves(self.surfaces, dict(state.thickness), dict(state.semi_diameter))
 
     def _check_gaps(self, number: int) -> None:
-        """No surface may stand in the one before it. Flats between equal media, as a stop is, are in nobody's way."""
+        """Refuse a surface that crosses the one before it; planes between equal media, such as a stop, are exempt."""
         lens = build_lens(self.state(number), 587.562e-9)
         n = lens.index.tolist()
         solid = [i for i in range(len(lens)) if n[i] != n[i + 1]]
@@ -179,35 +208,26 @@ class Prescription:
                 raise ValueError(f"state {name!r}: {what}; mend the thickness or the semi_diameter")
 
 
-# Published semi-diameters reach a little beyond where two rims touch: by 0.35 % in the worst of the catalogue.
-_TOUCHING = 5e-3
-
-
 def with_moves(
     surfaces: tuple[Surface, ...], thickness: dict[int, float], semi_diameter: dict[int, float]
 ) -> tuple[Surface, ...]:
     """The surfaces with other gaps behind some of them, and other openings."""
-    moved = list(surfaces)
-    for i in {*thickness, *semi_diameter}:
-        one = moved[i]
-        moved[i] = replace(
-            one,
-            thickness=thickness.get(i, one.thickness),
-            semi_diameter=semi_diameter.get(i, one.semi_diameter),
-        )
-    return tuple(moved)
+    return tuple(
+        replace(one, thickness=thickness.get(i, one.thickness), semi_diameter=semi_diameter.get(i, one.semi_diameter))
+        if i in thickness or i in semi_diameter
+        else one
+        for i, one in enumerate(surfaces)
+    )
 
 
 def build_lens(surfaces: tuple[Surface, ...], wavelength: float, scale: float = 1.0) -> Lens:
     """The tensors that rays are traced through, at a wavelength in metres, with all lengths times `scale`."""
-    # Torch takes a second to import: a command's help does not wait for it.
+    # Torch takes a second to import; a command's help must not wait for it.
     import torch
 
     from tapetum.optics.rays import Lens
 
-    places = [0.0]
-    for surface in surfaces[:-1]:
-        places.append(places[-1] + surface.thickness)
+    places = [0.0, *itertools.accumulate(one.thickness for one in surfaces[:-1])]
     highest = max((power for surface in surfaces for power, _ in surface.asphere), default=2)
     asphere = torch.zeros(len(surfaces), highest - 1, dtype=torch.float64)
     for i, surface in enumerate(surfaces):
@@ -229,7 +249,7 @@ def build_lens(surfaces: tuple[Surface, ...], wavelength: float, scale: float = 
 
 
 def clearance(lens: Lens, first: int, second: int) -> tuple[float, float]:
-    """The narrowest gap between two surfaces over the aperture that both have, and how far from the axis it is."""
+    """The narrowest gap between two surfaces over their common aperture, and its distance from the axis."""
     import torch
 
     from tapetum.optics.rays import sag

@@ -1,21 +1,18 @@
-"""Scenes in and out of YAML, and one value of a scene changed by its name."""
+"""Read and write scenes as YAML, and change values of a scene by name."""
 
 from __future__ import annotations
 
 import difflib
-import functools
 import json
 import math
 import os
 from collections.abc import Iterable, Mapping
-from importlib import resources
-from pathlib import Path
 from typing import Any
 
 import yaml
-from pydantic import TypeAdapter, ValidationError
 
-from tapetum.bench.faults import first_fault
+from tapetum.bench.catalogue import Catalogue
+from tapetum.bench.faults import adapter, build
 from tapetum.bench.plain_yaml import field_paths, parse
 from tapetum.bench.scene import SCHEMA, Scene
 from tapetum.errors import InputError
@@ -32,26 +29,16 @@ __all__ = [
     "with_values",
 ]
 
-
-@functools.cache
-def _adapter() -> TypeAdapter[Scene]:
-    return TypeAdapter(Scene)
+_SCENES = Catalogue("scene", SCHEMA, "scenes", likeness=1.0)
 
 
 def scene_names() -> list[str]:
     """Names of the scenes that come with the package."""
-    folder = resources.files("tapetum.bench") / "scenes"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return list(_SCENES.names)
 
 
 def as_scene(scene: Scene | str | os.PathLike[str]) -> Scene:
-    """Return a scene as it is, or load it by the name of a bundled one or from a YAML file.
-
-    Raises
-    ------
-    InputError
-        As `load_scene`.
-    """
+    """Return a scene as it is, or as `load_scene` loads it."""
     return scene if isinstance(scene, Scene) else load_scene(scene)
 
 
@@ -60,10 +47,8 @@ def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> S
 
     Parameters
     ----------
-    source
-        `"thin-lens"`, or a path.
-    changes
-        Texts `key=value` as for `tapetum simulate --set`.
+    source, changes
+        `"thin-lens"`, or a path; and texts `key=value` as for `tapetum simulate --set`.
 
     Raises
     ------
@@ -72,26 +57,9 @@ def load_scene(source: str | os.PathLike[str], changes: Iterable[str] = ()) -> S
     """
     if not isinstance(source, str | os.PathLike):
         what = f"must be a name or a path, is {source!r:.60}"
-        raise InputError(what, where="scene", remedy=f"give a YAML file, or one of {', '.join(scene_names())}")
+        raise InputError(what, where="scene", remedy=f"give a YAML file, or one of {', '.join(_SCENES.names)}")
     name = str(os.fspath(source))
-    if name in scene_names():
-        text = (resources.files("tapetum.bench") / "scenes" / f"{name}.yaml").read_text(encoding="utf-8")
-    else:
-        path = Path(name)
-        if not path.is_file():
-            remedy = f"give the path of a YAML file, or one of the bundled scenes: {', '.join(scene_names())}"
-            raise InputError("no such scene", where=name, remedy=remedy)
-        try:
-            text = path.read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise InputError(f"cannot be read as text ({error})", where=name, remedy="give a YAML file") from error
-    content = parse(text, name)
-    if not isinstance(content, dict):
-        raise InputError("holds no mapping", where=name, remedy=f"begin it with 'schema: {SCHEMA}'")
-    if content.get("schema") != SCHEMA:
-        what = f"has schema {content.get('schema')!r}"
-        raise InputError(what, where=name, remedy=f"begin it with 'schema: {SCHEMA}'")
-    scene = scene_from_dict(content, where=name)
+    scene = scene_from_dict(_SCENES.read(name), where=name)
     values = _parsed(changes)
     return with_values(scene, values, where=name) if values else scene
 
@@ -104,18 +72,15 @@ def scene_from_dict(content: Mapping[str, Any], where: str = "scene") -> Scene:
     InputError
         Naming `where`, the field's path, its value and the remedy.
     """
-    try:
-        return _adapter().validate_python(dict(content))
-    except ValidationError as error:
-        raise first_fault(error, where, _paths(lists=True)) from error
+    return build(Scene, content, where)
 
 
 def scene_dict(scene: Scene) -> dict[str, Any]:
     """Return the scene as nested plain values in SI units; `scene_from_dict` reads it back.
 
-    Infinity becomes the text `Infinity`, for JSON has no number for it.
+    Infinity becomes the text `Infinity`, because JSON has no number for it.
     """
-    return json.loads(_adapter().dump_json(scene, exclude_none=True))
+    return json.loads(adapter(Scene).dump_json(scene, exclude_none=True))
 
 
 def scene_yaml(scene: Scene) -> str:
@@ -125,24 +90,22 @@ def scene_yaml(scene: Scene) -> str:
 
 def scene_schema() -> dict[str, Any]:
     """JSON Schema of a scene file, for editors; it ships as `scenes/scene.schema.json` beside the scenes."""
-    schema = _adapter().json_schema()
+    schema = adapter(Scene).json_schema()
     # In Python it has a default; a file must say it.
     required = ["schema", *schema["required"]]
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema, "required": required}
 
 
 def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -> Scene:
-    """The scene with some of its values replaced and all of it checked again.
+    """Return the scene with some of its values replaced, checked again as a whole.
 
     Parameters
     ----------
-    scene
-        Stays as it is.
+    scene, where
+        The scene, which is not changed, and the origin that an error names.
     values
         By field path, or the path's last words where they are unambiguous (`rotation`, `object_distance`). A single
-        angle for `target.rotation` tilts about x, as the paper does.
-    where
-        What an error names as the scene's origin.
+        angle for `target.rotation` tilts about x, as the paper does; its numbers without a unit are degrees.
 
     Raises
     ------
@@ -151,46 +114,40 @@ def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -
     """
     content = scene_dict(scene)
     for key, value in values.items():
-        path = field_path(key)
+        *above, last = field_path(key)
         node: Any = content
-        for step in path[:-1]:
-            if isinstance(node, list):
-                node = _item(node, step, key)
-            else:
-                node = node.setdefault(step, {})
+        for step in above:
+            node = _item(node, step, key) if isinstance(node, list) else node.setdefault(step, {})
             if not isinstance(node, dict | list):
                 remedy = "change either the whole or its parts"
                 raise InputError(f"is inside of a value that is changed to {node!r}", where=key, remedy=remedy)
         if isinstance(node, list):
-            _item(node, path[-1], key)
-            node[int(path[-1])] = value
-            continue
-        node[path[-1]] = _rotation(value) if path[-1] == "rotation" else value
+            _item(node, last, key)
+            node[int(last)] = value
+        else:
+            node[last] = _rotation(value) if last == "rotation" else value
     return scene_from_dict(content, where)
 
 
 def field_path(key: str) -> tuple[str, ...]:
     """Resolve a key to the path of a scene's field: `object_distance` to ("target", "object_distance").
 
-    Raises
-    ------
-    InputError
-        For an unknown key (with the nearest ones) or an ambiguous one (with its candidates).
+    Raises an InputError for an unknown key (with the nearest ones) or an ambiguous one (with its candidates).
     """
-    words = tuple(key.strip().split("."))
-    if words in _paths():
+    words, paths = tuple(key.strip().split(".")), field_paths(Scene, lists=False)
+    if words in paths:
         return words
     if any(word.isdigit() for word in words):
         return _indexed(key, words)
-    found = [path for path in _paths() if path[-len(words) :] == words]
+    found = [path for path in paths if path[-len(words) :] == words]
     if len(found) == 1:
         return found[0]
     if found:
         names = " or ".join(".".join(path) for path in found)
         raise InputError("names more than one field", where=key, remedy=f"say {names}")
-    near = difflib.get_close_matches(words[-1], {path[-1] for path in _paths()}, n=3)
+    near = difflib.get_close_matches(words[-1], {path[-1] for path in paths}, n=3)
     # The nearest word's fields first.
-    names = [".".join(p) for word in near for p in _paths() if p[-1] == word] or sorted({p[0] for p in _paths()})
+    names = [".".join(p) for word in near for p in paths if p[-1] == word] or sorted({p[0] for p in paths})
     raise InputError("a scene has no such field", where=key, remedy="did you mean " + " or ".join(names) + "?")
 
 
@@ -204,18 +161,10 @@ def _item(items: list[Any], step: str, key: str) -> Any:
 def _indexed(key: str, words: tuple[str, ...]) -> tuple[str, ...]:
     """`layers.0.depth` to ("target", "sensor", "layers", "0", "depth")."""
     plain = tuple(word for word in words if not word.isdigit())
-    found = [path for path in _paths(lists=True) if path[-len(plain) :] == plain]
+    found = [path for path in field_paths(Scene) if path[-len(plain) :] == plain]
     if len(found) != 1 or words[0].isdigit():
         raise InputError("a scene has no such field", where=key, remedy="write for example layers.0.depth")
     return (*found[0][: -len(plain)], *words)
-
-
-@functools.cache
-def _paths(lists: bool = False) -> tuple[tuple[str, ...], ...]:
-    """Every field of a scene; with those of the members of its lists, too, where asked for."""
-
-    # The kinds of target and of lens share some fields.
-    return tuple(dict.fromkeys(field_paths(Scene, lists=lists)))
 
 
 def _parsed(changes: Iterable[str]) -> dict[str, Any]:
@@ -231,16 +180,13 @@ def _parsed(changes: Iterable[str]) -> dict[str, Any]:
 
 
 def _rotation(value: object) -> object:
-    """One angle is the paper's rotation, about x; numbers without a unit are in degrees."""
     angles = [_angle(one) for one in value] if isinstance(value, list | tuple) else _angle(value)
     return [0.0, angles] if isinstance(angles, float | str) else angles
 
 
 def _angle(value: object) -> object:
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return value
+    """Degrees in radians, from text too: YAML reads 1e-1, without a point, as text."""
     try:
-        # Text too: YAML takes 1e-1, without a point, for text.
-        return math.radians(float(value))
-    except ValueError:
+        return value if isinstance(value, bool) else math.radians(float(value))  # pyright: ignore[reportArgumentType]
+    except (TypeError, ValueError):
         return value

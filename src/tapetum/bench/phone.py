@@ -1,33 +1,30 @@
-"""Phones: several cameras on one back plate, each with its lens, its filter and its sensor, and a dot projector."""
+"""Phones: several cameras with lens, filter and sensor on one back plate, and a dot projector."""
 
 from __future__ import annotations
 
-import difflib
 import functools
 import itertools
 import math
-from importlib import resources
-from pathlib import Path
 from typing import Annotated
 
-from pydantic import Field, TypeAdapter, ValidationError, model_validator
+from pydantic import Field, model_validator
 from pydantic.dataclasses import dataclass
 
-from tapetum.bench.faults import first_fault
-from tapetum.bench.plain_yaml import field_paths, read_mapping
+from tapetum.bench.catalogue import Catalogue
+from tapetum.bench.faults import build
 from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, Length, Power, Time
 from tapetum.bench.sensors import TargetSensor
 from tapetum.bench.strict import STRICT
 from tapetum.bench.surfaces import SmallTilt
-from tapetum.errors import InputError
 
 __all__ = ["PHONE_SCHEMA", "CameraUnit", "Dots", "Phone", "load_phone", "phone_names"]
 
 PHONE_SCHEMA = "tapetum/phone/1"
+_PHONES = Catalogue("phone", PHONE_SCHEMA, "phones")
 Place = Annotated[Length, Field(gt=-0.1, lt=0.1)]
 Wide = Annotated[Angle, Field(gt=0, lt=math.pi)]
-# Two camera modules cannot stand nearer to each other, centre to centre, in metres.
+# Smallest distance of two camera modules, centre to centre, in metres.
 _NEAREST = 4e-3
 
 
@@ -37,14 +34,13 @@ class CameraUnit:
 
     Parameters
     ----------
-    name
-        Its purpose: `main`, `wide`, `tele`, `macro`.
-    position
-        Of its optical axis on the back plate, (x, y) in metres: x right and y down as the probe sees it.
+    name, position
+        Its purpose (`main`, `wide`, `tele`, `macro`), and the place of its optical axis on the back plate, (x, y) in
+        metres: x right and y down as the probe sees it.
     lens, sensor
         Its optics. The filter is the first of the sensor's layers.
     axis
-        Where its lens looks against the plate's normal, as a rotation (x, y) in radians: modules are mounted askew.
+        Misalignment of its optical axis from the plate's normal, as a rotation (x, y) in radians.
     """
 
     name: str
@@ -65,20 +61,12 @@ class Dots:
 
     Parameters
     ----------
-    position
-        On the back plate, as a camera's.
-    wavelength
-        In metres.
-    power
-        Of all beams together while a pulse lasts, in watts.
-    period, pulse
-        From one pulse to the next, and how long one lasts, in seconds.
-    columns, rows
-        Of the grid.
-    field
-        Full angles that the grid spans, in radians.
-    tilt
-        Of the grid's rows against the plate's x, in radians.
+    position, wavelength
+        On the back plate, as a camera's; in metres.
+    power, period, pulse
+        Power of all beams together during a pulse, in watts; repetition period and pulse duration, in seconds.
+    columns, rows, field, tilt
+        Of the grid, the full angles that it spans, and the angle of its rows to the plate's x axis, in radians.
     """
 
     position: tuple[Place, Place]
@@ -100,18 +88,14 @@ class Dots:
 
 @dataclass(frozen=True, config=STRICT)
 class Phone:
-    """A model of phone as a probe meets it: its back.
+    """The back of a phone model, as seen by a probe.
 
     Parameters
     ----------
-    name
-        A neutral one.
-    cameras
-        One to six; positions count from wherever their file says, the plate's x right and y down.
-    dots
-        Its dot projector, if it has one.
-    assumed
-        What no source says, and what kind of source the rest has.
+    name, assumed
+        A neutral name; the values that no source states, and the kind of source of the others.
+    cameras, dots
+        One to six cameras, positions from an origin of the file's choice; and the dot projector, if there is one.
     """
 
     name: str
@@ -133,41 +117,21 @@ class Phone:
 
 def phone_names() -> list[str]:
     """Names of the phones that come with the package."""
-    folder = resources.files("tapetum.bench") / "phones"
-    return sorted(entry.name.removesuffix(".yaml") for entry in folder.iterdir() if entry.name.endswith(".yaml"))
+    return list(_PHONES.names)
 
 
 def load_phone(source: str) -> Phone:
-    """A phone by its name in the catalogue, or from a YAML file.
+    """Load a phone by its name in the catalogue, or from a YAML file.
 
     Raises
     ------
     InputError
-        For an unknown name (with the nearest ones), a file that cannot be read, and a phone that cannot be: with the
-        field's path and the remedy.
+        For an unknown name (with the nearest ones), an unreadable file, or an impossible phone: with the field's path
+        and the remedy.
     """
-    if source in phone_names():
-        return _bundled(source)
-    path = Path(source)
-    if not path.is_file():
-        near = difflib.get_close_matches(source, phone_names(), n=3, cutoff=0.6)
-        remedy = f"did you mean {' or '.join(near)}?" if near else f"use a file, or one of {', '.join(phone_names())}"
-        raise InputError("no such phone", where=source, remedy=remedy)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=source, remedy="give a YAML file") from error
-    return _phone(text, source)
+    return _bundled(source) if source in _PHONES.names else build(Phone, _PHONES.read(source), source)
 
 
 @functools.cache
 def _bundled(name: str) -> Phone:
-    return _phone((resources.files("tapetum.bench") / "phones" / f"{name}.yaml").read_text(encoding="utf-8"), name)
-
-
-def _phone(text: str, where: str) -> Phone:
-    content = read_mapping(text, PHONE_SCHEMA, where)
-    try:
-        return TypeAdapter(Phone).validate_python(content)
-    except ValidationError as error:
-        raise first_fault(error, where, tuple(field_paths(Phone))) from error
+    return build(Phone, _PHONES.read(name), name)

@@ -1,8 +1,9 @@
-"""YAML as the bench's files use it: plain values, and no key twice."""
+"""YAML restricted to plain values and unique keys."""
 
 from __future__ import annotations
 
 import dataclasses
+import functools
 import typing
 from collections.abc import Iterable
 from typing import Any
@@ -13,12 +14,12 @@ from tapetum.errors import InputError
 
 __all__ = ["field_paths", "parse", "read_mapping"]
 
-# Values of a file when its aliases are written out, levels of nesting, and digits of a number: far more than any needs.
+# Limits far above any valid file: values with aliases expanded, levels of nesting, digits of a number.
 _MOST_VALUES, _DEEPEST, _MOST_DIGITS = 200_000, 40, 400
 
 
 class _UniqueKeys(yaml.SafeLoader):
-    """YAML that refuses a key given twice: the first one would be lost without a word."""
+    """A YAML loader that refuses duplicate keys, of which PyYAML keeps only the last."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Any, Any]:
         seen: set[str] = set()
@@ -30,7 +31,7 @@ class _UniqueKeys(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
     def construct_scalar(self, node: yaml.ScalarNode | yaml.MappingNode) -> Any:
-        # A number of ten thousand digits takes long to read, and cannot be written into an error's line.
+        # A number of ten thousand digits is slow to convert, and Python refuses to print it in an error.
         if node.tag in ("tag:yaml.org,2002:int", "tag:yaml.org,2002:float") and len(node.value) > _MOST_DIGITS:
             what = f"a number of {len(node.value)} characters"
             raise yaml.MarkedYAMLError(problem=what, problem_mark=node.start_mark)
@@ -38,19 +39,10 @@ class _UniqueKeys(yaml.SafeLoader):
 
 
 def parse(text: str, where: str, *, what: str | None = None, remedy: str = "mend the line it names") -> Any:
-    """The plain values that a YAML text holds; whatever the text is, it gives them or one error.
+    """Return the plain values of a YAML text; `where`, `what` and `remedy` word the error.
 
-    Parameters
-    ----------
-    text
-        Of a file or an option.
-    where, what, remedy
-        Of the error; without `what` it says what the parser met.
-
-    Raises
-    ------
-    InputError
-        For text that is no YAML, has a key twice, or would fill the memory: nested without end, or aliases of aliases.
+    Raises an InputError for text that is no YAML, has a key twice, or would exhaust memory: unbounded nesting, or
+    aliases of aliases. Without `what` the error states the parser's own.
     """
     loader = None
     try:
@@ -63,7 +55,7 @@ def parse(text: str, where: str, *, what: str | None = None, remedy: str = "mend
         return loader.construct_document(node)
     except RecursionError:
         raise InputError(what or "is no YAML (nested too deeply)", where=where, remedy=remedy) from None
-    # The parser passes on what its own conversions raise: of dates, of numbers, of tags with an unfit value.
+    # The parser does not catch errors of its own conversions of dates, numbers and tags.
     except (yaml.YAMLError, ValueError, ArithmeticError, LookupError, TypeError, AttributeError) as error:
         met = f"is no YAML ({str(error) or type(error).__name__})"
         raise InputError(what or met, where=where, remedy=remedy) from error
@@ -73,7 +65,7 @@ def parse(text: str, where: str, *, what: str | None = None, remedy: str = "mend
 
 
 def _written_out(node: yaml.Node) -> int:
-    """How many values a document has when each alias is replaced by what it stands for."""
+    """Number of values of a document with every alias expanded."""
     sizes: dict[int, int] = {}
     within: set[int] = set()
 
@@ -99,12 +91,9 @@ def _written_out(node: yaml.Node) -> int:
 
 
 def read_mapping(text: str, schema: str, where: str) -> dict[str, Any]:
-    """The mapping that a YAML text of a given schema holds, without its `schema`.
+    """Return the mapping in a YAML text of a given schema, without its `schema`.
 
-    Raises
-    ------
-    InputError
-        For text that is no YAML, no mapping, or of another schema.
+    Raises an InputError for text that is no YAML, no mapping, or of another schema.
     """
     content = parse(text, where)
     if not isinstance(content, dict) or content.get("schema") != schema:
@@ -113,13 +102,16 @@ def read_mapping(text: str, schema: str, where: str) -> dict[str, Any]:
     return {key: value for key, value in content.items() if key != "schema"}
 
 
-def field_paths(kind: type, at: tuple[str, ...] = (), *, lists: bool = True) -> Iterable[tuple[str, ...]]:
-    """Every field of a dataclass and of those inside it, those of lists' members too where asked for."""
+@functools.cache
+def field_paths(kind: type, *, lists: bool = True) -> tuple[tuple[str, ...], ...]:
+    """Paths of all fields of a dataclass and of nested ones, once each; by default with those of list items."""
+    found: dict[tuple[str, ...], None] = {}
+    hints = typing.get_type_hints(kind)
     for field in dataclasses.fields(kind):
-        here = (*at, field.name)
-        yield here
-        for one in _inner(typing.get_type_hints(kind)[field.name], lists):
-            yield from field_paths(one, here, lists=lists)
+        found[(field.name,)] = None
+        for one in _inner(hints[field.name], lists):
+            found |= {(field.name, *path): None for path in field_paths(one, lists=lists)}
+    return tuple(found)
 
 
 def _inner(hint: Any, lists: bool) -> Iterable[type]:

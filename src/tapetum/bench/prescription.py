@@ -24,10 +24,12 @@ if TYPE_CHECKING:
 
 __all__ = ["LensState", "Prescription", "PrescriptionLens", "Surface", "lens_names", "load_lens"]
 
-# A left-out focal length is the file's own, filled in when the lens is built: whoever reads it gets a number.
+# Without a focal length, the file's own is filled in when the lens is built, so readers get a number.
 FocalLength = Annotated[Positive, WrapValidator(lambda value, handler: None if value is None else handler(value))]
 # F-numbers are stated with two digits.
 _ROUNDED = 5e-3
+# Trial positions of a group that bracket its focus.
+_STEPS = 40
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -39,18 +41,17 @@ class PrescriptionLens:
     name
         Of the catalogue, or the path of a `.yaml` or `.zmx` file.
     focal_length
-        In metres, at the design wavelength. A prime lens is scaled to it; a zoom is set to it, and needs one. Left
-        out, it is the prescription's own.
+        In metres, at the design wavelength, by default the prescription's own. A prime lens is scaled to it; a zoom
+        requires it, and is set to it.
     f_number
-        To stop it down to: its focal length over the diameter of parallel light that it takes in along its axis.
+        F-number to stop down to: focal length over the diameter of the axial beam that passes.
     design_wavelength
-        Of the light that it is focused in, in metres: a phone focuses what its user sees, and is then out of focus
-        at 785 nm.
+        At which it is focused, in metres: a phone focuses in visible light, and is then out of focus at 785 nm.
     focus
-        `unit` moves the whole lens against the sensor, `group` what the prescription names; left out, as it says.
+        `unit` moves the whole lens against the sensor, `group` the prescription's group; by default as it says.
     coating
-        Power reflectance of each of its surfaces between glass and air, plane plates' apart, one number or by
-        wavelength: what they send back themselves. Light that passes is not dimmed by it. 0 leaves their light out.
+        Power reflectance of each surface between glass and air, one number or by wavelength. Plane plates have their
+        own. It gives the lens's ghost reflections (0 for none) and does not dim transmitted light.
     """
 
     name: str
@@ -70,19 +71,19 @@ class PrescriptionLens:
         if self.focus == "group" and prescription.focus == "unit":
             raise ValueError(f"{self.name} names no group that focuses; use 'focus: unit'")
         if self.f_number is not None:
-            # Torch takes a second to import: a command's help does not wait for it.
+            # Torch takes a second to import; a command's help must not wait for it.
             from tapetum.optics.focus import pupil_height
 
             own = self.focal_length / (2 * pupil_height(_wide_open(self, prescription)))
             if self.f_number < own * (1 - _ROUNDED):
                 raise ValueError(f"f_number {self.f_number:g} is wider than {self.name} opens; give {own:.3g} or more")
-        # It must let light through, not only be a list of numbers.
+        # Tracing shows that the lens passes light.
         _sensor(self, prescription)
         return self
 
     @model_serializer(mode="wrap")
     def _as_given(self, handler: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        # The file's own focal length is left out: another name in its scene must not be scaled to this one's.
+        # Omit the file's own focal length, or a lens of another name put into the scene would be scaled to it.
         plain = handler(self)
         own = focal_range(load_lens(self.name), self.design_wavelength)
         if len(own) == 1 and self.focal_length == own[0]:
@@ -91,22 +92,20 @@ class PrescriptionLens:
 
     @property
     def aperture_radius(self) -> float:
-        """Radius of the bundle of parallel light that it takes in along its axis, in metres, by real rays."""
+        """Radius of the axial beam of parallel light that passes the lens, in metres, by real rays."""
         return _aperture(self, load_lens(self.name))
 
     @property
     def glass(self) -> None:
-        """None: its glasses are the prescription's."""
+        """None: the prescription gives its glasses."""
 
     def focused(self, wavelength: float, object_distance: float) -> FocusedLens:
-        """The lens at a wavelength, with the sensor where it is in focus at the design wavelength.
+        """Return the lens at a wavelength, with the sensor in focus at the design wavelength.
 
         Parameters
         ----------
-        wavelength
-            In metres.
-        object_distance
-            From the object to the entrance pupil, in metres; `inf` allowed.
+        wavelength, object_distance
+            In metres; the distance is from the object to the entrance pupil, `inf` allowed.
 
         Raises
         ------
@@ -117,28 +116,20 @@ class PrescriptionLens:
 
 
 def check_layers(lens: PrescriptionLens, layers: tuple[Layer, ...], object_distance: float) -> None:
-    """Refuse layers that would lie inside of a lens focused at a distance (metres): they need room before the sensor.
-
-    Raises
-    ------
-    ValueError
-        Naming the layer.
-    """
+    """Raise a ValueError for a layer that would lie inside a lens focused at a distance in metres."""
     if not layers:
         return
     focused = lens.focused(lens.design_wavelength, object_distance)
-    # Behind the last surface that bends light there is room for plates.
+    # Plates may stand behind the last refracting surface.
     bends = (focused.lens.curvature != 0) | (focused.lens.asphere != 0).any(-1)
     room = focused.image - float(focused.lens.z[bends].max())
     for number, layer in enumerate(layers):
         if layer.depth >= room:
-            raise ValueError(
-                f"sensor.layers.{number}: a layer {layer.depth:g} m before the sensor lies in the lens, "
-                f"which ends {room:.3g} m before it; move it nearer"
-            )
+            what = f"sensor.layers.{number}: a layer {layer.depth:g} m before the sensor lies in the lens"
+            raise ValueError(f"{what}, which ends {room:.3g} m before it; move it nearer")
 
 
-# The prescription stands beside the lens in what follows: a file may change under its name.
+# The prescription is a part of the cache key below, because its file may change.
 
 
 @functools.lru_cache(maxsize=256)
@@ -149,7 +140,7 @@ def _wide_open(lens: PrescriptionLens, prescription: Prescription) -> Lens:
 
 @functools.lru_cache(maxsize=256)
 def _design(lens: PrescriptionLens, prescription: Prescription) -> Lens:
-    """At the design wavelength, with its stop as asked, focused at infinity."""
+    """The lens at the design wavelength, stopped down to `f_number` and focused at infinity."""
     from tapetum.optics.focus import pupil_height, stopped_down
 
     wide = _wide_open(lens, prescription)
@@ -160,7 +151,7 @@ def _design(lens: PrescriptionLens, prescription: Prescription) -> Lens:
 
 @functools.lru_cache(maxsize=256)
 def _sensor(lens: PrescriptionLens, prescription: Prescription) -> float:
-    """z of the sensor on which infinity is in focus."""
+    """z of the sensor at which infinity is in focus, in metres."""
     from tapetum.optics.focus import best_focus
 
     return best_focus(_design(lens, prescription), math.inf)
@@ -202,33 +193,28 @@ def _focused(
 
 
 def _with_group(lens: Lens, group: tuple[int, int], sensor: float, distance: float) -> tuple[Lens, float]:
-    """The lens with its group where an object's image falls on the sensor that infinity is focused on."""
+    """The lens with its group moved so that an object is in focus on the sensor position of infinity."""
     from tapetum.optics.focus import best_focus, moved_group, paraxial_image
     from tapetum.optics.paraxial import paraxial
 
     if math.isinf(distance):
         return lens, sensor
+    from scipy.optimize import newton
+
     first, last = group
     low, high = -clearance(lens, first - 1, first)[0], clearance(lens, last, last + 1)[0]
     places = [low + (high - low) * i / _STEPS for i in range(_STEPS + 1)]
     misses = [paraxial_image(moved_group(lens, group, at), distance) - paraxial(lens).focus for at in places]
     found = [i for i in range(_STEPS) if math.isfinite(misses[i] + misses[i + 1]) and misses[i] * misses[i + 1] <= 0]
-    if not found:
-        what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
-        raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")
-    # The way from infinity's place is the shortest one.
-    i = min(found, key=lambda i: abs(places[i] + places[i + 1]))
-    shift, other = places[i], places[i + 1]
-    value = best_focus(moved_group(lens, group, shift), distance) - sensor
-    for _ in range(30):
-        behind = best_focus(moved_group(lens, group, other), distance) - sensor
-        if behind == value or abs(behind) < 1e-12:
-            break
-        shift, other, value = other, other - behind * (other - shift) / (behind - value), behind
-    if not low <= other <= high:
-        what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
-        raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")
-    return moved_group(lens, group, other), sensor
+    if found:
+        # Take the solution nearest to the group's position at infinity.
+        i = min(found, key=lambda i: abs(places[i] + places[i + 1]))
 
+        def miss(at: float) -> float:
+            return best_focus(moved_group(lens, group, at), distance) - sensor
 
-_STEPS = 40
+        shift = float(newton(miss, places[i], x1=places[i + 1], tol=1e-13, maxiter=30, disp=False))
+        if low <= shift <= high:
+            return moved_group(lens, group, shift), sensor
+    what = f"the group of surfaces {first} to {last} would collide before {distance:g} m are in focus"
+    raise InputError(what, where="object_distance", remedy="focus farther away, or use 'focus: unit'")

@@ -1,4 +1,4 @@
-"""Physical quantities as people write them: `640 nm`, `1 mW`, `0.5 deg`; inside, SI numbers."""
+"""Convert physical quantities such as `640 nm`, `1 mW`, `0.5 deg` to SI numbers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pydantic import BeforeValidator, Field, WithJsonSchema
 __all__ = ["Angle", "Current", "FocusDistance", "Length", "Power", "Time", "Vergence", "to_si"]
 
 
-# A number and a unit. Pint would work out any formula, `9**9**9 m` too, and never come back.
+# A number and a unit only: Pint would evaluate any formula, and `9**9**9 m` would never end.
 _QUANTITY = re.compile(
     r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1?\s*/\s*)?([^\W\d]|[°%])[^\d+]{0,40}([\^*-]?\d)?\s*"
 )
@@ -21,26 +21,17 @@ _LONGEST = 80
 
 @cache
 def _registry() -> Any:
-    # Pint takes a third of a second to import and to read its units: only where a quantity carries a unit.
+    # Pint takes a third of a second to import, so only quantities with a unit load it.
     import pint
 
     return pint.UnitRegistry()
 
 
 def to_si(value: object, unit: str) -> float:
-    """Read a quantity: a number is SI already, a text is a number with a unit of the dimension of `unit`.
+    """Read a quantity: a number is SI already, a text is a number with a unit of the dimension of the SI `unit`.
 
-    Parameters
-    ----------
-    value
-        `0.1`, `"0.1"` or `"100 mm"`.
-    unit
-        The SI unit of the wanted dimension: "m", "rad", "W", "s", "1/s", "1/m".
-
-    Raises
-    ------
-    ValueError
-        For text that is no quantity, another dimension, and anything not finite (`inf` is allowed for lengths).
+    Raises a ValueError for text that is no quantity, another dimension, and infinite or NaN values (`inf` is allowed
+    for lengths).
     """
     if isinstance(value, bool) or not isinstance(value, int | float | str):
         raise ValueError(f"{value!r} is no quantity; write a number in {unit} or, for example, '{_example(unit)}'")
@@ -57,7 +48,8 @@ def to_si(value: object, unit: str) -> float:
 
 def _with_unit(text: str, unit: str) -> float:
     if len(text) > _LONGEST or _QUANTITY.fullmatch(text) is None:
-        raise ValueError(f"{_short(text)} is no quantity; write, for example, '{_example(unit)}'")
+        short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
+        raise ValueError(f"{short!r} is no quantity; write, for example, '{_example(unit)}'")
     registry = _registry()
     import pint
 
@@ -68,19 +60,13 @@ def _with_unit(text: str, unit: str) -> float:
     try:
         return float(quantity.to(unit).magnitude)
     except (pint.PintError, AttributeError, TypeError, ValueError, ArithmeticError) as error:
-        raise ValueError(
-            f"{text!r} has the wrong dimension; give it in {unit}, for example '{_example(unit)}'"
-        ) from error
-
-
-def _short(text: str) -> str:
-    return repr(text if len(text) <= _LONGEST else f"{text[:_LONGEST]}...")
+        what = f"{text!r} has the wrong dimension"
+        raise ValueError(f"{what}; give it in {unit}, for example '{_example(unit)}'") from error
 
 
 def _example(unit: str) -> str:
-    return {"m": "5 mm", "rad": "0.5 deg", "W": "1 mW", "s": "10 us", "1/s": "100 1/s", "1/m": "0.2 1/m"}.get(
-        unit, f"1 {unit}"
-    )
+    usual = {"m": "5 mm", "rad": "0.5 deg", "W": "1 mW", "s": "10 us", "1/s": "100 1/s", "1/m": "0.2 1/m"}
+    return usual.get(unit, f"1 {unit}")
 
 
 def _quantity(unit: str) -> Any:
@@ -91,11 +77,11 @@ def _quantity(unit: str) -> Any:
     return BeforeValidator(lambda value: to_si(value, unit)), WithJsonSchema(schema)
 
 
-# The one length that may be infinite. The constraint stands before the reader, for it belongs to the number.
+# The one length that may be infinite. The constraint precedes the reader because it applies to the number.
 FocusDistance = Annotated[float, Field(gt=0, allow_inf_nan=True), *_quantity("m")]
 Length = Annotated[float, *_quantity("m")]
 Angle = Annotated[float, *_quantity("rad")]
-# The bounds keep all that is made of these numbers finite in single precision; no bench comes near them.
+# These bounds, far beyond any bench, keep all derived numbers finite in single precision.
 Power = Annotated[float, *_quantity("W"), Field(gt=0, le=1e9)]
 Time = Annotated[float, *_quantity("s"), Field(gt=0, le=1e6)]
 Current = Annotated[float, *_quantity("1/s"), Field(ge=0, le=1e12)]

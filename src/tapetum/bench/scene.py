@@ -1,4 +1,4 @@
-"""What stands on the bench: a probe, the target it looks at, and the light between them. All values in SI units."""
+"""A scene: a probe, its target and the illumination, in SI units."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from pydantic import Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
 
+from tapetum.bench.illumination import Illumination, Line, SecondBeam, Wavelength
 from tapetum.bench.phone import CameraUnit, Phone, load_phone
 from tapetum.bench.prescription import PrescriptionLens, check_layers
-from tapetum.bench.quantity import Angle, FocusDistance, Length, Power, Vergence
+from tapetum.bench.quantity import Angle, FocusDistance
 from tapetum.bench.sensors import ProbeSensor, TargetSensor
-from tapetum.bench.shown import in_words, sketch
 from tapetum.bench.strict import STRICT, Positive
 
 if TYPE_CHECKING:
@@ -43,9 +43,9 @@ STEEPEST = {"thin": math.pi / 6, "prescription": math.pi / 3}
 
 
 def outside_of_model(rotation: tuple[float, float], kind: str) -> str | None:
-    """Why a rotation about y and about x, in radians, is refused before a lens of a kind; None where it is not.
+    """Return why a rotation about y and about x, in radians, is refused for a kind of lens; None where it is not.
 
-    The laser's direction has the sines of both angles for its components along x and y.
+    The laser's direction has the sines of both angles as its components along x and y.
     """
     sine = math.hypot(*(math.sin(angle) for angle in rotation))
     quarter = max(abs(angle) for angle in rotation) >= math.pi / 2 or sine >= 1
@@ -59,112 +59,18 @@ def outside_of_model(rotation: tuple[float, float], kind: str) -> str | None:
     return f"a rotation of ({turned}) deg meets the light under {met}, outside {model}; stay below {most:.0f} deg"
 
 
-Wavelength = Annotated[Length, Field(ge=200e-9, le=2e-6)]
-SmallAngle = Annotated[Angle, Field(gt=-0.2, lt=0.2)]
-
-
-@dataclass(frozen=True, config=STRICT)
-class SecondBeam:
-    """The probe's dim second beam, from an imperfect beam splitter (paper, section 5).
-
-    Parameters
-    ----------
-    ratio
-        Its power over the first beam's, as seen in the RR.
-    angle
-        Its direction against the first beam's, along x and y, in radians.
-    """
-
-    ratio: Annotated[float, Field(ge=0, le=1)]
-    angle: tuple[SmallAngle, SmallAngle]
-
-
-@dataclass(frozen=True, config=STRICT)
-class Line:
-    """Light of a further wavelength from the same probe.
-
-    Parameters
-    ----------
-    wavelength, power
-        In metres and watts.
-    """
-
-    wavelength: Wavelength
-    power: Power
-
-
-@dataclass(frozen=True, config=STRICT)
-class Illumination:
-    """The probe's laser (paper, section 3).
-
-    Parameters
-    ----------
-    mode
-        `collimated`: a plane wave of `diameter`. `diverging`: a spherical wave from the probe with a full angle
-        `divergence`. `fixed_area`: a spherical wave from the probe that fills `diameter` at any distance.
-    wavelength, power
-        In metres and watts; the power leaves the probe.
-    divergence
-        Full angle in radians.
-    diameter
-        Of the lit disc at the target, in metres.
-    second_beam
-        None for an ideal beam splitter.
-    lines
-        Light of further wavelengths, laid over the first.
-    bandwidth
-        Full width at half maximum of each line, in metres: 0 for a laser, some 20 nm for an LED.
-    coherence_length
-        Difference of paths from which two reflections no longer interfere, in metres; their degree of coherence falls
-        to it in proportion. Left out, the bandwidth alone decides.
-    source_size
-        Full angle of the source as the target sees it, in radians: 0 for a laser, an even disc for an LED.
-    vergence
-        1/R of the wave that reaches the target, in 1/m, in place of the mode's own: positive from a source at the
-        distance R, negative for light that converges. Sweeping it scans a focus through the target (paper, section 6).
-    """
-
-    mode: Literal["collimated", "diverging", "fixed_area"] = "collimated"
-    wavelength: Wavelength = 640e-9
-    power: Power = 1e-3
-    divergence: Annotated[Angle, Field(gt=0, lt=math.pi / 2)] | None = None
-    diameter: Positive | None = None
-    second_beam: SecondBeam | None = None
-    lines: tuple[Line, ...] = ()
-    bandwidth: Annotated[Length, Field(ge=0, le=200e-9)] = 0.0
-    coherence_length: Positive | None = None
-    source_size: Annotated[Angle, Field(ge=0, lt=0.2)] = 0.0
-    vergence: Vergence | None = None
-
-    @model_validator(mode="after")
-    def _fits_its_mode(self) -> Illumination:
-        if self.mode == "diverging" and self.divergence is None:
-            raise ValueError("mode 'diverging' needs a divergence; add for example 'divergence: 0.5 deg'")
-        if self.mode == "fixed_area" and self.diameter is None:
-            raise ValueError("mode 'fixed_area' needs a diameter; add for example 'diameter: 50 mm'")
-        if self.mode != "diverging" and self.divergence is not None:
-            remedy = "leave it out or use mode 'diverging'"
-            raise ValueError(f"divergence has no meaning in mode '{self.mode}'; {remedy}")
-        if self.mode == "diverging" and self.diameter is not None:
-            raise ValueError("diameter has no meaning in mode 'diverging'; leave it out or use mode 'fixed_area'")
-        shortest = min(self.wavelength, *(line.wavelength for line in self.lines), math.inf)
-        if self.bandwidth >= 0.5 * shortest:
-            raise ValueError(f"bandwidth {self.bandwidth:g} m is no line at {shortest:g} m; give a narrower one")
-        return self
-
-
 @dataclass(frozen=True, config=STRICT)
 class ThinLens:
-    """An ideal lens whose aperture stop lies in it.
+    """An ideal lens with the aperture stop in its plane.
 
     Parameters
     ----------
     focal_length, aperture_radius
         In metres.
     glass
-        Its dispersion: one of the bench's glasses, or None for a lens of the same focal length in all light.
+        Its dispersion: one of the bench's glasses, or None for the same focal length at all wavelengths.
     design_wavelength
-        At which the focal length holds, in metres, where there is a glass.
+        At which the focal length holds, in metres, if there is a glass.
     """
 
     focal_length: Positive
@@ -181,19 +87,19 @@ class ThinLens:
         return self
 
 
-def _kind_of_lens(value: Any) -> str:
-    return str(value.get("kind", "thin") if isinstance(value, dict) else getattr(value, "kind", "thin"))
+def _by_kind(usual: str) -> Discriminator:
+    """The discriminator of a union; a file may omit the default kind."""
+    return Discriminator(
+        lambda value: str(value.get("kind", usual) if isinstance(value, dict) else getattr(value, "kind", usual))
+    )
 
 
-# A lens is thin unless it says otherwise.
-Lens = Annotated[
-    Annotated[ThinLens, Tag("thin")] | Annotated[PrescriptionLens, Tag("prescription")], Discriminator(_kind_of_lens)
-]
+Lens = Annotated[Annotated[ThinLens, Tag("thin")] | Annotated[PrescriptionLens, Tag("prescription")], _by_kind("thin")]
 
 
 @dataclass(frozen=True, config=STRICT)
 class Target:
-    """The camera looked at.
+    """The camera that the probe illuminates.
 
     Parameters
     ----------
@@ -214,10 +120,8 @@ class Target:
     @model_validator(mode="after")
     def _can_focus_and_look(self) -> Target:
         if self.object_distance <= self.lens.focal_length:
-            raise ValueError(
-                f"object_distance {self.object_distance:g} m is not beyond the focal length "
-                f"{self.lens.focal_length:g} m; focus farther away or shorten the focal length"
-            )
+            what = f"object_distance {self.object_distance:g} m is not beyond the focal length"
+            raise ValueError(f"{what} {self.lens.focal_length:g} m; focus farther away or shorten the focal length")
         if too_steep := outside_of_model(self.rotation, self.lens.kind):
             raise ValueError(too_steep)
         if isinstance(self.lens, PrescriptionLens):
@@ -231,7 +135,7 @@ class Target:
 
 @dataclass(frozen=True, config=STRICT)
 class PhoneTarget:
-    """A phone looked at: one of its cameras is held on the scene, all of them answer.
+    """A phone as target: one of its cameras is pointed at the scene, all of them reflect.
 
     Parameters
     ----------
@@ -240,11 +144,10 @@ class PhoneTarget:
     object_distance
         Where its cameras are focused, in metres; `inf` for infinity.
     kind
-        What tells it from a single camera.
-    camera
-        Name of the camera whose field the gaze is in; the first one when left out.
-    imaging
-        Whether that camera images (its app is open). Sensors answer while they image, filters always.
+        Distinguishes it from a single camera.
+    camera, imaging
+        Name of the camera whose field the gaze is in (by default the first), and whether it is imaging (its app is
+        open). Sensors reflect while they image, filters always.
     rotation
         As of a `Target`.
     """
@@ -261,7 +164,7 @@ class PhoneTarget:
         names = [unit.name for unit in self.phone.cameras]
         if self.camera is not None and self.camera not in names:
             raise ValueError(f"{self.name} has no camera {self.camera!r}; use {' or '.join(names)}")
-        # Each of them must be able to focus there.
+        # Every camera must be able to focus there.
         self.cameras()
         return self
 
@@ -282,11 +185,11 @@ class PhoneTarget:
 
     @property
     def sensor(self) -> TargetSensor:
-        """That camera's sensor, as it is while it images."""
+        """That camera's sensor, as while imaging."""
         return self.unit.sensor
 
     def cameras(self) -> tuple[tuple[Target, tuple[float, float]], ...]:
-        """Every camera as a target of its own, and its place on the back plate against the one that gazes."""
+        """Every camera as a target, and its position on the back plate relative to the camera that defines the gaze."""
         gazing, found = self.unit, list[tuple[Target, tuple[float, float]]]()
         for unit in self.phone.cameras:
             images = self.imaging and unit.name == gazing.name
@@ -294,7 +197,7 @@ class PhoneTarget:
             if not images:
                 sensor = replace(sensor, reflectance=0.0, array=None, microlens=None, mask=None, diffuse=None)
             place = (unit.position[0] - gazing.position[0], unit.position[1] - gazing.position[1])
-            # Where the gazing camera looks is where the gaze counts from: the others look beside it.
+            # Gaze counts from the axis of its camera; the other axes are offset from it.
             rotation = tuple(
                 angle + (own - its) for angle, own, its in zip(self.rotation, unit.axis, gazing.axis, strict=True)
             )
@@ -302,26 +205,19 @@ class PhoneTarget:
         return tuple(found)
 
 
-def _kind_of_target(value: Any) -> str:
-    return str(value.get("kind", "camera") if isinstance(value, dict) else getattr(value, "kind", "camera"))
-
-
-# A target is a single camera unless it says otherwise.
-AnyTarget = Annotated[
-    Annotated[Target, Tag("camera")] | Annotated[PhoneTarget, Tag("phone")], Discriminator(_kind_of_target)
-]
+AnyTarget = Annotated[Annotated[Target, Tag("camera")] | Annotated[PhoneTarget, Tag("phone")], _by_kind("camera")]
 
 
 @dataclass(frozen=True, config=STRICT)
 class Probe:
-    """The laser's companion: a camera focused at infinity behind the same aperture.
+    """The camera beside the laser, focused at infinity behind the same aperture.
 
     Parameters
     ----------
     lens, sensor
         Its optics.
     transmission
-        Power that the way back keeps, beam splitter included.
+        Power transmission of the return path, beam splitter included.
     """
 
     lens: ThinLens
@@ -331,17 +227,17 @@ class Probe:
 
 @dataclass(frozen=True, config=STRICT)
 class Sampling:
-    """How finely to compute.
+    """Accuracy and sampling of the simulation.
 
     Parameters
     ----------
     accuracy
         Largest error of the irradiance, in fractions of the peak; the planner does the rest.
     pupil, sensor
-        Samples a side forced by hand; refused where the field would alias.
+        Samples a side set by hand; refused where the field would alias.
     propagation
-        From target to probe: `far field` (all light that returns is seen), `finite` (over the distance and through the
-        probe's round aperture), or `auto`: finite where the returning beam overfills the aperture.
+        From target to probe: `far field` (the aperture passes all returning light), `finite` (over the distance and
+        through the probe's round aperture), or `auto`: finite where the returning beam overfills the aperture.
     """
 
     accuracy: Annotated[float, Field(gt=0, lt=1)] = 1e-3
@@ -352,7 +248,7 @@ class Sampling:
 
 @dataclass(frozen=True, config=STRICT)
 class Scene:
-    """Everything that decides a retro-reflection.
+    """All parameters of a retro-reflection.
 
     Parameters
     ----------
@@ -370,15 +266,55 @@ class Scene:
     schema: Literal["tapetum/scene/1"] = SCHEMA
 
     def __repr__(self) -> str:
-        return f"<Scene: {in_words(self)}>"
+        return f"<Scene: {self._words()}>"
+
+    def _words(self) -> str:
+        light, target = self.illumination, self.target
+        return (
+            f"{_named(target)}, {self.distance:g} m from the probe, focused at {target.object_distance:g} m;"
+            f" {light.mode} light of {light.wavelength * 1e9:g} nm, {light.power * 1e3:g} mW"
+        )
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the scene in a line, and all its values folded up."""
+        """The scene as HTML for a notebook: one line, and all values in a folded list."""
         from tapetum.bench.load import scene_yaml
 
-        words, values = html.escape(in_words(self)), html.escape(scene_yaml(self))
+        words, values = html.escape(self._words()), html.escape(scene_yaml(self))
         return f"<details><summary>Scene: {words}</summary><pre>{values}</pre></details>"
 
     def plot(self) -> Figure:
-        """Draw the bench from the side: see `tapetum.bench.shown.sketch`."""
-        return sketch(self)
+        """Draw the bench from the side, heights not to scale: probe, target, and where the target is focused.
+
+        The figure belongs to no window: a notebook shows it, `savefig` writes it.
+        """
+        from matplotlib.figure import Figure
+
+        figure = Figure(figsize=(7, 2.2), layout="constrained")
+        axis = figure.add_subplot()
+        place, focus = self.distance, self.distance - self.target.object_distance
+        axis.plot([0, 0], [-1, 1], color="C0", linewidth=4, solid_capstyle="butt")
+        axis.plot([place, place], [-0.5, 0.5], color="C1", linewidth=4, solid_capstyle="butt")
+        axis.plot([0, place], [0, 0], color="0.6", linewidth=1)
+        style: Any = {"textcoords": "offset points", "ha": "center"}
+        diameter = 2e3 * self.probe.lens.aperture_radius
+        axis.annotate(f"probe\n{diameter:g} mm wide", (0, 1), (0, 3), **style)
+        axis.annotate(_named(self.target), (place, 0.5), (0, 3), **style)
+        if math.isfinite(focus) and focus != 0:
+            axis.plot([focus], [0], "x", color="C1")
+            axis.annotate("its focus", (focus, 0), (0, -14), **style)
+        axis.set_ylim(-1.6, 2.2)
+        axis.margins(x=0.2)
+        axis.set_yticks([])
+        axis.set_xlabel("distance from the probe, m")
+        axis.spines[["left", "right", "top"]].set_visible(False)
+        return figure
+
+
+def _named(target: Target | PhoneTarget) -> str:
+    if isinstance(target, PhoneTarget):
+        return f"{target.name}{', ' + target.camera if target.camera else ''}"
+    lens = target.lens
+    if isinstance(lens, PrescriptionLens):
+        return f"lens {lens.name} at {lens.focal_length * 1e3:g} mm"
+    stop = lens.focal_length / (2 * lens.aperture_radius)
+    return f"thin lens f = {lens.focal_length * 1e3:g} mm, f/{stop:.3g}"

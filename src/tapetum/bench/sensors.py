@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, TypeVar
+from typing import Annotated
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.quantity import Current, Length, Time
@@ -13,35 +13,41 @@ from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, Sensor
 
 __all__ = ["ProbeSensor", "TargetSensor"]
 
-S = TypeVar("S", "TargetSensor", "ProbeSensor")
-Pixels = Annotated[tuple[int, int], Field(description="columns, rows")]
+
+def _in_range(pixels: tuple[int, int]) -> tuple[int, int]:
+    if min(pixels) < 1 or max(pixels) > 16384:
+        raise ValueError(f"pixels {list(pixels)} are out of range; give 1 to 16384 a side")
+    return pixels
+
+
+Pixels = Annotated[tuple[int, int], Field(description="columns, rows"), AfterValidator(_in_range)]
 Offset = Annotated[Length, Field(ge=-0.01, le=0.01)]
 
 
 @dataclass(frozen=True, config=STRICT)
 class TargetSensor:
-    """The target's image sensor: what it reflects, and what it sees.
+    """The target's image sensor, as reflector and as camera.
 
     Parameters
     ----------
     reflectance
-        Power reflectance of its plane, taken as a mirror.
+        Power reflectance of its plane, treated as a mirror.
     pixels, pitch
-        Columns and rows, and their distance in metres: together the field of view.
+        Columns and rows, and their pitch in metres: together the field of view.
     array, microlens
-        The photosites as a grating, and the lenses over them; a flat mirror without.
+        The photosites as a grating, and the lenses over them; a plane mirror without.
     mask
-        Any complex reflectance in their place.
+        A complex reflectance in place of both.
     diffuse
-        A scattered share, besides.
+        An additional scattered part.
     layers
-        Further reflecting planes before the sensor.
+        Further reflecting planes in front of the sensor.
     tilt
         Of its plane against the lens's image plane, (a_x, a_y) in radians: at the place u from the lens's axis it lies
-        a·u behind it. Layers have tilts of their own. A lens tilted as a whole is the same as its planes tilted the
-        other way and a change of gaze, so it needs no field of its own.
+        a·u behind it. Layers have their own tilts. A tilt of the whole lens is equivalent to the opposite tilt of these
+        planes and a change of gaze, so it has no field of its own.
     decentre
-        Where the lens's axis meets the sensor, (x, y) in metres from its middle. Gaze counts from the sensor's middle.
+        Where the lens's axis meets the sensor, (x, y) in metres from its centre. Gaze counts from the sensor's centre.
     """
 
     reflectance: Share = 0.1
@@ -57,7 +63,7 @@ class TargetSensor:
     decentre: tuple[Offset, Offset] = (0.0, 0.0)
 
     @model_validator(mode="after")
-    def _has_pixels(self) -> TargetSensor:
+    def _can_be_built(self) -> TargetSensor:
         if self.mask is not None and (self.array is not None or self.microlens is not None):
             raise ValueError("a mask takes the place of array and microlens; leave one of them out")
         if self.mask is not None and self.tilt != (0.0, 0.0):
@@ -68,7 +74,7 @@ class TargetSensor:
         if self.diffuse is not None and self.reflectance + self.diffuse.albedo > 1:
             total = self.reflectance + self.diffuse.albedo
             raise ValueError(f"reflectance and diffuse.albedo add up to {total:g}; keep them below 1")
-        return _with_pixels(self)
+        return self
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -78,29 +84,22 @@ class ProbeSensor:
     Parameters
     ----------
     pixels, pitch
-        Columns and rows, and their distance in metres.
-    bits
-        Of a digital number.
+        Columns and rows, and their pitch in metres.
+    bits, offset
+        Bit depth, and digital number without light.
     exposure
         In seconds.
     quantum_efficiency
-        Electrons a photon.
+        Electrons per photon.
     full_well, read_noise
         In electrons.
     gain
-        Digital numbers an electron; where it is left out the digital range spans the full well.
-    background
-        Mean stray light a pixel and frame, in electrons.
-    dark_current
-        Electrons a pixel and second.
-    offset
-        Digital number of no light.
-    hot_pixels
-        Share of pixels with a dark current far above the others', at places that belong to the sensor.
-    hot_current
-        Mean of the hot pixels' dark current, exponentially distributed, in electrons a pixel and second.
-    serial
-        Number of the sensor: it decides where its hot pixels are.
+        Digital numbers per electron; by default the digital range spans the full well.
+    background, dark_current
+        Mean stray light in electrons per pixel and frame; dark current in electrons per pixel and second.
+    hot_pixels, hot_current, serial
+        Share of pixels with a much larger dark current, its mean (exponentially distributed) in electrons per pixel and
+        second, and the number of the sensor, which decides where they are.
     """
 
     pixels: Pixels = (256, 256)
@@ -108,7 +107,7 @@ class ProbeSensor:
     bits: Annotated[int, Field(ge=1, le=16)] = 8
     exposure: Time = 1e-5
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.5
-    # Inferred for the MT9P031, the likely sensor of the paper's cameras: not confirmed by its maker.
+    # Inferred for the MT9P031, the likely sensor of the paper's cameras; not confirmed by the manufacturer.
     full_well: Annotated[float, Field(ge=1, le=1e9)] = 6500.0
     read_noise: Annotated[float, Field(ge=0, le=1e6)] = 2.0
     background: Annotated[float, Field(ge=0, le=1e9)] = 0.0
@@ -118,13 +117,3 @@ class ProbeSensor:
     hot_pixels: Share = 0.0
     hot_current: Current = 0.0
     serial: Annotated[int, Field(ge=0, lt=2**63)] = 0
-
-    @model_validator(mode="after")
-    def _has_pixels(self) -> ProbeSensor:
-        return _with_pixels(self)
-
-
-def _with_pixels(sensor: S) -> S:
-    if min(sensor.pixels) < 1 or max(sensor.pixels) > 16384:
-        raise ValueError(f"pixels {list(sensor.pixels)} are out of range; give 1 to 16384 a side")
-    return sensor

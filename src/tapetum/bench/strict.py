@@ -1,4 +1,4 @@
-"""What all dataclasses of the bench share: nothing unknown, nothing infinite."""
+"""Settings of all dataclasses of the bench: no unknown keys, no infinite values."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ __all__ = ["STRICT", "Positive", "Share"]
 _SMALLEST = 1e-9
 
 
-def _no_dust(length: float) -> float:
+def _above_smallest(length: float) -> float:
     if length < _SMALLEST:
         raise ValueError(f"{length:g} m is smaller than a nanometre; give at least 1e-9")
     return length
 
 
 STRICT = ConfigDict(extra="forbid", allow_inf_nan=False, ser_json_inf_nan="strings")
-# A million kilometres is farther than any light here; what is next to nothing would overflow its own reciprocal.
-Positive = Annotated[Length, Field(gt=0, le=1e9), AfterValidator(_no_dust)]
+# No distance here exceeds a million kilometres; smaller numbers than the lower bound overflow when inverted.
+Positive = Annotated[Length, Field(gt=0, le=1e9), AfterValidator(_above_smallest)]
 Share = Annotated[float, Field(ge=0, le=1)]

@@ -1,17 +1,21 @@
-"""What reflects inside a target: the plane of its sensor and the layers before it."""
+"""Reflecting surfaces inside a target: its sensor plane and the layers in front of it."""
 
 from __future__ import annotations
 
 import itertools
 import math
+import zipfile
 from collections.abc import Sequence
 from typing import Annotated
 
+import numpy as np
+import numpy.typing as npt
 from pydantic import Field, PlainSerializer, PlainValidator, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.quantity import Angle, Length, to_si
 from tapetum.bench.strict import STRICT, Positive, Share
+from tapetum.errors import InputError
 from tapetum.optics.photosites import SHAPES, Shape
 
 __all__ = ["Diffuse", "Layer", "Microlens", "PixelArray", "SensorMask", "SmallTilt", "Spectrum", "at_wavelength"]
@@ -20,7 +24,7 @@ SmallTilt = Annotated[Angle, Field(ge=-0.1, le=0.1)]
 
 
 def _spectrum(value: object) -> float | tuple[tuple[float, float], ...]:
-    """A share of light: one number, or [wavelength, share] pairs of rising wavelength."""
+    """A fraction of the light: one number, or [wavelength, fraction] pairs of rising wavelength."""
     if not isinstance(value, list | tuple):
         return _share(value)
     pairs: list[tuple[float, float]] = []
@@ -60,29 +64,23 @@ Spectrum = Annotated[
 
 
 def at_wavelength(spectrum: float | Sequence[tuple[float, float]], wavelength: float) -> float:
-    """The share at a wavelength in metres: linear between the pairs, constant beyond the outer ones."""
+    """The fraction at a wavelength in metres: linear between the pairs, constant outside them."""
     if isinstance(spectrum, int | float):
         return float(spectrum)
-    first, last = spectrum[0], spectrum[-1]
-    if wavelength <= first[0]:
-        return first[1]
-    for (a, low), (b, high) in itertools.pairwise(spectrum):
-        if wavelength <= b:
-            return low + (high - low) * (wavelength - a) / (b - a)
-    return last[1]
+    return float(np.interp(wavelength, *np.transpose(spectrum)))
 
 
 @dataclass(frozen=True, config=STRICT)
 class Diffuse:
-    """A Lambertian share of a reflection (paper, section 4.3).
+    """A Lambertian part of a reflection (paper, section 4.3).
 
     Parameters
     ----------
     albedo
-        Power scattered back over all directions, in fractions of the power that arrives.
+        Power scattered back over all directions, in fractions of the incident power.
     spread
-        Standard deviation of the place where light leaves against the place where it arrived, in metres: paper and
-        cardboard carry light sideways before they scatter it back.
+        Standard deviation of the lateral distance between entry and exit of light, in metres: paper and cardboard
+        scatter light below their surface.
     """
 
     albedo: Share
@@ -91,20 +89,17 @@ class Diffuse:
 
 @dataclass(frozen=True, config=STRICT)
 class PixelArray:
-    """Photosites in rows and columns: what makes a sensor a grating.
+    """Photosites in rows and columns, which make the sensor a grating.
 
     Parameters
     ----------
     pitch
-        Distance of photosites, in metres; the sensor's own where it is left out.
-    fill
-        Area of the photosites over the whole.
-    shape
-        `square`, `round` or `hexagon` photosites.
-    surround
-        Power reflectance of what lies between them, over that of a photosite.
-    phase
-        Of the surround's reflection against the photosites', in radians: a step in height.
+        Of the photosites, in metres; by default the sensor's.
+    fill, shape
+        Fill factor by area, and `square`, `round` or `hexagon` photosites.
+    surround, phase
+        Power reflectance of the area between photosites over that of a photosite, and the phase of its reflection
+        against theirs, in radians: a step in height.
     bayer
         Power reflectance of the four colours of a 2 by 2 cell, row by row, over the sensor's reflectance.
     """
@@ -127,17 +122,17 @@ class PixelArray:
 
 @dataclass(frozen=True, config=STRICT)
 class Microlens:
-    """A lens over every photosite: its phase, passed twice.
+    """A lens over every photosite, passed twice as a phase.
 
     Parameters
     ----------
     focal_length
         Of one microlens, in metres.
     fill
-        Diameter over the pitch; between the lenses light passes a flat.
+        Diameter over the pitch; the area between the lenses is plane.
     shift
-        How far a microlens stands off its photosite towards the sensor's middle, in metres a metre of image height.
-        For a gap g of index n between them and an exit pupil R before the sensor, g/(nR) lets chief rays meet the
+        Shift of a microlens from its photosite towards the sensor's centre, in metres per metre of image height. For a
+        gap g of index n between them and an exit pupil R before the sensor, g/(nR) centres chief rays on the
         photosites.
     """
 
@@ -148,40 +143,65 @@ class Microlens:
 
 @dataclass(frozen=True, config=STRICT)
 class SensorMask:
-    """Any complex reflectance of the sensor plane, from a file.
+    """A complex reflectance of the sensor plane from a file.
 
     Parameters
     ----------
     file
-        A `.npy` of complex amplitudes, [rows, columns], read without pickle. Its middle lies on the optical axis;
-        outside of it nothing is reflected.
+        A `.npy` of complex amplitudes, [rows, columns], read without pickle. Its centre lies on the optical axis;
+        outside it nothing is reflected.
     pitch
-        Distance of its samples, in metres.
+        Of its samples, in metres.
     """
 
     file: str
     pitch: Positive
 
+    def amplitudes(self, reflectance: float) -> npt.NDArray[np.complex128]:
+        """Return complex amplitudes [rows, columns] relative to the square root of the sensor's power reflectance.
+
+        Raises an InputError for an invalid file, and for a mask that would reflect more than all light.
+        """
+        where, path = "target.sensor.mask.file", self.file
+        try:
+            values = np.load(path, allow_pickle=False)
+        except FileNotFoundError as error:
+            raise InputError(f"there is no file {path}", where=where, remedy="give the path of a .npy file") from error
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            remedy = "write it with numpy.save, as complex numbers"
+            raise InputError(f"{path} is no .npy of plain numbers", where=where, remedy=remedy) from error
+        if not isinstance(values, np.ndarray):
+            raise InputError(f"{path} holds several arrays", where=where, remedy="write one with numpy.save")
+        if values.dtype.kind not in "fciu" or values.ndim != 2 or values.size == 0:
+            what = f"{path} holds {values.dtype} of shape {values.shape}"
+            raise InputError(what, where=where, remedy="give complex amplitudes [rows, columns]")
+        values = values.astype(np.complex128)
+        if not np.isfinite(values).all():
+            what = f"{path} holds values that are not finite"
+            raise InputError(what, where=where, remedy="replace them, by 0 for example")
+        largest = float(np.abs(values).max())
+        if reflectance * largest**2 > 1 + 1e-6:
+            what = f"{path} reflects {reflectance * largest**2:.3g} of the light at its brightest"
+            raise InputError(what, where=where, remedy="scale its amplitudes, or lower the sensor's reflectance")
+        return values
+
 
 @dataclass(frozen=True, config=STRICT)
 class Layer:
-    """A plane before the sensor that reflects: cover glass, filter, the tops of microlenses.
+    """A reflecting plane in front of the sensor: cover glass, filter, the tops of microlenses.
 
     Parameters
     ----------
-    depth
-        Its distance from the sensor, in metres.
-    index
-        Refractive index of what lies between it and the sensor.
-    reflectance
-        Power reflectance, one number or by wavelength.
-    transmittance
-        Power transmittance of one passage; what is not reflected where it is left out.
+    depth, index
+        Its distance from the sensor, in metres, and the refractive index between them.
+    reflectance, transmittance
+        Power reflectance and single-pass power transmittance, one number or by wavelength; the transmittance is 1 minus
+        the reflectance by default.
     diffuse
-        A scattered share, besides.
+        An additional scattered part.
     tilt
         Of its plane against the lens's image plane, (a_x, a_y) in radians: at the place u from the lens's axis it lies
-        a·u farther from the lens. What it reflects turns, what passes does not.
+        a·u farther from the lens. It deflects what the layer reflects, not what passes.
     """
 
     depth: Positive

@@ -12,35 +12,29 @@ __all__ = ["read_zemax"]
 
 _UNITS = {"MM": "mm", "CM": "cm", "METER": "m", "IN": "inch"}
 _LINES = {"F": 0.486133, "d": 0.587562, "C": 0.656273}
-# The power of r that a surface's first coefficient belongs to, and the step to the next one's.
+# Power of r of a surface's first coefficient, and the step to the next.
 _POWERS = {"standard": (2, 2), "even_asphere": (2, 2), "odd_asphere": (1, 1)}
 
 
 def read_zemax(name: str) -> dict[str, Any]:
-    """The first configuration of a file, as nested mappings for `prescription_from_dict`.
+    """Return the first configuration of a file, as nested mappings for `prescription_from_dict`.
 
-    Rotationally symmetric surfaces only. Glasses come as n_d and Abbe number of the catalogue that the file names;
-    semi-diameters are the file's own, its apertures where it has them.
-
-    Raises
-    ------
-    InputError
-        For a file that optiland cannot read, and for mirrors, tilted or other surfaces.
-    MissingExtraError
-        Without optiland.
+    Glasses come as n_d and Abbe number of the file's catalogue; semi-diameters are the file's own, its apertures where
+    it has them. Raises an InputError for a file that optiland cannot read, mirrors, and surfaces that are tilted or not
+    rotationally symmetric; a MissingExtraError without optiland.
     """
     parser = need("optiland.fileio.zemax.reader.parser", "zemax")
     try:
         model = parser.ZemaxDataParser(name).parse()
     except Exception as error:
-        # It raises what its lines make it stumble over.
+        # Its parser raises errors of any kind on unexpected lines.
         what = f"optiland cannot read it ({type(error).__name__}: {error})"
         raise InputError(what, where=name, remedy="give a sequential .zmx file, saved as text") from error
     numbers = sorted(model.surfaces)
     if len(numbers) < 3:
         raise InputError("holds no surface between object and image", where=name, remedy="give a lens")
     surfaces = [_surface(model.surfaces[i], f"{name}: surface {i}") for i in numbers[1:-1]]
-    # Empty flats before the lens, and behind it, only carry a drawing's distances.
+    # Planes in air before and behind the lens only set distances of the drawing.
     while len(surfaces) > 1 and _empty(surfaces[0]):
         surfaces.pop(0)
     state: dict[str, Any] = {"name": "prime", "half_field": _half_field(model.fields)}
@@ -92,9 +86,8 @@ def _medium(raw: dict[str, Any], where: str) -> dict[str, float]:
         raise InputError("is a mirror", where=where, remedy="use a lens of refracting surfaces")
     if type(material).__name__ == "AbbeMaterial":
         if raw.get("index") is None or raw.get("abbe") is None:
-            raise InputError(
-                "names an unknown glass", where=where, remedy="write its index and Abbe number in the file"
-            )
+            remedy = "write its index and Abbe number in the file"
+            raise InputError("names an unknown glass", where=where, remedy=remedy)
         return {"nd": float(raw["index"]), "vd": float(raw["abbe"])}
     n = {line: float(material.n(wavelength).item()) for line, wavelength in _LINES.items()}
     return {"nd": n["d"], "vd": (n["d"] - 1) / (n["F"] - n["C"])}
@@ -113,7 +106,7 @@ def _half_field(fields: dict[str, Any]) -> float | None:
 
 
 def _unit(name: str) -> str:
-    """optiland takes a file's lengths as they are and leaves its unit aside."""
+    """The file's unit of length, which optiland ignores."""
     content = Path(name).read_bytes()
     text = content.decode("utf-16" if content[:2] in (b"\xff\xfe", b"\xfe\xff") else "latin-1", errors="replace")
     for line in text.splitlines():

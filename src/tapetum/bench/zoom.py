@@ -1,4 +1,4 @@
-"""A prescription at the focal length that was asked for: scaled, or between two states of a zoom."""
+"""A prescription at a given focal length: scaled, or interpolated between states of a zoom."""
 
 from __future__ import annotations
 
@@ -12,18 +12,15 @@ from tapetum.errors import InputError
 
 __all__ = ["focal_range", "surfaces_at"]
 
-# Focal lengths are typed with a few digits: this much beyond the ends is meant to be the end.
+# Focal lengths are typed with few digits: a value this little beyond an end means the end.
 _SLACK = 1e-3
 
 
 @functools.lru_cache(maxsize=256)
 def focal_range(prescription: Prescription, wavelength: float) -> tuple[float, ...]:
-    """Paraxial focal length of every state, in metres, at a wavelength.
+    """Return the paraxial focal length of every state, in metres, at a wavelength.
 
-    Raises
-    ------
-    InputError
-        For a lens without a positive focal length, and for states that are not in the order of theirs.
+    Refuses a lens without a positive focal length, and states that are not in the order of theirs.
     """
     from tapetum.optics.paraxial import paraxial
 
@@ -42,15 +39,11 @@ def focal_range(prescription: Prescription, wavelength: float) -> tuple[float, .
 def surfaces_at(
     prescription: Prescription, focal_length: float | None, wavelength: float
 ) -> tuple[tuple[Surface, ...], float]:
-    """The surfaces for a focal length, and the factor on all of their lengths.
+    """Return the surfaces for a focal length, and the factor on all of their lengths.
 
-    A prime lens is scaled. In a zoom the gaps that move, and the stop's opening, run smoothly with the logarithm of
-    the focal length through the states (monotone cubics, so that no two groups meet between them).
-
-    Raises
-    ------
-    InputError
-        For a zoom without a focal length, or one beyond its range.
+    A prime lens is scaled. In a zoom the gaps that move, and the stop's opening, are interpolated over the logarithm of
+    the focal length by monotone cubics, so that no two groups meet between states. Refuses a zoom without a focal
+    length, or one beyond its range.
     """
     own = focal_range(prescription, wavelength)
     if len(own) == 1:
@@ -61,6 +54,7 @@ def surfaces_at(
     if not own[0] * (1 - _SLACK) <= focal_length <= own[-1] * (1 + _SLACK):
         what = f"focal_length {focal_length * 1e3:.4g} mm is beyond this zoom"
         raise InputError(what, where=prescription.name, remedy=f"give one of {spoken}")
+    import numpy as np
     import torch
     from scipy.interpolate import PchipInterpolator
     from scipy.optimize import brentq
@@ -69,26 +63,20 @@ def surfaces_at(
 
     logs = [math.log(one) for one in own]
     states = [prescription.state(k) for k in range(len(own))]
-    moving = [i for i in range(len(states[0])) if len({one[i].thickness for one in states}) > 1]
-    opening = [i for i in range(len(states[0])) if len({one[i].semi_diameter for one in states}) > 1]
-    gaps = {i: PchipInterpolator(logs, [one[i].thickness for one in states]) for i in moving}
-    openings = {i: PchipInterpolator(logs, [one[i].semi_diameter for one in states]) for i in opening}
-
+    gaps, openings = (
+        PchipInterpolator(logs, [[getattr(surface, length) for surface in state] for state in states])
+        for length in ("thickness", "semi_diameter")
+    )
     base = build_lens(states[0], wavelength)
 
-    def gaps_at(t: float) -> dict[int, float]:
-        return {i: float(curve(t)) for i, curve in gaps.items()}
-
     def miss(t: float) -> float:
-        moved = gaps_at(t)
-        steps = [moved.get(i, one.thickness) for i, one in enumerate(states[0][:-1])]
-        lens = replace(base, z=torch.tensor([0.0, *itertools.accumulate(steps)], dtype=torch.float64))
+        lens = replace(base, z=torch.from_numpy(np.cumsum([0.0, *gaps(t)[:-1]])))
         return math.log(paraxial(lens).focal_length) - wanted
 
     wanted = min(max(math.log(focal_length), logs[0]), logs[-1])
-    # At its ends the curve gives the states but for rounding: no sign changes there.
+    # At the ends rounding may leave no sign change.
     ends = miss(logs[0]), miss(logs[-1])
     if ends[0] >= 0 or ends[1] <= 0:
         return states[0 if ends[0] >= 0 else -1], 1.0
     t = float(brentq(miss, logs[0], logs[-1], xtol=1e-14, rtol=1e-14))  # pyright: ignore[reportArgumentType]
-    return with_moves(states[0], gaps_at(t), {i: float(curve(t)) for i, curve in openings.items()}), 1.0
+    return with_moves(states[0], *(dict(enumerate(curve(t).tolist())) for curve in (gaps, openings))), 1.0

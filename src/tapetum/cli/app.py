@@ -5,79 +5,92 @@ from __future__ import annotations
 import importlib.metadata
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Annotated
 
 import typer
 from typer.core import TyperGroup
 
-from tapetum.cli import dataset, demo, evaluate, export, fuse, paper, plan, record, simulate, track, train
+from tapetum.cli.dataset import build, info, synth
+from tapetum.cli.dataset_import import import_data
+from tapetum.cli.demo import demo
+from tapetum.cli.evaluate import evaluate
+from tapetum.cli.export import export
+from tapetum.cli.fuse import fuse
 from tapetum.cli.memory import keep_big_blocks
+from tapetum.cli.options import Command
+from tapetum.cli.paper import paper
+from tapetum.cli.plan import plan
+from tapetum.cli.record import record
+from tapetum.cli.simulate import simulate
+from tapetum.cli.track import track
+from tapetum.cli.train import train
 from tapetum.errors import InputError, StoppedError, TapetumError
 
 __all__ = ["app", "main"]
 
-# Typer raises the errors of Click, which newer versions of it carry inside and older ones import: its own public
-# error leads to the classes of both.
+# Typer raises Click's errors, from its own copy of Click in newer versions: take the classes from its public error.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
 _ClickException: type[Exception] = _UsageError.__bases__[0]
 _INTERRUPTED = 130
 
 
-class _AsAdded(TyperGroup):
-    """Lists the commands in the order in which a person needs them."""
+# By command: the function, its line in the list of commands, and an example for its help.
+_COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
+    "demo": (demo, "The main job end to end, with a report.", "--out demo-out"),
+    "simulate": (
+        simulate,
+        "Retro-reflections of a scene, and sweeps.",
+        "thin-lens --sweep rotation=0,0.5,1 -o sweep.png",
+    ),
+    "plan": (plan, "What a scene would give: budget, limits, eye safety.", "thin-lens --set object_distance=2.5"),
+    "record": (record, "Film a scene, or record real cameras.", "hand-held -o hand.rec --seconds 20 --seed 7"),
+    "dataset build": (build, "Cut crops out of labelled recordings.", "hand.rec -o hand.zarr"),
+    "dataset info": (info, "What a dataset holds, and what is wrong with it.", "hand.zarr --sheet hand.png"),
+    "dataset synth": (synth, "Film the paper's three sets.", "rotation --size small -o rotation.zarr"),
+    "dataset import": (
+        import_data,
+        "Make a dataset of data taken elsewhere.",
+        "theirs --mapping map.yaml -o theirs.zarr",
+    ),
+    "train": (train, "Fit a model to a dataset.", "hand.zarr --kind zernike --label gaze -o my-model"),
+    "evaluate": (evaluate, "A model's errors on a dataset.", "my-model hand.zarr -o report"),
+    "export": (export, "A trained network as one ONNX file.", "thin-lens-gaze -o gaze.onnx"),
+    "track": (track, "Find, follow and read retro-reflections.", "hand.rec --model my-model -o tracks.csv"),
+    "fuse": (
+        fuse,
+        "One track of what several probes say.",
+        "left.parquet right.parquet --place 0.24,0 --distance 5.5 --field 3.3,2.4 -o both.parquet",
+    ),
+    "paper": (paper, "The paper's figures and tables, reproduced.", "fig4 fig5 -o figures"),
+}
+
+
+class _InOrder(TyperGroup):
+    """Lists the commands in the order of a typical session; Typer would list groups first."""
 
     def list_commands(self, ctx: typer.Context) -> list[str]:  # pyright: ignore[reportIncompatibleMethodOverride]
-        del ctx
-        order = (
-            "demo",
-            "simulate",
-            "plan",
-            "record",
-            "dataset",
-            "train",
-            "evaluate",
-            "export",
-            "track",
-            "fuse",
-            "paper",
-        )
-        return sorted(self.commands, key=lambda name: order.index(name) if name in order else len(order))
+        order = [words.split()[0] for words in _COMMANDS]
+        return sorted(super().list_commands(ctx), key=lambda name: order.index(name) if name in order else len(order))
 
 
 app = typer.Typer(
-    cls=_AsAdded,
+    cls=_InOrder,
     help="Turn the light a camera throws back into knowledge of that camera. Begin with: tapetum demo",
     no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_COMMANDS = (
-    ("demo", "The main job end to end, with a report.", demo.demo, "--out demo-out"),
-    (
-        "simulate",
-        "Retro-reflections of a scene, and sweeps.",
-        simulate.simulate,
-        "thin-lens --sweep rotation=0,0.5,1 -o sweep.png",
-    ),
-    ("plan", "What a scene would give: budget, limits, eye safety.", plan.plan, "thin-lens --set object_distance=2.5"),
-    ("record", "Film a scene, or record real cameras.", record.record, "hand-held -o hand.rec --seconds 20 --seed 7"),
-    ("train", "Fit a model to a dataset.", train.train, "hand.zarr --model zernike --target gaze -o my-model"),
-    ("evaluate", "A model's errors on a dataset.", evaluate.evaluate, "my-model hand.zarr -o report"),
-    ("export", "A trained network as one ONNX file.", export.export, "thin-lens-gaze -o gaze.onnx"),
-    ("track", "Find, follow and read retro-reflections.", track.track, "hand.rec --model my-model -o tracks.csv"),
-    (
-        "fuse",
-        "One track of what several probes say.",
-        fuse.fuse,
-        "left.parquet right.parquet --place 0.24,0 --distance 5.5 --field 3.3,2.4 -o both.parquet",
-    ),
-    ("paper", "The paper's figures and tables, reproduced.", paper.paper, "fig4 fig5 -o figures"),
+_datasets = typer.Typer(
+    help="Build datasets from recordings, and look into them.", no_args_is_help=True, rich_markup_mode=None
 )
-for _name, _short, _function, _example in _COMMANDS:
-    app.command(_name, short_help=_short, epilog=f"Example: tapetum {_name} {_example}")(_function)
-app.add_typer(dataset.app, name="dataset", short_help="Build, import and film datasets, and look into them.")
+for _words, (_function, _short, _example) in _COMMANDS.items():
+    _group, _, _name = _words.rpartition(" ")
+    (_datasets if _group else app).command(
+        _name, cls=Command, short_help=_short, epilog=f"Example: tapetum {_words} {_example}"
+    )(_function)
+app.add_typer(_datasets, name="dataset", short_help="Build, import and film datasets, and look into them.")
 
 
 def _version(wanted: bool) -> None:
@@ -96,10 +109,10 @@ def _root(
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the command line: 0 done, 1 a check said no, 2 bad input, 130 interrupted."""
+    """Run the command line and return 0 for success, 1 for a failed check, 2 for bad input, 130 when interrupted."""
     keep_big_blocks()
     code, line = _run(arguments)
-    # Only now, when the error and the frames it held are gone, is a bar that it cut short off the screen.
+    # An interrupted progress bar leaves the screen only once the error and its stack frames are released.
     if line:
         typer.echo(line, err=True)
     return code
@@ -112,7 +125,7 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
             args=list(arguments) if arguments is not None else None, prog_name="tapetum", standalone_mode=False
         )
         code = result if isinstance(result, int) else 0
-        # Typer may turn Ctrl-C into this code by itself.
+        # Typer may return this code for Ctrl-C itself.
         return code, "interrupted" if code == _INTERRUPTED else ""
     except InputError as error:
         return 2, f"error: {error}"
@@ -123,11 +136,11 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
     except (KeyboardInterrupt, typer.Abort):
         return _INTERRUPTED, "interrupted"
     except BrokenPipeError:
-        # Whoever read our output has left (`tapetum ... | head`): nothing to say, and nowhere to flush it to.
+        # The reader of the output has closed it (`tapetum ... | head`): neither report nor flush.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1, ""
     except OSError as error:
-        # A file that the system would not read or write; errors without a file's name are ours to mend.
+        # A file that cannot be read or written; an error without a file name is a bug.
         if error.filename is None:
             raise
         return 2, f"error: {error.filename}: {error.strerror or error}; check the path and its permissions"
@@ -136,7 +149,7 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
 
 
 def _usage(error: Exception) -> str:
-    """What Click says of a command line that it cannot read."""
+    """Click's message about an invalid command line."""
     context = getattr(error, "ctx", None)
     command = "tapetum" if context is None else context.command_path
     if type(error).__name__ == "NoArgsIsHelpError":

@@ -1,4 +1,4 @@
-"""`tapetum dataset`: build datasets from recordings, and look into them."""
+"""`tapetum dataset build`, `info` and `synth`: datasets from recordings, and what they hold."""
 
 from __future__ import annotations
 
@@ -8,61 +8,49 @@ from typing import Annotated, Any
 
 import typer
 
-from tapetum.cli.dataset_import import import_data
-from tapetum.cli.dataset_synth import synth
-from tapetum.cli.inputs import check_replaceable
-from tapetum.errors import InputError
+from tapetum.cli.inputs import check_output
+from tapetum.cli.options import AsJson, Cluster, Force, Processes, Seed, SetOut, SetPath, film_count, option
+from tapetum.defaults import SEED
+from tapetum.errors import InputError, StoppedError, one_of
 from tapetum.progress import bar
 
-app = typer.Typer(
-    help="Build datasets from recordings, and look into them.", no_args_is_help=True, rich_markup_mode=None
-)
-_EXAMPLE = "Example: tapetum dataset "
-app.command(
-    "synth", short_help="Film the paper's three sets.", epilog=_EXAMPLE + "synth rotation --size small -o rotation.zarr"
-)(synth)
-app.command(
-    "import",
-    short_help="Make a dataset of data taken elsewhere.",
-    epilog=_EXAMPLE + "import theirs --mapping map.yaml -o theirs.zarr",
-)(import_data)
+__all__ = ["build", "info", "say_split", "synth"]
+
+_DRAWABLE = (".png", ".pdf", ".svg")
+_SIZES = "paper; laptop: 8 to 30 s of every video; small: 2 to 4 s, a smoke test with too few frames to learn from."
 
 
-def check_drawable(sheet: Path | None) -> None:
-    """Refuse early, before every crop is looked at, what cannot be drawn."""
-    kinds = (".png", ".pdf", ".svg")
-    if sheet is not None and sheet.suffix.lower() not in kinds:
-        what = f"cannot draw a {sheet.suffix or 'nameless'} file"
-        raise InputError(what, where=sheet, remedy=f"use one of {', '.join(kinds)}")
+def say_split(out: Path, before: str = "") -> None:
+    """Print the numbers of training and test frames of a new dataset."""
+    from tapetum.data import open_dataset
+
+    dataset = open_dataset(out)
+    train, test = dataset.tp.train.sizes["frame"], dataset.tp.test.sizes["frame"]
+    typer.echo(f"{out}: {before}{train} to train on, {test} to test")
 
 
-@app.command(
-    "build", short_help="Cut crops out of labelled recordings.", epilog=_EXAMPLE + "build hand.rec -o hand.zarr"
-)
 def build(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings, NAME.rec.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
-    side: Annotated[int, typer.Option(metavar="PX", help="Pixels along an edge of a crop.", min=8, max=4000)] = 400,
-    test_fraction: Annotated[
-        float, typer.Option(metavar="SHARE", help="Of every video, at its end, that tests.", min=0, max=1)
-    ] = 0.2,
+    out: SetOut,
+    side: Annotated[int, option("PX", "Pixels along an edge of a crop.", min=8, max=4000)] = 400,
+    test_fraction: Annotated[float, option("SHARE", "Of every video, at its end, that tests.", min=0, max=1)] = 0.2,
     embargo: Annotated[
         float,
-        typer.Option(
-            metavar="S",
-            help="Least seconds between training and test frames, for labels smoothed further than the recording says.",
+        option(
+            "S",
+            "Least seconds between training and test frames, for labels smoothed further than the recording says.",
             min=0,
         ),
     ] = 0.0,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dataset of this name.")] = False,
+    force: Force = False,
 ) -> None:
     """Cut a centred square out of every labelled frame; the end of every video tests.
 
-    Recordings that have no labels yet get them first, from the laser in the target's video. Frames whose labels share a
-    measurement with a training frame's do not test: they lie in an embargo between the two parts.
+    Recordings without labels are labelled first, by the laser in the target's video. Frames whose labels share a
+    measurement with a training frame's do not test: they are left out, as an embargo between the two parts.
     """
-    check_replaceable(out, overwrite, "zarr.json", "tapetum-dataset")
-    from tapetum.data import build_dataset, open_dataset
+    check_output(out, force, "tapetum-dataset")
+    from tapetum.data import build_dataset
     from tapetum.record import label_recording, open_recording
 
     for path in recordings:
@@ -70,34 +58,30 @@ def build(
         if recording.labels() is None and {"probe", "target"} <= set(recording.streams):
             label_recording(recording, bar)
     how: dict[str, Any] = {"side": side, "test_fraction": test_fraction, "embargo": embargo}
-    build_dataset(recordings, out, **how, progress=bar, overwrite=overwrite)
-    dataset = open_dataset(out)
-    typer.echo(f"{out}: {dataset.tp.train.sizes['frame']} to train on, {dataset.tp.test.sizes['frame']} to test")
+    build_dataset(recordings, out, **how, progress=bar, overwrite=force)
+    say_split(out)
 
 
-@app.command(
-    "info",
-    short_help="What a dataset holds, and what is wrong with it.",
-    epilog=_EXAMPLE + "info hand.zarr --sheet hand.png",
-)
 def info(
-    path: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
-    as_json: Annotated[bool, typer.Option("--json", help="Print it as JSON.")] = False,
-    sheet: Annotated[
-        Path | None, typer.Option("--sheet", metavar="FILE", help="Draw a contact sheet: .png, .pdf or .svg.")
-    ] = None,
+    path: SetPath,
+    as_json: AsJson = False,
+    sheet: Annotated[Path | None, option("FILE", "Draw a contact sheet: .png, .pdf or .svg.", "--sheet")] = None,
+    force: Force = False,
 ) -> None:
     """Look at every crop: counts, labels, duplicates, saturated and empty frames, centring, leaks.
 
     A leak is a label that can be read from anything but the picture of the retro-reflection.
     """
-    from tapetum.cli.dataset_info import as_told, lines
+    if sheet is not None and sheet.suffix.lower() not in _DRAWABLE:
+        what = f"cannot draw a {sheet.suffix or 'nameless'} file"
+        raise InputError(what, where=sheet, remedy=f"use one of {', '.join(_DRAWABLE)}")
+    check_output(sheet, force)
+    from tapetum.cli.dataset_info import as_told, lines, noticed
     from tapetum.data import open_dataset
     from tapetum.data.corners import CornerReader
     from tapetum.data.leaks import score_leaks
     from tapetum.data.quality import inspect_dataset
 
-    check_drawable(sheet)
     dataset = open_dataset(path)
     corners = CornerReader(dataset)
     quality = inspect_dataset(dataset, also=[corners.add], progress=bar)
@@ -108,9 +92,32 @@ def info(
         for line in lines(str(path), dataset, quality, leaks):
             typer.echo(line)
     if sheet is not None:
-        from tapetum.cli.dataset_info import noticed
         from tapetum.report.figures import save_figure
         from tapetum.report.figures.contact_sheet import fig_contact_sheet
 
         save_figure(fig_contact_sheet(dataset, quality, name=path.name, notes=noticed(quality, leaks)), sheet)
         typer.echo(f"contact sheet: {sheet}", err=as_json)
+
+
+def synth(
+    kind: Annotated[str, typer.Argument(metavar="KIND", help="rotation, focusing or phones.")],
+    out: SetOut,
+    size: Annotated[str, option("SIZE", _SIZES)] = "small",
+    seed: Seed = SEED,
+    processes: Processes = None,
+    cluster: Cluster = None,
+    force: Force = False,
+) -> None:
+    """Film one of the paper's three sets on the virtual bench, on one core, several or many machines.
+
+    What is done is kept in SET.part: after an interruption, the same command carries on.
+    """
+    check_output(out, force, "tapetum-dataset")
+    from tapetum.data.synth import KINDS, SIZES, make_plan, synthesise
+
+    plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed)
+    try:
+        synthesise(plan, out, processes=film_count(processes), cluster=cluster, progress=bar, overwrite=force)
+    except KeyboardInterrupt as error:
+        raise StoppedError("what is done is kept, and the same command carries on") from error
+    say_split(out, f"{len(plan.videos)} videos, seed {seed}: ")

@@ -9,7 +9,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tapetum.cli.inputs import check_replaceable
+from tapetum.cli.dataset import say_split
+from tapetum.cli.dataset_info import left_out
+from tapetum.cli.inputs import check_output
+from tapetum.cli.options import Force, SetOut, option
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.progress import bar
@@ -23,23 +26,21 @@ def import_data(
         list[Path],
         typer.Argument(metavar="FOLDER_OR_FILES...", help="Where videos, images, arrays and tables are."),
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="SET", help="The dataset, NAME.zarr.")],
-    mapping: Annotated[
-        Path | None,
-        typer.Option(metavar="YAML", help="What the files mean; without it, a mapping is proposed."),
-    ] = None,
+    out: SetOut,
+    mapping: Annotated[Path | None, option("YAML", "What the files mean; without it, a mapping is proposed.")] = None,
     yes: Annotated[bool, typer.Option("--yes", "-y", help="Import by the proposed mapping without asking.")] = False,
     side: Annotated[
-        int | None, typer.Option(metavar="PX", help="Pixels along an edge of a crop, in place of the mapping's.", min=8)
+        int | None, option("PX", "Pixels along an edge of a crop, in place of the mapping's.", min=8)
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a dataset of this name.")] = False,
+    force: Force = False,
 ) -> None:
     """Make a dataset of data that was not taken with Tapetum.
 
     Without --mapping it lists what it finds, proposes a mapping, and asks. What it prints is a mapping file: save it,
     correct it, and pass it with --mapping.
     """
-    check_replaceable(out, overwrite, "zarr.json", "tapetum-dataset")
+    check_output(out, force, "tapetum-dataset")
+    from tapetum.data import open_dataset
     from tapetum.data.importing import common_root, import_dataset, load_mapping
 
     root = common_root(sources)
@@ -48,13 +49,16 @@ def import_data(
         return
     if side is not None:
         chosen = replace(chosen, side=side)
-    for line in import_dataset(chosen, root, out, progress=bar, overwrite=overwrite):
+    for line in import_dataset(chosen, root, out, progress=bar, overwrite=force):
         typer.echo(line)
-    _tell(out)
+    say_split(out)
+    for one in open_dataset(out).tp.recordings:
+        if left := left_out(one):
+            typer.echo(f"  {one['name']}: {one['used']} of {one['frames']} pictures{left}")
 
 
 def _proposed(sources: list[Path], out: Path, yes: bool) -> ImportMapping | None:
-    """Say what was found and propose a mapping of it; None where a person would not have it."""
+    """Print what was found and propose a mapping; None if the user declines it."""
     from tapetum.data.importing import look_into, propose
 
     found = look_into(sources)
@@ -83,14 +87,3 @@ def _proposed(sources: list[Path], out: Path, yes: bool) -> ImportMapping | None
 
 def _at_terminal() -> bool:
     return sys.stdin.isatty() and sys.stdout.isatty()
-
-
-def _tell(out: Path) -> None:
-    from tapetum.data import open_dataset
-
-    dataset = open_dataset(out)
-    typer.echo(f"{out}: {dataset.tp.train.sizes['frame']} to train on, {dataset.tp.test.sizes['frame']} to test")
-    for one in dataset.tp.recordings:
-        left = ", ".join(f"{why} {count}" for why, count in one["left_out"].items() if count)
-        if left:
-            typer.echo(f"  {one['name']}: {one['used']} of {one['frames']} pictures (left out: {left})")

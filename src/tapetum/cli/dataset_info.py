@@ -1,10 +1,10 @@
-"""What `tapetum dataset info` says: lines for a person, one JSON object for a program."""
+"""Output of `tapetum dataset info`: text lines or one JSON object."""
 
 from __future__ import annotations
 
 import math
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
@@ -15,22 +15,16 @@ if TYPE_CHECKING:
     from tapetum.data.leaks import Leak
     from tapetum.data.quality import DatasetQuality, Spread
 
-__all__ = ["as_told", "lines", "noticed"]
+__all__ = ["as_told", "left_out", "lines", "noticed"]
 
 _LEVELS, _PLAIN = "▁▂▃▄▅▆▇█", ".:-=+*#@"
 
 
 def as_told(dataset: xr.Dataset, quality: DatasetQuality, leaks: list[Leak]) -> dict[str, Any]:
-    """Return everything as what JSON can hold; numbers that are not finite become null."""
+    """Return all results as JSON values; infinite and NaN numbers become null."""
     told = asdict(quality)
     labels = {
-        name: {
-            "unit": label.unit,
-            "least": label.spread.least,
-            "mean": label.spread.mean,
-            "most": label.spread.most,
-            **{key: value for key, value in asdict(label).items() if key != "unit"},
-        }
+        name: {**asdict(label), **{word: getattr(label.spread, word) for word in ("least", "mean", "most")}}
         for name, label in quality.labels.items()
     }
     told |= {"labels": labels, "recordings": dataset.tp.recordings, "leaks": [asdict(leak) for leak in leaks]}
@@ -45,8 +39,14 @@ def _plain(value: Any) -> Any:
     return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
+def left_out(recording: Mapping[str, Any]) -> str:
+    """Return the number of images of a recording that were left out, and why; empty for none."""
+    left = ", ".join(f"{why} {count}" for why, count in recording.get("left_out", {}).items() if count)
+    return f" (left out: {left})" if left else ""
+
+
 def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[Leak]) -> Iterator[str]:
-    """Yield what a person reads."""
+    """Yield the lines of text."""
     split = f"{quality.train} to train on, {quality.test} to test"
     if quality.embargo:
         split += f", {quality.embargo} between them to neither"
@@ -60,13 +60,10 @@ def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[L
     told = dataset.tp.recordings
     for number, (name, (train, test)) in enumerate(zip(quality.recordings, quality.per_recording, strict=True)):
         counts = f"{train + test} frames"
-        tail = ""
         if len(told) == len(quality.recordings):
-            counts = f"{told[number].get('used', train + test)} of {told[number].get('frames', train + test)} frames"
-            gone = told[number].get("left_out", {})
-            left = ", ".join(f"{why} {count}" for why, count in gone.items() if count)
-            tail = f" (left out: {left})" if left else ""
-        yield f"  {name}: {counts}{tail}, {train} train, {test} test"
+            one = told[number]
+            counts = f"{one.get('used', train + test)} of {one.get('frames', train + test)} frames{left_out(one)}"
+        yield f"  {name}: {counts}, {train} train, {test} test"
     if quality.quality is not None:
         one = quality.quality
         yield f"  label quality: {one.least:.2f} to {one.most:.2f}, median {one.median:.2f} {_drawn(one)}"
@@ -77,7 +74,7 @@ def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[L
 
 
 def noticed(quality: DatasetQuality, leaks: list[Leak]) -> list[str]:
-    """Return a line for each thing that is wrong, and one for what was looked for and not found."""
+    """Return a line for each fault, and one for the checks that found none."""
     from tapetum.data.doubles import NEAR_BITS
     from tapetum.data.quality import EMPTY_SNR, OFF_CENTRE, SATURATED_SHARE
 

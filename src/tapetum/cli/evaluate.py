@@ -9,50 +9,44 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import check_replaceable, find_model
+from tapetum.cli.inputs import check_output, find_model
+from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, option
 from tapetum.errors import InputError
 from tapetum.progress import bar
 
-# Endings that promise another kind of file than a folder.
+# Suffixes of files; the output is a folder.
 _FILES = (".html", ".htm", ".pdf", ".md", ".txt", ".csv", ".png", ".yaml", ".zip")
 
 
 def evaluate(
-    model: Annotated[
-        str,
-        typer.Argument(
-            metavar="MODEL", help="A model's folder, a network exported to NAME.onnx, or the bundled thin-lens-gaze."
-        ),
-    ],
-    dataset: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
+    model: ModelName,
+    dataset: SetPath,
     out: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            "REPORT",
+            "A folder to write: report.html, numbers.json and the figures. NAME.json: the numbers alone.",
             "-o",
             "--out",
-            metavar="REPORT",
-            help="A folder to write: report.html, numbers.json and the figures. NAME.json: the numbers alone.",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the numbers as JSON.")] = False,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace a report of this name.")] = False,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Judge a model by a dataset's test part, beside a guess that looks at no image: predicting the training mean."""
     numbers_alone = out is not None and out.suffix.lower() == ".json"
-    if out is not None and not numbers_alone:
-        if out.suffix.lower() in _FILES:
-            remedy = "name a folder for the whole report, or NAME.json for the numbers alone"
-            raise InputError(f"unknown kind of report {out.suffix!r}", where=out, remedy=remedy)
-        # Before minutes are spent on predicting.
-        check_replaceable(out, overwrite, "numbers.json", "tapetum-evaluation")
+    if out is not None and out.suffix.lower() in _FILES:
+        remedy = "name a folder for the whole report, or NAME.json for the numbers alone"
+        raise InputError(f"unknown kind of report {out.suffix!r}", where=out, remedy=remedy)
+    check_output(out, force, None if numbers_alone else "tapetum-evaluation")
     from tapetum.data import open_dataset
     from tapetum.files import atomic_file
     from tapetum.models import model_card
-    from tapetum.report.evaluate import describe
-    from tapetum.report.evaluation import gather, score, write_evaluation
+    from tapetum.report.evaluation import describe, gather, score, write_evaluation
     from tapetum.report.evaluation.write import samples, subject_of
 
-    fitted = find_model(model)
+    fitted = find_model(model, device)
     data = open_dataset(dataset)
     outcome = gather(fitted, data, progress=bar)
     scores = score(outcome)
@@ -64,7 +58,7 @@ def evaluate(
         subject = subject_of(fitted, data, model_name=model, card=card)
         subject = dataclasses.replace(subject, command=f"tapetum evaluate {model} {dataset} -o {out}")
         rrs, rrs_at = samples(outcome, data)
-        write_evaluation(out, outcome, subject, rrs=rrs, rrs_at=rrs_at, overwrite=overwrite, progress=bar)
+        write_evaluation(out, outcome, subject, rrs=rrs, rrs_at=rrs_at, overwrite=force, progress=bar)
     typer.echo(json.dumps(scores) if as_json else describe(scores))
     chosen = (getattr(fitted, "training_", None) or {}).get("chosen") or {}
     for what, why in {} if as_json else chosen.items():

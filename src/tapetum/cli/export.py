@@ -7,20 +7,23 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import find_model
+from tapetum.cli.inputs import check_output, find_model
+from tapetum.cli.options import Force, ModelName, option
 from tapetum.errors import InputError
 
 
 def export(
-    model: Annotated[str, typer.Argument(metavar="MODEL", help="A model's folder, or the bundled thin-lens-gaze.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help="Where to write it: NAME.onnx.")],
+    model: ModelName,
+    out: Annotated[Path, option("FILE", "Where to write it: NAME.onnx.", "-o", "--out")],
+    force: Force = False,
 ) -> None:
-    """Write a ResNet-18 to one ONNX file, preparation included: counts in, estimates out.
+    """Write a network to one ONNX file, preparation included: counts in, estimates out.
 
     Needs the extra `fast`. The file's metadata, under "tapetum", tells its inputs, outputs, units and intervals.
     """
     if out.suffix.lower() != ".onnx":
         raise InputError(f"unknown kind of export {out.suffix!r}", where=out, remedy="name it NAME.onnx")
+    check_output(out, force)
     from tapetum.models.export import export_onnx
 
     export_onnx(find_model(model), out)

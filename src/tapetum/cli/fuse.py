@@ -1,4 +1,4 @@
-"""`tapetum fuse`: one track of what several probes say of the same target."""
+"""`tapetum fuse`: one track of a target from several probes."""
 
 from __future__ import annotations
 
@@ -9,62 +9,44 @@ from typing import Annotated
 
 import typer
 
+from tapetum.cli.inputs import check_output
+from tapetum.cli.options import WAYS, AsJson, Force, Smooth, Systematic, TracksOut, option
 from tapetum.errors import InputError, one_of
-
-WAYS = ("live", "whole")
 
 
 def fuse(
     tables: Annotated[list[Path], typer.Argument(metavar="TRACKS...", help="The tracks of each probe.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="TRACKS", help="The fused: .parquet, .csv or .jsonl.")],
+    out: TracksOut,
     places: Annotated[
         list[str] | None,
-        typer.Option(
-            "--place",
-            metavar="X,Y",
-            help="Of each further probe from the first, in metres as the target sees it: right, down.",
-        ),
+        option("X,Y", "Of each further probe from the first, in metres as the target sees it: right, down.", "--place"),
     ] = None,
-    distance: Annotated[float | None, typer.Option(metavar="METRES", help="Of the target from the probes.")] = None,
-    field: Annotated[
-        str | None, typer.Option(metavar="W,H", help="The target's whole field of view, in degrees.")
-    ] = None,
-    roll_spread: Annotated[
-        float, typer.Option(metavar="DEGREES", help="How far the target rolls about its axis (RMS).", min=0.0)
-    ] = 0.0,
+    distance: Annotated[float | None, option("METRES", "Of the target from the probes.")] = None,
+    field: Annotated[str | None, option("W,H", "The target's whole field of view, in degrees.")] = None,
+    roll_spread: Annotated[float, option("DEGREES", "How far the target rolls about its axis (RMS).", min=0.0)] = 0.0,
     offsets: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            "X,Y",
+            "In place of the three: what to add to each further probe's gaze to make it the first one's.",
             "--offset",
-            metavar="X,Y",
-            help="In place of the three: what to add to each further probe's gaze to make it the first one's.",
         ),
     ] = None,
     starts: Annotated[
         list[float] | None,
-        typer.Option(
-            "--start", metavar="SECONDS", help="How much later each further table's time 0 is; by UTC where left out."
-        ),
+        option("SECONDS", "How much later each further table's time 0 is; by UTC where left out.", "--start"),
     ] = None,
     numbers: Annotated[
-        list[int] | None,
-        typer.Option("--track", metavar="N", help="The target's track in each table, where there are several."),
+        list[int] | None, option("N", "The target's track in each table, where there are several.", "--track")
     ] = None,
     correlation: Annotated[
-        float,
-        typer.Option(metavar="R", help="Of two probes' errors; 1 is safe whatever it is.", min=0.0, max=1.0),
+        float, option("R", "Of two probes' errors; 1 is safe whatever it is.", min=0.0, max=1.0)
     ] = 0.5,
-    smooth: Annotated[
-        str | None,
-        typer.Option(metavar="WAY", help="Smooth each probe first: live (by earlier frames alone) or whole."),
-    ] = None,
-    systematic: Annotated[
-        float, typer.Option(metavar="SHARE", help="Of the intervals, what smoothing may not take away.", min=0.0)
-    ] = 1.0,
-    max_gap: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Longer gaps are not bridged; three frames.", min=0.0)
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the summary as JSON.")] = False,
+    smooth: Smooth = None,
+    systematic: Systematic = 1.0,
+    max_gap: Annotated[float | None, option("SECONDS", "Longer gaps are not bridged; three frames.", min=0.0)] = None,
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Fuse the tracks of several probes that watch the same target, by their intervals.
 
@@ -77,6 +59,7 @@ def fuse(
         raise InputError("a single probe cannot be fused", where=tables[0], remedy="give the tracks of two or more")
     if any(one.resolve() == out.resolve() for one in tables):
         raise InputError("is one of the tables to fuse", where="--out", remedy="name another file")
+    check_output(out, force)
     from tapetum.track.fuse import Places, fuse_tracks
     from tapetum.track.smooth import smooth_tracks
     from tapetum.track.tables import checked_suffix, read_tracks, write_tracks

@@ -1,90 +1,117 @@
-"""What several commands ask of their arguments."""
+"""Checks and look-ups shared by several commands: existing outputs, and models by name."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tapetum.errors import InputError, StoppedError
+from tapetum.files import told_when_full
 
 if TYPE_CHECKING:
     from tapetum.models import Predictor
 
-__all__ = ["check_replaceable", "find_model", "says_what_is_kept"]
+__all__ = ["check_output", "filling", "find_model", "says_what_is_kept"]
+
+# By content of a folder: the file in it that identifies the content, and the word to find there.
+_MARKERS = {
+    "tapetum-dataset": ("zarr.json", "tapetum-dataset"),
+    "tapetum-recording": ("recording.json", "tapetum-recording"),
+    "tapetum-model": ("model.json", "tapetum-model"),
+    "tapetum-evaluation": ("numbers.json", "tapetum-evaluation"),
+    "store of images": ("zarr.json", "pitch_m"),
+}
+_UNFINISHED = ".tapetum-unfinished"
 
 
-def check_replaceable(out: Path, overwrite: bool, marker: str, kind: str) -> None:
-    """Refuse early what `--overwrite` may not replace: anything that does not show it is of the same kind.
+def check_output(out: Path | None, force: bool, holds: str | None = None) -> None:
+    """Refuse to replace an existing output, before any work; no check for None.
 
-    Parameters
-    ----------
-    out
-        The folder to write.
-    overwrite
-        Whether the option was given.
-    marker
-        A file that every folder of this kind holds, and that names its format.
-    kind
-        The format, as the marker names it.
-
-    Raises
-    ------
-    InputError
-        When something stands there that must stay.
+    With `--overwrite` a file may be replaced by a file, and a folder by one that `holds` the same, a key of `_MARKERS`.
+    The writers keep the existing output until the new one is complete.
     """
-    if not out.exists() and not out.is_symlink():
+    if out is None or not (out.exists() or out.is_symlink()):
         return
-    if not overwrite:
+    if not force:
         raise InputError("exists already", where=out, remedy="choose another name or pass --overwrite")
-    try:
-        known = kind in (out / marker).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        known = False
+    known = not out.is_dir()
+    if holds is not None:
+        try:
+            marker, word = _MARKERS[holds]
+            known = word in (out / marker).read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            known = False
     if not known:
-        what = f"is no {kind} that may be replaced"
+        what = "is a folder" if holds is None else f"is no {holds} that may be replaced"
         raise InputError(what, where=out, remedy="choose another name or remove it yourself")
 
 
 @contextlib.contextmanager
-def says_what_is_kept(how: str = "") -> Iterator[None]:
-    """Put what work that ended early has kept, the notes on its error, into the one line that a person sees.
+def filling(folder: Path, names: Mapping[str, str | None], force: bool) -> Iterator[None]:
+    """Apply `check_output` to all that a command writes into a folder: names, each with what it holds.
 
-    Parameters
-    ----------
-    how
-        How to go on, for what Ctrl-C ended.
+    Outputs of an interrupted run are not refused: a hidden file in the folder lists their names until the work is done.
+    """
+    begun = folder / _UNFINISHED
+    left = begun.read_text(encoding="utf-8").splitlines() if begun.is_file() else []
+    for name, holds in names.items():
+        check_output(folder / name, force or name in left, holds)
+    stood = folder.exists()
+    if stood and not folder.is_dir():
+        raise InputError("is a file, not a folder", where=folder, remedy="choose another name")
+    with told_when_full(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        begun.write_text("\n".join({*left, *names}), encoding="utf-8")
+    try:
+        yield
+    except BaseException:
+        if not any((folder / name).exists() for name in names):
+            begun.unlink(missing_ok=True)
+            if not stood:
+                # The folder may hold something else by now.
+                with contextlib.suppress(OSError):
+                    folder.rmdir()
+        raise
+    begun.unlink(missing_ok=True)
+
+
+@contextlib.contextmanager
+def says_what_is_kept(how: str = "") -> Iterator[None]:
+    """Add the notes of an error, which say what interrupted work has kept, to its one-line message.
+
+    `how` says how to resume after Ctrl-C.
     """
     try:
         yield
-    except KeyboardInterrupt as error:
+    except (KeyboardInterrupt, InputError) as error:
         notes = getattr(error, "__notes__", [])
         if not notes:
             raise
-        raise StoppedError("; ".join([*notes, *([how] if how else [])])) from error
-    except InputError as error:
-        notes = getattr(error, "__notes__", [])
-        if not notes:
-            raise
-        remedy = "; ".join([*([error.remedy] if error.remedy else []), *notes])
+        if isinstance(error, KeyboardInterrupt):
+            raise StoppedError("; ".join(filter(None, [*notes, how]))) from error
+        remedy = "; ".join(filter(None, [error.remedy, *notes]))
         raise InputError(error.what, where=error.where, remedy=remedy) from error
 
 
-def find_model(name: str) -> Predictor:
+def find_model(name: str, device: str = "auto") -> Predictor:
     """Load a model by its folder, by its exported file NAME.onnx or by the name of a bundled one.
 
-    Raises
-    ------
-    InputError
-        When there is neither, or the folder is damaged.
+    A network computes on `device`. Raises an InputError for an unknown model or one that runs on the CPU only.
     """
-    from tapetum.models import load_predictor, pretrained
+    from tapetum.models import NetworkEstimator, load_predictor, pretrained
 
     if Path(name).exists() or Path(name).suffix.lower() == ".onnx" or Path(name).name != name:
-        return load_predictor(name)
-    try:
-        return pretrained(name)
-    except InputError as error:
-        what = "is neither a model's folder or .onnx file nor the name of a bundled model"
-        raise InputError(what, where=name, remedy=error.remedy) from error
+        model = load_predictor(name)
+    else:
+        try:
+            model = pretrained(name)
+        except InputError as error:
+            what = "is neither a model's folder or .onnx file nor the name of a bundled model"
+            raise InputError(what, where=name, remedy=error.remedy) from error
+    if isinstance(model, NetworkEstimator):
+        model.device = device
+    elif device not in ("auto", "cpu"):
+        raise InputError(f"{name} computes on the processor alone", where="--device", remedy="leave it out")
+    return model

@@ -1,4 +1,4 @@
-"""Make glibc keep big blocks: batched transforms then run some twice as fast, for they stop asking the kernel."""
+"""Make glibc keep large memory blocks: batched transforms then run about twice as fast."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 
 
 def keep_big_blocks() -> None:
-    """Raise malloc's thresholds for the whole process (Linux with glibc; elsewhere nothing happens).
+    """Raise malloc's thresholds for the whole process (Linux with glibc; no effect elsewhere).
 
-    A command owns its process and may do so; a library may not, so nothing but commands and benchmarks calls this.
+    A library must not change its process, so only commands and benchmarks call this.
     """
     if not sys.platform.startswith("linux"):
         return
@@ -21,5 +21,5 @@ def keep_big_blocks() -> None:
         libc = ctypes.CDLL("libc.so.6")
         libc.mallopt(_M_MMAP_THRESHOLD, 1 << 30)
         libc.mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
-    except (OSError, AttributeError):  # musl has no such library or call, and needs none
+    except (OSError, AttributeError):  # musl has no such library
         return

@@ -1,22 +1,23 @@
-"""`tapetum paper`: the paper's figures and tables reproduced, with what it reports and what differs."""
+"""`tapetum paper`: reproduce the paper's figures and tables, with its own numbers and the differences."""
 
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tapetum.cli.inputs import find_model
+from tapetum.cli.inputs import filling, find_model
+from tapetum.cli.options import AsJson, Cluster, Device, Force, Models, Processes, film_count, option
 from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
     from tapetum.experiments import Workshop
+    from tapetum.models import Predictor
 
-# Known without torch, for the help: a test holds them to those of the report.
+# Repeated for the help, which must not import torch; a test compares them with the experiments'.
 FIGURES = ("fig4", "fig5", "fig6", "fig7", "fig8", "fig9", "fig10", "fig11", "fig12", "table1", "table2")
 FIGURES += ("ablations", "development", "unseen", "fit")
 SEALED = "sealed"
@@ -31,7 +32,7 @@ SIZES = ("laptop", "small", "paper")
 
 
 def paper(
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="DIR", help="Folder for the figures.")],
+    out: Annotated[Path, option("DIR", "Folder for the figures.", "-o", "--out")],
     figures: Annotated[
         list[Figure],
         typer.Argument(
@@ -44,25 +45,17 @@ def paper(
     ],
     size: Annotated[
         str,
-        typer.Option(
-            metavar="SIZE",
-            help="laptop; paper: sets as long as the paper's; small: a smoke test, whose networks learn nothing.",
+        option(
+            "SIZE", "laptop; paper: sets as long as the paper's; small: a smoke test, whose networks learn nothing."
         ),
     ] = "laptop",
-    work: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="Where sets and models are kept; OUT/work where left out.")
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(
-            metavar="N", help="Processes that film the sets; as many as there are cores where left out.", min=1
-        ),
-    ] = None,
-    model: Annotated[
-        list[str] | None,
-        typer.Option(metavar="MODEL", help="sealed: a model of the gaze to score; may be given several times."),
-    ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was done, and the numbers, as JSON.")] = False,
+    work: Annotated[Path | None, option("DIR", "Where sets and models are kept; OUT/work where left out.")] = None,
+    processes: Processes = None,
+    cluster: Cluster = None,
+    device: Device = "auto",
+    model: Models = None,
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Simulate the paper's figures and tables, measure, and say beside them what it reports and what differs.
 
@@ -82,9 +75,9 @@ def paper(
     sealed: films recordings that nobody looks at, scores the Rotation set's models on them, or those of --model,
     deletes them, and adds the numbers to sealed.jsonl and sealed.md. Nothing may be chosen by them.
 
-    Each other becomes NAME.png (not the tables), NAME.md and NAME.json; files of these names are replaced.
+    Each other becomes NAME.png (not the tables), NAME.md and NAME.json. The networks' and the sets' seeds are fixed.
     """
-    # What it was called until now; understood for one release.
+    # The deprecated name, accepted for one release.
     wanted = ["development" if figure == "fresh" else figure for figure in figures]
     for figure in wanted:
         one_of(figure, (*FIGURES, *GROUPS, SEALED), "FIGURE")
@@ -94,15 +87,19 @@ def paper(
         raise InputError("has a meaning for sealed alone", where="--model", remedy="leave it out")
     one_of(size, SIZES, "--size")
     # Torch and Matplotlib take seconds to import.
+    from tapetum.experiments import GROUPS as MEMBERS
     from tapetum.experiments import SMOKE_TEST, Workshop, is_smoke_test, reproduce
 
+    kept, workers = work or out / "work", film_count(processes if processes or cluster else "auto")
     if is_smoke_test(size):
         typer.echo(f"--size {size} is {SMOKE_TEST}", err=True)
-    shop = Workshop(out / "work" if work is None else work, size, workers or _cores(), progress=bar)
+    shop = Workshop(kept, size, workers, cluster=cluster, device=device, progress=bar)
     if wanted == [SEALED]:
-        _sealed(out, shop, model or [], as_json)
+        _sealed(out, shop, {name: find_model(name, device) for name in model or ()}, as_json)
         return
-    made = reproduce(wanted, out, size=size, work=shop, progress=bar)
+    names = [one for figure in wanted for one in MEMBERS.get(figure, (figure,))]
+    with filling(out, dict.fromkeys(f"{name}.{kind}" for name in names for kind in ("png", "md", "json")), force):
+        made = reproduce(wanted, out, size=size, work=shop, progress=bar)
     if as_json:
         done = [{"name": one.name, "files": [str(file) for file in one.files], **one.numbers} for one in made]
         typer.echo(json.dumps({"out": str(out), "figures": done}, allow_nan=False))
@@ -113,14 +110,12 @@ def paper(
         typer.echo(f"made at size {size}, {SMOKE_TEST}; the default size, laptop, trains networks that learn", err=True)
 
 
-def _sealed(out: Path, work: Workshop, models: list[str], as_json: bool) -> None:
+def _sealed(out: Path, work: Workshop, models: dict[str, Predictor], as_json: bool) -> None:
     from tapetum.experiments.sealed import run_sealed
 
-    # The results are kept and shown: where a model lies on this machine does not belong there.
-    short = [Path(name).name for name in models]
-    names = short if len(set(short)) == len(short) else models
-    given = {name: find_model(model) for name, model in zip(names, models, strict=True)} or None
-    rows = run_sealed(out, work, given)
+    # Results are published, so they must not contain local paths of models.
+    short = {Path(name).name: model for name, model in models.items()}
+    rows = run_sealed(out, work, (short if len(short) == len(models) else models) or None)
     if as_json:
         typer.echo(json.dumps({"out": str(out), "sealed": rows}, allow_nan=False))
         return
@@ -128,8 +123,3 @@ def _sealed(out: Path, work: Workshop, models: list[str], as_json: bool) -> None
         errors = f"MAE {row['mae'][0]:.4f}, {row['mae'][1]:.4f}, distance {row['radial']:.4f}"
         typer.echo(f"{row['model']}: {errors}: {row['verdict'] or 'no mean to compare with'}")
     typer.echo(f"sealed: {out / 'sealed.md'}, {out / 'sealed.jsonl'}")
-
-
-def _cores() -> int:
-    """Cores that this process may use, as far as the system says."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1

@@ -1,4 +1,4 @@
-"""`tapetum plan`: what a scene would give, before it is simulated or built."""
+"""`tapetum plan`: the expected performance of a scene, before it is simulated or built."""
 
 from __future__ import annotations
 
@@ -7,28 +7,24 @@ from typing import Annotated
 
 import typer
 
-from tapetum.bench import load_scene, scene_names
+from tapetum.bench import load_scene
+from tapetum.cli.options import AsJson, Changes, SceneName, option
 from tapetum.errors import InputError
 
 
 def plan(
-    scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help=f"A bundled scene ({', '.join(scene_names())}) or a YAML file.")
-    ],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change any field of the scene; may be repeated."),
-    ] = None,
+    scene: SceneName,
+    changes: Changes = None,
     parameters: Annotated[
         str | None,
-        typer.Option(
-            "--target-parameters",
-            metavar="NAMES",
-            help="What one frame shall tell, all of it together: gaze_x, gaze_y, object_distance, focal_length, "
+        option(
+            "NAMES",
+            "What one frame shall tell, all of it together: gaze_x, gaze_y, object_distance, focal_length, "
             "distance, power where left out; place_x and place_y, where on the probe's sensor the RR lies, besides.",
+            "--target-parameters",
         ),
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON.")] = False,
+    as_json: AsJson = False,
 ) -> None:
     """Plan a bench: its geometry, link budget, sampling, limits of what a frame can tell, and eye safety.
 

@@ -5,29 +5,27 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import typer
 
-from tapetum.bench import Scene, field_path, load_scene, scene_names, with_values
+from tapetum.bench import Scene, field_path, load_scene, with_values
+from tapetum.cli.inputs import check_output
+from tapetum.cli.options import AsJson, Changes, Device, Force, SceneName, option
 from tapetum.errors import InputError
 
 if TYPE_CHECKING:
-    import torch
-
     from tapetum.simulate import Image
 
 IMAGE_SUFFIXES = (".png", ".tif", ".tiff", ".npy", ".zarr")
 _MOST_BYTES, _MOST_VALUES = 4 << 30, 100_000
 
-_SHOWN_AS = {
-    "rotation": "rotation {}°",
-    "object_distance": "focused at {} m",
-    "focal_length": "f = {} m",
-}
+_SHOWN_AS = {"rotation": "rotation {}°", "object_distance": "focused at {} m", "focal_length": "f = {} m"}
 
 
 @dataclass(frozen=True)
@@ -38,28 +36,23 @@ class Sweep:
     values: tuple[Any, ...]
 
     def labels(self) -> list[str]:
-        """How a picture names them."""
+        """Their labels in a figure."""
         form = _SHOWN_AS.get(self.key.rsplit(".", 1)[-1], self.key + " = {}")
         return [form.format(f"{value:g}" if isinstance(value, float) else value) for value in self.values]
 
 
 def simulate(
-    scene: Annotated[
-        str, typer.Argument(metavar="SCENE", help=f"A bundled scene ({', '.join(scene_names())}) or a YAML file.")
-    ],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="FILE", help=f"Where to: {', '.join(IMAGE_SUFFIXES)}.")],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="KEY=VALUE", help="Change any field of the scene; may be repeated."),
-    ] = None,
+    scene: SceneName,
+    out: Annotated[Path, option("FILE", f"Where to: {', '.join(IMAGE_SUFFIXES)}.", "-o", "--out")],
+    changes: Changes = None,
     sweeps: Annotated[
         list[str] | None,
-        typer.Option(
-            "--sweep", metavar="KEY=VALUES", help="V1,V2,... or A:B:N, from A to B in N values; two make a grid."
-        ),
+        option("KEY=VALUES", "V1,V2,... or A:B:N, from A to B in N values; two make a grid.", "--sweep"),
     ] = None,
     double: Annotated[bool, typer.Option("--double", help="Compute in double precision.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Print what was done as JSON.")] = False,
+    device: Device = "auto",
+    as_json: AsJson = False,
+    force: Force = False,
 ) -> None:
     """Simulate the retro-reflection that a probe sees.
 
@@ -68,9 +61,7 @@ def simulate(
     """
     if out.suffix.lower() not in IMAGE_SUFFIXES:
         raise InputError(f"unknown image type {out.suffix!r}", where=out, remedy=f"use {', '.join(IMAGE_SUFFIXES)}")
-    if out.is_dir():
-        # Of a folder nobody knows what else is in it.
-        raise InputError("exists already", where=out, remedy="choose another name or remove it first")
+    check_output(out, force, "store of images" if out.suffix.lower() == ".zarr" else None)
     base = load_scene(scene, changes or ())
     axes = [parse_sweep(text) for text in sweeps or ()]
     if len(axes) > 2:
@@ -84,7 +75,11 @@ def simulate(
     # Torch takes a second to import.
     import torch
 
-    image = _grid(base, axes, torch.complex128 if double else torch.complex64)
+    from tapetum.simulate import retroreflect
+
+    image = _grid(
+        base, axes, partial(retroreflect, dtype=torch.complex128 if double else torch.complex64, device=device)
+    )
     if out.suffix.lower() == ".png" and axes:
         _draw(image, axes, out)
     else:
@@ -96,13 +91,7 @@ def simulate(
 
 
 def parse_sweep(text: str) -> Sweep:
-    """Read `KEY=V1,V2,…` or `KEY=A:B:N`.
-
-    Raises
-    ------
-    InputError
-        For another form, an unknown key, or fewer than one value.
-    """
+    """Read `KEY=V1,V2,…` or `KEY=A:B:N`; refuses another form, an unknown key, and an empty sweep."""
     key, sign, values = text.partition("=")
     if not sign or not values.strip():
         raise InputError(f"{text!r} is no sweep", where="--sweep", remedy="write KEY=V1,V2,... or KEY=A:B:N")
@@ -128,34 +117,29 @@ def _number(text: str) -> float | str:
         return text.strip()
 
 
-def _changed(scene: Scene, values: dict[str, Any]) -> Scene:
-    return with_values(scene, values, where="--sweep")
-
-
-def _grid(base: Scene, axes: list[Sweep], dtype: torch.dtype) -> Image:
+def _grid(base: Scene, axes: list[Sweep], imaged: Callable[..., Image]) -> Image:
     """All images of the sweeps, the first sweep along columns, the second along rows; rotations in one batch."""
     import torch
 
-    from tapetum.simulate import Image, retroreflect
+    from tapetum.simulate import Image
 
-    outer = [{}] if len(axes) < 2 else [{axes[1].key: value} for value in axes[1].values]
     inner = axes[0] if axes else None
     turning = inner is not None and field_path(inner.key) == ("target", "rotation")
     images: list[Image] = []
-    for change in outer:
-        scene = _changed(base, change) if change else base
-        if inner is None:
-            images.append(retroreflect(scene, dtype=dtype))
-        elif turning:
-            # The checks of a scene's own rotation hold for each.
-            turned = [_changed(scene, {inner.key: value}).target.rotation for value in inner.values]
-            images.append(retroreflect(scene, np.degrees(np.array(turned)), dtype=dtype))
+    for outer in axes[1].values if len(axes) > 1 else (None,):
+        scene = base if outer is None else with_values(base, {axes[1].key: outer}, where="--sweep")
+        scenes = (
+            [with_values(scene, {inner.key: value}, where="--sweep") for value in inner.values] if inner else [scene]
+        )
+        if turning:
+            # Check every rotation as the scene's own.
+            images.append(imaged(scene, np.degrees(np.array([one.target.rotation for one in scenes]))))
         else:
-            images += [retroreflect(_changed(scene, {inner.key: v}), dtype=dtype) for v in inner.values]
+            images += [imaged(one) for one in scenes]
     if len({(image.irradiance.shape[1:], image.pitch) for image in images}) > 1:
         what = "the sweep changes the number or the pitch of the probe's pixels"
         raise InputError(what, where="--sweep", remedy="run it once for each")
-    # The frame as a whole is as good as its worst part.
+    # The accuracy of the whole is that of its worst part.
     worst = max(images, key=lambda image: image.metadata["expected_error"])
     rotations = [r for image in images for r in image.metadata["rotation_deg"]]
     metadata = {**worst.metadata, "rotation_deg": rotations}
@@ -167,31 +151,28 @@ def _draw(image: Image, axes: list[Sweep], out: Path) -> None:
     # Matplotlib takes a second to import.
     from tapetum.report import fig_grid, save_figure
 
-    columns = len(axes[0].values)
-    images = image.numpy().reshape(-1, columns, *image.irradiance.shape[1:])
-    micrometres = image.pitch * 1e6
-    rows = axes[1].labels() if len(axes) > 1 else [""]
-    save_figure(
-        fig_grid(
-            images,
-            row_labels=rows,
-            col_labels=axes[0].labels(),
-            extent=(images.shape[3] * micrometres, images.shape[2] * micrometres),
-            row_title=axes[1].key if len(axes) > 1 else "",
-            col_title=axes[0].key,
-        ),
-        out,
+    images = image.numpy().reshape(-1, len(axes[0].values), *image.irradiance.shape[1:])
+    height, width = (side * image.pitch * 1e6 for side in images.shape[2:])
+    second = axes[1] if len(axes) > 1 else None
+    figure = fig_grid(
+        images,
+        row_labels=second.labels() if second else [""],
+        col_labels=axes[0].labels(),
+        extent=(width, height),
+        row_title=second.key if second else "",
+        col_title=axes[0].key,
     )
+    save_figure(figure, out)
 
 
 def _record(image: Image, axes: list[Sweep], out: Path) -> dict[str, Any]:
-    error = image.metadata["expected_error"]
+    def finite(value: Any) -> Any:
+        return value if isinstance(value, str) or math.isfinite(value) else None
+
     return {
         **image.metadata,
-        "expected_error": error if math.isfinite(error) else None,
-        "sampling": {
-            k: v if isinstance(v, str) or math.isfinite(v) else None for k, v in image.metadata["sampling"].items()
-        },
+        "expected_error": finite(image.metadata["expected_error"]),
+        "sampling": {name: finite(value) for name, value in image.metadata["sampling"].items()},
         "images": len(image),
         "shape": list(image.irradiance.shape),
         "peak": [float(one.max()) for one in image],

@@ -7,7 +7,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tapetum.cli.inputs import check_replaceable
+from tapetum.cli.inputs import check_output
+from tapetum.cli.options import Device, Force, Processes, SeedIfGiven, SetPath, count_of, option
+from tapetum.defaults import SEED
 from tapetum.durable import sole_writer
 from tapetum.errors import InputError, StoppedError, one_of
 from tapetum.files import told_when_full
@@ -19,28 +21,20 @@ if TYPE_CHECKING:
     from tapetum.models import NetworkEstimator, ZernikeRidge
     from tapetum.models.epochs import EpochReport
 
-# The paper's. What other networks there are is known without torch only by name.
-KINDS = ("zernike", "resnet18")
-
 
 def train(
-    dataset: Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")],
-    out: Annotated[Path, typer.Option("-o", "--out", metavar="MODEL", help="The model's folder.")],
-    model: Annotated[str, typer.Option(metavar="KIND", help="zernike, resnet18 or convnext-pico.")] = "zernike",
-    target: Annotated[
-        str,
-        typer.Option(metavar="NAME", help="What to predict: gaze, focus, device, phone (gaze and device), or a label."),
+    dataset: SetPath,
+    out: Annotated[Path, option("MODEL", "The model's folder.", "-o", "--out")],
+    kind: Annotated[str, option("KIND", "Of the new model: zernike, resnet18 or convnext-pico.")] = "zernike",
+    label: Annotated[
+        str, option("NAME", "What it learns: gaze, focus, device, phone (gaze and device), or a label of the set.")
     ] = "gaze",
     tuned: Annotated[
         bool,
         typer.Option("--tuned", help="zernike, not the paper's: standardised, its penalty chosen by cross-validation."),
     ] = False,
     scales: Annotated[
-        str | None,
-        typer.Option(
-            metavar="PX,PX,…",
-            help="zernike: sides of what it looks at. The paper's 100,200,300,400 where they fit.",
-        ),
+        str | None, option("PX,PX,…", "zernike: sides of what it looks at. The paper's 100,200,300,400 where they fit.")
     ] = None,
     intervals: Annotated[
         bool | None,
@@ -51,47 +45,37 @@ def train(
             show_default=False,
         ),
     ] = None,
-    epochs: Annotated[int | None, typer.Option(metavar="N", help="networks: passes over the images.", min=1)] = None,
+    epochs: Annotated[int | None, option("N", "networks: passes over the images.", min=1)] = None,
     patience: Annotated[
-        int | None,
-        typer.Option(metavar="N", help="networks: stop after N epochs without a better held-out error.", min=1),
+        int | None, option("N", "networks: stop after N epochs without a better held-out error.", min=1)
     ] = None,
-    crop: Annotated[int | None, typer.Option(metavar="PX", help="networks: side of what it looks at.", min=16)] = None,
-    size: Annotated[int | None, typer.Option(metavar="PX", help="networks: side it is reduced to.", min=16)] = None,
+    crop: Annotated[int | None, option("PX", "networks: side of what it looks at.", min=16)] = None,
+    size: Annotated[int | None, option("PX", "networks: side it is reduced to.", min=16)] = None,
     background: Annotated[
-        str | None,
-        typer.Option(metavar="HOW", help="networks: take the background off before the root (level) or after (root)."),
+        str | None, option("HOW", "networks: take the background off before the root (level) or after (root).")
     ] = None,
-    gain: Annotated[
-        float | None, typer.Option(metavar="X", help="networks: how far brightness is varied, in parts of e.", min=0)
-    ] = None,
-    seed: Annotated[
-        int | None, typer.Option(metavar="N", help="networks: of weights, order and augmentation.", min=0)
-    ] = None,
-    device: Annotated[str | None, typer.Option(metavar="NAME", help="networks: auto, cpu, cuda or cuda:1.")] = None,
-    processes: Annotated[
-        str | None, typer.Option(metavar="N", help="networks: how many GPUs, or processes on a CPU; auto: all GPUs.")
-    ] = None,
+    gain: Annotated[float | None, option("X", "networks: how far brightness is varied, in parts of e.", min=0)] = None,
+    seed: SeedIfGiven = None,
+    device: Device = "auto",
+    processes: Processes = None,
     resume: Annotated[
         bool, typer.Option("--resume", help="networks: go on with an interrupted training from its last whole epoch.")
     ] = False,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace a model or a checkpoint of this name.")
-    ] = False,
+    force: Force = False,
 ) -> None:
     """Fit a model to the training part of a dataset, save it, and print its error on the test part.
 
     A network keeps a checkpoint beside the model, MODEL.checkpoint, until the model is saved. The model is saved before
     it is evaluated: where the evaluation fails, the model stays.
     """
-    if model not in KINDS:
+    network = kind != "zernike"
+    if network:
         from tapetum.models.architectures import ARCHITECTURES
 
-        one_of(model, ("zernike", *ARCHITECTURES), "--model")
-    if model != "zernike" and intervals is False and patience is not None:
+        one_of(kind, ("zernike", *ARCHITECTURES), "--kind")
+    if network and intervals is False and patience is not None:
         raise InputError("needs frames kept aside", where="--patience", remedy="leave out --no-intervals")
-    aside: dict[str, Any] = {} if intervals is None else {"calibration_fraction": 0.1 if intervals else 0.0}
-    given: dict[str, Any] = {
+    networks_own = {
         "epochs": epochs,
         "patience": patience,
         "crop": crop,
@@ -99,48 +83,38 @@ def train(
         "background": background,
         "gain": gain,
         "seed": seed,
-        "device": device,
-        "processes": _count(processes),
+        "device": None if device == "auto" else device,
+        "processes": count_of(processes),
+        "resume": resume or None,
     }
-    options = {name: value for name, value in given.items() if value is not None}
-    zernike_only = [name for name, value in (("tuned", tuned), ("scales", scales)) if value]
-    foreign = [*options, *(["resume"] if resume else [])] if model == "zernike" else zernike_only
+    options: dict[str, Any] = {name: value for name, value in networks_own.items() if value is not None}
+    foreign = [name for name, value in (("tuned", tuned), ("scales", scales)) if value] if network else list(options)
     if foreign:
-        raise InputError(f"has no meaning for {model}", where=f"--{foreign[0]}", remedy="leave it out")
-    check_replaceable(out, overwrite, "model.json", "tapetum-model")
+        raise InputError(f"has no meaning for {kind}", where=f"--{foreign[0]}", remedy="leave it out")
+    check_output(out, force, "tapetum-model")
     checkpoint = out.with_name(f"{out.name}.checkpoint")
-    if model != "zernike" and checkpoint.exists() and not (resume or overwrite):
+    if network and checkpoint.exists() and not (resume or force):
         remedy = "go on with --resume, or start over with --overwrite"
         raise InputError("an unfinished training is kept here", where=checkpoint, remedy=remedy)
     from tapetum.data import open_dataset
-    from tapetum.models import NetworkEstimator, ZernikeRidge, save_model
+    from tapetum.models import ZernikeRidge, save_model
     from tapetum.models.training import remove_checkpoint
 
     data = open_dataset(dataset)
+    if intervals is not None:
+        options["calibration_fraction"] = 0.1 if intervals else 0.0
     with told_when_full(out):
         out.absolute().parent.mkdir(parents=True, exist_ok=True)
     with sole_writer(out):
         fitted: ZernikeRidge | NetworkEstimator
-        if model == "zernike":
-            chosen: dict[str, Any] = {"alpha": "cv", "standardise": True} if tuned else {}
-            chosen["scales"] = _fitting_scales(data.tp.side) if scales is None else _numbers(scales)
-            fitted = ZernikeRidge(target, **chosen, **aside).fit(data.tp.train, progress=bar)
+        if network:
+            fitted = _fitted_network(kind, label, {"seed": SEED, **options}, data, checkpoint)
         else:
-            look = _fitting_look(options, data.tp.side)
-            network = NetworkEstimator(target, architecture=model, **look, **aside)
-            done: list[EpochReport] = []
-
-            def told(report: EpochReport) -> None:
-                done.append(report)
-                _say_epoch(report)
-
-            try:
-                fitted = network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told)
-            except KeyboardInterrupt as error:
-                if not checkpoint.exists():
-                    raise
-                raise StoppedError(_kept(checkpoint, done)) from error
-        save_model(fitted, out, overwrite=overwrite)
+            if tuned:
+                options |= {"alpha": "cv", "standardise": True}
+            options["scales"] = _fitting_scales(data.tp.side) if scales is None else _numbers(scales)
+            fitted = ZernikeRidge(label, **options).fit(data.tp.train, progress=bar)
+        save_model(fitted, out, overwrite=force)
         remove_checkpoint(checkpoint)
     typer.echo(f"saved {out}")
     if not data.tp.test.sizes["frame"]:
@@ -149,10 +123,34 @@ def train(
     _evaluate(fitted, data, dataset, out)
 
 
+def _fitted_network(
+    kind: str, label: str, options: dict[str, Any], data: xr.Dataset, checkpoint: Path
+) -> NetworkEstimator:
+    """Train a network; after Ctrl-C, report what is kept and how to resume."""
+    from tapetum.models import NetworkEstimator
+
+    resume = options.pop("resume", False)
+    network = NetworkEstimator(label, architecture=kind, **_fitting_look(options, data.tp.side))
+    done: list[EpochReport] = []
+
+    def told(report: EpochReport) -> None:
+        done.append(report)
+        _say_epoch(report)
+
+    try:
+        return network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told)
+    except KeyboardInterrupt as error:
+        if not checkpoint.exists():
+            raise
+        epochs = f"{done[-1].epoch} of {done[-1].epochs} epochs are" if done else "the last whole epoch is"
+        what = f"{epochs} kept in {checkpoint}; go on with the same command and --resume"
+        raise StoppedError(what) from error
+
+
 def _evaluate(model: ZernikeRidge | NetworkEstimator, data: xr.Dataset, dataset: Path, out: Path) -> None:
     """Print the errors of a model that is saved, and put them on its card."""
     from tapetum.models.store import write_metrics
-    from tapetum.report.evaluate import describe, evaluate_model
+    from tapetum.report.evaluation import describe, evaluate_model
 
     try:
         scores = evaluate_model(model, data.tp.test, data.tp.train, progress=bar)
@@ -163,15 +161,8 @@ def _evaluate(model: ZernikeRidge | NetworkEstimator, data: xr.Dataset, dataset:
     typer.echo(describe(scores))
 
 
-def _kept(checkpoint: Path, done: list[EpochReport]) -> str:
-    """What an interrupted training leaves, and how to go on with it."""
-    how = "go on with the same command and --resume"
-    epochs = f"{done[-1].epoch} of {done[-1].epochs} epochs are" if done else "the last whole epoch is"
-    return f"{epochs} kept in {checkpoint}; {how}"
-
-
 def _fitting_scales(side: int) -> tuple[int, ...]:
-    """The paper's scales, or where the crops are smaller as many in the same proportions."""
+    """The paper's scales, reduced in proportion for smaller crops."""
     from tapetum.models.features import SCALES
 
     if side >= max(SCALES):
@@ -182,7 +173,7 @@ def _fitting_scales(side: int) -> tuple[int, ...]:
 
 
 def _fitting_look(options: dict[str, Any], side: int) -> dict[str, Any]:
-    """The options of the network; where it is not said how much it looks at, no more than there is."""
+    """The options of the network; by default its crop is at most the dataset's."""
     from tapetum.models import NetworkEstimator
 
     usual = NetworkEstimator()
@@ -204,14 +195,6 @@ def _numbers(listed: str) -> tuple[int, ...]:
 
 def _listed(numbers: tuple[int, ...]) -> str:
     return ", ".join(map(str, numbers))
-
-
-def _count(processes: str | None) -> int | str | None:
-    if processes is None or processes == "auto":
-        return processes
-    if not processes.isdigit():
-        raise InputError(f"must be a number or auto, is {processes!r}", where="--processes")
-    return int(processes)
 
 
 def _say_epoch(report: EpochReport) -> None:

@@ -1,4 +1,4 @@
-"""From recordings to a dataset: find the retro-reflection in every labelled probe frame and cut it out."""
+"""From labelled recordings to a dataset: the retro-reflection is cut out of every labelled probe frame."""
 
 from __future__ import annotations
 
@@ -12,80 +12,68 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import NDArray
 
-from tapetum.data.crop import SIGMA, crop, find_centre, find_peak
-from tapetum.data.dataset import DEVICE, QUANTITIES, TEST, TRAIN
+from tapetum.data.crop import SIGMA
+from tapetum.data.dataset import DEVICE, QUANTITIES
 from tapetum.data.write import CHUNK, LARGEST_SIDE, Rules, dataset_writer
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 from tapetum.record.clocks import join
 from tapetum.record.recording import Recording, open_recording
 
-__all__ = ["RING_SIGMA", "build_dataset"]
-
-# Standard deviation in pixels of the smoothing that shows a faint RR best.
-RING_SIGMA = 4.0
+__all__ = ["build_dataset"]
 
 
 @dataclass(frozen=True)
-class Labels:
+class FrameLabels:
     """The labels of one recording by probe frame."""
 
     names: tuple[str, ...]
-    # Values in the order of names, quality, and how far the label reaches back and ahead of the frame, in seconds.
+    # Values in the order of names, quality, and how far the label reaches back and ahead of the frame (s).
     by_frame: dict[int, tuple[NDArray[np.float32], float, NDArray[np.float64]]]
 
 
 def _classes(recordings: Sequence[Recording]) -> list[str]:
-    """Names of all devices that the recordings are labelled with, sorted: their numbers are their places."""
+    """Return the sorted names of all devices among the labels; their places are their numbers."""
     tables = (recording.labels() for recording in recordings)
     columns = (table.column(DEVICE).to_pylist() for table in tables if table and DEVICE in table.column_names)
     return sorted({str(name) for column in columns for name in column if name is not None})
 
 
-def _values(table: pa.Table, name: str, classes: list[str]) -> NDArray[np.float32]:
-    """Return a label's column; a null is NaN."""
+def _column(table: pa.Table, name: str, classes: Sequence[str] = ()) -> NDArray[np.float64]:
+    """Return a column as numbers; a null is NaN."""
     if name != DEVICE:
-        return table.column(name).to_numpy(zero_copy_only=False).astype(np.float32)
+        return table.column(name).to_numpy(zero_copy_only=False).astype(np.float64)
     number = {one: n for n, one in enumerate(classes)}
-    return np.array([np.nan if one is None else number[str(one)] for one in table.column(name).to_pylist()], np.float32)
+    return np.array([np.nan if one is None else number[str(one)] for one in table.column(name).to_pylist()])
 
 
-def labels_of(recording: Recording, classes: list[str]) -> Labels:
-    where = Path(recording.path) / "labels.parquet"
+def labels_of(recording: Recording, classes: list[str]) -> FrameLabels:
+    """Return the labels of a recording's frames; a device as its number among the classes."""
+    where = recording.path / "labels.parquet"
     table: pa.Table | None = recording.labels()
     if table is None:
-        raise InputError(
-            "the recording has no labels",
-            where=where,
-            remedy="label it first: tapetum.record.label_recording",
-        )
+        remedy = "label it first: tapetum.record.label_recording"
+        raise InputError("the recording has no labels", where=where, remedy=remedy)
     names = tuple(name for name in (*QUANTITIES, DEVICE) if name in table.column_names)
     if "frame" not in table.column_names or not names:
-        raise InputError(
-            f"expected columns frame and one of {', '.join((*QUANTITIES, DEVICE))}",
-            where=where,
-            remedy="label it again",
-        )
+        what = f"expected columns frame and one of {', '.join((*QUANTITIES, DEVICE))}"
+        raise InputError(what, where=where, remedy="label it again")
     frames = table.column("frame").to_numpy()
-    values = np.stack([_values(table, name, classes) for name in names], axis=1)
-    quality = np.ones(len(frames))
-    if "quality" in table.column_names:
-        quality = table.column("quality").to_numpy(zero_copy_only=False).astype(np.float64)
-    # A null is a NaN here: no label.
+    values = np.stack([_column(table, name, classes).astype(np.float32) for name in names], axis=1)
+    quality = _column(table, "quality") if "quality" in table.column_names else np.ones(len(frames))
     good = np.isfinite(values).all(axis=1) & np.isfinite(quality)
     rows = zip(frames[good], values[good], quality[good], _reach(recording, table)[good], strict=True)
-    return Labels(names, {int(f): (v, float(q), r) for f, v, q, r in rows})
+    return FrameLabels(names, {int(f): (v, float(q), r) for f, v, q, r in rows})
 
 
 def _reach(recording: Recording, table: pa.Table) -> NDArray[np.float64]:
-    """How far each label reaches back and ahead of its frame, [N, 2] in seconds; 0 where nothing says so."""
+    """Return how far each label reaches back and ahead of its frame, [N, 2] in seconds; 0 where unknown."""
     frames = table.column("frame").to_numpy()
     reach = np.zeros((len(frames), 2))
     if {"reach_back", "reach_ahead"} <= set(table.column_names):
-        ends = (table.column(name).to_numpy(zero_copy_only=False) for name in ("reach_back", "reach_ahead"))
-        reach = np.stack(list(ends), axis=1).astype(np.float64)
+        reach = np.stack([_column(table, name) for name in ("reach_back", "reach_ahead")], axis=1)
     elif "how" in table.column_names and "target" in recording.streams:
-        # Labels older than these columns: the same join says it again.
+        # Older labels lack these columns: their reach follows from the clocks.
         spots = np.array([how == "laser-spot" for how in table.column("how").to_pylist()], bool)
         inside = spots & (frames < len(joined := join(recording)))
         reach[inside] = joined.reach()[frames[inside]]
@@ -103,21 +91,13 @@ def _checked(recordings: Sequence[str | os.PathLike[str]], rules: Rules) -> list
         what = f"is larger than the {LARGEST_SIDE} pixels that a chunk of {CHUNK} crops can hold: {rules.side}"
         raise InputError(what, where="side", remedy="the paper's largest crops have 400")
     if not 0 <= rules.test_fraction <= 1:
-        raise InputError(
-            f"must lie in 0 ... 1, is {rules.test_fraction}",
-            where="test_fraction",
-            remedy="the paper's is 0.2",
-        )
+        what = f"must lie in 0 ... 1, is {rules.test_fraction}"
+        raise InputError(what, where="test_fraction", remedy="the paper's is 0.2")
     paths = [Path(r).resolve() for r in recordings]
     twice = next((p for p in paths if paths.count(p) > 1), None)
     if twice is not None:
         raise InputError("is given twice", where=twice, remedy="name every recording once")
     return [open_recording(path) for path in recordings]
-
-
-def _count(recording: Recording) -> int:
-    count = recording.source("probe").count
-    return int(recording.frames("probe").num_rows) if count is None else int(count)
 
 
 def build_dataset(
@@ -135,11 +115,9 @@ def build_dataset(
 ) -> Path:
     """Build a dataset from labelled recordings.
 
-    Every probe frame with a good label and a visible RR gives one crop, centred by our reading of the paper: on the
-    brightest point of the smoothed frame, or of what has fine structure where a lit room is brighter (`find_centre`).
-    The first part of every video trains and the last part tests (paper, section 5), by place in the video. Between them
-    lies an embargo: the first frames of the last part whose labels share a measurement with a training frame's
-    (`tapetum.data.embargo`) belong to neither.
+    Every probe frame with a good label and a visible RR gives one crop around `tapetum.data.find_centre`. The first
+    part of every video trains and the last part tests (paper, section 5). An embargo separates them: the first test
+    frames whose labels share a measurement with a training frame's (`tapetum.data.embargo`) belong to neither.
 
     Parameters
     ----------
@@ -151,65 +129,57 @@ def build_dataset(
         Pixels along an edge of the crops.
     test_fraction
         Share of every video, at its end, that tests. With 0 everything trains, with 1 everything tests.
-    min_quality
-        Labels of a lower quality are left out.
-    min_snr
-        Frames whose brightest point stands less than this over the noise of the smoothed frame are left out.
+    min_quality, min_snr
+        Frames with a lower label quality, or a lower SNR of the smoothed RR, are left out.
     sigma
         Standard deviation in pixels of the smoothing that finds the centre.
     embargo
-        Least seconds between training and test frames, for labels that were smoothed further than the recording says.
+        Least seconds between training and test frames, for labels smoothed further than the recording says.
     progress
         Shown over the frames of each recording.
     overwrite
-        Replace a store that is there already.
+        Replace an existing store.
 
     Returns
     -------
     Path
-        The store. Its attribute ``recordings`` counts, for each video, the frames used and those left out, by
-        reason.
+        The store. Its attribute ``recordings`` counts, for each video, the frames used and those left out, by reason.
 
     Raises
     ------
     InputError
-        When no recording is given, one has no labels, depths or labelled quantities differ, or nothing (or
-        nothing for one of the two parts) is left. Nothing is written then.
+        When no recording is given, one has no labels, depths or labelled quantities differ, or nothing is left to train
+        or to test with. Nothing is written then.
     """
     rules = Rules(side, test_fraction, min_quality, min_snr, sigma, embargo=embargo)
     opened = _checked(recordings, rules)
     classes = _classes(opened)
     labels = [labels_of(recording, classes) for recording in opened]
+    sources = [recording.source("probe") for recording in opened]
     if len({label.names for label in labels}) > 1:
-        found = "; ".join(f"{Path(r.path).name}: {', '.join(b.names)}" for r, b in zip(opened, labels, strict=True))
+        found = "; ".join(f"{r.path.name}: {', '.join(label.names)}" for r, label in zip(opened, labels, strict=True))
         raise InputError(f"recordings are labelled with different quantities ({found})", where="recordings")
-    depths = [r.source("probe").full_scale for r in opened]
-    if len(set(depths)) > 1:
-        found = ", ".join(f"{Path(r.path).name} {depth}" for r, depth in zip(opened, depths, strict=True))
+    if len({source.full_scale for source in sources}) > 1:
+        found = ", ".join(f"{r.path.name} {source.full_scale}" for r, source in zip(opened, sources, strict=True))
         remedy = "build one dataset for each depth"
         raise InputError(f"frames differ in depth (full scale: {found})", where="recordings", remedy=remedy)
-    with dataset_writer(out, rules, labels[0].names, classes, int(depths[0]), overwrite=overwrite) as writer:
-        for number, (recording, label) in enumerate(zip(opened, labels, strict=True)):
-            writer.told.append(add_frames(recording, number, label, writer.add, rules, _count(recording), progress))
+    with dataset_writer(out, rules, labels[0].names, classes, sources[0].full_scale, overwrite=overwrite) as writer:
+        for n, (recording, label, source) in enumerate(zip(opened, labels, sources, strict=True)):
+            writer.told.append(add_frames(recording, n, label, writer.add, rules, source.count, progress))
     return Path(out)
 
 
 def add_frames(
     recording: Recording,
     number: int,
-    labels: Labels,
+    labels: FrameLabels,
     add: Callable[..., None],
     rules: Rules,
     total: int,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Add the frames of one recording, of which the whole video has `total`; return what became of them.
-
-    `add` takes a crop and, by name, what is known of it: `DatasetWriter.add`.
-    """
-    name = Path(recording.path).name
-    # Rounded, so that 0.8 of 10 frames is 8 whatever the last bit of 1 - 0.2 is.
-    first_test = round((1 - rules.test_fraction) * total, 6)
+    """Pass a recording's crops and their values by name to `add`; return the numbers of frames used and left out."""
+    name = recording.path.name
     left_out = {"no label": 0, "poor label": 0, "no visible RR": 0}
     used = 0
     for frame in progress(recording.source("probe"), f"cutting out {name}", total=total):
@@ -218,43 +188,34 @@ def add_frames(
             left_out["no label"] += 1
             continue
         values, quality, reach = label
-        back, ahead = np.maximum(reach, rules.embargo / 2)
         if quality < rules.min_quality:
             left_out["poor label"] += 1
             continue
-        # Whether an RR is there shows best at the width of its rings; where its middle is, at its own width.
-        snr = find_peak(frame.image, RING_SIGMA).snr
-        if snr < rules.min_snr:
+        cut = rules.cut(frame.image)
+        if cut is None:
             left_out["no visible RR"] += 1
             continue
-        centre = find_centre(frame.image, rules.sigma)
+        back, ahead = np.maximum(reach, rules.embargo / 2).tolist()
         add(
-            crop(frame.image, centre, rules.side),
+            cut[0],
             **dict(zip(labels.names, values.tolist(), strict=True)),
-            centre_x=centre[0],
-            centre_y=centre[1],
-            # A noiseless float frame has no finite SNR; 1e6 stands for "no noise at all".
-            snr=min(snr, 1e6),
+            **cut[1],
             quality=quality,
             recording=number,
             time=frame.time,
             frame_index=frame.index,
-            split=TRAIN if frame.index < first_test else TEST,
-            label_back=float(back),
-            label_ahead=float(ahead),
+            split=int(rules.split(frame.index, total)),
+            label_back=back,
+            label_ahead=ahead,
         )
         used += 1
+    meta = recording.meta
     return {
         "name": name,
-        "uuid": str(recording.meta.get("uuid", "")),
+        "uuid": str(meta.get("uuid", "")),
         "frames": total,
         "used": used,
         "left_out": left_out,
-        **_origin(recording.meta),
+        **{name: meta[name] for name in ("hardware", "seed") if name in meta},
+        **({"parameters": {"scene": meta["scene"]}} if "scene" in meta else {}),
     }
-
-
-def _origin(meta: dict[str, Any]) -> dict[str, Any]:
-    """What recording.json says of where the frames come from: cameras or the virtual bench, and its scene."""
-    told = {name: meta[name] for name in ("hardware", "seed") if name in meta}
-    return told | ({"parameters": {"scene": meta["scene"]}} if "scene" in meta else {})

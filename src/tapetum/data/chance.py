@@ -1,6 +1,6 @@
-"""What chance looks like in recordings: labels put onto other frames without making them rougher than they are.
+"""Labels under chance: they are moved to other frames, where they are as smooth in time as before.
 
-Each function returns ``[rounds, N]``: the number of the frame whose label stands for frame n's in a round.
+Shifts and permutations are [rounds, N]: the number of the frame whose label stands for frame n's in a round.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def shifted(
     rng: np.random.Generator,
     among: NDArray[np.integer] | None = None,
 ) -> NDArray[np.int64]:
-    """Shift the labels of each recording in a circle, by a tenth of it or more: they stay as smooth as they are.
+    """Shift the labels of each recording cyclically by a tenth of it or more.
 
     With `among` only the labels of these frames move, among themselves.
     """
@@ -37,9 +37,9 @@ def shifted(
 
 
 def shifts_possible(values: NDArray[np.float64], recording: NDArray[np.integer], order: NDArray[np.floating]) -> int:
-    """Return how many of those shifts are independent: labels [N, C] stay alike for as long as they correlate by half.
+    """Return how many of those shifts are independent, given that labels [N, C] stay correlated above a half.
 
-    At most a million: more does not matter.
+    Counts stop at a million.
     """
     count = 1.0
     for number in np.unique(recording):
@@ -55,29 +55,20 @@ def shifts_possible(values: NDArray[np.float64], recording: NDArray[np.integer],
 
 
 def dealt_blocks(
-    recording: NDArray[np.integer],
-    split: NDArray[np.integer],
-    rounds: int,
-    rng: np.random.Generator,
-    blocks: int = 5,
+    recording: NDArray[np.integer], split: NDArray[np.integer], rounds: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Deal the labels again to blocks of neighbouring frames, so many a recording and part; for constant labels."""
+    """Permute constant labels over fifths of neighbouring frames of each recording and part."""
     chance = np.tile(np.arange(len(recording)), (rounds, 1))
     for part in np.unique(split):
-        pieces = [
-            piece
-            for number in np.unique(recording)
-            for piece in np.array_split(np.flatnonzero((recording == number) & (split == part)), blocks)
-            if len(piece)
-        ]
-        _deal(chance, pieces, rng)
+        whole = [np.flatnonzero((recording == number) & (split == part)) for number in np.unique(recording)]
+        _deal(chance, [piece for one in whole for piece in np.array_split(one, 5) if len(piece)], rng)
     return chance
 
 
 def dealt_recordings(
     recording: NDArray[np.integer], group: NDArray[np.integer], rounds: int, rng: np.random.Generator
 ) -> NDArray[np.int64]:
-    """Deal the labels again to whole recordings within each group; for constant labels."""
+    """Permute constant labels over whole recordings within each group."""
     chance = np.tile(np.arange(len(recording)), (rounds, 1))
     for one in np.unique(group):
         _deal(chance, [np.flatnonzero(recording == r) for r in np.unique(recording[group == one])], rng)
@@ -91,7 +82,7 @@ def _deal(chance: NDArray[np.int64], pieces: list[NDArray[np.int64]], rng: np.ra
 
 
 def deals_possible(classes: NDArray[np.integer], group: NDArray[np.integer]) -> int:
-    """Return how many different deals `dealt_recordings` has: class and group of each recording, [R] each."""
+    """Return the number of permutations of `dealt_recordings`, for class and group of each recording, [R] each."""
     count = 1
     for one in np.unique(group):
         sizes = np.unique(classes[group == one], return_counts=True)[1].tolist()

@@ -1,4 +1,4 @@
-"""What a dataset's hash is made of: a digest of every image, and everything else that a model could learn from."""
+"""Hash of a dataset's content: a digest of every image, and all labels and names."""
 
 from __future__ import annotations
 
@@ -12,22 +12,20 @@ from numpy.typing import NDArray
 __all__ = ["DIGEST", "DIGEST_BYTES", "hash_of", "image_digests"]
 
 DIGEST = "image_digest"
-"""Variable of a stored set: BLAKE2b of every image, so that a part of the set is hashed without reading its images."""
+"""Variable of a stored set: BLAKE2b of every image, so that parts can be hashed without reading images."""
 
 DIGEST_BYTES = 16
 _DOMAIN = b"tapetum-dataset-content/2\n"
 
 
 def image_digests(images: Iterable[NDArray[np.generic]]) -> NDArray[np.uint8]:
-    """Return the BLAKE2b digests [N, 16] of images: of each one's type, shape and pixels."""
-    found = [_digest(np.ascontiguousarray(image)) for image in images]
-    return np.frombuffer(b"".join(found), np.uint8).reshape(-1, DIGEST_BYTES)
-
-
-def _digest(image: NDArray[np.generic]) -> bytes:
-    about = f"{image.dtype.str}{image.shape}".encode()
-    # The type and shape are the key, so that equal bytes of another shape differ.
-    return hashlib.blake2b(image.data, digest_size=DIGEST_BYTES, key=about).digest()
+    """Return the BLAKE2b digests [N, 16] of images, which cover type, shape and pixels."""
+    found = b""
+    for image in map(np.ascontiguousarray, images):
+        # With type and shape as the key, equal bytes of another shape differ.
+        key = f"{image.dtype.str}{image.shape}".encode()
+        found += hashlib.blake2b(image.data, digest_size=DIGEST_BYTES, key=key).digest()
+    return np.frombuffer(found, np.uint8).reshape(-1, DIGEST_BYTES)
 
 
 def hash_of(
@@ -38,21 +36,7 @@ def hash_of(
     targets: Sequence[str],
     classes: Sequence[str],
 ) -> str:
-    """Return the SHA-256 of a dataset's content, in hexadecimal.
-
-    Parameters
-    ----------
-    digests
-        [N, 16], of `image_digests`, in the order of the frames.
-    variables
-        [N] each: all variables along ``frame``, labels, split and recording among them.
-    full_scale
-        Largest count of the camera.
-    targets
-        Which of the variables are labels.
-    classes
-        Names of the numbers in `device`.
-    """
+    """Return the SHA-256, in hexadecimal, of image digests [N, 16], all variables [N] along ``frame``, and the rest."""
     digest = hashlib.sha256(_DOMAIN)
     digest.update(np.ascontiguousarray(digests).tobytes())
     for name in sorted(variables):

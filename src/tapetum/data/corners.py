@@ -1,8 +1,8 @@
-"""What a crop shows far from its retro-reflection: level, noise and fixed pattern of its four corners.
+"""Level, noise and fixed pattern of a crop's four corners, far from its retro-reflection.
 
-An RR has no edge: its rings and the light its edges diffract fall off as a power of the distance and reach the
-corners too. So each corner comes with its *halo*, the light by which a patch of the same size on the same diagonal,
-1.75 times nearer to the middle, is brighter. What the RR puts into the corner is at most `FALL_OFFS` of that.
+An RR's rings and the diffraction at its edges fall off as a power of the distance and reach the corners. So each corner
+comes with its *halo*: by how much a patch of the same size on the same diagonal, 1.75 times nearer to the middle, is
+brighter. The RR's light in the corner is at most a share `FALL_OFFS` of that.
 """
 
 from __future__ import annotations
@@ -22,59 +22,47 @@ __all__ = ["FALL_OFFS", "MOST_TEST", "MOST_TRAIN", "CornerReader", "Corners", "e
 
 _NEARER = 1.75
 FALL_OFFS: tuple[float, ...] = (0.0, *(1 / (_NEARER**power - 1) for power in (4, 3, 2, 1.5)))
-"""What share of a halo may be the RR's own light in the corner: none, or that of light that falls off as the 4th, 3rd
-(the rings of a round pupil), 2nd (spikes of straight edges, wide scatter) or 1.5th power of the distance."""
+"""Shares of a halo that may be the RR's light in the corner: none, or for a fall-off with the 4th, 3rd (the rings of a
+round pupil), 2nd (spikes of straight edges, wide scatter) or 1.5th power of the distance."""
 
 MOST_TRAIN, MOST_TEST = 2000, 1000
-"""Frames of each part that leaks are looked for in, spread evenly: more would not change what is found."""
+"""Most frames of each part that are searched for leaks, evenly spread; more would not change the result."""
 
 _LARGEST = 32
-# Pixels this many standard deviations over their neighbours are no noise; nor are steps of fewer counts than four.
+# A hot pixel exceeds its neighbours by this many standard deviations and by this many counts.
 _HOT, _HOT_COUNTS = 10.0, 4.0
-# No pixel outshouts all others together in the fixed pattern.
+# Limit of a pixel in the fixed pattern, in standard deviations, so that no single pixel dominates.
 _LOUDEST = 30.0
 
 
 @dataclass(frozen=True)
 class Corners:
-    """The corners of every frame.
+    """The corners of every frame."""
 
-    Parameters
-    ----------
-    level
-        [N, 6]: mean of the upper left, upper right, lower left and lower right corner (counts), variance of their
-        pixels (counts squared), share of hot ones.
-    halo
-        [N, 6]: by how much the same is larger nearer to the RR; 0 for hot pixels, which are no light.
-    noise
-        Standard deviation of a pixel, counts.
-    frames
-        [M] numbers of the frames that `pattern` shows.
-    pattern
-        [M, P] pixels of the corners over the median of their neighbours, in standard deviations: hot pixels and the
-        sensor's fixed pattern, without level and shading.
-    hot
-        [M, H] where the frame shows a hot pixel at each of H places of the *probe's* frame 10, else 0 (standard
-        deviations, about); H = 0 where there are none or the set does not tell where its crops were cut.
-    """
-
+    # [N, 6]: mean of the upper left, upper right, lower left and lower right corner (counts), variance of their pixels
+    # (counts squared), share of hot ones.
     level: NDArray[np.float64]
+    # [N, 6]: by how much the same is larger nearer to the RR; 0 for hot pixels.
     halo: NDArray[np.float64]
+    # Standard deviation of a pixel, counts.
     noise: float
+    # [M] numbers of the frames that `pattern` and `hot` show.
     frames: NDArray[np.int64]
+    # [M, P] pixels of the corners over the median of their neighbours, in standard deviations: hot pixels and the
+    # sensor's fixed pattern, without level and shading.
     pattern: NDArray[np.float32]
+    # [M, H]: 10 (standard deviations) where the frame has a hot pixel at each of H places of the probe's frame, else 0;
+    # H = 0 where there are none or the crops' places are unknown.
     hot: NDArray[np.float32]
 
 
 def evenly(numbers: NDArray[np.int64], most: int) -> NDArray[np.int64]:
     """Return at most `most` of the numbers, spread evenly."""
-    if len(numbers) <= most:
-        return numbers
-    return numbers[np.linspace(0, len(numbers) - 1, most).round().astype(int)]
+    return numbers[np.linspace(0, len(numbers) - 1, min(most, len(numbers))).round().astype(int)]
 
 
 class CornerReader:
-    """Gathers the corners while the images pass by: `add` every batch, then `read`."""
+    """Reads the corners of image batches: `add` every batch, then `read`."""
 
     def __init__(self, dataset: xr.Dataset) -> None:
         count, side = dataset.sizes["frame"], dataset.tp.side
@@ -84,7 +72,7 @@ class CornerReader:
         self._frames = np.sort(np.concatenate([evenly(np.flatnonzero(split == p), n) for p, n in parts]))
         self._row = np.full(count, -1)
         self._row[self._frames] = np.arange(len(self._frames))
-        self._level, self._halo = np.zeros((count, 6)), np.zeros((count, 6))
+        self._level, self._halo = np.zeros((2, count, 6))
         self._pattern = np.zeros((len(self._frames), 4 * self._size**2), dtype=np.float32)
         self._noise: list[float] = []
         self._hot: list[tuple[int, int, int]] = []
@@ -97,7 +85,7 @@ class CornerReader:
             self._origin = np.floor(centre - (side - 1) / 2 + 0.5).astype(np.int64)
 
     def add(self, start: int, images: NDArray[np.generic]) -> None:
-        """Take the images [n, side, side] of the frames from number `start` on."""
+        """Add the images [n, side, side] of the frames from number `start` on."""
         rows = slice(start, start + len(images))
         corner, inner = (_cut(images, places, self._size) for places in (self._corner, self._inner))
         self._level[rows, :4], self._level[rows, 4] = corner.mean((2, 3)), _variance(corner)
@@ -120,12 +108,12 @@ class CornerReader:
                     self._hot.append((row, int(self._origin[n, 0]) + left + x, int(self._origin[n, 1]) + top + y))
 
     def read(self) -> Corners:
-        """Return what the batches showed."""
+        """Return the corners of all batches."""
         noise = float(np.median(self._noise))
         return Corners(self._level, self._halo, noise, self._frames, self._pattern, self._hot_places())
 
     def _hot_places(self, most: int = 500) -> NDArray[np.float32]:
-        """Return [M, H]: places of the probe's frame that were hot in three frames or more, the most frequent ones."""
+        """Return [M, H] for the places of the probe's frame that were hot most often, in three frames or more."""
         if not self._hot:
             return np.zeros((len(self._frames), 0), dtype=np.float32)
         found = np.asarray(self._hot)
@@ -141,7 +129,7 @@ class CornerReader:
 
 
 def read_corners(dataset: xr.Dataset, progress: Progress = quiet) -> Corners:
-    """Read the corners of every frame of a dataset, a batch at a time."""
+    """Read the corners of every frame of a dataset."""
     reader, start = CornerReader(dataset), 0
     total = -(-dataset.sizes["frame"] // 64)
     for images in progress(image_batches(dataset, 64), "reading the corners", total=total):
@@ -151,7 +139,7 @@ def read_corners(dataset: xr.Dataset, progress: Progress = quiet) -> Corners:
 
 
 def _patches(side: int, size: int, nearer: float) -> list[tuple[int, int]]:
-    """Return the first row and column of four patches whose centres stand on the diagonals, so many times nearer."""
+    """Return row and column of four square patches on the diagonals, `nearer` times nearer to the middle."""
     low = round((side - size) / 2 * (1 - 1 / nearer))
     high = side - size - low
     return [(low, low), (low, high), (high, low), (high, high)]
@@ -163,11 +151,11 @@ def _cut(images: NDArray[np.generic], places: list[tuple[int, int]], size: int) 
 
 
 def _variance(patches: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Return the variance of a pixel by the differences of neighbours: shading does not count."""
+    """Return the variance of a pixel from the differences of neighbours, which excludes shading."""
     return np.square(np.diff(patches, axis=-1)).mean(axis=(1, 2, 3), dtype=np.float64) / 2
 
 
 def _noise(patches: NDArray[np.float32]) -> float:
-    """Return the standard deviation of a pixel, whatever hot ones there are; of a quantum at least."""
+    """Return the standard deviation of a pixel without hot ones, at least that of rounding."""
     apart = np.abs(np.diff(patches, axis=-1))
     return max(float(np.quantile(apart, 0.6827)) / math.sqrt(2), 1 / math.sqrt(12))

@@ -1,12 +1,12 @@
-"""Where a retro-reflection is in a frame, and the square cut out around it.
+"""Position of a retro-reflection in a frame, and the square cut out around it.
 
-The paper centres every crop on the brightest point of the smoothed frame (section 5) and says no more. What follows is
-our reading of it (`CENTRING`). Smoothing here is a 3 x 3 median, which takes out hot pixels, followed by a Gaussian.
+The paper centres every crop on the brightest point of the smoothed frame (section 5) and says no more; `CENTRING` is
+our reading. Smoothing here is a 3 x 3 median, which removes hot pixels, followed by a Gaussian.
 
-In a lit room that point may lie on a wall or a lamp behind the target. The probe, focused at infinity, sees those
-blurred by its whole aperture, D f_p/d, while laser light that comes back through a lens has rings and lobes as fine as
-λ f_p/D. So light without fine structure is not taken for an RR where light with it is to be had (`find_centre`): a
-departure from the paper's words, for rooms that its recordings did not have.
+In a lit room that point may lie on a wall or a lamp behind the target. The probe, focused at infinity, blurs those by
+its whole aperture, D f_p/d, while laser light from a lens has rings and lobes as fine as λ f_p/D. So light without fine
+structure is not taken for an RR if light with it exists (`find_centre`). This departs from the paper, whose recordings
+had no lit rooms.
 """
 
 from __future__ import annotations
@@ -20,37 +20,35 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak"]
+__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak", "vertex"]
 
 SIGMA = 20.0
 """Standard deviation in pixels of the smoothing Gaussian.
 
-The paper does not give its own. It has to be wider than the RR's rings and lobes, or noise decides which of them is
-the brightest and the crop jumps: on simulated RRs of an f = 100 mm, f/12.5 target the centre scatters by 16 px (median)
-at 4 px, 7 px at 12 px and 0.2 px at 20 px.
+The paper gives none. It must be wider than the RR's rings and lobes, or noise decides which of them is the brightest:
+on simulated RRs of an f = 100 mm, f/12.5 target the centre scatters by 16 px (median) at 4 px, 7 px at 12 px and 0.2 px
+at 20 px.
 """
 
 CENTRING = (
     "our reading of the paper's: the brightest point after a 3 x 3 median and a Gaussian, or that of what has fine "
     "structure where a broad light outshines it"
 )
-"""How crops are centred, for cards and pages."""
+"""How crops are centred, for model cards and reports."""
 
-# A smoothed image varies slowly: a reduced one shows its maximum as well, and costs a tenth.
+# From this smoothing on, images are reduced by this factor: the maximum is as accurate at a tenth of the time.
 _REDUCE_FROM, _REDUCE = 12.0, 4
 
 # Edge in pixels of the blocks whose means make the background.
 _BLOCK = 16
 
-# Fine structure: Gaussians of three widths, in pixels, weighted so that what varies as slowly as a slope or a bend
-# cancels. The squares of the widths are evenly spaced.
-_FINE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0))
-# They are wide enough to be made on an image of half the size.
-_HALVE = 2
-# Less than so many times the noise may be noise: it reached 6 where a blurred lamp stood 5 counts high. Clearly more is
-# so many times as much.
+# Fine structure: three Gaussians of evenly spaced variances (width in pixels, weight) that cancel linear and quadratic
+# variation, wide enough to be computed on an image of half the size.
+_FINE, _HALVE = ((4.0, 1.0), (80**0.5, -2.0), (12.0, 1.0)), 2
+# To move the centre, structure must exceed 8 times the noise (noise alone reached 6 beside a lamp), and twice that of
+# the brightest point.
 _NOISE, _CLEARLY = 8.0, 2.0
-# How far around a place structure is looked for, and how wide a background is taken off: in widths of the smoothing.
+# Radius within which structure is searched, and smoothing of the subtracted background, in units of sigma.
 _AROUND, _BROAD = 2.5, 3.0
 
 # Ratio of the standard deviation to the median absolute deviation of a normal distribution.
@@ -64,11 +62,11 @@ class Peak:
     Parameters
     ----------
     x, y
-        Place in pixels, sub-pixel, (0, 0) at the centre of the first pixel.
+        Sub-pixel place, (0, 0) at the centre of the first pixel.
     height
-        Value of the smoothed frame there, above the background, in the frame's own units.
+        Smoothed value there above the background, in the frame's units.
     background
-        Of the frame (of the part searched, with a border): the median of means over blocks.
+        Of the frame or the part searched: the median of means over blocks.
     noise
         Robust standard deviation of the smoothed frame.
     """
@@ -81,16 +79,21 @@ class Peak:
 
     @property
     def snr(self) -> float:
-        """Height over noise. The maximum of a frame of noise alone lies near 4; where rounding hides it, up to 8."""
+        """Height over noise. Pure noise gives about 4; up to 8 where rounding hides it."""
         if self.height <= 0:
             return 0.0
         return self.height / self.noise if self.noise > 0 else math.inf
 
 
-def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
+def _grey(image: NDArray[np.generic]) -> NDArray[np.generic]:
     array = np.asarray(image)
     if array.ndim != 2 or array.size == 0:
         raise InputError(f"expected a grey image [H, W], got shape {array.shape}", remedy="give one frame at a time")
+    return array
+
+
+def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
+    array = _grey(image)
     if array.dtype in (np.uint8, np.uint16):
         return array
     if array.dtype.kind not in "iuf":
@@ -102,8 +105,8 @@ def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
 
 
 def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float32], float, float, int]:
-    """Return the smoothed image above its background, the background, the noise, and by how much it was reduced."""
-    calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
+    """Return the smoothed image above its background, the background, the noise, and the factor of reduction."""
+    calm = _calm(image)
     background = _background(calm)
     step = _REDUCE if sigma >= _REDUCE_FROM and min(image.shape) >= _REDUCE else 1
     smooth = _blurred(calm, background, sigma, step)
@@ -111,13 +114,18 @@ def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float3
     if image.dtype.kind in "iu":
         least = _rounding(sigma)
         if noise < 2 * least:
-            # Where most pixels read the same number, their medians hide the noise that the others show.
+            # Where most pixels have the same count, the median hides the noise of the others.
             noise = max(noise, least, _scatter(_blurred(image.astype(np.float32), background, sigma, step)))
     return smooth, background, noise, step
 
 
+def _calm(image: NDArray[np.generic]) -> NDArray[np.float32]:
+    """Return the image after a 3 x 3 median."""
+    return np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
+
+
 def _background(image: NDArray[np.float32]) -> float:
-    """Return the median of means over blocks: that of pixels is a whole number, and may lie half a count beside it."""
+    """Return the median of means over blocks; the median of integer pixels could be half a count off."""
     height, width = image.shape
     size = max(1, width // _BLOCK), max(1, height // _BLOCK)
     base = float(np.median(_thinned(image)))
@@ -125,14 +133,14 @@ def _background(image: NDArray[np.float32]) -> float:
 
 
 def _blurred(image: NDArray[np.float32], background: float, sigma: float, step: int) -> NDArray[np.float32]:
-    """Return what a Gaussian leaves of an image above its background, reduced."""
+    """Return the reduced image above its background, smoothed by a Gaussian."""
     above = np.asarray(image - background, dtype=np.float32)
     if step > 1:
         rows, columns = (-(-size // step) * step for size in image.shape)
         down, across = rows - image.shape[0], columns - image.shape[1]
         wide = cv2.copyMakeBorder(above, 0, down, 0, across, cv2.BORDER_CONSTANT, value=[0.0])
         above = np.asarray(cv2.resize(wide, (columns // step, rows // step), interpolation=cv2.INTER_AREA), np.float32)
-    # Beyond the border lies background: repeated border pixels would make its noise the brightest of all.
+    # Padded with background: repeated border pixels would amplify their noise.
     return np.asarray(cv2.GaussianBlur(above, (0, 0), sigma / step, borderType=cv2.BORDER_CONSTANT), np.float32)
 
 
@@ -143,20 +151,20 @@ def _scatter(image: NDArray[np.float32]) -> float:
 
 
 def _thinned(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a regular sample of some 512 x 512 pixels where the image has many more: enough for a median."""
+    """Return a regular sample of about 512 x 512 pixels, enough for a median."""
     return image[:: max(1, image.shape[0] // 512), :: max(1, image.shape[1] // 512)]
 
 
-def _vertex(below: float, at: float, above: float) -> float:
-    """Return how far off the middle the parabola through three values has its top, in steps."""
+def vertex(below: float, at: float, above: float) -> float:
+    """Return the offset, in steps from the middle, of the maximum of the parabola through three values, or 0."""
     bend = below - 2 * at + above
     return 0.0 if bend >= 0 else float(np.clip(0.5 * (below - above) / bend, -0.5, 0.5))
 
 
 def _refine(smooth: NDArray[np.float32], row: int, column: int, span: float) -> tuple[float, float]:
-    """Return (x, y) of the maximum at (row, column), sub-pixel; the middle of a plateau where it is one."""
+    """Return the sub-pixel (x, y) of the maximum at (row, column), or the middle of its plateau."""
     height, width = smooth.shape
-    # A saturated RR is flat on top up to rounding: its middle is meant, not its first pixel.
+    # A saturated RR has a flat top, whose middle is the centre.
     flat = (smooth >= smooth[row, column] - 1e-4 * span).astype(np.uint8)
     _, labels = cv2.connectedComponents(flat, connectivity=8)
     rows, columns = np.nonzero(labels == labels[row, column])
@@ -164,9 +172,9 @@ def _refine(smooth: NDArray[np.float32], row: int, column: int, span: float) -> 
         return float(columns.mean()), float(rows.mean())
     x, y = float(column), float(row)
     if 0 < column < width - 1:
-        x += _vertex(*(float(v) for v in smooth[row, column - 1 : column + 2]))
+        x += vertex(*(float(v) for v in smooth[row, column - 1 : column + 2]))
     if 0 < row < height - 1:
-        y += _vertex(*(float(v) for v in smooth[row - 1 : row + 2, column]))
+        y += vertex(*(float(v) for v in smooth[row - 1 : row + 2, column]))
     return x, y
 
 
@@ -182,13 +190,12 @@ def find_peak(
     sigma
         Standard deviation of the smoothing Gaussian in pixels.
     near
-        (x, y, radius) in pixels: look only within this circle, around a detection or a track. Background and
-        noise are then those of the circle's surroundings.
+        (x, y, radius) in pixels: search only this circle. Background and noise are then those of its surroundings.
 
     Returns
     -------
     Peak
-        Always finite; a featureless image gives its middle with an SNR of 0.
+        Always finite; a uniform image gives its middle with an SNR of 0.
 
     Raises
     ------
@@ -202,16 +209,13 @@ def find_peak(
     left, top, right, bottom = 0, 0, width, height
     if near is not None:
         x, y, radius = near
-        # A margin of 4 sigma: inside the circle the smoothed values are those of the whole frame.
+        # A margin of 4 sigma makes the smoothed values those of the whole frame.
         reach = radius + 4 * sigma + 2
         left, right = max(0, math.floor(x - reach)), min(width, math.ceil(x + reach) + 1)
         top, bottom = max(0, math.floor(y - reach)), min(height, math.ceil(y + reach) + 1)
         if not (radius > 0 and -radius <= x <= width - 1 + radius and -radius <= y <= height - 1 + radius):
-            raise InputError(
-                f"circle ({x:g}, {y:g}), radius {radius:g} misses the image of {width} x {height}",
-                where="near",
-                remedy="give a place in the image, in pixels",
-            )
+            what = f"circle ({x:g}, {y:g}), radius {radius:g} misses the image of {width} x {height}"
+            raise InputError(what, where="near", remedy="give a place in the image, in pixels")
     smooth, background, noise, step = _smooth(array[top:bottom, left:right], sigma)
     searched = smooth
     # Pixel n of a reduced image is centred on pixel n step + (step - 1)/2 of the whole one.
@@ -223,7 +227,7 @@ def find_peak(
         searched = np.where(away <= max(near[2] ** 2, float(away.min())), smooth, -np.inf)
     row, column = np.unravel_index(int(np.argmax(searched)), smooth.shape)
     rise = float(smooth[row, column])
-    span = float(smooth[row, column]) - float(smooth.min())
+    span = rise - float(smooth.min())
     if span <= 0:
         return Peak((width - 1) / 2, (height - 1) / 2, 0.0, background, noise)
     x, y = _refine(smooth, int(row), int(column), span)
@@ -235,16 +239,16 @@ def find_centre(
 ) -> tuple[float, float]:
     """Return (x, y) in pixels of the brightest point of the smoothed image that may be an RR's.
 
-    It is that of `find_peak`, unless all is smooth around that point while elsewhere the image has clearly more of fine
-    structure: then the brightest point above the broad background is looked for there. With `near` it is always that of
-    `find_peak`. Parameters and errors are the same.
+    It is that of `find_peak`, unless the image is smooth around that point and has clearly more fine structure
+    elsewhere: then it is the brightest point near that structure, above the broad background. With `near` it is always
+    that of `find_peak`, whose parameters and errors apply.
     """
     peak = find_peak(image, sigma, near=near)
     if near is not None:
         return peak.x, peak.y
     array = _checked(image)
     fine, noise = _fine_structure(array)
-    # Places in the image of the reduced pixels' middles.
+    # Centres of the reduced pixels in the whole image.
     y, x = (_HALVE * np.arange(size) + (_HALVE - 1) / 2 for size in fine.shape)
     around = (x - peak.x) ** 2 + (y[:, None] - peak.y) ** 2 <= max(_AROUND * sigma, 2.0 * _HALVE) ** 2
     here, most = float(fine[around].max(initial=-np.inf)), float(fine.max())
@@ -257,7 +261,7 @@ def find_centre(
 
 
 def _broad(image: NDArray[np.generic], sigma: float) -> NDArray[np.float32]:
-    """Return [H, W] the image smoothed so widely that a small copy of it will do."""
+    """Return the image [H, W] after wide smoothing, computed on a small copy."""
     size = max(1, image.shape[1] // 8), max(1, image.shape[0] // 8)
     small = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
     blurred = cv2.GaussianBlur(small, (0, 0), sigma / 8, borderType=cv2.BORDER_REPLICATE)
@@ -265,8 +269,8 @@ def _broad(image: NDArray[np.generic], sigma: float) -> NDArray[np.float32]:
 
 
 def _fine_structure(image: NDArray[np.generic]) -> tuple[NDArray[np.float32], float]:
-    """Return [H/2, W/2] what is finer than a blurred room, and its noise."""
-    calm = np.asarray(cv2.medianBlur(np.ascontiguousarray(image), 3), dtype=np.float32)  # type: ignore[arg-type]
+    """Return the structure [H/2, W/2] finer than a blurred room, and its noise."""
+    calm = _calm(image)
     size = max(1, calm.shape[1] // _HALVE), max(1, calm.shape[0] // _HALVE)
     half = cv2.resize(calm, size, interpolation=cv2.INTER_AREA)
     fine = np.zeros(half.shape, np.float32)
@@ -279,35 +283,33 @@ def _fine_structure(image: NDArray[np.generic]) -> tuple[NDArray[np.float32], fl
 
 
 def _rounding(sigma: float) -> float:
-    """Noise of rounding to whole numbers, after smoothing: quiet pixels all read the same, and hide it."""
+    """Return the smoothed noise of rounding to integers, which uniform dark pixels hide."""
     return 1 / math.sqrt(12) / (2 * math.sqrt(math.pi) * sigma)
 
 
 def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> NDArray[np.generic]:
-    """Cut a square out of an image, to the nearest pixel: nothing is interpolated.
+    """Cut a square out of an image, to the nearest pixel, without interpolation.
 
     Parameters
     ----------
     image
         [H, W].
     centre
-        (x, y) in pixels. It falls within half a pixel of the middle of the crop, ``(side - 1)/2``.
+        (x, y) in pixels, which falls within half a pixel of the crop's middle, ``(side - 1)/2``.
     side
         Pixels along an edge.
 
     Returns
     -------
     ndarray
-        [side, side], the image's type, a copy. What lies outside the image is the image's median.
+        [side, side], the image's type, a copy. Pixels outside the image get its median.
 
     Raises
     ------
     InputError
         When the centre is not finite or the side not positive.
     """
-    array = np.asarray(image)
-    if array.ndim != 2 or array.size == 0:
-        raise InputError(f"expected a grey image [H, W], got shape {array.shape}", remedy="give one frame at a time")
+    array = _grey(image)
     if side < 1:
         raise InputError(f"must be positive, is {side}", where="side", remedy="give a number of pixels")
     if not (math.isfinite(centre[0]) and math.isfinite(centre[1])):
@@ -327,26 +329,9 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
 
 
 def crop_batch(images: NDArray[np.generic], centres: NDArray[np.floating], side: int) -> NDArray[np.generic]:
-    """Cut one square out of each of several images of one size.
-
-    Parameters
-    ----------
-    images
-        [N, H, W].
-    centres
-        [N, 2]: (x, y) in pixels.
-    side
-        Pixels along an edge.
-
-    Returns
-    -------
-    ndarray
-        [N, side, side], the images' type.
-    """
+    """Cut a square [N, side, side] out of each image [N, H, W] around its centre (x, y) [N, 2]; raises as `crop`."""
     array, places = np.asarray(images), np.asarray(centres, dtype=np.float64)
     if array.ndim != 3 or places.shape != (len(array), 2):
         raise InputError(f"expected images [N, H, W] with centres [N, 2], got {array.shape} with {places.shape}")
-    cut = np.empty((len(array), side, side), dtype=array.dtype)
-    for n, (x, y) in enumerate(places):
-        cut[n] = crop(array[n], (float(x), float(y)), side)
-    return cut
+    cut = [crop(image, (float(x), float(y)), side) for image, (x, y) in zip(array, places, strict=True)]
+    return np.stack(cut) if cut else np.empty((0, side, side), array.dtype)

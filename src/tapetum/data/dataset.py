@@ -1,7 +1,6 @@
-"""Datasets: crops of retro-reflections with their labels, a Zarr v3 store each, opened as an xarray Dataset.
+"""Datasets: crops of retro-reflections with their labels, one Zarr v3 store each, opened as an xarray Dataset.
 
-Importing this module registers the accessor ``.tp`` on every xarray Dataset: ``dataset.tp.train``,
-``dataset.tp.test``.
+Importing this module registers the accessor ``.tp`` on every xarray Dataset.
 """
 
 from __future__ import annotations
@@ -15,6 +14,7 @@ import numpy as np
 import xarray as xr
 import zarr
 from numpy.typing import ArrayLike, NDArray
+from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
 from tapetum.data.content import DIGEST, DIGEST_BYTES, hash_of, image_digests
 from tapetum.errors import InputError
@@ -42,36 +42,41 @@ __all__ = [
 
 FORMAT, VERSION = "tapetum-dataset", 1
 TRAIN, TEST, EMBARGO = 0, 1, 2
-
 QUANTITIES = {
     "gaze_x": "fraction of the field of view",
     "gaze_y": "fraction of the field of view",
     "object_distance": "m",
     "focal_length": "m",
 }
-"""What a frame may be labelled with, and the unit of each."""
+"""Possible labels of a frame that are numbers, and their units."""
 
 TRUE_GAZE = ("true_gaze_x", "true_gaze_y")
-"""Variables of a synthesised set: where the target that films really looked. None of its labels."""
+"""Variables of a synthesised set with the true gaze, which are not labels."""
 
 DEVICE = "device"
-"""The one label that is a class: whole numbers whose names are the variable's attribute ``classes``."""
+"""The only label that is a class: integers, named by the variable's attribute ``classes``."""
 
 _NEEDED = ("image", "split", "recording")
+_AGAIN = "build the dataset again"
+_BUILT = "give a folder that `tapetum dataset build` wrote"
+# Errors of Zarr and xarray for a store that is damaged or of another kind.
+_DAMAGED = (ValueError, OSError, KeyError, TypeError, ImportError, OverflowError, AttributeError, RuntimeError)
+
+
+class _Attributes(BaseModel):
+    """Required attributes of a store of a known format and version."""
+
+    model_config = ConfigDict(strict=True, allow_inf_nan=False)
+
+    full_scale: PositiveFloat
+    targets: list[Any]
 
 
 def content_hash(dataset: xr.Dataset, *, progress: Progress = quiet) -> str:
-    """Return the SHA-256 of a dataset's content, every image read: equal for equal contents, however stored.
+    """Return the SHA-256 of a dataset's content, which does not depend on how it is stored. Every image is read.
 
-    Images, all variables along ``frame`` (labels, split and recording among them), the names of the classes, the names
-    of the labels and the full scale count.
-
-    Parameters
-    ----------
-    dataset
-        A dataset with ``image(frame, y, x)``.
-    progress
-        Shown over the batches of images.
+    It covers images, all variables along ``frame`` (labels, split and recording among them), the names of classes and
+    labels, and the full scale. `progress` is shown over the batches of images.
     """
     total = -(-dataset.sizes["frame"] // 64)
     batches = progress(image_batches(dataset, 64), "hashing the dataset", total=total)
@@ -86,24 +91,9 @@ def _hash(dataset: xr.Dataset, digests: NDArray[np.uint8]) -> str:
 
 
 def image_batches(dataset: xr.Dataset, size: int = 64) -> Iterator[NDArray[np.generic]]:
-    """Read the images of a dataset in order, a batch at a time.
+    """Yield the images of a dataset, stored or in memory, in order: [n, side, side], `size` frames at a time.
 
-    Parameters
-    ----------
-    dataset
-        A dataset with ``image(frame, y, x)``, stored or in memory.
-    size
-        Frames a batch; the last one may be shorter.
-
-    Yields
-    ------
-    ndarray
-        [n, side, side].
-
-    Raises
-    ------
-    InputError
-        When a stored part cannot be read or fails its checksum.
+    Raises an InputError when a stored part cannot be read or fails its checksum.
     """
     if size < 1:
         raise InputError(f"must be positive, is {size}", where="size", remedy="give a number of frames")
@@ -116,22 +106,16 @@ def _images_of(dataset: xr.Dataset) -> xr.DataArray:
     image = dataset.get("image")
     if image is None or image.dims != ("frame", "y", "x"):
         remedy = "build it with `tapetum dataset build`"
-        raise InputError("no images image(frame, y, x)", where=_name(dataset), remedy=remedy)
+        raise InputError("no images image(frame, y, x)", where=dataset.tp.source, remedy=remedy)
     return image
-
-
-def _name(dataset: xr.Dataset) -> str:
-    return str(dataset.encoding.get("source", "dataset"))
 
 
 def _read(array: xr.DataArray, dataset: xr.Dataset) -> NDArray[Any]:
     try:
         return np.asarray(array.values)
-    except (ValueError, RuntimeError, OSError, KeyError) as error:
-        remedy = "build the dataset again"
-        raise InputError(
-            f"damaged: {array.name} cannot be read ({error})", where=_name(dataset), remedy=remedy
-        ) from error
+    except _DAMAGED as error:
+        what = f"damaged: {array.name} cannot be read ({error})"
+        raise InputError(what, where=dataset.tp.source, remedy=_AGAIN) from error
 
 
 def split_variable(split: NDArray[np.int8]) -> xr.Variable:
@@ -141,19 +125,10 @@ def split_variable(split: NDArray[np.int8]) -> xr.Variable:
 
 
 def class_variable(names: Sequence[str], classes: Sequence[str] | None = None) -> xr.Variable:
-    """Return names, one a frame, as the variable `device`: int32 numbers with the attribute ``classes``.
+    """Return device names [N] as the variable `device`: int32 numbers with the attribute ``classes``.
 
-    Parameters
-    ----------
-    names
-        [N], the model of every frame's target.
-    classes
-        All names, in the order of their numbers; by default those that occur, sorted.
-
-    Raises
-    ------
-    InputError
-        When a name is empty or not among the classes, or a class is named twice.
+    `classes` lists all names in the order of their numbers, by default those that occur, sorted. Raises an InputError
+    when a name is empty or not among the classes, or a class is named twice.
     """
     known = sorted(set(map(str, names))) if classes is None else [str(name) for name in classes]
     number = {name: n for n, name in enumerate(known)}
@@ -174,21 +149,21 @@ def dataset_from_arrays(
     split: ArrayLike | None = None,
     recording: ArrayLike | None = None,
 ) -> xr.Dataset:
-    """Make a dataset in memory, for photographs or simulated images that come without a recording.
+    """Make a dataset in memory, for photographs or simulated images without a recording.
 
     Parameters
     ----------
     images
         [N, side, side] crops, uint8, uint16 or float counts.
     targets
-        Name of a quantity to its [N] values in SI units (gaze in fractions of the field of view); `device` to
-        [N] names.
+        Name of a quantity to its [N] values in SI units (gaze in fractions of the field of view); `device` to [N]
+        names.
     full_scale
-        Largest count of the camera; 255 for uint8 where left out.
+        Largest count of the camera; 255 by default for uint8.
     split
-        [N], 0 train, 1 test or 2 neither; all train where left out.
+        [N], 0 train, 1 test or 2 neither; by default all train.
     recording
-        [N], number of the video each image comes from; all 0 where left out.
+        [N], number of the video each image comes from; by default 0.
 
     Returns
     -------
@@ -198,122 +173,83 @@ def dataset_from_arrays(
     Raises
     ------
     InputError
-        When shapes differ, a target is not finite, or the depth is left open.
+        When shapes differ, a target is not finite, or the depth is unknown.
     """
     array = np.asarray(images)
-    if array.ndim != 3 or array.shape[1] != array.shape[2] or len(array) == 0:
+    count = len(array) if array.ndim else 0
+    if array.ndim != 3 or array.shape[1] != array.shape[2] or not count:
         raise InputError(f"expected square crops [N, side, side], got shape {array.shape}", where="images")
-    if full_scale is None:
-        if array.dtype != np.uint8:
-            raise InputError(
-                f"the depth of {array.dtype} images cannot be known", where="images", remedy="pass full_scale"
-            )
-        full_scale = 255
+    if full_scale is None and array.dtype != np.uint8:
+        what = f"the depth of {array.dtype} images cannot be known"
+        raise InputError(what, where="images", remedy="pass full_scale")
     columns: dict[str, xr.Variable] = {}
     for name, values in targets.items():
         if name == DEVICE:
             names = np.asarray(values).ravel()
-            if len(names) != len(array) or names.dtype.kind not in "UO":
-                raise InputError(f"expected {len(array)} names, got shape {names.shape}", where=name)
+            if len(names) != count or names.dtype.kind not in "UO":
+                raise InputError(f"expected {count} names, got shape {names.shape}", where=name)
             columns[name] = class_variable([str(one) for one in names])
             continue
         column = np.asarray(values, dtype=np.float32)
-        if column.shape != (len(array),) or not np.isfinite(column).all():
-            raise InputError(f"expected {len(array)} finite values, got shape {column.shape}", where=name)
+        if column.shape != (count,) or not np.isfinite(column).all():
+            raise InputError(f"expected {count} finite values, got shape {column.shape}", where=name)
         columns[name] = xr.Variable(("frame",), column, {"units": QUANTITIES.get(name, "1")})
-    zeros = np.zeros(len(array))
-    parts = np.asarray(zeros if split is None else split).astype(np.int8)
-    videos = np.asarray(zeros if recording is None else recording).astype(np.int32)
-    if (
-        parts.shape != (len(array),)
-        or videos.shape != (len(array),)
-        or not np.isin(parts, (TRAIN, TEST, EMBARGO)).all()
-    ):
-        raise InputError(
-            f"expected {len(array)} values, split of 0 (train), 1 (test) or 2 (neither)", where="split, recording"
-        )
-    return xr.Dataset(
-        {
-            "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
-            **columns,
-            "split": split_variable(parts),
-            "recording": xr.Variable(("frame",), videos),
-        },
-        attrs={
-            "format": FORMAT,
-            "version": VERSION,
-            "full_scale": float(full_scale),
-            "targets": list(columns),
-        },
-    )
+    parts = np.zeros(count, np.int8) if split is None else np.asarray(split).astype(np.int8)
+    videos = np.zeros(count, np.int32) if recording is None else np.asarray(recording).astype(np.int32)
+    if {parts.shape, videos.shape} != {(count,)} or not np.isin(parts, (TRAIN, TEST, EMBARGO)).all():
+        what = f"expected {count} values, split of 0 (train), 1 (test) or 2 (neither)"
+        raise InputError(what, where="split, recording")
+    variables = {
+        "image": xr.Variable(("frame", "y", "x"), array, {"units": "count"}),
+        **columns,
+        "split": split_variable(parts),
+        "recording": xr.Variable(("frame",), videos),
+    }
+    scale = 255.0 if full_scale is None else float(full_scale)
+    attributes = {"format": FORMAT, "version": VERSION, "full_scale": scale, "targets": list(columns)}
+    return xr.Dataset(variables, attrs=attributes)
 
 
 def open_dataset(path: str | Path) -> xr.Dataset:
-    """Open a dataset lazily: images are read when they are used.
-
-    Parameters
-    ----------
-    path
-        A local folder or any address that fsspec knows.
+    """Open a dataset, a local folder or any address that fsspec knows; images are read when they are used.
 
     Returns
     -------
     xarray.Dataset
-        ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels
-        of the frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``label_back``,
-        ``label_ahead`` (s, how far the label reaches from the frame), ``split``; see
-        `DatasetAccessor`. Synthesised sets have ``true_gaze_x`` and ``true_gaze_y`` besides.
+        ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels of the
+        frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``label_back``, ``label_ahead`` (s,
+        time span of the measurements behind a label), ``split``; in synthesised sets also ``true_gaze_x`` and
+        ``true_gaze_y``. See `DatasetAccessor`.
 
     Raises
     ------
     InputError
-        When there is nothing there, it is not a Tapetum dataset, a newer Tapetum wrote it, or parts are
-        missing.
+        When nothing is there, it is not a Tapetum dataset, a newer Tapetum wrote it, or parts are missing.
     """
     address = str(path)
     local = "://" not in address
     if local and not Path(address).exists():
         raise InputError("does not exist", where=address, remedy="build it with `tapetum dataset build`")
     if local and not (Path(address) / "zarr.json").is_file():
-        raise InputError(
-            "is not a dataset (no zarr.json)",
-            where=address,
-            remedy="give a folder that `tapetum dataset build` wrote",
-        )
-    remedy = "build the dataset again"
+        raise InputError("is not a dataset (no zarr.json)", where=address, remedy=_BUILT)
     try:
         group = zarr.open_group(address, mode="r", zarr_format=3)
         attributes = dict(group.attrs)
-    except (ValueError, OSError, KeyError, TypeError, ImportError, OverflowError, AttributeError) as error:
-        raise InputError(f"is not a readable Zarr v3 store ({error})", where=address, remedy=remedy) from error
+    except _DAMAGED as error:
+        raise InputError(f"is not a readable Zarr v3 store ({error})", where=address, remedy=_AGAIN) from error
     _check_format(attributes, address)
     try:
-        # No chunks=...: that is for Dask, which Tapetum does without. Counts stay counts: no masks, no
-        # scaling.
+        # chunks=None: arrays without Dask. Counts stay counts: no masks, no scaling.
         dataset = xr.open_zarr(
             address, zarr_format=3, consolidated=False, chunks=None, mask_and_scale=False, decode_times=False
         )
-        missing = [name for name in (*_NEEDED, *_listed(attributes)) if name not in dataset]
-        if missing:
-            raise InputError(f"damaged: lacks {', '.join(missing)}", where=address, remedy=remedy)
-        if DEVICE in _listed(attributes) and not _named(dataset[DEVICE]):
-            raise InputError(f"damaged: {DEVICE} lacks names for its numbers", where=address, remedy=remedy)
-        for name in dataset.variables if local else ():
-            array = group[str(name)]
-            # Zarr reads a chunk that is not there as zeros, without a word.
-            if isinstance(array, zarr.Array) and array.nchunks_initialized != array.nchunks:
-                lost = array.nchunks - array.nchunks_initialized
-                raise InputError(
-                    f"damaged: {lost} of {array.nchunks} parts of {name} are missing",
-                    where=address,
-                    remedy=remedy,
-                )
-    except InputError:
-        raise
-    except (ValueError, OSError, KeyError, TypeError, RuntimeError, OverflowError, MemoryError) as error:
-        raise InputError(f"damaged: {error}", where=address, remedy=remedy) from error
+        found = _faults(dataset, group, _listed(attributes), chunks=local)
+    except (*_DAMAGED, MemoryError) as error:
+        raise InputError(f"damaged: {error}", where=address, remedy=_AGAIN) from error
+    for fault in found:
+        raise InputError(f"damaged: {fault}", where=address, remedy=_AGAIN)
     dataset.encoding["source"] = address
-    # The labels are small, and a damaged one should be reported here, not in the middle of training.
+    # Labels are read now, so that damage is reported here and not in the middle of training.
     for name, variable in dataset.data_vars.items():
         if variable.dims == ("frame",):
             dataset[name] = variable.copy(data=_read(variable, dataset))
@@ -322,26 +258,35 @@ def open_dataset(path: str | Path) -> xr.Dataset:
 
 def _check_format(attributes: Mapping[str, Any], address: str) -> None:
     if attributes.get("format") != FORMAT:
-        remedy = "give a folder that `tapetum dataset build` wrote"
-        raise InputError(
-            f"is not a Tapetum dataset (format {attributes.get('format')!r})", where=address, remedy=remedy
-        )
+        what = f"is not a Tapetum dataset (format {attributes.get('format')!r})"
+        raise InputError(what, where=address, remedy=_BUILT)
     version = attributes.get("version")
     if not isinstance(version, int) or version > VERSION:
-        raise InputError(
-            f"has version {version!r} of the format, this Tapetum reads up to {VERSION}",
-            where=address,
-            remedy="update Tapetum",
-        )
-    full_scale = attributes.get("full_scale")
-    if not isinstance(full_scale, int | float) or not full_scale > 0 or not isinstance(attributes.get("targets"), list):
-        raise InputError("damaged: no full_scale or targets", where=address, remedy="build the dataset again")
+        what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
+        raise InputError(what, where=address, remedy="update Tapetum")
+    try:
+        _Attributes.model_validate(attributes)
+    except ValidationError as error:
+        raise InputError("damaged: no full_scale or targets", where=address, remedy=_AGAIN) from error
 
 
-def _named(device: xr.DataArray) -> bool:
-    """Whether every number of a class label has its name."""
-    classes, numbers = device.attrs.get("classes"), np.asarray(device.values)
-    return isinstance(classes, list) and (not numbers.size or 0 <= numbers.min() <= numbers.max() < len(classes))
+def _faults(dataset: xr.Dataset, group: zarr.Group, targets: Sequence[str], *, chunks: bool) -> list[str]:
+    """Return what a store lacks: variables, names of classes, chunks."""
+    found = []
+    if missing := [name for name in (*_NEEDED, *targets) if name not in dataset]:
+        found.append(f"lacks {', '.join(missing)}")
+    if DEVICE in targets and DEVICE in dataset:
+        classes, numbers = dataset[DEVICE].attrs.get("classes"), np.asarray(dataset[DEVICE].values)
+        known = len(classes) if isinstance(classes, list) else 0
+        if not isinstance(classes, list) or (numbers.size and not 0 <= numbers.min() <= numbers.max() < known):
+            found.append(f"{DEVICE} lacks names for its numbers")
+    for name in dataset.variables if chunks else ():
+        array = group[str(name)]
+        # Zarr silently reads a missing chunk as zeros.
+        if isinstance(array, zarr.Array) and array.nchunks_initialized != array.nchunks:
+            lost = array.nchunks - array.nchunks_initialized
+            found.append(f"{lost} of {array.nchunks} parts of {name} are missing")
+    return found
 
 
 def _listed(attributes: Mapping[str, Any]) -> tuple[str, ...]:
@@ -350,24 +295,16 @@ def _listed(attributes: Mapping[str, Any]) -> tuple[str, ...]:
 
 @xr.register_dataset_accessor("tp")
 class DatasetAccessor:
-    """What a Tapetum dataset knows beyond xarray, as ``dataset.tp``."""
+    """Tapetum's properties and methods of a dataset, as ``dataset.tp``."""
 
     def __init__(self, dataset: xr.Dataset) -> None:
         self._dataset = dataset
 
     def plot(self, count: int = 12) -> Figure:
-        """Draw some crops, evenly spread over the set, with their labels.
+        """Draw at most `count` crops with their labels, evenly spread over the set.
 
-        Parameters
-        ----------
-        count
-            How many at the most.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            It belongs to no window: a notebook shows it, `savefig` writes it. `tapetum dataset info --sheet` draws a
-            whole contact sheet.
+        The figure has no window: a notebook shows it, `savefig` writes it. `tapetum dataset info --sheet` draws a whole
+        contact sheet.
         """
         from matplotlib.figure import Figure
 
@@ -382,12 +319,15 @@ class DatasetAccessor:
             axis = figure.add_subplot(tall, wide, n + 1)
             axis.imshow(np.sqrt(image), cmap="inferno", vmin=0, vmax=self.full_scale**0.5)
             axis.set_axis_off()
-            told = [self._label(name, few[name].values[n]) for name in self.targets if name in few]
+            values = [(name, few[name].values[n]) for name in self.targets if name in few]
+            told = [self.classes[int(one)] if name == DEVICE else f"{float(one):.3g}" for name, one in values]
             axis.set_title(", ".join(told), fontsize=7)
         return figure
 
-    def _label(self, name: str, value: Any) -> str:
-        return self.classes[int(value)] if name == DEVICE else f"{float(value):.3g}"
+    @property
+    def source(self) -> str:
+        """Path or address of the dataset, for messages."""
+        return str(self._dataset.encoding.get("source", "dataset"))
 
     def _part(self, flag: int) -> xr.Dataset:
         wanted = np.flatnonzero(np.asarray(self._dataset["split"].values) == flag)
@@ -395,22 +335,22 @@ class DatasetAccessor:
 
     @property
     def train(self) -> xr.Dataset:
-        """The frames that models learn from: by default the first 80 % of every video."""
+        """The frames to train with: by default the first 80 % of every video."""
         return self._part(TRAIN)
 
     @property
     def test(self) -> xr.Dataset:
-        """The frames that models are judged by: by default the last 20 % of every video, less an embargo."""
+        """The frames to test with: by default the last 20 % of every video, less an embargo."""
         return self._part(TEST)
 
     @property
     def targets(self) -> tuple[str, ...]:
-        """Names of the quantities that every frame is labelled with."""
+        """Names of the labels that every frame has."""
         return _listed(self._dataset.attrs)
 
     @property
     def classes(self) -> tuple[str, ...]:
-        """Names of the numbers in `device`; empty where the frames have no such label."""
+        """Names of the numbers in `device`; empty without this label."""
         return tuple(self._dataset[DEVICE].attrs["classes"]) if DEVICE in self._dataset else ()
 
     @property
@@ -425,20 +365,20 @@ class DatasetAccessor:
 
     @property
     def hash(self) -> str:
-        """SHA-256 of what this set holds now: a part of it (``train``, ``test``) or a relabelled copy has its own.
+        """SHA-256 of the present content: a part (``train``, ``test``) or a relabelled copy has its own.
 
-        Images in memory are hashed as they are; of a stored set the digests kept beside its images are taken, and sets
-        of earlier versions, which have none, are read. See `content_hash`.
+        A stored set has digests of its images; images in memory, and sets of versions without digests, are read. See
+        `content_hash`.
         """
         image, digests = _images_of(self._dataset), self._dataset.get(DIGEST)
-        # Digests are those of the stored images: what is in memory may have been changed.
+        # Digests belong to the stored images; images in memory may have been changed.
         if digests is None or image.variable._in_memory:
             return content_hash(self._dataset)
         return _hash(self._dataset, _read(digests, self._dataset))
 
     @property
     def recordings(self) -> list[dict[str, Any]]:
-        """What each number in ``recording`` stands for: name, uuid, frames, frames used and left out."""
+        """Name, uuid, and counts of frames, used and left out, of each number in ``recording``."""
         return json.loads(self._dataset.attrs.get("recordings", "[]"))
 
     def images(self, batch: int = 64) -> Iterator[NDArray[np.generic]]:
@@ -446,15 +386,9 @@ class DatasetAccessor:
         return image_batches(self._dataset, batch)
 
     def values(self, names: tuple[str, ...]) -> NDArray[np.float64]:
-        """Return labels as [N, len(names)].
-
-        Raises
-        ------
-        InputError
-            When the dataset lacks one of them.
-        """
+        """Return labels as [N, len(names)]; raise an InputError when one is missing."""
         for name in names:
             if name not in self._dataset:
                 have = ", ".join(self.targets) or "none"
-                raise InputError(f"has no label {name!r}", where=_name(self._dataset), remedy=f"it has: {have}")
+                raise InputError(f"has no label {name!r}", where=self.source, remedy=f"it has: {have}")
         return np.stack([np.asarray(self._dataset[n].values, dtype=np.float64) for n in names], axis=1)

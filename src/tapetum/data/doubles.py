@@ -1,8 +1,7 @@
-"""Frames of a dataset that are there twice: the very same pixels, or copies of one exposure."""
+"""Duplicate frames of a dataset: identical pixels, or copies of one exposure."""
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -13,56 +12,50 @@ from numpy.typing import NDArray
 from tapetum.data.dataset import TEST, TRAIN
 from tapetum.progress import Progress
 
-__all__ = ["CELLS", "NEAR_BITS", "Doubles", "digest", "exact_pairs", "fingerprint", "near_pairs", "summed_up"]
+__all__ = ["CELLS", "NEAR_BITS", "Doubles", "exact_pairs", "fingerprint", "near_pairs", "summed_up"]
 
 NEAR_BITS = 16
-"""Frames count as nearly the same when their 256-bit fingerprints differ in at most this many bits.
+"""Frames are near duplicates when their 256-bit fingerprints differ in at most this many bits.
 
-The fingerprint tells which of two neighbouring cells of a 16 x 17 mosaic is brighter. Where the picture is dark, noise
-decides that; so two exposures of one scene differ in some hundred bits, and what is left are copies: the same exposure
-saved again, compressed, shifted by some counts, or scaled. Pictures without noise are near by their RR alone.
+The fingerprint says which of two neighbouring cells of a 16 x 17 mosaic is brighter. In dark areas noise decides that,
+so two exposures of one scene differ in some hundred bits; near duplicates are copies of one exposure, compressed,
+shifted by some counts, or scaled. Only noiseless images can be near duplicates by their RR alone.
 """
 
 CELLS = 16
 """Rows of the fingerprint's mosaic, and comparisons in each."""
 
-# More frames than any set has; and pairs compared at once, which bounds the memory.
+# A limit above the number of frames, to code distance and number in one integer; and pairs compared at once.
 _FRAMES = 1 << 40
 _FAR = (NEAR_BITS + 1) * _FRAMES
 _AT_ONCE = 1 << 18
-# Time of a pair that shares a part, over that of a pair in a matrix product (measured: some 4).
+# Measured time of comparing a pair that shares a part, over that of a pair in a matrix product.
 _DEARER = 4
-# Pairs that a summary names, so that a person can look at them.
+# Pairs that a summary lists.
 _PAIRS_KEPT = 20
 
 
 @dataclass(frozen=True)
 class Doubles:
-    """Frames that repeat an earlier one: how many, how many across the split, and the first pairs (earlier, later)."""
+    """Number of repeated frames, number of these across the split, and the first pairs (earlier, later)."""
 
     frames: int
     across_split: int
     pairs: tuple[tuple[int, int], ...]
 
 
-def digest(image: NDArray[np.generic]) -> bytes:
-    """Return 16 letters that equal images share."""
-    return hashlib.blake2b(np.ascontiguousarray(image).data, digest_size=8).hexdigest().encode()
-
-
 def fingerprint(image: NDArray[np.generic]) -> NDArray[np.bool_]:
-    """Return the 256 bits of a finite picture [H, W] that nearly equal pictures nearly share; see `NEAR_BITS`."""
+    """Return the 256-bit fingerprint of a finite image [H, W]; see `NEAR_BITS`."""
     mosaic = cv2.resize(image.astype(np.float32), (CELLS + 1, CELLS), interpolation=cv2.INTER_AREA)
     return (mosaic[:, 1:] > mosaic[:, :-1]).ravel()
 
 
-def exact_pairs(digests: NDArray[np.bytes_], split: NDArray[np.integer]) -> list[tuple[int, int]]:
-    """Return (first, later) for every frame that equals an earlier one; the other part's first, where there is one."""
+def exact_pairs(digests: NDArray[np.uint8], split: NDArray[np.integer]) -> list[tuple[int, int]]:
+    """Return (first, later) for every frame with an earlier digest [N, B], preferring a first of the other part."""
     seen: dict[bytes, dict[int, int]] = {}
     pairs: list[tuple[int, int]] = []
-    for n, found in enumerate(digests.tolist()):
-        firsts = seen.setdefault(found, {})
-        part = int(split[n])
+    for n, (found, part) in enumerate(zip(digests, split.tolist(), strict=True)):
+        firsts = seen.setdefault(found.tobytes(), {})
         if firsts:
             pairs.append((next((f for p, f in firsts.items() if p != part), min(firsts.values())), n))
         firsts.setdefault(part, n)
@@ -70,15 +63,15 @@ def exact_pairs(digests: NDArray[np.bytes_], split: NDArray[np.integer]) -> list
 
 
 def near_pairs(prints: NDArray[np.bool_], wanted: NDArray[np.bool_], progress: Progress) -> Iterator[tuple[int, int]]:
-    """Yield (earlier, later) for every wanted frame whose fingerprint is near an earlier one's, nearest first.
+    """Yield (nearest earlier, later) for every wanted frame whose fingerprint is near an earlier one's.
 
-    Two fingerprints that differ in at most `NEAR_BITS` bits share one of `NEAR_BITS` + 1 parts whole (multi-index
-    hashing: Norouzi, Punjani and Fleet, CVPR 2012), so only frames that share a part are compared: of frames with noise
-    few do. Where all are much alike, every pair is.
+    Fingerprints that differ in at most `NEAR_BITS` bits agree in one of `NEAR_BITS` + 1 parts (multi-index hashing:
+    Norouzi, Punjani and Fleet, CVPR 2012), so only frames that share a part are compared. Where too many do, all pairs
+    are compared by matrix products.
     """
     frames = np.flatnonzero(wanted)
     bits = prints[frames]
-    # Every 17th bit: neighbouring cells of the mosaic hang together, and would fall into one part.
+    # Every 17th bit, because neighbouring cells of the mosaic are correlated.
     parts = [_numbered(bits[:, part :: NEAR_BITS + 1]) for part in range(NEAR_BITS + 1)]
     shared = sum(int((np.unique(part, return_counts=True)[1].astype(np.int64) ** 2).sum()) for part in parts)
     few = _DEARER * shared < len(frames) ** 2
@@ -92,7 +85,7 @@ def _numbered(bits: NDArray[np.bool_]) -> NDArray[np.int64]:
 
 
 def _near_by_parts(bits: NDArray[np.bool_], parts: list[NDArray[np.int64]], progress: Progress) -> NDArray[np.int64]:
-    """Each frame's nearest earlier one of those that share a part, as `_FRAMES` times the distance and its number."""
+    """Return each frame's nearest earlier one that shares a part, as `_FRAMES` times the distance plus its number."""
     packed = np.packbits(bits, axis=1).view(np.uint64)
     nearest = np.full(len(bits), _FAR, dtype=np.int64)
     for part in progress(parts, "comparing them", total=len(parts)):
@@ -111,7 +104,7 @@ def _near_by_parts(bits: NDArray[np.bool_], parts: list[NDArray[np.int64]], prog
 
 
 def _near_of_all(bits: NDArray[np.bool_], progress: Progress) -> NDArray[np.int64]:
-    """The same among all earlier frames, by matrix products."""
+    """Return the same among all earlier frames, by matrix products."""
     signs = np.where(bits, np.float32(1), np.float32(-1))
     nearest = np.full(len(bits), _FAR, dtype=np.int64)
     step = 512
@@ -127,6 +120,6 @@ def _near_of_all(bits: NDArray[np.bool_], progress: Progress) -> NDArray[np.int6
 
 
 def summed_up(pairs: list[tuple[int, int]], split: NDArray[np.integer]) -> Doubles:
-    """Count pairs, and those that stand on both sides of the split."""
+    """Return the number of pairs, of those across the split, and the first pairs."""
     across = sum({int(split[a]), int(split[b])} == {TRAIN, TEST} for a, b in pairs)
     return Doubles(len(pairs), across, tuple(pairs[:_PAIRS_KEPT]))

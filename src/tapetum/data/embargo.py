@@ -1,7 +1,7 @@
-"""Keeping parts of a video apart: no label of one part may share a measurement with a label of the other.
+"""Separation of the parts of a video: no label of one part may share a measurement with a label of the other.
 
-The label of a frame is a smooth path through measurements around it (`tapetum.record.Joined.interpolate`). Where two
-frames share one of these, its error is in both labels, and a model that learned the one knows something of the other.
+A frame's label is interpolated between measurements around it (`tapetum.record.Joined.interpolate`). Two frames that
+share one of these share its error, which a model could learn from one and reproduce for the other.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ REACH = ("label_back", "label_ahead")
 
 
 def reach_of(dataset: xr.Dataset) -> NDArray[np.float64] | None:
-    """Return the span of time [N, 2] that each label of a dataset rests on, in seconds; None where it is not told."""
+    """Return the time span [N, 2] of the measurements behind each label, in seconds; None where it is unknown."""
     if not all(name in dataset for name in ("time", *REACH)):
         return None
     time, back, ahead = (np.asarray(dataset[name].values, np.float64) for name in ("time", *REACH))
@@ -29,21 +29,11 @@ def reach_of(dataset: xr.Dataset) -> NDArray[np.float64] | None:
 def meeting(
     span: NDArray[np.float64], recording: NDArray[np.integer], one: NDArray[np.bool_], other: NDArray[np.bool_]
 ) -> NDArray[np.bool_]:
-    """Return which frames of one part have a label that overlaps with one of the other part in the same recording.
+    """Return [N] which frames of part `one` [N] have a label that overlaps with one of part `other` [N] in the same
+    recording.
 
-    Parameters
-    ----------
-    span
-        [N, 2] first and last moment that each label rests on, in seconds.
-    recording
-        [N] number of each frame's recording.
-    one, other
-        [N] which frames belong to each part.
-
-    Returns
-    -------
-    ndarray
-        [N], false outside `one`.
+    `span` [N, 2] is the time span of the measurements behind each label, in seconds; `recording` [N] numbers the
+    recordings.
     """
     found = np.zeros(len(span), dtype=bool)
     for number in np.unique(recording[one]):
@@ -51,12 +41,12 @@ def meeting(
         if not there.any():
             continue
         kept = span[there][np.argsort(span[there, 0], kind="stable")]
-        # Of all spans that begin before this one ends, does the last to end do so after this one's beginning?
+        # A span overlaps if any span that begins before its end ends after its beginning.
         ends = np.r_[-np.inf, np.maximum.accumulate(kept[:, 1])]
         found[here] = ends[np.searchsorted(kept[:, 0], span[here, 1], side="left")] > span[here, 0]
     return found
 
 
 def embargoed(split: NDArray[np.int8], recording: NDArray[np.integer], span: NDArray[np.float64]) -> NDArray[np.int8]:
-    """Return the split [N] with those test frames taken out whose label overlaps with a training frame's."""
+    """Return the split [N] with the embargo set on test frames whose label overlaps with a training frame's."""
     return np.where(meeting(span, recording, split == TEST, split == TRAIN), EMBARGO, split).astype(np.int8)

@@ -1,7 +1,4 @@
-"""What a dataset holds and what is wrong with it: counts, labels, doubles, overexposed and empty frames, centring.
-
-The images pass by once, a batch at a time; a set far larger than the memory is no trouble.
-"""
+"""Contents and defects of a dataset: counts, labels, duplicates, overexposed and empty frames, centring."""
 
 from __future__ import annotations
 
@@ -12,9 +9,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from tapetum.data.content import image_digests
 from tapetum.data.crop import SIGMA, find_peak
-from tapetum.data.dataset import EMBARGO, TEST, TRAIN, image_batches
-from tapetum.data.doubles import CELLS, Doubles, digest, exact_pairs, fingerprint, near_pairs, summed_up
+from tapetum.data.dataset import DEVICE, EMBARGO, TEST, TRAIN, image_batches
+from tapetum.data.doubles import CELLS, Doubles, exact_pairs, fingerprint, near_pairs, summed_up
+from tapetum.data.write import RING_SIGMA
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 
@@ -23,26 +22,23 @@ __all__ = [
     "OFF_CENTRE",
     "SATURATED_SHARE",
     "DatasetQuality",
-    "LabelSummary",
+    "LabelQuality",
     "Spread",
     "class_names",
     "inspect_dataset",
 ]
 
 SATURATED_SHARE = 1e-4
-"""A frame counts as saturated when more than this share of its pixels stands at full scale: 16 of 400 x 400, more than
-a sensor has hot pixels in such a crop."""
+"""A frame is saturated when more than this share of its pixels (16 of 400 x 400) is at full scale."""
 
 EMPTY_SNR = 6.0
-"""A frame counts as empty when its brightest smoothed point stands less than this over the noise: noise alone gives 4.
-"""
+"""A frame is empty when its brightest smoothed point is less than this many times the noise: noise alone gives 4."""
 
 OFF_CENTRE = 0.05
-"""A frame counts as off centre when its brightest smoothed point lies this part of the side or more from the middle."""
+"""A frame is off centre when its brightest smoothed point lies this fraction of the side or more from the middle."""
 
-_BATCH = 64
-_BINS = 24
-# Labels beyond these cannot be: gaze is a fraction of the field of view, lengths are positive.
+_BATCH, _BINS = 64, 24
+# Limits of possible labels: gaze is a fraction of the field of view, lengths are positive.
 _POSSIBLE = {
     "gaze_x": (-0.5, 0.5),
     "gaze_y": (-0.5, 0.5),
@@ -53,7 +49,7 @@ _POSSIBLE = {
 
 @dataclass(frozen=True)
 class Spread:
-    """How a quantity is distributed over the frames: finite values only, NaN where there are none."""
+    """Distribution of a quantity's finite values over the frames; NaN where there are none."""
 
     least: float
     median: float
@@ -64,8 +60,8 @@ class Spread:
 
 
 @dataclass(frozen=True)
-class LabelSummary:
-    """One label: its distribution, how many values are none, and how many cannot be."""
+class LabelQuality:
+    """Distribution of one label, and its numbers of missing and impossible values."""
 
     unit: str
     spread: Spread
@@ -76,39 +72,32 @@ class LabelSummary:
 
 @dataclass(frozen=True)
 class DatasetQuality:
-    """What `inspect_dataset` found; every count is a number of frames.
+    """Result of `inspect_dataset`; every count is a number of frames.
 
     Parameters
     ----------
     frames, train, test, embargo
-        Counts; embargo: those that neither train nor test.
+        Counts; embargo frames neither train nor test.
     side, full_scale
         Pixels along an edge, and the camera's largest count.
-    per_recording
-        (train, test) of each number in ``recording``, in order.
-    recordings
-        Names, in the same order.
-    labels
-        By target.
-    classes
-        Frames of each class of the label ``device``, empty without one.
+    per_recording, recordings
+        (train, test) of each number in ``recording``, in order, and the names.
+    labels, classes
+        By target; frames of each class of the label ``device``, empty without one.
     exact, near
-        Equal images, and nearly equal ones that are not equal; see `tapetum.data.doubles`.
-    saturated
-        Frames with more pixels at full scale than `SATURATED_SHARE`.
-    saturated_share
-        Distribution of the share of pixels at full scale.
-    empty
-        Frames of an SNR under `EMPTY_SNR`.
-    snr, off_centre, quality
-        Distributions: SNR; distance of the brightest smoothed point from the middle, in pixels; the label's
-        quality, None where the set does not tell it.
-    badly_centred
-        Frames that `OFF_CENTRE` calls so.
+        Identical images, and near duplicates that are not identical; see `tapetum.data.doubles`.
+    saturated, saturated_share
+        Frames with more pixels at full scale than `SATURATED_SHARE`; distribution of that share.
+    empty, snr
+        Frames of an SNR under `EMPTY_SNR`; distribution of the SNR.
+    badly_centred, off_centre
+        Frames off centre by `OFF_CENTRE` or more; distance of the brightest smoothed point from the middle, in pixels.
+    quality
+        Of the labels; None where unknown.
     not_finite
         Frames with pixels that are not finite.
     interleaved
-        Test frames that lie between train frames of their own recording: neighbours in time look alike.
+        Test frames that lie in time between train frames of their own recording, and so resemble them.
     """
 
     frames: int
@@ -119,7 +108,7 @@ class DatasetQuality:
     full_scale: float
     per_recording: tuple[tuple[int, int], ...]
     recordings: tuple[str, ...]
-    labels: dict[str, LabelSummary]
+    labels: dict[str, LabelQuality]
     classes: dict[str, int]
     exact: Doubles
     near: Doubles
@@ -135,89 +124,73 @@ class DatasetQuality:
 
 
 def class_names(dataset: xr.Dataset, name: str) -> list[str]:
-    """Return the names of a label's classes, from its attribute ``classes``; none for a label that is a number."""
+    """Return the names of a label's classes, from its attribute ``classes``; empty for a number."""
     classes = dataset[name].attrs.get("classes", ())
     return [str(c) for c in (classes.split() if isinstance(classes, str) else classes)]
 
 
 def inspect_dataset(
-    dataset: xr.Dataset,
-    *,
-    also: Sequence[Callable[[int, NDArray[np.generic]], None]] = (),
-    progress: Progress = quiet,
+    dataset: xr.Dataset, *, also: Sequence[Callable[[int, NDArray[np.generic]], None]] = (), progress: Progress = quiet
 ) -> DatasetQuality:
-    """Look at every frame once and sum up.
+    """Inspect every frame of a dataset, stored or in memory, in one pass; memory holds one batch at a time.
 
-    Parameters
-    ----------
-    dataset
-        A dataset, stored or in memory.
-    also
-        Called with the number of the first frame and the images [n, side, side] of every batch, for other
-        measures that need the images: reading them is most of the work.
-    progress
-        Shown over the batches.
-
-    Raises
-    ------
-    InputError
-        When it holds no frame, or a part cannot be read.
+    Each of `also` is called with the number of the first frame and the images [n, side, side] of every batch, for other
+    measures. Raises an InputError when the dataset is empty or a part cannot be read.
     """
     frames = dataset.sizes["frame"]
     if frames == 0:
-        raise InputError("holds no frame", where=dataset.encoding.get("source", "dataset"))
-    digests = np.zeros(frames, dtype="S16")
+        raise InputError("holds no frame", where=dataset.tp.source)
     prints = np.zeros((frames, CELLS * CELLS), dtype=bool)
     share, off, snr = (np.zeros(frames) for _ in range(3))
     finite = np.ones(frames, dtype=bool)
     top = dataset.tp.full_scale
     sigma = float(dataset.attrs.get("centre_sigma", SIGMA))
     known = np.asarray(dataset["snr"].values, dtype=float) if "snr" in dataset else None
-    start = 0
-    total = -(-frames // _BATCH)
+    digests, start, total = [], 0, -(-frames // _BATCH)
     for images in progress(image_batches(dataset, _BATCH), "looking at the crops", total=total):
         for n, image in enumerate(images, start):
             finite[n] = bool(np.isfinite(image).all())
-            calm = image if finite[n] else np.nan_to_num(image.astype(np.float64), posinf=0.0, neginf=0.0)
-            digests[n] = digest(image)
-            prints[n] = fingerprint(calm)
-            share[n] = np.count_nonzero(calm >= top) / calm.size
-            peak = find_peak(calm, sigma)
-            off[n] = np.hypot(peak.x - (calm.shape[1] - 1) / 2, peak.y - (calm.shape[0] - 1) / 2)
-            # The whole frame knows its noise better than the crop, which the RR may fill.
-            snr[n] = find_peak(calm, 4.0).snr if known is None else known[n]
-            if calm.min() == calm.max():
+            filled = image if finite[n] else np.nan_to_num(image.astype(np.float64), posinf=0.0, neginf=0.0)
+            prints[n] = fingerprint(filled)
+            share[n] = np.count_nonzero(filled >= top) / filled.size
+            peak = find_peak(filled, sigma)
+            off[n] = np.hypot(peak.x - (filled.shape[1] - 1) / 2, peak.y - (filled.shape[0] - 1) / 2)
+            # The stored SNR is that of the whole frame, better than that of the crop, which the RR may fill.
+            snr[n] = find_peak(filled, RING_SIGMA).snr if known is None else known[n]
+            if filled.min() == filled.max():
                 snr[n] = 0.0
+        digests.append(image_digests(images))
         for look in also:
             look(start, images)
         start += len(images)
     split, recording = (np.asarray(dataset[name].values) for name in ("split", "recording"))
-    exact = exact_pairs(digests, split)
-    repeats = np.zeros(frames, dtype=bool)
-    repeats[[later for _, later in exact]] = True
-    near = list(near_pairs(prints, ~repeats, progress))
+    exact = exact_pairs(np.concatenate(digests), split)
+    single = ~np.isin(np.arange(frames), [later for _, later in exact])
+    near = list(near_pairs(prints, single, progress))
     numbers = np.unique(recording).tolist()
+    own = [split[recording == number] for number in numbers]
+    told = dict(enumerate(dataset.tp.recordings))
     return DatasetQuality(
         frames=frames,
-        train=int(np.count_nonzero(split == TRAIN)),
-        test=int(np.count_nonzero(split == TEST)),
-        embargo=int(np.count_nonzero(split == EMBARGO)),
+        train=_count(split == TRAIN),
+        test=_count(split == TEST),
+        embargo=_count(split == EMBARGO),
         side=dataset.tp.side,
         full_scale=top,
-        per_recording=tuple(_parts(split[recording == number]) for number in numbers),
-        recordings=tuple(_recording_name(dataset, number) for number in numbers),
+        per_recording=tuple((_count(one == TRAIN), _count(one == TEST)) for one in own),
+        recordings=tuple(str(told[n]["name"]) if n in told else f"recording {n}" for n in numbers),
         labels={name: _label(dataset, name) for name in dataset.tp.targets},
         classes=_classes(dataset),
         exact=summed_up(exact, split),
         near=summed_up(near, split),
-        saturated=int(np.count_nonzero(share > SATURATED_SHARE)),
+        saturated=_count(share > SATURATED_SHARE),
         saturated_share=_spread(share),
-        empty=int(np.count_nonzero(snr < EMPTY_SNR)),
+        empty=_count(snr < EMPTY_SNR),
         snr=_spread(snr),
         off_centre=_spread(off),
-        badly_centred=int(np.count_nonzero(off >= OFF_CENTRE * dataset.tp.side)),
+        badly_centred=_count(off >= OFF_CENTRE * dataset.tp.side),
         quality=_spread(np.asarray(dataset["quality"].values)) if "quality" in dataset else None,
-        not_finite=int(np.count_nonzero(~finite)),
+        not_finite=_count(~finite),
         interleaved=_interleaved(dataset, split, recording),
     )
 
@@ -232,36 +205,31 @@ def _spread(values: NDArray[np.generic]) -> Spread:
     return Spread(least, median, mean, most, tuple(counts.tolist()), tuple(edges.tolist()))
 
 
-def _label(dataset: xr.Dataset, name: str) -> LabelSummary:
+def _label(dataset: xr.Dataset, name: str) -> LabelQuality:
     values = np.asarray(dataset[name].values, dtype=np.float64)
     finite = values[np.isfinite(values)]
     low, high = _POSSIBLE.get(name, (-np.inf, np.inf))
     if names := class_names(dataset, name):
         low, high = 0, len(names) - 1
-    return LabelSummary(
+    return LabelQuality(
         unit=str(dataset[name].attrs.get("units", "")),
         spread=_spread(values),
         not_finite=int(values.size - finite.size),
-        out_of_range=int(np.count_nonzero((finite < low) | (finite > high))),
+        out_of_range=_count((finite < low) | (finite > high)),
         distinct=int(np.unique(finite).size),
     )
 
 
 def _classes(dataset: xr.Dataset) -> dict[str, int]:
-    if "device" not in dataset:
+    if DEVICE not in dataset:
         return {}
-    numbers = np.asarray(dataset["device"].values).astype(int)
-    names = class_names(dataset, "device") or [str(n) for n in range(int(numbers.max(initial=-1)) + 1)]
-    return {name: int(np.count_nonzero(numbers == n)) for n, name in enumerate(names)}
+    numbers = np.asarray(dataset[DEVICE].values).astype(int)
+    names = class_names(dataset, DEVICE) or [str(n) for n in range(int(numbers.max(initial=-1)) + 1)]
+    return {name: _count(numbers == n) for n, name in enumerate(names)}
 
 
-def _parts(split: NDArray[np.integer]) -> tuple[int, int]:
-    return int(np.count_nonzero(split == TRAIN)), int(np.count_nonzero(split == TEST))
-
-
-def _recording_name(dataset: xr.Dataset, number: int) -> str:
-    told = dataset.tp.recordings
-    return str(told[number]["name"]) if 0 <= number < len(told) else f"recording {number}"
+def _count(which: NDArray[np.bool_]) -> int:
+    return int(np.count_nonzero(which))
 
 
 def _interleaved(dataset: xr.Dataset, split: NDArray[np.integer], recording: NDArray[np.integer]) -> int:
@@ -271,6 +239,6 @@ def _interleaved(dataset: xr.Dataset, split: NDArray[np.integer], recording: NDA
     for number in np.unique(recording):
         own = recording == number
         train, test = time[own & (split == TRAIN)], time[own & (split == TEST)]
-        if train.size and test.size:
-            total += int(np.count_nonzero((test >= train.min()) & (test <= train.max())))
+        if train.size:
+            total += _count((test >= train.min()) & (test <= train.max()))
     return total

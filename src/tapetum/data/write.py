@@ -1,4 +1,4 @@
-"""The one writer of datasets: crops and what is known of each, from recordings, pictures or the virtual bench."""
+"""The writer of datasets from recordings, pictures or the virtual bench."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, BloscShuffle, Crc32cCodec
 
 from tapetum.data.content import DIGEST, hash_of, image_digests
-from tapetum.data.crop import CENTRING, SIGMA
+from tapetum.data.crop import CENTRING, SIGMA, crop, find_centre, find_peak
 from tapetum.data.dataset import (
     DEVICE,
     EMBARGO,
@@ -33,17 +33,21 @@ from tapetum.data.embargo import embargoed
 from tapetum.errors import InputError
 from tapetum.files import atomic_folder
 
-__all__ = ["CHUNK", "LARGEST_SIDE", "DatasetWriter", "Rules", "dataset_writer", "make_array"]
+__all__ = ["AS_IMPORTED", "CHUNK", "LARGEST_SIDE", "RING_SIGMA", "DatasetWriter", "Rules", "dataset_writer"]
 
 CHUNK = 64
 """Frames a chunk of the store: 10 MB of 400 x 400 pixels before compression."""
 LARGEST_SIDE = 4000
-"""Largest side of a crop: a chunk of 16 bit crops then fills the 2 GB that its compression can take."""
+"""Largest side of a crop: a chunk of 16-bit crops then fills the 2 GB that its compressor accepts."""
+RING_SIGMA = 4.0
+"""Standard deviation in pixels of the smoothing that detects a faint RR best."""
+AS_IMPORTED = "as imported"
+"""The `Rules.centring` of images with the RR already in their middle."""
 
 
 @dataclass(frozen=True)
 class Rules:
-    """Which frames are kept, how they are cut and where they go: the arguments of `tapetum.data.build_dataset`."""
+    """How frames are selected, cut and split: the arguments of `tapetum.data.build_dataset`."""
 
     side: int = 400
     test_fraction: float = 0.2
@@ -53,16 +57,31 @@ class Rules:
     centring: str = CENTRING
     embargo: float = 0.0
 
+    def cut(self, image: NDArray[np.generic]) -> tuple[NDArray[np.generic], dict[str, float]] | None:
+        """Return the crop of a frame [H, W] with its place and SNR, or None where no RR is visible."""
+        # A narrow smoothing detects the RR best, a wider one locates its middle.
+        snr = find_peak(image, RING_SIGMA).snr
+        if self.centring == AS_IMPORTED:
+            x, y = (image.shape[1] - 1) / 2, (image.shape[0] - 1) / 2
+        elif snr < self.min_snr:
+            return None
+        else:
+            x, y = find_centre(image, self.sigma)
+        # A noiseless float frame has an infinite SNR, stored as 1e6.
+        return crop(image, (x, y), self.side), {"centre_x": x, "centre_y": y, "snr": min(snr, 1e6)}
+
+    def split(self, place: Any, total: Any) -> NDArray[np.int8]:
+        """Return the part of frames by their place in their video, counted from 0: its end tests."""
+        # Rounded, so that 0.8 of 10 frames is exactly 8.
+        first_test = np.round((1 - self.test_fraction) * np.asarray(total, float), 6)
+        return np.where(np.asarray(place) < first_test, TRAIN, TEST).astype(np.int8)
+
 
 class DatasetWriter:
-    """Appends crops to a store, whole chunks at a time, and what is known of each. Made by `dataset_writer`.
+    """Appends crops and their values to a store in whole chunks. Made by `dataset_writer`.
 
-    Attributes
-    ----------
-    told
-        What became of the frames of each recording: the store's attribute ``recordings``.
-    attributes
-        More attributes of the store, as JSON can hold them.
+    `told` becomes the store's attribute ``recordings``: the fate of each recording's frames. `attributes` are further
+    JSON attributes of the store.
     """
 
     def __init__(
@@ -81,10 +100,9 @@ class DatasetWriter:
         self._columns: dict[str, list[float]] = {}
         self._digests: list[NDArray[np.uint8]] = []
         self._buffer: list[NDArray[np.generic]] = []
-        shape = (CHUNK, rules.side, rules.side)
-        self._array = make_array(group, "image", (0, *shape[1:]), shape, dtype, ("frame", "y", "x"))
-        self._array.attrs["units"] = "count"
-        self._array.attrs["long_name"] = "crop around the retro-reflection"
+        side, about = rules.side, {"units": "count", "long_name": "crop around the retro-reflection"}
+        empty = np.empty((0, side, side), dtype)
+        self._array = _add_array(group, "image", empty, ("frame", "y", "x"), about, (CHUNK, side, side))
 
     @property
     def empty(self) -> bool:
@@ -92,7 +110,7 @@ class DatasetWriter:
         return not self._columns
 
     def add(self, image: NDArray[np.generic], /, **values: float) -> None:
-        """Add a crop [side, side], and what is known of it by name."""
+        """Add a crop [side, side] and its values by name."""
         self._digests.append(image_digests([image]))
         self._buffer.append(image)
         for name, value in values.items():
@@ -106,22 +124,14 @@ class DatasetWriter:
             self._buffer.clear()
 
     def finish(self) -> None:
-        """Write what is left of the images, the variables along ``frame``, and the store's attributes.
-
-        Raises
-        ------
-        InputError
-            When nothing, or nothing for one of the two parts, was added.
-        """
+        """Write the rest of the store; raise an InputError when no frame is left to train or to test with."""
         self._flush()
         rules, names = self._rules, self._names
-        _set_embargo(self._columns, self.told)
-        _check_parts(self._columns, self.told, rules.test_fraction)
-        variables = _write_columns(self._group, self._columns, names, self._classes)
+        self._set_embargo()
+        self._check_parts()
+        variables = self._write_columns()
         digests = np.concatenate(self._digests)
-        array = make_array(self._group, DIGEST, digests.shape, digests.shape, digests.dtype, ("frame", "digest_byte"))
-        array[:] = digests
-        array.attrs["long_name"] = "BLAKE2b of the crop"
+        _add_array(self._group, DIGEST, digests, ("frame", "digest_byte"), {"long_name": "BLAKE2b of the crop"})
         known, scale = self._classes if DEVICE in names else (), self._full_scale
         self._group.attrs.update(
             {
@@ -140,6 +150,53 @@ class DatasetWriter:
             }
         )
 
+    def _set_embargo(self) -> None:
+        """Set the embargo on test frames that share measurements with the training part, and count them."""
+        if self.empty:
+            return
+        time, back, ahead, recording, split = (
+            np.asarray(self._columns[name]) for name in ("time", "label_back", "label_ahead", "recording", "split")
+        )
+        split = embargoed(split.astype(np.int8), recording, np.stack([time - back, time + ahead], axis=1))
+        self._columns["split"] = split.tolist()
+        for number, line in enumerate(self.told):
+            line["embargo"] = int(np.count_nonzero((recording == number) & (split == EMBARGO)))
+
+    def _check_parts(self) -> None:
+        split = self._columns.get("split", [])
+        why = "; ".join(
+            f"{t['name']}: {t['frames']} frames, {', '.join(f'{k} {v}' for k, v in t['left_out'].items())}"
+            for t in self.told
+        )
+        if not split:
+            what = f"no frame has both a good label and a visible RR ({why})"
+            remedy = "check the labels and that the probe sees the target, or lower min_snr and min_quality"
+            raise InputError(what, where="recordings", remedy=remedy)
+        if 0 < self._rules.test_fraction < 1 and not {TRAIN, TEST} <= set(split):
+            part = "test" if TEST not in split else "train"
+            remedy = "record longer, or set test_fraction to 0 or 1"
+            if EMBARGO in split:
+                why += f"; {split.count(EMBARGO)} share measurements of their labels with training frames"
+            raise InputError(f"no frame is left to {part} with ({why})", where="recordings", remedy=remedy)
+
+    def _write_columns(self) -> dict[str, NDArray[np.generic]]:
+        """Write the variables along ``frame``; return them as they are stored."""
+        kinds = {name: (np.float32, {"units": QUANTITIES[name]}) for name in self._names if name != DEVICE} | _COLUMNS
+        kinds |= {name: _TRUE for name in TRUE_GAZE if name in self._columns}
+        found = {name: (np.asarray(self._columns[name], kind), about) for name, (kind, about) in kinds.items()}
+        if DEVICE in self._names:
+            named = [self._classes[int(number)] for number in self._columns[DEVICE]]
+            device = class_variable(named, self._classes)
+            found[DEVICE] = device.values, dict(device.attrs)
+        split = split_variable(np.asarray(self._columns["split"], dtype=np.int8))
+        found["split"] = split.values, dict(split.attrs)
+        for name, (values, about) in found.items():
+            if values.dtype.kind == "f" and not math.isfinite(float(np.sum(values, dtype=np.float64))):
+                what = f"{name} holds values that are not finite"
+                raise InputError(what, where="recordings", remedy="report this as a bug")
+            _add_array(self._group, name, values, ("frame",), about)
+        return {name: values for name, (values, _) in found.items()}
+
 
 @contextmanager
 def dataset_writer(
@@ -152,27 +209,10 @@ def dataset_writer(
     dtype: np.dtype[Any] | None = None,
     overwrite: bool = False,
 ) -> Iterator[DatasetWriter]:
-    """Open a store for writing; it takes its name only when it is whole.
+    """Open the store `out` for writing; it appears, and replaces an old one with `overwrite`, only once it is complete.
 
-    Parameters
-    ----------
-    out
-        The store, by convention NAME.zarr.
-    rules
-        How frames are judged, cut and split.
-    names, classes
-        What crops are labelled with, and the names of all devices.
-    full_scale
-        Digital number of saturation.
-    dtype
-        Of the crops; uint8 or uint16, as the full scale needs, where left out.
-    overwrite
-        Replace a store that is there already.
-
-    Raises
-    ------
-    InputError
-        When a store is there already, nothing was added, or nothing for one of the two parts.
+    Labels are `names`, devices `classes`. Counts saturate at `full_scale`; without `dtype` crops are uint8 or uint16
+    accordingly. Raises an InputError when a store exists, or as `DatasetWriter.finish`.
     """
     kind = np.dtype(np.uint8 if full_scale <= 255 else np.uint16) if dtype is None else dtype
     with atomic_folder(out, overwrite=overwrite) as folder:
@@ -181,54 +221,30 @@ def dataset_writer(
         writer.finish()
 
 
-def make_array(
+def _add_array(
     group: zarr.Group,
     name: str,
-    shape: tuple[int, ...],
-    chunks: tuple[int, ...],
-    dtype: np.dtype[Any],
+    values: NDArray[Any],
     dimensions: tuple[str, ...],
+    about: dict[str, Any],
+    chunks: tuple[int, ...] | None = None,
 ) -> zarr.Array[Any]:
-    shuffle = BloscShuffle.bitshuffle if dtype.itemsize == 1 else BloscShuffle.shuffle
-    return group.create_array(
+    shuffle = BloscShuffle.bitshuffle if values.dtype.itemsize == 1 else BloscShuffle.shuffle
+    array = group.create_array(
         name,
-        shape=shape,
-        chunks=chunks,
-        dtype=dtype,
+        shape=values.shape,
+        chunks=values.shape if chunks is None else chunks,
+        dtype=values.dtype,
         dimension_names=dimensions,
-        # Blosc alone does not notice a flipped bit; the checksum does.
+        attributes=about,
+        # Blosc does not detect a flipped bit, the checksum does.
         compressors=[BloscCodec(cname="zstd", clevel=3, shuffle=shuffle), Crc32cCodec()],
-        # A chunk of zeros is written too, so that a missing one can be distinguished from it.
+        # Chunks of zeros are written too, to tell them from missing ones.
         config={"write_empty_chunks": True},
     )
-
-
-def _set_embargo(columns: dict[str, list[float]], told: list[dict[str, Any]]) -> None:
-    """Take out of the test part what shares measurements with the training part, and count it."""
-    if not columns:
-        return
-    time, back, ahead, recording = (np.asarray(columns[n]) for n in ("time", "label_back", "label_ahead", "recording"))
-    split = np.asarray(columns["split"], np.int8)
-    split = embargoed(split, recording, np.stack([time - back, time + ahead], axis=1))
-    columns["split"] = split.tolist()
-    for number, line in enumerate(told):
-        line["embargo"] = int(np.count_nonzero((recording == number) & (split == EMBARGO)))
-
-
-def _check_parts(columns: dict[str, list[float]], told: list[dict[str, Any]], test_fraction: float) -> None:
-    split = columns.get("split", [])
-    why = "; ".join(
-        f"{t['name']}: {t['frames']} frames, {', '.join(f'{k} {v}' for k, v in t['left_out'].items())}" for t in told
-    )
-    if not split:
-        remedy = "check the labels and that the probe sees the target, or lower min_snr and min_quality"
-        raise InputError(f"no frame has both a good label and a visible RR ({why})", where="recordings", remedy=remedy)
-    if 0 < test_fraction < 1 and not {TRAIN, TEST} <= set(split):
-        part = "test" if TEST not in split else "train"
-        remedy = "record longer, or set test_fraction to 0 or 1"
-        if EMBARGO in split:
-            why += f"; {split.count(EMBARGO)} share measurements of their labels with training frames"
-        raise InputError(f"no frame is left to {part} with ({why})", where="recordings", remedy=remedy)
+    if values.size:
+        array[:] = values
+    return array
 
 
 _COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
@@ -242,33 +258,5 @@ _COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
     "label_back": (np.float32, {"units": "s", "long_name": "how far the label reaches back of the frame"}),
     "label_ahead": (np.float32, {"units": "s", "long_name": "how far the label reaches ahead of the frame"}),
 }
-_TRUE: dict[str, tuple[type, dict[str, str]]] = {
-    name: (np.float32, {"units": QUANTITIES["gaze_x"], "long_name": "where it really looked, which no label tells"})
-    for name in TRUE_GAZE
-}
-
-
-def _write_columns(
-    group: zarr.Group, columns: dict[str, list[float]], names: tuple[str, ...], classes: list[str]
-) -> dict[str, NDArray[np.generic]]:
-    """Write the variables along ``frame``; return them as they are stored."""
-    kinds = {**{n: (np.float32, {"units": QUANTITIES[n]}) for n in names if n != DEVICE}, **_COLUMNS}
-    kinds |= {name: kind for name, kind in _TRUE.items() if name in columns}
-    written: dict[str, NDArray[np.generic]] = {}
-    attributes: dict[str, dict[str, Any]] = {}
-    for name, (kind, attrs) in kinds.items():
-        written[name], attributes[name] = np.asarray(columns[name], dtype=kind), dict(attrs)
-    if DEVICE in names:
-        device = class_variable([classes[int(number)] for number in columns[DEVICE]], classes)
-        written[DEVICE], attributes[DEVICE] = device.values, dict(device.attrs)
-    split = split_variable(np.asarray(columns["split"], dtype=np.int8))
-    written["split"], attributes["split"] = split.values, dict(split.attrs)
-    for name, values in written.items():
-        if values.dtype.kind == "f" and not math.isfinite(float(np.sum(values, dtype=np.float64))):
-            raise InputError(
-                f"{name} holds values that are not finite", where="recordings", remedy="report this as a bug"
-            )
-        array = make_array(group, name, values.shape, values.shape, values.dtype, ("frame",))
-        array[:] = values
-        array.attrs.update(attributes[name])
-    return written
+# Of synthesised sets only.
+_TRUE = (np.float32, {"units": QUANTITIES["gaze_x"], "long_name": "where it really looked, which no label tells"})

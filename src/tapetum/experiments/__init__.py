@@ -1,4 +1,4 @@
-"""The paper's Figs. 4 to 12 and its tables reproduced: simulate, learn, measure, draw, and say what differs."""
+"""Reproduce the paper's Figs. 4 to 12 and its tables: simulate, learn, measure, draw, and state the differences."""
 
 from tapetum.experiments.sizes import SIZES, SMOKE_TEST, is_smoke_test
 from tapetum.experiments.workshop import RECIPES, Recipe, Workshop

@@ -1,8 +1,9 @@
-"""What the paper's section 5 lacks: ablations, development recordings, phones never seen, a fit without training."""
+"""Beyond the paper's section 5: ablations, development recordings, unknown phones, a fit without training."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import torch
@@ -17,12 +18,13 @@ from tapetum.models.base import Data
 from tapetum.models.features import feature_names
 from tapetum.models.simulation.pictures import Pictures
 from tapetum.record import FixedPattern
-from tapetum.report.evaluation import ClassScores, Outcome, gather_parts, score_classes
+from tapetum.report.evaluation import Outcome, gather_parts, score_classes
+from tapetum.report.metrics import coverage
 from tapetum.simulate.bounds import FRAME, gaze_information
 from tapetum.simulate.exposure import digitise
 from tapetum.simulate.radiometry import dark_electrons
 
-__all__ = ["Ablation", "Development", "Fitted", "Untrained", "ablations", "development", "unseen", "untrained"]
+__all__ = ["ablations", "development", "unseen", "untrained"]
 
 VARIED_MODEL = "rotation-resnet18-varied"
 # Frames of the test part that are fitted by simulation, seconds each.
@@ -31,28 +33,12 @@ _FITTED = {"paper": 60, "laptop": 20, "small": 6}
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Ablation:
-    """A model with something left out, on the Rotation set's test part.
+def ablations(work: Workshop) -> dict[str, Any]:
+    """Leave out scales and powers of the Zernike features, and the network's brightest spot.
 
-    Parameters
-    ----------
-    name
-        What is left of it.
-    features
-        Of an image; None for a network.
-    mae, rmse
-        Mean and root mean square over both axes, fractions of the field.
+    A row has the `name` of the remaining parts, the number of `features` of an image (None for a network), and `mae`
+    and `rmse` over both axes, in fractions of the field.
     """
-
-    name: str
-    features: int | None
-    mae: float
-    rmse: float
-
-
-def ablations(work: Workshop) -> list[Ablation]:
-    """Leave out scales and powers of the Zernike features, and the network's brightest spot."""
     dataset = work.dataset("rotation")
     model = RECIPES["rotation-zernike"].make(work.size)
     assert isinstance(model, ZernikeRidge)
@@ -66,7 +52,7 @@ def ablations(work: Workshop) -> list[Ablation]:
     for most in model.powers[:-1]:
         powers = tuple(f"{power} " for power in model.powers if power <= most)
         kept[f"powers up to {most}"] = np.array([one.startswith(powers) for one in place])
-    rows: list[Ablation] = []
+    rows: list[dict[str, Any]] = []
     for name, columns in kept.items():
         ridge = Ridge(alpha=float(model.alpha), solver="svd").fit(x[:, columns], y)
         rows.append(_ablation(name, int(columns.sum()), truth, np.asarray(ridge.predict(seen[:, columns]))))
@@ -74,70 +60,43 @@ def ablations(work: Workshop) -> list[Ablation]:
         both = work.outcome(name).pair()
         features = x.shape[1] if name.endswith("tuned") else None
         rows.append(_ablation(RECIPES[name].title, features, *both))
-    return rows
+    return {"rows": rows}
 
 
-def _ablation(name: str, features: int | None, truth: Array, said: Array) -> Ablation:
+def _ablation(name: str, features: int | None, truth: Array, said: Array) -> dict[str, Any]:
     error = said - truth
-    return Ablation(name, features, float(np.abs(error).mean()), float(np.sqrt(np.square(error).mean())))
+    return {"name": name, "features": features, "mae": float(np.abs(error).mean()), "rmse": _rms(error)}
 
 
-@dataclass(frozen=True)
-class Development:
-    """Errors on development recordings beside those on the last fifth of each of the recordings trained on.
+def development(work: Workshop) -> dict[str, Any]:
+    """Score the Rotation set's models, and one trained on varied recordings, on the development recordings.
 
-    Parameters
-    ----------
-    model
-        Its title.
-    own
-        MAE over both axes on the set's own test part, fractions of the field.
-    distance
-        Of each development recording, in metres.
-    mae
-        On each.
-    guess
-        MAE of predicting the mean of the labels trained on, over all development recordings.
-    coverage
-        Share of the truths of all development recordings in the 90 % intervals; None where the model has none.
+    A row has the `model`'s title; `own`, its MAE over both axes on its set's own test part in fractions of the field;
+    the `distance` of each development recording in metres and the `mae` there; their mean over `own` as `ratio`; the
+    `guess`, the MAE of predicting the mean training label; and the `coverage` of its 90 % intervals (None without).
     """
-
-    model: str
-    own: float
-    distance: tuple[float, ...]
-    mae: tuple[float, ...]
-    guess: float | None
-    coverage: float | None
-
-    @property
-    def ratio(self) -> float:
-        """MAE on all development recordings, each counted alike, over that on the set's own test part."""
-        return float(np.mean(self.mae)) / self.own
-
-
-def development(work: Workshop) -> list[Development]:
-    """Let the Rotation set's models, and one that learned from varied recordings, predict the development ones."""
-    found = work.dataset("development")
-    rows: list[Development] = []
+    found, rows = work.dataset("development"), list[dict[str, Any]]()
     for name in (*ROTATION_MODELS, VARIED_MODEL):
-        own, train = work.outcome(name), work.dataset(RECIPES[name].set).tp.train
+        own, train = _mae(work.outcome(name)), work.dataset(RECIPES[name].set).tp.train
         outcome = gather_parts(work.model(name), found, train, progress=work.progress)
         truth, said = outcome.pair()
-        error = np.abs(said - truth).mean(axis=1)
+        lower, upper = outcome.prediction.lower, outcome.prediction.upper
         distance = outcome.covariates["distance"]
-        guess = None if outcome.baseline is None else np.abs(outcome.baseline - outcome.targets).mean(axis=1)
-        held = (outcome.targets >= outcome.prediction.lower) & (outcome.targets <= outcome.prediction.upper)
+        places = [distance == d for d in np.unique(distance)]
+        mae = [float(np.abs(said - truth)[one].mean()) for one in places]
+        base = outcome.baseline
         rows.append(
-            Development(
-                RECIPES[name].title,
-                _mae(own),
-                tuple(float(d) for d in np.unique(distance)),
-                tuple(float(error[distance == d].mean()) for d in np.unique(distance)),
-                None if guess is None else float(np.mean([guess[distance == d].mean() for d in np.unique(distance)])),
-                float(held.mean()) if np.isfinite(outcome.prediction.lower).all() else None,
-            )
+            {
+                "model": RECIPES[name].title,
+                "own": own,
+                "distance": np.unique(distance).tolist(),
+                "mae": mae,
+                "guess": None if base is None else float(np.mean([np.abs(base - truth)[one].mean() for one in places])),
+                "coverage": float(coverage(truth, lower, upper).mean()) if np.isfinite(lower).all() else None,
+                "ratio": float(np.mean(mae)) / own,
+            }
         )
-    return rows
+    return {"rows": rows}
 
 
 def _mae(outcome: Outcome) -> float:
@@ -145,66 +104,26 @@ def _mae(outcome: Outcome) -> float:
     return float(np.abs(said - truth).mean())
 
 
-def unseen(work: Workshop) -> ClassScores:
-    """Ask a model for devices that it was not trained on, and score its answer "none of these"."""
+def unseen(work: Workshop) -> dict[str, Any]:
+    """Let a model classify devices that it was not trained on, and score its answers by `ClassScores`."""
     scores = score_classes(work.outcome("phones-resnet18-unseen"))
     assert scores is not None
-    return scores
+    return scores.to_dict()
 
 
-@dataclass(frozen=True)
-class Fitted:
-    """What the fit by simulation says of some frames.
+def untrained(work: Workshop) -> dict[str, Any]:
+    """Fit the simulation to `frames` of the Rotation set's test part, evenly spread over the centre half of the field.
 
-    Parameters
-    ----------
-    rmse
-        Over both axes, fractions of the field.
-    median
-        Of a frame's error over both axes: few frames that it takes for others decide the RMSE alone.
-    lost
-        Frames that are off by more than ten times the limit.
-    coverage
-        Share of truths in its 90 % intervals.
+    `filmed` are those frames, rotated by the film's approximation (error 1 % of the peak); `exact` are frames at the
+    same gazes, rotated exactly, with the same sensor's noise and non-uniformity. Each has the `rmse` over both axes in
+    fractions of the field, the `median` of a frame's error (a few ambiguous frames dominate the RMSE), the frames
+    `lost` by more than ten times the limit, and the `coverage` of its 90 % intervals. `limit` is the root mean square
+    of the Cramér-Rao bounds at their gazes, photosites unknown; `network_rmse` is ResNet-18's on the filmed frames.
     """
-
-    rmse: float
-    median: float
-    lost: int
-    coverage: float
-
-
-@dataclass(frozen=True)
-class Untrained:
-    """The fit by simulation in the centre half of the field.
-
-    Parameters
-    ----------
-    frames
-        Fitted of each kind.
-    filmed
-        Frames of the Rotation set's test part. Filmed frames are rotated by an approximation (error 1 % of the peak).
-    exact
-        Frames of the same gazes, turned exactly, with the same sensor's noise and unevenness.
-    limit
-        Root mean square of the Cramér-Rao limits at their gazes, photosites unknown.
-    network_rmse
-        Of ResNet-18 on the filmed frames.
-    """
-
-    frames: int
-    filmed: Fitted
-    exact: Fitted
-    limit: float
-    network_rmse: float
-
-
-def untrained(work: Workshop) -> Untrained:
-    """Fit the simulation to frames of the test part, evenly spread over those in the centre half of the field."""
     network = work.outcome("rotation-resnet18")
     truth, said = network.pair()
     if network.true_gaze is not None:
-        # What a label says is off by more than the fit is.
+        # The label error exceeds the fit's.
         truth = network.true_gaze
     centre = np.flatnonzero(np.hypot(*truth.T) < CENTRE)
     chosen = centre[np.linspace(0, len(centre) - 1, min(_FITTED[work.size], len(centre))).round().astype(int)]
@@ -212,28 +131,35 @@ def untrained(work: Workshop) -> Untrained:
     video = plan_of("rotation", work.size).videos[0]
     scene, session = video.scene, video.session
     nuisances = (*FRAME, "background", "roll", "phase_x", "phase_y")
-    # How uneven a sensor is can be measured before a lamp; which pixel is which is left unknown.
+    # A sensor's non-uniformity can be measured with a lamp; the individual pixels' responses stay unknown.
     sensor = next(one for one in session.stray if isinstance(one, FixedPattern))
     offsets = sensor.columns, sensor.rows
     model = SimulationFit(scene, nuisances=nuisances, unevenness=sensor.gain, offsets=offsets)
     limit = _rms(gaze_information(scene, truth, progress=work.progress).bounds())
 
-    def fitted(frames: Data) -> Fitted:
+    def fitted(frames: Data) -> dict[str, Any]:
         found = model.predict(frames, progress=work.progress, anyway=True)
         each = np.sqrt(np.square(found.value - truth).mean(axis=1))
-        held = (found.lower <= truth) & (truth <= found.upper)
-        return Fitted(_rms(each), float(np.median(each)), int((each > 10 * limit).sum()), float(held.mean()))
+        return {
+            "rmse": _rms(each),
+            "median": float(np.median(each)),
+            "lost": int((each > 10 * limit).sum()),
+            "coverage": float(coverage(truth, found.lower, found.upper).mean()),
+        }
 
-    filmed = fitted(work.dataset("rotation").tp.test.isel(frame=chosen))
-    return Untrained(
-        len(chosen), filmed, fitted(_exact(scene, truth, sensor, session.motion.roll)), limit, _rms(said - truth)
-    )
+    return {
+        "frames": len(chosen),
+        "filmed": fitted(work.dataset("rotation").tp.test.isel(frame=chosen)),
+        "exact": fitted(_exact(scene, truth, sensor, session.motion.roll)),
+        "limit": limit,
+        "network_rmse": _rms(said - truth),
+    }
 
 
 def _exact(
     scene: Scene, gazes: Array, pattern: FixedPattern, turned: float, side: int = 200
 ) -> NDArray[np.uint8 | np.uint16]:
-    """Crops [N, side, side] of some gazes, a little off their middle and turned by some radians (RMS)."""
+    """Crops [N, side, side] at some gazes, slightly off-centre and rotated by some radians (RMS)."""
     rng = np.random.default_rng(0)
     pictures, sensor = Pictures(scene, side), scene.probe.sensor
     offset, gain = (np.asarray(one, np.float64) for one in pattern.draw(scene))

@@ -1,4 +1,4 @@
-"""The main job end to end on the virtual bench: film, label, learn, track, report."""
+"""The whole chain on the virtual bench: film, label, train, track, report."""
 
 from __future__ import annotations
 
@@ -13,12 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import torch
 import xarray as xr
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, load_scene
 from tapetum.data import build_dataset, crop_batch, find_centre, open_dataset
+from tapetum.defaults import SEED
 from tapetum.errors import InputError
 from tapetum.experiments import pretrain
 from tapetum.models import Estimator, ResNet18, ZernikeRidge, load_model, pretrained, save_model
@@ -40,9 +42,9 @@ from tapetum.track import read_tracks, track_to_file
 
 __all__ = ["DEMO_SEED", "DemoOutcome", "run_demo"]
 
-DEMO_SEED = 1
+DEMO_SEED = SEED
 SCENE = pretrain.SCENE
-# Gazes across and down, odd both, of the maps of what tells a gaze from its opposite.
+# Columns and rows of gazes, both odd, of the maps of d'.
 _MAP = (7, 5)
 _SIGN_FRAMES = 120
 _SAMPLES = 12
@@ -51,7 +53,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DemoOutcome:
-    """What a demo leaves: its folder, the report in it, the report's numbers, and how long each step took."""
+    """A demo's folder, the report in it, the report's numbers, and the duration of each step."""
 
     folder: Path
     report: Path
@@ -61,7 +63,7 @@ class DemoOutcome:
 
 @dataclass
 class _Stopwatch:
-    """Times of the steps, in order; says each one's name as it begins."""
+    """Durations of the steps, in order; announces each step as it begins."""
 
     say: Callable[[str], None]
     rows: list[tuple[str, float]] = field(default_factory=list[tuple[str, float]])
@@ -80,27 +82,16 @@ def run_demo(
     seconds: float = 60.0,
     seed: int = DEMO_SEED,
     train: bool = False,
+    device: str = "auto",
     progress: Progress = quiet,
     say: Callable[[str], None] = lambda _: None,
 ) -> DemoOutcome:
-    """Do the package's main job on a new recording of the virtual bench.
+    """Film, label, train and track on a new recording of the virtual bench, and write the report into the folder `out`.
 
-    Parameters
-    ----------
-    out
-        Folder for the recording, dataset, ridge model, tracks and report. A finished recording of the same seed and
-        length in it is used again; everything else is made again.
-    seconds, seed
-        Length and seed of the recording. The bundled model's own seeds are refused: it has seen them.
-    train
-        Train the ResNet-18 here instead of taking the bundled one. An interrupted training goes on where it stopped.
-    progress, say
-        Show how far it is.
-
-    Raises
-    ------
-    InputError
-        For a seed the model was trained on, a recording too short to split, or a full disk.
+    A finished recording of the same `seed` and length in `out` is used again. The bundled ResNet-18 predicts the gaze,
+    and the seeds it was trained on are refused; with `train`, another is trained on `device` ("auto", "cpu", "cuda" or
+    "cuda:1"), and resumes after an interruption. Raises an InputError for a recording too short to split or a full
+    disk.
     """
     if seed in (*pretrain.TRAIN_SEEDS, pretrain.FRESH_SEED):
         raise InputError(f"{seed} is one of the bundled model's own", where="seed", remedy="choose another")
@@ -122,22 +113,25 @@ def run_demo(
         with watch.step("Training ResNet-18 (this takes a while; interrupt it as you like, it resumes)"):
             work = out / "training"
             if not pretrain.is_made(work / "model"):
-                pretrain.make_pretrained(work, work / "model", progress=progress, on_epoch=lambda e: say(f"  {e}"))
+                pretrain.make_pretrained(
+                    work, work / "model", device=device, progress=progress, on_epoch=lambda e: say(f"  {e}")
+                )
             resnet = load_model(work / "model")
         origin = "trained by this demo on recordings of other seeds"
     else:
         resnet = pretrained(pretrain.NAME)
         origin = "bundled; trained on recordings of other seeds"
     assert isinstance(resnet, ResNet18)
+    resnet.device = device
     with watch.step("Reading the held-out gaze"):
+        models: dict[str, Estimator] = {"ResNet-18": resnet, "Zernike + ridge": ridge}
         predictions = {
-            "ResNet-18": resnet.predict(dataset.tp.test, progress=progress, anyway=True),
-            "Zernike + ridge": ridge.predict(dataset.tp.test, progress=progress, anyway=True),
+            name: model.predict(dataset.tp.test, progress=progress, anyway=True) for name, model in models.items()
         }
     with watch.step("Tracking the held-out part from whole frames"):
         tracking = _track(recording, resnet, out / "tracks.parquet", progress)
     with watch.step("Asking what the sign rests on"):
-        sign = _sign(scene, dataset, {"ResNet-18": resnet, "Zernike + ridge": ridge}, predictions, seed)
+        sign = _sign(scene, dataset, models, predictions, seed)
     seeds_used = ", ".join(map(str, pretrain.TRAIN_SEEDS))
     trained = {
         "ResNet-18": f"{origin} ({seeds_used})",
@@ -168,19 +162,18 @@ def _track(recording: Recording, model: Estimator, file: Path, progress: Progres
     ]
     track_to_file(held_out, file, model=model, progress=progress)
     rows = read_tracks(file)
-    column = {
-        name: rows[name].to_numpy(zero_copy_only=False) for name in rows.column_names if name not in ("name", "device")
-    }
-    truth, labelled = _labels_of(recording, column["frame"].astype(int))
-    both = labelled & np.isfinite(column["gaze_x"].astype(float))
-    predicted = np.stack([column["gaze_x"], column["gaze_y"]], -1).astype(float)
+    frame, track = (rows[name].to_numpy(zero_copy_only=False).astype(int) for name in ("frame", "track"))
+    x, y, seconds, snr = _stacked(rows, "x", "y", "time", "snr").T
+    predicted = _stacked(rows, "gaze_x", "gaze_y")
+    truth = _stacked(_labelled(recording)[0], "gaze_x", "gaze_y")[frame]
+    both = np.isfinite(truth).all(axis=1) & np.isfinite(predicted[:, 0])
     return Tracking(
         frame=held_out[len(held_out) // 2].image,
-        track=column["track"].astype(int),
-        x=column["x"].astype(float),
-        y=column["y"].astype(float),
-        time=column["time"].astype(float),
-        snr=column["snr"].astype(float),
+        track=track,
+        x=x,
+        y=y,
+        time=seconds,
+        snr=snr,
         frames=len(held_out),
         truth=truth[both],
         predicted=predicted[both],
@@ -188,21 +181,26 @@ def _track(recording: Recording, model: Estimator, file: Path, progress: Progres
     )
 
 
-def _labels_of(recording: Recording, frames: NDArray[np.int_]) -> tuple[Array, NDArray[np.bool_]]:
-    labels = recording.labels()
-    if labels is None:
-        raise InputError("has no labels", where=recording.path, remedy="run the demo again")
-    gaze = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("gaze_x", "gaze_y")], -1).astype(float)[frames]
-    return gaze, np.asarray(np.isfinite(gaze).all(axis=1))
+def _stacked(table: pa.Table, *names: str) -> Array:
+    """Return some columns, [N, len(names)]."""
+    return np.stack([table[name].to_numpy(zero_copy_only=False) for name in names], -1).astype(float)
+
+
+def _labelled(recording: Recording) -> tuple[pa.Table, pa.Table]:
+    """Return the labels of a recording, and the virtual bench's truth."""
+    labels, truth = recording.labels(), recording.truth()
+    if labels is None or truth is None:
+        raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo again")
+    return labels, truth
 
 
 def _sign(
     scene: Scene, dataset: xr.Dataset, models: dict[str, Estimator], predictions: dict[str, Any], seed: int
 ) -> SignEvidence:
-    """d' over the field with and without the second beam, and what the models make of held-out gazes without it."""
+    """d' over the field with and without the second beam, and the models' predictions without it."""
     ideal = without_second_beam(scene)
     x, y = (np.linspace(-0.45, 0.45, count) for count in _MAP)
-    # A gaze and its opposite make the same test: half the field shows it all. The middle has no opposite.
+    # d' is equal for a gaze and its opposite, so half the field suffices; the centre has no opposite.
     grid = torch.tensor([[a, b] for b in y for a in x], dtype=torch.float64)
     half = len(grid) // 2
 
@@ -212,17 +210,14 @@ def _sign(
 
     test = dataset.tp.test
     truth = test.tp.values(("gaze_x", "gaze_y"))
-    rates = []
-    for name, prediction in predictions.items():
-        rates.append(_rate(name, True, truth, prediction.value))
+    rates = [_rate(name, True, truth, prediction.value) for name, prediction in predictions.items()]
     step = max(1, len(truth) // _SIGN_FRAMES)
     some = truth[::step]
     frames = list(probe_frames(ideal, some, np.zeros_like(some), seed))
     crops = crop_batch(np.stack(frames), np.array([find_centre(frame) for frame in frames]), dataset.tp.side)
     for name, model in models.items():
-        rates.append(
-            _rate(name, False, some, model.predict(crops, full_scale=dataset.tp.full_scale, anyway=True).value)
-        )
+        told = model.predict(crops, full_scale=dataset.tp.full_scale, anyway=True)
+        rates.append(_rate(name, False, some, told.value))
     beam = scene.illumination.second_beam
     words = f"{beam.ratio:.0%} of the first, {1e3 * np.hypot(*beam.angle):.2g} mrad beside it" if beam else ""
     return SignEvidence(x, y, mapped(scene), mapped(ideal), rates, words)
@@ -234,19 +229,16 @@ def _rate(name: str, second_beam: bool, truth: Array, predicted: Array) -> SignR
 
 
 def _spots(recording: Recording) -> tuple[Array, Array, Array]:
-    """Laser spots at the probe's frames, in target pixels: found, true, and what a perfect finder would have joined."""
-    labels, truth = recording.labels(), recording.truth()
-    if labels is None or truth is None:
-        raise InputError("lacks labels or truth", where=recording.path, remedy="run the demo again")
-    found = np.stack([labels[n].to_numpy(zero_copy_only=False) for n in ("spot_x", "spot_y")], -1).astype(float)
+    """Laser spots at the probe's frames, in target pixels: found, true, and as joined from a perfect detector's."""
+    labels, truth = _labelled(recording)
     info = recording.stream("target")
     size = np.array([info.width, info.height], dtype=float)
 
     def true(stream: str) -> Array:
         rows = truth.filter(np.asarray(truth["stream"]) == stream)
-        return (size - 1) / 2 + size * np.stack([rows[n].to_numpy() for n in ("gaze_x", "gaze_y")], -1)
+        return (size - 1) / 2 + size * _stacked(rows, "gaze_x", "gaze_y")
 
-    return found, true("probe"), join(recording).interpolate(true("target"))
+    return _stacked(labels, "spot_x", "spot_y"), true("probe"), join(recording).interpolate(true("target"))
 
 
 def _content(
@@ -270,6 +262,7 @@ def _content(
     path_at = _spread(truth, 3)
     sensor = scene.probe.sensor
     counted = dataset.tp.recordings[0]
+    stored = sum(file.stat().st_size for file in recording.path.rglob("*") if file.is_file())
     return DemoReport(
         made=datetime.now(UTC).strftime("%Y-%m-%d %H:%M UTC"),
         recording=[
@@ -329,7 +322,7 @@ def _content(
                 f"{dataset.sizes['frame']} ({dataset.tp.train.sizes['frame']} train, {test.sizes['frame']} test)",
             ),
             ("frames left out", ", ".join(f"{v} {k}" for k, v in counted.get("left_out", {}).items())),
-            ("recording", f"{_megabytes(recording.path):.1f} MB"),
+            ("recording", f"{stored / 1e6:.1f} MB"),
         ],
         versions=[
             ("tapetum", version("tapetum")),
@@ -354,7 +347,7 @@ def _content(
             ),
             ("tapetum track FOLDER -o tracks.csv", "find the spots in photographs of your own"),
             (
-                "tapetum demo --seed 7" if train else "tapetum demo --train",
+                "tapetum demo --seed 7 -o demo-7" if train else "tapetum demo --train --overwrite",
                 "another recording" if train else "train the ResNet-18 before your eyes (about half an hour)",
             ),
         ],
@@ -376,16 +369,12 @@ def _target_index(recording: Recording, seconds: float) -> int:
 
 
 def _spread(gaze: Array, count: int) -> NDArray[np.int_]:
-    """Frames whose gazes lie far from each other, from the middle of the field outwards."""
+    """Frames with gazes far from each other, from the centre of the field outwards."""
     chosen = [_nearest_to_centre(gaze)]
     while len(chosen) < min(count, len(gaze)):
         away = np.min(np.linalg.norm(gaze[:, None] - gaze[chosen][None], axis=-1), axis=1)
         chosen.append(int(np.argmax(away)))
     return np.array(sorted(chosen, key=lambda i: float(np.hypot(*gaze[i]))))
-
-
-def _megabytes(folder: Path) -> float:
-    return sum(f.stat().st_size for f in folder.rglob("*") if f.is_file()) / 1e6
 
 
 def _save_picture(path: Path, content: DemoReport) -> None:

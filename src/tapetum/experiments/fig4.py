@@ -1,4 +1,4 @@
-"""Fig. 4: the thin lens, turned and refocused."""
+"""Fig. 4: the thin lens, rotated and refocused."""
 
 from __future__ import annotations
 
@@ -29,18 +29,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fig4:
-    """The images, and what was measured on them.
+    """The simulated images and their measurements.
 
-    Parameters
-    ----------
-    images
-        [F, D, R, H, W] irradiance in W/m² for focal lengths, object distances and rotations.
-    windows
-        Width of the images of each object distance, in metres.
-    rows
-        One mapping an image: lengths in millimetres.
-    expected_error
-        Largest that the planner states, in fractions of an image's peak.
+    `images` are [F, D, R, H, W] irradiance in W/m² over focal lengths, object distances and rotations; `windows` the
+    image widths by object distance in metres; `rows` one mapping an image, lengths in millimetres; `expected_error` the
+    planner's largest, in fractions of an image's peak.
     """
 
     images: Array
@@ -72,18 +65,9 @@ def simulate_fig4(
     accuracy: float = 1e-3,
     progress: Progress = quiet,
 ) -> Fig4:
-    """Simulate and measure the paper's section 4.1.
+    """Simulate and measure the paper's section 4.1 for target focal lengths in metres.
 
-    Parameters
-    ----------
-    focal_lengths
-        Of the target, in metres.
-    pixels
-        A side of every image, over windows of 3, 1.5 and 1 mm.
-    accuracy
-        Asked of the planner, in fractions of the peak.
-    progress
-        Shows how far it is.
+    Images have `pixels` a side over windows of 3, 1.5 and 1 mm; the planner's `accuracy` is in fractions of the peak.
     """
     images, rows, worst = [], [], 0.0
     cases = [(f, x_d) for f in focal_lengths for x_d in DISTANCES]
@@ -97,7 +81,7 @@ def simulate_fig4(
                 "probe.sensor.pixels": [pixels, pixels],
                 "probe.sensor.pitch": pitch,
                 "sampling.accuracy": accuracy,
-                # Up to 26 mm wide at the probe, the return may miss its 25 mm: all of it is to be seen.
+                # The return, up to 26 mm wide at the probe, may exceed its 25 mm aperture; collect all of it.
                 "sampling.propagation": "far field",
             },
         )
@@ -135,10 +119,10 @@ def simulate_fig4(
 
 
 def _centres_apart(focal_length: float, x_d: float, rotation: float, probe_focal_length: float) -> float:
-    """How far the two ring systems lie apart by rays, in metres.
+    """Distance of the two ring systems by ray optics, in metres.
 
-    One belongs to the exit's edge, one to the image of the entrance's, 2z tanθ away; the returning wave has the
-    curvature 2/(x_d + f), which makes that distance an angle.
+    One belongs to the edge of the exit pupil, one to the image of the entrance pupil's, 2z tanθ away; the curvature
+    2/(x_d + f) of the returning wave turns that distance into an angle.
     """
     z = 1 / (1 / focal_length - 1 / x_d)
     return probe_focal_length * 2 * z * math.tan(math.radians(rotation)) * 2 / (x_d + focal_length)
@@ -147,8 +131,8 @@ def _centres_apart(focal_length: float, x_d: float, rotation: float, probe_focal
 def ring_centres(image: Array, pitch: float, expected: float, fringe: float) -> float | None:
     """Distance of the two ring systems' bright centres on the image's middle column, in metres.
 
-    Each is the highest maximum of the column within one and a half `fringe` (λ f_p/2r, in metres) of where it is
-    `expected`: the rings lie about two fringes apart. None where there is none, as where both fall together.
+    Each is the column's highest maximum within 1.5 `fringe` (λ f_p/2r, in metres) of where it is `expected`; rings are
+    about two fringes apart. None without such a maximum, as where both centres coincide.
     """
     rows = image.shape[0]
     y = (np.arange(rows) - (rows - 1) / 2) * pitch

@@ -1,4 +1,4 @@
-"""Fig. 5: what the distance does to a head-on retro-reflection in diverging light."""
+"""Fig. 5: a head-on retro-reflection in diverging light, against the distance."""
 
 from __future__ import annotations
 
@@ -40,26 +40,13 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Strip:
-    """One way of focusing and lighting the target, over all distances.
+    """One way of focusing and illuminating the target, over N distances.
 
-    Parameters
-    ----------
-    name
-        Of the case.
-    frames
-        [N, H, W] mean frames without the dark level, in electrons.
-    exposure
-        Of all its frames, in seconds.
-    fill
-        Largest expected charge of any of its pixels over the full well.
-    floor
-        Noise floor above the dark level, in electrons of the mean frame.
-    signal, total
-        [N] sum of the pixels above the floor, and all light in the window, in electrons.
-    diameter
-        [N] of the circle that holds 80 % of the light, in metres.
-    measured, without_floor
-        Power laws of signal and total against the distance.
+    `frames` are [N, H, W] mean frames without the dark level, in electrons, all with the same `exposure` (seconds);
+    `fill` is the largest expected charge of a pixel over the full well, `floor` the noise floor above the dark level.
+    `signal` and `total` are [N] the sum of the pixels above the floor and all light in the window, in electrons;
+    `diameter` [N] that of the circle with 80 % of the light, in metres. `measured` and `without_floor` are the power
+    laws of signal and total.
     """
 
     name: str
@@ -76,7 +63,7 @@ class Strip:
 
 @dataclass(frozen=True)
 class Fig5:
-    """All strips; `window` is an image's width and `beam_area` [N] the lit disc's area, in metres and m²."""
+    """All strips; `window` is an image's width and `beam_area` [N] the illuminated disc's area, in metres and m²."""
 
     distances: tuple[float, ...]
     strips: list[Strip]
@@ -120,20 +107,10 @@ def simulate_fig5(
     seed: int = 1,
     progress: Progress = quiet,
 ) -> Fig5:
-    """Simulate and measure the paper's section 4.2.
+    """Simulate and measure the paper's section 4.2 at three or more distances from probe to target, in metres.
 
-    Parameters
-    ----------
-    distances
-        From probe to target, in metres; three at least.
-    pixels
-        A side of the frames, over a window of 1.5 mm; 680 make them the bench's pixels of 2.2 µm.
-    accuracy
-        Asked of the planner, in fractions of the peak.
-    seed
-        Of the noise.
-    progress
-        Shows how far it is.
+    Frames have `pixels` a side over a window of 1.5 mm: 680 give the bench's pixels of 2.2 µm. The planner's `accuracy`
+    is in fractions of the peak; `seed` is that of the noise.
     """
     jobs = [(strip, d) for strip in range(len(STRIPS)) for d in distances]
     light: list[Image] = []

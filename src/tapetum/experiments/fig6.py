@@ -18,7 +18,7 @@ from tapetum.simulate import retroreflect
 __all__ = ["DISTANCES", "SURFACES", "Fig6", "Surface", "simulate_fig6"]
 
 DISTANCES = (1.5, 2.0, 3.0, 4.0, 5.0)
-# Assumed: the paper gives neither the reflectances nor how far cardboard carries light sideways.
+# Assumed: the paper gives neither the reflectances nor the lateral scattering of cardboard.
 MIRROR = {"reflectance": 0.9}
 CARDBOARD = {"reflectance": 0.0, "diffuse": {"albedo": 0.8, "spread": 0.3e-3}}
 NO_SPREAD = {"reflectance": 0.0, "diffuse": {"albedo": 0.8, "spread": 0.0}}
@@ -29,10 +29,10 @@ SURFACES: tuple[tuple[str, dict[str, Any], float, dict[str, Any]], ...] = (
     ("mirror, flat wave", MIRROR, 0.6e-3, {"illumination": {**LIGHT, "vergence": 0.0}}),
     ("white cardboard", CARDBOARD, 3.5e-3, {}),
     ("white, no spread", NO_SPREAD, 1.2e-3, {}),
-    # The beam of a layer overfills the probe where the sensor's own would not: over the distance it must go.
+    # The beam from a layer overfills the probe where the sensor's does not: propagate over the finite distance.
     ("filter 0.2 mm before the focus", FILTER, 3.5e-3, {"sampling.propagation": "finite", "sampling.accuracy": 1e-2}),
 )
-# What a beam splitter 20 mm wide leaves: assumed, the paper does not give its probe's aperture.
+# Aperture of a beam splitter 20 mm wide: assumed, the paper does not give its probe's aperture.
 PROBE_RADIUS = 10e-3
 _FOCUS = 5.0
 _SHARE = 0.5
@@ -43,22 +43,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Surface:
-    """What came back from one surface.
+    """The returns of one surface at N distances.
 
-    Parameters
-    ----------
-    name
-        Of the surface.
-    images
-        [N, H, W] irradiance in W/m².
-    window
-        Width of an image, in metres.
-    diameter
-        [N] of the even disc whose inner half of the light fills as large a circle, in metres.
-    peak, power
-        [N] largest irradiance in W/m², and all light in the window in watts.
-    size
-        Power law of the diameter against the distance.
+    `images` are [N, H, W] irradiance in W/m² over a `window` in metres. `diameter` [N] is that of the uniform disc
+    whose inner half of the light fills as large a circle, in metres; `size` its power law against the distance. `peak`
+    and `power` are [N] the largest irradiance in W/m² and all light in the window in watts.
     """
 
     name: str
@@ -115,18 +104,10 @@ def simulate_fig6(
     accuracy: float = 1e-3,
     progress: Progress = quiet,
 ) -> Fig6:
-    """Simulate and measure the paper's section 4.3.
+    """Simulate and measure the paper's section 4.3 at three or more distances from probe to target, in metres.
 
-    Parameters
-    ----------
-    distances
-        From probe to target, in metres; three at least.
-    pixels
-        A side of the images, over windows of 0.6 mm (mirror), 1.2 mm (no spread) and 3.5 mm.
-    accuracy
-        Asked of the planner, in fractions of the peak.
-    progress
-        Shows how far it is.
+    Images have `pixels` a side over windows of 0.6 mm (mirror), 1.2 mm (no spread) and 3.5 mm; the planner's `accuracy`
+    is in fractions of the peak.
     """
     jobs = [(index, d) for index in range(len(SURFACES)) for d in distances]
     base, images, worst = load_scene("thin-lens"), list[Array](), 0.0

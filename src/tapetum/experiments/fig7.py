@@ -22,18 +22,18 @@ from tapetum.simulate.phone import open_camera
 
 __all__ = ["DISTANCES", "FOCAL_LENGTHS", "GAZES", "SIDE", "Fig7", "Sample", "sample", "simulate_fig7"]
 
-# The target turns upwards: the probe sinks in its picture. In fractions of the field.
+# The target rotates upwards, so the probe moves down in its image. In fractions of the field.
 _FEW_GAZES, _FEW_DISTANCES = (0.0, 0.16, 0.32, 0.46), (3.0, 4.0, 5.5)
 GAZES = {"paper": (0.0, 0.08, 0.16, 0.24, 0.32, 0.40, 0.46), "laptop": _FEW_GAZES, "small": _FEW_GAZES}
 DISTANCES = {"paper": (3.0, 3.5, 4.0, 4.5, 5.0, 5.5), "laptop": _FEW_DISTANCES, "small": _FEW_DISTANCES}
 FOCAL_LENGTHS = (0.135, 0.085, 0.050)
 # Object distance of the row of focal lengths, and the gaze of both rows.
 AT, GAZE = 5.5, 0.03
-# The lens is prepared for gazes up to here, as for a video: fits over next to no tilt do not hold its pupil's edge.
+# Prepare the lens for gazes up to here, as for a video: fits over a tiny tilt range miss its pupil's edge.
 _UP_TO = 0.2
 SIDE = 400
 _SHARE = 0.8
-# Parts of a picture above half of its peak count as one spot each, once it is smoothed over so many pixels.
+# Each connected part above half the peak counts as a spot, after smoothing over so many pixels.
 _SMOOTH = 1.5
 
 Array = NDArray[np.float64]
@@ -41,18 +41,11 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Sample:
-    """One picture of a set: a crop of the frame as its camera takes it, and what was measured on the light.
+    """One image of a set: a crop of a camera frame and its measurements.
 
-    Parameters
-    ----------
-    name
-        What changes along its row.
-    counts
-        [400, 400] digital numbers, black where the target cannot be simulated.
-    refused
-        Why it cannot; empty where it can.
-    row
-        What was measured; lengths in micrometres on the probe's sensor.
+    `counts` are [400, 400] digital numbers, black where the target cannot be simulated for the reason in `refused`.
+    `row` holds the measurements of the light, lengths in micrometres on the probe's sensor; `name` is what changes
+    along its row.
     """
 
     name: str
@@ -81,6 +74,8 @@ class Fig7:
             "share_of_light": _SHARE,
             "pixels": SIDE,
             "full_scale": self.full_scale,
+            "gaze": GAZE,
+            "object_distance_m": AT,
             **{
                 letter: [{"name": one.name, "refused": one.refused or None, **one.row} for one in samples]
                 for letter, samples in self.rows()
@@ -89,18 +84,8 @@ class Fig7:
 
 
 def simulate_fig7(*, size: str = "paper", seed: int = 1, progress: Progress = quiet) -> Fig7:
-    """Take the samples of the paper's section 4.4.
-
-    Parameters
-    ----------
-    size
-        `paper`, or `laptop` or `small` for fewer.
-    seed
-        Of the noise.
-    progress
-        Shows how far it is.
-    """
-    # Sampled as the set is, which has the longest lens in it.
+    """Take the samples of the paper's section 4.4: size `paper`, or `laptop` or `small` for fewer."""
+    # Sampled as the set, whose longest lens decides.
     rotation, focusing = load_scene("rotation"), load_scene("focusing", FOCUSING_SAMPLING)
     cases = [("a", f"{gaze:g}", rotation, (0.0, gaze)) for gaze in GAZES[size]]
     for letter, focal_length, x_d, name in (
@@ -112,7 +97,7 @@ def simulate_fig7(*, size: str = "paper", seed: int = 1, progress: Progress = qu
     found: dict[str, list[Sample]] = {"a": [], "b": [], "c": []}
     kept: dict[str, Sample] = {}
     for number, (letter, name, scene, gaze) in enumerate(progress(cases, "fig7", total=len(cases))):
-        # The farthest focus of one row is the longest lens of the next.
+        # One row's farthest focus is the same image as the next row's longest lens.
         key = f"{scene.target!r} {gaze}"
         if key not in kept:
             kept[key] = sample(name, scene, gaze, seed=seed + number)

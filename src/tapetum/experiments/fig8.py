@@ -1,4 +1,4 @@
-"""Fig. 8: one retro-reflection of each phone, with the camera app open and shut."""
+"""Fig. 8: one retro-reflection of each phone, with the camera app open and closed."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from tapetum.simulate.radiometry import photoelectrons
 __all__ = ["GAZE", "SHUT", "Fig8", "simulate_fig8"]
 
 GAZE = (0.03, 0.02)
-# Lenses are prepared for gazes up to here, as for a video: fits over next to no tilt do not hold a pupil's edge.
+# Prepare lenses for gazes up to here, as for a video: fits over a tiny tilt range miss a pupil's edge.
 _UP_TO = (0.1, 0.05)
-# Those whose filters let most of the light through: of the others' sensors nothing is left at 785 nm.
+# Phones whose filters pass most of the light at 785 nm; the others' block their sensors' returns.
 _FEW = ("phone-02", "phone-11")
 SHUT = {"paper": ("phone-02", "phone-05", "phone-07", "phone-11"), "laptop": _FEW, "small": _FEW}
 _SHARE = 0.5
@@ -35,7 +35,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Fig8:
-    """The phones with the app open, and some of them with it shut; `disc` is D_p f_p/d in metres."""
+    """The phones with the app open, and some of them with it closed; `disc` is D_p f_p/d in metres."""
 
     opened: list[Sample]
     shut: list[Sample]
@@ -57,18 +57,9 @@ class Fig8:
 def simulate_fig8(
     *, size: str = "paper", names: tuple[str, ...] | None = None, seed: int = 1, progress: Progress = quiet
 ) -> Fig8:
-    """Take the samples of the paper's section 4.5.
+    """Take the samples of the paper's section 4.5, of all phones in the catalogue or those in `names`.
 
-    Parameters
-    ----------
-    size
-        `paper`, or `laptop` or `small` for fewer with the app shut.
-    names
-        Of phones in the catalogue; all of them when left out.
-    seed
-        Of the noise.
-    progress
-        Shows how far it is.
+    The sizes `laptop` and `small` take fewer samples with the app closed than `paper`.
     """
     base, wanted = load_scene("phones"), names or tuple(phone_names())
     opened, shut = list[Sample](), list[Sample]()
@@ -79,7 +70,7 @@ def simulate_fig8(
         row = {**_told(scene, parts), "refused": refused}
         if name in SHUT[size]:
             idle = with_values(scene, {"target.imaging": False})
-            # The other cameras do not image in either case.
+            # The other cameras never image.
             dark = [_parts(idle, refused, first_only=True)[0], *parts[1:]]
             row["flash_electrons"] = float((parts[0] - dark[0]).max())
             shut.append(_taken(name, idle, dark, seed + 100 + number, _told(idle, dark)))
@@ -90,7 +81,7 @@ def simulate_fig8(
 
 
 def _parts(scene: Scene, refused: list[str], *, first_only: bool = False) -> list[Array]:
-    """Electrons [H, W] that every camera of a phone makes, first the one that gazes; what was `refused` makes none."""
+    """Electrons [H, W] from every camera of a phone, the gaze's camera first; zero for `refused` ones."""
     sines, farthest = tilt_of_gaze(scene, torch.tensor([GAZE, _UP_TO], dtype=torch.float64))[:, None]
     scale = scene.probe.lens.focal_length / scene.distance
     units = sorted(phone_scenes(scene), key=lambda unit: unit.place != (0.0, 0.0))
@@ -101,7 +92,7 @@ def _parts(scene: Scene, refused: list[str], *, first_only: bool = False) -> lis
             own = unit.sines(torch.cat([sines, farthest]))
             image = Camera(unit.scene, largest_sine(own), output=sensor_grid(scene))(own[:1], at)[0]
         except InputError as error:
-            # One camera that the engine refuses must not hide the others: it is named instead.
+            # A camera that the engine refuses is named and must not hide the others.
             refused.append(f"camera at {unit.place}: {error}")
             image = torch.zeros(scene.probe.sensor.pixels[::-1])
         light = photoelectrons(image, scene.probe.sensor, scene.illumination.wavelength)
@@ -110,7 +101,7 @@ def _parts(scene: Scene, refused: list[str], *, first_only: bool = False) -> lis
 
 
 def _told(scene: Scene, parts: list[Array]) -> dict[str, Any]:
-    """How many cameras are seen, and how wide the brightest one's return is."""
+    """Number of cameras visible, and width of the brightest one's return."""
     sensor = scene.probe.sensor
     noise = np.sqrt(sensor.background + sensor.read_noise**2)
     brightest = max(parts, key=lambda one: float(one.max()))

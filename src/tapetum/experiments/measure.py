@@ -1,4 +1,4 @@
-"""What a picture of a retro-reflection is measured by: sizes, symmetry, and power laws."""
+"""Measures of an image of a retro-reflection: size, symmetry, and power laws."""
 
 from __future__ import annotations
 
@@ -22,34 +22,25 @@ class PowerLaw:
     error: float
     factor: float
 
+    @property
+    def words(self) -> str:
+        """The exponent with its error, as "−2.000 ± 0.001"."""
+        return f"{self.exponent:.3f} ± {self.error:.3f}".replace("-0.000", "0.000").replace("-", "−")
+
 
 def power_law(x: ArrayLike, y: ArrayLike) -> PowerLaw:
-    """Fit a power law by least squares in logarithms, all points alike.
-
-    Parameters
-    ----------
-    x, y
-        [N] positive values, at least three.
-
-    Raises
-    ------
-    InputError
-        For fewer, or for values that are not positive and finite.
-    """
+    """Fit a power law to [N >= 3] positive values by unweighted least squares in logarithms."""
     a, b = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
     if a.ndim != 1 or a.shape != b.shape or len(a) < 3:
         remedy = "give [N] of each, three at least"
         raise InputError(f"have the shapes {a.shape} and {b.shape}", where="x and y", remedy=remedy)
     if not (np.isfinite(a).all() and np.isfinite(b).all() and (a > 0).all() and (b > 0).all()):
         raise InputError("hold a value that is not positive", where="x and y", remedy="give positive, finite values")
-    u, v = np.log(a), np.log(b)
-    away = u - u.mean()
-    if not away.any():
+    if not np.ptp(a):
         raise InputError("are all the same", where="x", remedy="give different values")
-    exponent = float(away @ v / (away @ away))
-    rest = v - v.mean() - exponent * away
-    error = float(np.sqrt(rest @ rest / (len(u) - 2) / (away @ away)))
-    return PowerLaw(exponent, error, float(np.exp(v.mean() - exponent * u.mean())))
+    # SciPy's linregress gives no error of the slope for constant values.
+    (exponent, level), covariance = np.polyfit(np.log(a), np.log(b), 1, cov=True)
+    return PowerLaw(float(exponent), float(np.sqrt(covariance[0, 0])), float(np.exp(level)))
 
 
 def _offsets(count: int, pitch: float) -> Array:
@@ -64,26 +55,9 @@ def _image(image: ArrayLike) -> Array:
 
 
 def holding_diameter(image: ArrayLike, pitch: float, share: float) -> float:
-    """Diameter of the circle about the image's middle that holds a share of its light.
+    """Diameter in metres of the circle about the middle of an image [H, W] that holds a share (0 to 1) of its light.
 
-    Parameters
-    ----------
-    image
-        [H, W], any unit of light.
-    pitch
-        Of its pixels, in metres.
-    share
-        From 0 to 1. An even disc of diameter D gives D·√share.
-
-    Returns
-    -------
-    float
-        In metres. Between pixels it is interpolated by area.
-
-    Raises
-    ------
-    InputError
-        For no image, or a share out of its range.
+    Between pixels (`pitch` in metres) it is interpolated by area; a uniform disc of diameter D gives D·√share.
     """
     values = _image(image)
     if not 0 < share < 1:
@@ -92,7 +66,7 @@ def holding_diameter(image: ArrayLike, pitch: float, share: float) -> float:
     area = (y[:, None] ** 2 + x[None, :] ** 2).ravel()
     order = np.argsort(area, kind="stable")
     held = np.cumsum(values.ravel()[order])
-    # Pixels by distance: the light inside a pixel's distance counts that pixel by half.
+    # The light within a pixel's distance includes half of that pixel.
     inside = (held - values.ravel()[order] / 2) / held[-1]
     return 2 * float(np.sqrt(np.interp(share, inside, area[order])))
 
@@ -110,9 +84,9 @@ def widths(image: ArrayLike, pitch: float, share: float = 0.8) -> tuple[float, f
 
 
 def mirror_error(image: ArrayLike, axis: int) -> float:
-    """Light that an image and its mirrored self do not share, as a part of all its light: 0 symmetric, 1 apart.
+    """Asymmetry under reflection: 0 for a symmetric image, 1 for no overlap with its mirror image.
 
-    Axis 0 mirrors up and down, across the horizontal line; axis 1 left and right.
+    Axis 0 mirrors top to bottom, axis 1 left to right.
     """
     values = _image(image)
     return float(np.abs(values - np.flip(values, axis=axis)).sum() / (2 * values.sum()))

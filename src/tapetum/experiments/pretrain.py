@@ -20,7 +20,7 @@ from tapetum.progress import Progress, quiet
 from tapetum.record import Session, film, label_recording, open_recording
 from tapetum.record.layout import LABELS, is_recording
 from tapetum.record.shot import Shot
-from tapetum.report.evaluate import evaluate_model
+from tapetum.report.evaluation import evaluate_model
 
 __all__ = [
     "CROP",
@@ -41,7 +41,7 @@ TRAIN_SEEDS = (101, 102, 103, 104, 105, 106)
 FRESH_SEED = 201
 SECONDS = 80.0
 EPOCHS = 12
-# The second RR lies 90 pixels beside the first, whose disc is 130 pixels wide.
+# The second RR is 90 pixels from the first, whose disc is 130 pixels wide.
 CROP = 320
 
 
@@ -63,21 +63,14 @@ def make_pretrained(
     out: Path,
     *,
     epochs: int = EPOCHS,
+    device: str = "auto",
     progress: Progress = quiet,
     on_epoch: Callable[[EpochReport], None] | None = None,
 ) -> ResNet18:
-    """Film the training recordings, train a ResNet-18 on all of them, score it on a fresh one, save it.
+    """Film the training recordings, train a ResNet-18 on all of them, score it on a fresh one, and save it in `out`.
 
-    Parameters
-    ----------
-    work
-        Keeps recordings, datasets and the checkpoint: an interrupted run goes on where it stopped.
-    out
-        The model's folder: half precision, its card with seeds, command and figures.
-    epochs
-        Passes over the training frames.
-    progress, on_epoch
-        Show how far it is.
+    The folder `work` keeps recordings, datasets and the checkpoint, from which an interrupted run resumes. The model is
+    stored in half precision; its card holds seeds, command and scores.
     """
     work.mkdir(parents=True, exist_ok=True)
     for seed in (*TRAIN_SEEDS, FRESH_SEED):
@@ -87,7 +80,7 @@ def make_pretrained(
         for name, seeds, test_fraction in (("train", TRAIN_SEEDS, 0.0), ("fresh", (FRESH_SEED,), 0.2))
     )
     start = time.monotonic()
-    model = ResNet18(target="gaze", crop=CROP, epochs=epochs).fit(
+    model = ResNet18(target="gaze", crop=CROP, epochs=epochs, device=device).fit(
         train,
         progress=progress,
         checkpoint=work / f"checkpoint-{train.tp.hash[:8]}-{epochs}",
@@ -101,12 +94,12 @@ def make_pretrained(
         "fresh_seed": FRESH_SEED,
         "seconds_a_recording": SECONDS,
         "train_frames": int(train.sizes["frame"]),
-        # Of this run: after an interruption, the part since.
+        # Of this run only: after an interruption, the time since.
         "training_seconds": round(time.monotonic() - start),
         "simulation_only": True,
     }
     save_model(model, work / NAME, notes=notes, half=True, overwrite=True)
-    # The figures on the card are those of the weights on the card.
+    # Score the weights as stored, in half precision.
     scores = evaluate_model(load_model(work / NAME), fresh.tp.test, fresh.tp.train, progress=progress)
     save_model(model, out, metrics=scores, notes=notes, half=True, overwrite=True)
     return model

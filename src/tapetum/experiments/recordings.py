@@ -1,4 +1,4 @@
-"""Recordings of the Rotation set's camera that the paper has not: to develop by, and to learn from as varied ones."""
+"""Recordings of the Rotation set's camera beyond the paper's: for development, and varied ones for training."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ __all__ = ["DISTANCES", "before_room", "development_plan", "varied_plan"]
 DISTANCES = (3.0, 4.0, 5.5, 7.0, 8.0)
 """Of the development recordings, in metres; the Rotation set was filmed at 5.5."""
 
-# Of the development recordings and, seven each, of the varied ones: neither the set's own nor each other's.
+# Of the development recordings and, seven each, of the varied ones: all different, none of the set's.
 _DEVELOPMENT_SEED, _VARIED_SEEDS = 2, range(3, 7)
 _DEVELOPMENT_SECONDS = {"paper": 20.0, "laptop": 8.0, "small": 2.0}
 _DEVELOPMENT_BACKGROUND, _DEVELOPMENT_ROOM = 80.0, 30.0
 # Together about as long as the Rotation set.
 _VARIED_SECONDS = {"paper": 25.0, "laptop": 8.0, "small": 1.0}
-# Electrons of the even background and of the room at 5.5 m: evenly drawn logarithms.
+# Electrons of the uniform background and of the room at 5.5 m: drawn log-uniformly.
 _VARIED_BACKGROUND, _VARIED_ROOM = (20.0, 160.0), (3.0, 60.0)
 
 
 def development_plan(size: str) -> Plan:
     """Return the plan of development recordings: other seeds, distances and background than the Rotation set's.
 
-    They were looked at while the method was made: what is measured on them is no test of it."""
+    They were used to develop the method, so they are no independent test.
+    """
     scene = load_scene("rotation")
     videos = [
         before_room(
@@ -47,9 +48,9 @@ def development_plan(size: str) -> Plan:
 
 
 def varied_plan(size: str) -> Plan:
-    """Return the plan of recordings to learn from, each at another distance and before another room.
+    """Return the plan of varied training recordings, each at another distance and before another room.
 
-    Together they are as long as the Rotation set's. Distances go evenly over those of the development recordings.
+    In total they are as long as the Rotation set's. Distances cover the development recordings' range evenly.
     """
     scene = load_scene("rotation")
     base = [video for seed in _VARIED_SEEDS for video in rotation_plan(scene, size, seed).videos]
@@ -63,10 +64,9 @@ def varied_plan(size: str) -> Plan:
 
 
 def before_room(video: Video, name: str, distance: float, seconds: float, *, background: float, room: float) -> Video:
-    """The video filmed from elsewhere, before a dimly lit room.
+    """The video filmed from another distance, before a dimly lit room.
 
-    The exposure is set as anyone would, so that the picture is as bright as before: it goes with the square of the
-    distance, and with it what is not the laser's.
+    The exposure grows with the square of the distance so that the RR stays as bright; so does all other light.
     """
     scene = video.scene
     longer = (distance / scene.distance) ** 2

@@ -1,9 +1,8 @@
-"""A sealed test: recordings that nobody looks at, filmed and scored by one command; only numbers of them are kept.
+"""A sealed test: recordings that nobody looks at, filmed and scored by one command; only the scores are kept.
 
-The development recordings have been looked at, frame by frame, and what was seen there changed the method. So a model
-may be good at them because it was made to be. These are drawn from a salt that nothing else uses: distance, room and
-seed, and how the camera is put together within what makers allow. Crops are deleted once they are scored, and no
-setting of the package may be chosen by the result.
+Inspecting the development recordings changed the method, so scores on them may be too good. The sealed recordings are
+drawn from a salt of their own: distance, room, seed, and the camera's assembly within tolerances. Crops are deleted
+after scoring, and no setting of the package may be chosen by the result.
 """
 
 from __future__ import annotations
@@ -39,32 +38,25 @@ from tapetum.report.verdicts import against_mean
 __all__ = ["RESULTS", "SALT", "append_results", "read_results", "run_sealed", "score_sealed", "sealed_plan"]
 
 SALT = "tapetum/sealed/2026-11"
-"""What the recordings are drawn from. No test and no other set may use it."""
+"""Seed text of the recordings. No test and no other set may use it."""
 
 RESULTS, PAGE = "sealed.jsonl", "sealed.md"
 MODELS = ("rotation-resnet18", "rotation-resnet18-varied", "rotation-zernike", "rotation-zernike-tuned")
-"""Scored where none are named."""
+"""Models scored by default."""
 
 _COUNT = {"paper": 12, "laptop": 6, "small": 2}
 _SECONDS = {"paper": 20.0, "laptop": 8.0, "small": 2.0}
-# Largest values that makers of machine-vision cameras give: Basler pilot, Prosilica GT.
+# Largest tolerances in data sheets of machine-vision cameras: Basler pilot, Prosilica GT.
 _TILT, _DECENTRE = np.radians(0.63), 0.25e-3
-# Assumed: how well a hand focuses and a diaphragm closes, and how beam splitters differ.
+# Assumed: accuracy of manual focus and of the aperture, and variation of beam splitters.
 _FOCUS, _STOP, _RATIO, _ANGLE = 0.1, 1.15, (0.05, 0.15), 0.2
 _DISTANCES, _BACKGROUND, _ROOM = (3.0, 8.0), (20.0, 160.0), (3.0, 60.0)
 
 
 def sealed_plan(size: str, salt: str = SALT, scene: Scene | None = None) -> Plan:
-    """Return the plan of the sealed recordings.
+    """Return the plan of the sealed recordings of a size (`paper`, `laptop` or `small`: their number and length).
 
-    Parameters
-    ----------
-    size
-        `paper`, `laptop` or `small`: how many there are, and how long.
-    salt
-        What they are drawn from. Tests give another one.
-    scene
-        Of the camera as it is meant to be; the Rotation set's where left out.
+    They are drawn from `salt`, around the nominal camera in `scene` (by default the Rotation set's).
     """
     scene = load_scene("rotation") if scene is None else scene
     videos = [_drawn(scene, size, salt, number) for number in range(_COUNT[size])]
@@ -117,31 +109,11 @@ def score_sealed(
     plan: Plan | None = None,
     progress: Progress = quiet,
 ) -> list[dict[str, Any]]:
-    """Film the sealed recordings, score models on them, and delete the recordings.
+    """Film the sealed recordings (or those of `plan`) in `folder`, score gaze models on them, and delete them.
 
-    Parameters
-    ----------
-    models
-        Models of the gaze, by name.
-    folder
-        Where recordings stand while they are filmed. What an interruption leaves there the same call takes up.
-    size, workers
-        Of `sealed_plan`, and processes that film.
-    plan
-        Other recordings, for tests.
-    progress
-        Shows how far it is.
-
-    Returns
-    -------
-    list of dict
-        For each model: date, version, errors of the gaze by axis and radial, those of predicting the mean of its own
-        training labels, a verdict, coverage, and the spread over recordings.
-
-    Raises
-    ------
-    InputError
-        When a model does not tell the gaze, or the disk is full.
+    Returns for each model: date, version, errors of the gaze by axis and radial, those of predicting the mean of its
+    own training labels, a verdict, coverage, and the spread over recordings. The same call resumes after an
+    interruption. Raises an InputError when a model does not predict gaze, or the disk is full.
     """
     for name, model in models.items():
         if not {"gaze_x", "gaze_y"} <= set(model.quantities):
@@ -165,7 +137,7 @@ def score_sealed(
 
 
 def _scored(name: str, model: Predictor, dataset: xr.Dataset, progress: Progress) -> dict[str, Any]:
-    # The mean that it must beat is that of the labels it learned from, not of these.
+    # The baseline is the mean of its own training labels, not of these.
     learned = getattr(model, "training_", None) or {}
     outcome = gather_parts(model, dataset.tp.test, dataset.tp.train, progress=progress)
     outcome = replace(outcome, guess=learned.get("mean"))
@@ -188,16 +160,9 @@ def _scored(name: str, model: Predictor, dataset: xr.Dataset, progress: Progress
 
 
 def run_sealed(out: Path, work: Workshop, models: Mapping[str, Predictor] | None = None) -> list[dict[str, Any]]:
-    """Score models on the sealed recordings, add the numbers to `sealed.jsonl` in a folder, and write `sealed.md`.
+    """Score gaze models (by default the Rotation models of `work`) on the sealed recordings.
 
-    Parameters
-    ----------
-    out
-        The folder.
-    work
-        Where recordings stand while they are filmed; its Rotation models are scored where none are given.
-    models
-        Models of the gaze, by name.
+    The scores are appended to `sealed.jsonl` in the folder `out`, and `sealed.md` is written.
     """
     given = models or {RECIPES[name].title: work.model(name) for name in MODELS}
     rows = score_sealed(given, work.folder, size=work.size, workers=work.workers, progress=work.progress)
@@ -208,7 +173,7 @@ def run_sealed(out: Path, work: Workshop, models: Mapping[str, Predictor] | None
 
 
 def append_results(out: Path, rows: list[dict[str, Any]]) -> Path:
-    """Add results to `sealed.jsonl` in a folder, a line each; what stands there stays."""
+    """Add results to `sealed.jsonl` in a folder, a line each, after the existing ones."""
     file = out / RESULTS
     with told_when_full(out):
         out.mkdir(parents=True, exist_ok=True)
@@ -221,13 +186,7 @@ def append_results(out: Path, rows: list[dict[str, Any]]) -> Path:
 
 
 def read_results(out: Path) -> list[dict[str, Any]]:
-    """Return all results in a folder, oldest first.
-
-    Raises
-    ------
-    InputError
-        When a line of the file is damaged.
-    """
+    """Return all results in a folder, oldest first; refuses a damaged line."""
     file = out / RESULTS
     try:
         lines = file.read_text(encoding="utf-8").splitlines() if file.exists() else []

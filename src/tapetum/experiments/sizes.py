@@ -1,4 +1,4 @@
-"""How much is filmed and trained for the paper's section 5, and what the pages made of it say about that."""
+"""Sizes of the sets and trainings for the paper's section 5, and the note about them on its pages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sets, models and predictions behind the paper's section 5: each made once, kept in a folder, taken up again."""
+"""Sets, models and predictions for the paper's section 5: made once, kept in a folder, resumed if interrupted."""
 
 from __future__ import annotations
 
@@ -27,30 +27,26 @@ from tapetum.report.evaluation import Outcome, gather
 __all__ = ["RECIPES", "SET_SEED", "Recipe", "Workshop", "plan_of"]
 
 SET_SEED = SEED
-"""Of the sets. Fixed before anything was measured; so are the seeds of the networks, 0."""
+"""Seed of the sets; like the networks' seeds, 0, fixed before any measurement."""
 
 Model = ZernikeRidge | NetworkEstimator
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """A model that the paper's section 5, or what goes beyond it, needs.
+    """A model that the paper's section 5, or an experiment beyond it, needs.
 
     Parameters
     ----------
-    name
-        Of its folder.
-    set
-        The set it learns from.
-    title
-        In figures and tables.
+    name, title
+        Of its folder, and in figures and tables.
+    set, without
+        The training set, and devices whose frames are left out of it.
     make
-        Returns it, not fitted, for a size of the sets.
-    without
-        Devices whose frames are kept from it.
+        Returns the unfitted model for a size of the sets.
     reason
-        How its settings were chosen, for its card: by training recordings alone, or what else was looked at. By size
-        where that differs.
+        How its settings were chosen, for its card: by training recordings alone, or by which other data. By size where
+        that differs.
     """
 
     name: str
@@ -61,7 +57,7 @@ class Recipe:
     reason: str | Mapping[str, str] = "the paper's settings: nothing was chosen"
 
     def reason_at(self, size: str) -> str:
-        """How its settings were chosen for a size of the sets."""
+        """Reason for its settings at a size of the sets."""
         return self.reason if isinstance(self.reason, str) else self.reason[size]
 
 
@@ -91,14 +87,14 @@ _CV = "the penalty by cross-validation on the training part; standardised before
 
 @dataclass(frozen=True)
 class Effort:
-    """How long a network is trained, on how fine pictures: their edge in pixels, epochs, and images a step."""
+    """Side of the input images in pixels, epochs, and batch size of a network."""
 
     edge: int
     epochs: int
     batch: int = 32
 
 
-# Small batches make more steps of few frames.
+# Few frames need small batches for enough steps.
 EFFORTS: dict[str, dict[str, Effort]] = {
     "gaze": {"paper": Effort(72, 60), "laptop": Effort(48, 30), "small": Effort(72, 4)},
     "varied": {"paper": Effort(80, 40), "laptop": Effort(64, 20), "small": Effort(80, 4)},
@@ -106,93 +102,73 @@ EFFORTS: dict[str, dict[str, Effort]] = {
     "phone": {"paper": Effort(200, 48), "laptop": Effort(80, 20, 16), "small": Effort(100, 4)},
     "device": {"paper": Effort(200, 24), "laptop": Effort(80, 10, 16), "small": Effort(100, 4)},
 }
-"""Of the networks, by what they tell and by size."""
+"""Training settings of the networks, by target and by size."""
 
 
-def _network(target: str, crop: int, effort: Effort, **settings: Any) -> ResNet18:
-    return ResNet18(target, crop=crop, size=effort.edge, epochs=effort.epochs, batch=effort.batch, **settings)
+# Side of the crop, in pixels. The RR of the Rotation set is 124 pixels wide, its second image 43 pixels beside it, and
+# at 3 m it is half as wide again. At 135 mm and 3 m the RR fills the crop for the focus. A phone's RRs are spread over
+# the crop; a ring of one is 6 pixels wide, and its fine structure identifies the phone.
+_CROPS = {"gaze": 144, "varied": 200, "focus": 400, "phone": 400, "device": 400}
 
 
-def _gaze(size: str, /, kind: str = "gaze", crop: int = 144, hide: int = 0) -> ResNet18:
-    # The RR is 124 pixels wide, its second image 43 pixels beside it: two pixels become one, or three.
-    return _network("gaze", crop, EFFORTS[kind][size], gain=0.3, hide=hide)
+def _network(kind: str, **settings: Any) -> Callable[[str], Model]:
+    """Return a function that makes a network for a size of the sets."""
+    target = "gaze" if kind == "varied" else kind
+    if target == "gaze":
+        settings["gain"] = 0.3
+
+    def make(size: str) -> Model:
+        effort = EFFORTS[kind][size]
+        image = {"crop": _CROPS[kind], "size": effort.edge}
+        return ResNet18(target, epochs=effort.epochs, batch=effort.batch, **image, **settings)
+
+    return make
 
 
-def _focus(size: str) -> ResNet18:
-    # The RR fills the crop at 135 mm and 3 m.
-    return _network("focus", 400, EFFORTS["focus"][size])
-
-
-def _phone(size: str, target: str = "phone") -> ResNet18:
-    # A phone's RRs are spread over the crop; a ring of one is 6 pixels wide, and its fine structure tells the phone.
-    return _network(target, 400, EFFORTS[target][size])
-
-
-def _paper_ridge(target: str) -> ZernikeRidge:
-    return ZernikeRidge(target)
-
-
-def _tuned_ridge(target: str) -> ZernikeRidge:
-    return ZernikeRidge(target, alpha="cv", standardise=True, calibration_fraction=0.1)
+def _ridge(target: str, *, tuned: bool = False) -> Callable[[str], Model]:
+    chosen: dict[str, Any] = {"alpha": "cv", "standardise": True, "calibration_fraction": 0.1} if tuned else {}
+    return lambda _: ZernikeRidge(target, **chosen)
 
 
 PAPER, TUNED, RESNET = "Zernike + ridge", "Zernike + ridge, tuned", "ResNet-18"
+HIDDEN, VARIED = "ResNet-18 without its brightest spot", "ResNet-18, varied recordings"
+HELD_OUT = "ResNet-18, devices held out"
 UNSEEN = ("phone-03", "phone-07", "phone-10")
-"""Devices kept from the model that is asked for none of these."""
+"""Devices withheld from the model that is tested for "none of these"."""
 
-RECIPES: dict[str, Recipe] = {
-    recipe.name: recipe
-    for recipe in (
-        Recipe("rotation-zernike", "rotation", PAPER, lambda _: _paper_ridge("gaze")),
-        Recipe("rotation-zernike-tuned", "rotation", TUNED, lambda _: _tuned_ridge("gaze"), reason=_CV),
-        Recipe("rotation-resnet18", "rotation", RESNET, _gaze, reason=_GAZE),
-        Recipe(
-            "rotation-resnet18-hidden",
-            "rotation",
-            "ResNet-18 without its brightest spot",
-            lambda s: _gaze(s, hide=16),
-            reason=_GAZE,
-        ),
-        # At 3 m the RR is half as wide again.
-        Recipe(
-            "rotation-resnet18-varied",
-            "varied",
-            "ResNet-18, varied recordings",
-            lambda size: _gaze(size, "varied", 200),
-            reason=_VARIED,
-        ),
-        Recipe("focusing-zernike", "focusing", PAPER, lambda _: _paper_ridge("focus")),
-        Recipe("focusing-zernike-tuned", "focusing", TUNED, lambda _: _tuned_ridge("focus"), reason=_CV),
-        Recipe("focusing-resnet18", "focusing", RESNET, _focus, reason=_FOCUS),
-        Recipe("phones-resnet18", "phones", RESNET, _phone, reason=_PHONE),
-        Recipe(
-            "phones-resnet18-unseen",
-            "phones",
-            "ResNet-18, devices held out",
-            lambda s: _phone(s, "device"),
-            UNSEEN,
-            _PHONE,
-        ),
-    )
-}
+_ALL = (
+    Recipe("rotation-zernike", "rotation", PAPER, _ridge("gaze")),
+    Recipe("rotation-zernike-tuned", "rotation", TUNED, _ridge("gaze", tuned=True), reason=_CV),
+    Recipe("rotation-resnet18", "rotation", RESNET, _network("gaze"), reason=_GAZE),
+    Recipe("rotation-resnet18-hidden", "rotation", HIDDEN, _network("gaze", hide=16), reason=_GAZE),
+    Recipe("rotation-resnet18-varied", "varied", VARIED, _network("varied"), reason=_VARIED),
+    Recipe("focusing-zernike", "focusing", PAPER, _ridge("focus")),
+    Recipe("focusing-zernike-tuned", "focusing", TUNED, _ridge("focus", tuned=True), reason=_CV),
+    Recipe("focusing-resnet18", "focusing", RESNET, _network("focus"), reason=_FOCUS),
+    Recipe("phones-resnet18", "phones", RESNET, _network("phone"), reason=_PHONE),
+    Recipe("phones-resnet18-unseen", "phones", HELD_OUT, _network("device"), UNSEEN, _PHONE),
+)
+RECIPES = {recipe.name: recipe for recipe in _ALL}
 
 
 @dataclass
 class Workshop:
-    """What is made for the paper's section 5, once.
+    """Sets and models of the paper's section 5, made on first use.
 
     Parameters
     ----------
     folder
-        Keeps sets and models; what is whole there is not made again, what was interrupted is taken up.
+        Keeps sets and models: complete ones are used again, interrupted ones resumed.
     size
         Of the sets and networks: `laptop`, `paper`, or `small`, a smoke test.
-    workers
-        Processes that film; None for this one alone.
+    workers, cluster
+        Number of processes that film (None for this one alone), or the address of a Dask scheduler to film instead.
+    device
+        Where networks are trained and run: "auto", "cpu", "cuda" or "cuda:1".
     sets
         Datasets to use in place of synthesised ones, by the name of the set.
     progress, on_epoch
-        Show how far it is.
+        Progress callbacks.
     """
 
     folder: Path
@@ -201,6 +177,8 @@ class Workshop:
     sets: Mapping[str, xr.Dataset] = field(default_factory=dict)
     progress: Progress = quiet
     on_epoch: Callable[[EpochReport], None] | None = None
+    cluster: str | None = None
+    device: str = "auto"
     _outcomes: dict[str, Outcome] = field(default_factory=dict, init=False)
 
     def dataset(self, name: str) -> xr.Dataset:
@@ -208,13 +186,13 @@ class Workshop:
         if name in self.sets:
             return self.sets[name]
         plan = plan_of(name, self.size)
-        # A set of another plan (another scene, recipe or version) may stand beside: it is neither used nor removed.
+        # A set of another plan (scene, recipe or version) is neither used nor removed.
         path = self.folder / f"{name}-{self.size}-{plan.digest[:8]}.zarr"
         plain = self.folder / f"{name}-{self.size}.zarr"
         if not path.exists() and plain.exists() and _planned(plain) == plan.digest:
             return open_dataset(plain)
         if not path.exists():
-            synthesise(plan, path, processes=self.workers, progress=self.progress)
+            synthesise(plan, path, processes=self.workers, cluster=self.cluster, progress=self.progress)
         dataset = open_dataset(path)
         if _planned(path) != plan.digest:
             remedy = "remove it, or give another folder"
@@ -222,28 +200,26 @@ class Workshop:
         return dataset
 
     def model(self, name: str) -> Model:
-        """Return a fitted model, training it first where it is not there.
-
-        Raises
-        ------
-        InputError
-            For a name that is none of `RECIPES`.
-        """
+        """Return a fitted model, trained first if needed; refuses a name that is none of `RECIPES`."""
         if name not in RECIPES:
             raise InputError(f"no model is called {name!r}", remedy=f"there are: {', '.join(RECIPES)}")
         recipe = RECIPES[name]
         dataset = self._without(self.dataset(recipe.set), recipe.without)
         wanted = recipe.make(self.size)
-        # Named by recipe and content: a model of other frames, labels or parameters is neither used nor overwritten.
+        # Named by recipe and content, so a model of other data or parameters is neither used nor overwritten.
         folder = self.folder / f"{name}-{self.size}-{_key(wanted, dataset)[:8]}"
         if folder.exists():
             if not _is(folder, wanted, dataset):
                 remedy = "remove it, or give another folder"
                 raise InputError("is another model than its name says", where=folder, remedy=remedy)
-            return load_model(folder)
+            found = load_model(folder)
+            if isinstance(found, NetworkEstimator):
+                found.device = self.device
+            return found
         checkpoint = folder.with_name(f"{folder.name}.checkpoint")
         start = time.monotonic()
         if isinstance(wanted, NetworkEstimator):
+            wanted.device = self.device
             wanted.fit(dataset, progress=self.progress, checkpoint=checkpoint, resume=True, on_epoch=self.on_epoch)
         else:
             wanted.fit(dataset, progress=self.progress)
@@ -255,7 +231,7 @@ class Workshop:
         return wanted
 
     def outcome(self, name: str) -> Outcome:
-        """Return what a model says of its set's test part, devices that were kept from it included."""
+        """Return a model's predictions for its set's test part, withheld devices included."""
         if name not in self._outcomes:
             model = self.model(name)
             self._outcomes[name] = gather(model, self.dataset(RECIPES[name].set), progress=self.progress)
@@ -270,7 +246,7 @@ class Workshop:
 
 
 def plan_of(name: str, size: str) -> Plan:
-    """Return the plan of one of the paper's sets, or of the recordings beside them."""
+    """Return the plan of one of the paper's sets or of the further recordings."""
     beside = {"development": development_plan, "varied": varied_plan}
     return beside[name](size) if name in beside else make_plan(name, size, SET_SEED)
 
@@ -282,13 +258,13 @@ def _planned(path: Path) -> str | None:
 
 
 def _key(wanted: Model, dataset: xr.Dataset) -> str:
-    """Return what names a model: a hash of its kind, its parameters and the content of what it learns from."""
+    """Return a model's name: a hash of its kind, its parameters and its training data."""
     about = [wanted.kind, json_safe(wanted.parameters(), "parameters"), dataset.tp.train.tp.hash]
     return hashlib.sha256(json.dumps(about, sort_keys=True).encode()).hexdigest()
 
 
 def _is(folder: Path, wanted: Model, dataset: xr.Dataset) -> bool:
-    """Whether the model in a folder is the one wanted, of these training frames."""
+    """Whether the model in a folder has this recipe and these training frames."""
     card = model_card(folder)
     parameters, learned = json_safe(wanted.parameters(), "parameters"), dataset.tp.train.tp.hash
     return card["kind"] == wanted.kind and card["parameters"] == parameters and card["training_data"] == learned

@@ -1,19 +1,19 @@
-"""Make the paper's figures and tables and write them into a folder: a picture, the text beside it, and the numbers."""
+"""Make the paper's figures and tables and write them into a folder: a picture, its page, and the numbers."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 from matplotlib.figure import Figure
 
 from tapetum.errors import InputError, one_of
 from tapetum.experiments.beyond import ablations, development, unseen, untrained
 from tapetum.experiments.drawings import draw_fig4, draw_fig5, draw_fig6, draw_fig7, draw_fig8
-from tapetum.experiments.fig4 import DISTANCES, FOCAL_LENGTHS, ROTATIONS, simulate_fig4
+from tapetum.experiments.fig4 import simulate_fig4
 from tapetum.experiments.fig5 import simulate_fig5
 from tapetum.experiments.fig6 import simulate_fig6
 from tapetum.experiments.fig7 import simulate_fig7
@@ -21,7 +21,6 @@ from tapetum.experiments.fig8 import simulate_fig8
 from tapetum.experiments.learning import fig9, fig10, fig11, fig12, table1, table2
 from tapetum.experiments.sizes import DEFAULT, SIZES, SMOKE_TEST, is_smoke_test, with_note
 from tapetum.experiments.templating import render
-from tapetum.experiments.text import text_fig4, text_fig5, text_fig6, text_fig7, text_fig8
 from tapetum.experiments.workshop import Workshop
 from tapetum.files import atomic_file, told_when_full
 from tapetum.progress import Progress, quiet
@@ -39,104 +38,44 @@ class Reproduction:
     numbers: dict[str, Any]
 
 
-# The page's text is None where a template makes it of the numbers.
-Made = tuple[Figure | None, str | None, dict[str, Any]]
+Made = tuple[Figure | None, dict[str, Any]]
 
 
-def _fig4(work: Workshop) -> Made:
-    found = simulate_fig4(progress=work.progress)
-    return draw_fig4(found, FOCAL_LENGTHS, DISTANCES, ROTATIONS), text_fig4(found), found.numbers()
+class _Simulated(Protocol):
+    def numbers(self) -> dict[str, Any]: ...
 
 
-def _fig5(work: Workshop) -> Made:
-    found = simulate_fig5(progress=work.progress)
-    return draw_fig5(found), text_fig5(found), found.numbers()
+Found = TypeVar("Found", bound=_Simulated)
 
 
-def _fig6(work: Workshop) -> Made:
-    found = simulate_fig6(progress=work.progress)
-    return draw_fig6(found), text_fig6(found), found.numbers()
-
-
-def _fig7(work: Workshop) -> Made:
-    found = simulate_fig7(size=work.size, progress=work.progress)
-    return draw_fig7(found), text_fig7(found), found.numbers()
-
-
-def _fig8(work: Workshop) -> Made:
-    found = simulate_fig8(size=work.size, progress=work.progress)
-    return draw_fig8(found), text_fig8(found), found.numbers()
-
-
-def _fig9(work: Workshop) -> Made:
-    figure, numbers = fig9(work)
-    return figure, None, numbers
-
-
-def _fig10(work: Workshop) -> Made:
-    figure, found = fig10(work)
-    return figure, None, found.numbers()
-
-
-def _fig11(work: Workshop) -> Made:
-    figure, numbers = fig11(work)
-    return figure, None, {"models": numbers}
-
-
-def _fig12(work: Workshop) -> Made:
-    figure, found = fig12(work)
-    return figure, None, found.numbers()
-
-
-def _table1(work: Workshop) -> Made:
-    rows, classes = table1(work)
-    return None, None, {"rows": [asdict(row) for row in rows], "classes": classes}
-
-
-def _table2(work: Workshop) -> Made:
-    return None, None, {"phones": [asdict(one) for one in table2(work)]}
-
-
-def _ablations(work: Workshop) -> Made:
-    return None, None, {"rows": [asdict(row) for row in ablations(work)]}
-
-
-def _development(work: Workshop) -> Made:
-    return None, None, {"rows": [{**asdict(row), "ratio": row.ratio} for row in development(work)]}
-
-
-def _unseen(work: Workshop) -> Made:
-    return None, None, unseen(work).to_dict()
-
-
-def _fit(work: Workshop) -> Made:
-    return None, None, asdict(untrained(work))
+def _drawn(found: Found, draw: Callable[[Found], Figure]) -> Made:
+    return draw(found), found.numbers()
 
 
 _MAKERS: dict[str, Callable[[Workshop], Made]] = {
-    "fig4": _fig4,
-    "fig5": _fig5,
-    "fig6": _fig6,
-    "fig7": _fig7,
-    "fig8": _fig8,
-    "fig9": _fig9,
-    "fig10": _fig10,
-    "fig11": _fig11,
-    "fig12": _fig12,
-    "table1": _table1,
-    "table2": _table2,
-    "ablations": _ablations,
-    "development": _development,
-    "unseen": _unseen,
-    "fit": _fit,
+    "fig4": lambda work: _drawn(simulate_fig4(progress=work.progress), draw_fig4),
+    "fig5": lambda work: _drawn(simulate_fig5(progress=work.progress), draw_fig5),
+    "fig6": lambda work: _drawn(simulate_fig6(progress=work.progress), draw_fig6),
+    "fig7": lambda work: _drawn(simulate_fig7(size=work.size, progress=work.progress), draw_fig7),
+    "fig8": lambda work: _drawn(simulate_fig8(size=work.size, progress=work.progress), draw_fig8),
+    "fig9": fig9,
+    "fig10": fig10,
+    "fig11": fig11,
+    "fig12": fig12,
+    "table1": lambda work: (None, table1(work)),
+    "table2": lambda work: (None, table2(work)),
+    "ablations": lambda work: (None, ablations(work)),
+    "development": lambda work: (None, development(work)),
+    "unseen": lambda work: (None, unseen(work)),
+    "fit": lambda work: (None, untrained(work)),
 }
 FIGURES: tuple[str, ...] = tuple(_MAKERS)
 BEYOND = FIGURES[FIGURES.index("ablations") :]
-"""What the paper does not have."""
+"""Experiments beyond the paper."""
 PRINTED = FIGURES[: FIGURES.index("ablations")]
 """The paper's own figures and tables."""
 LEARNED = FIGURES[FIGURES.index("fig9") :]
-"""Those for which sets are filmed and models trained."""
+"""Figures and tables that need filmed sets and trained models."""
 GROUPS: dict[str, tuple[str, ...]] = {
     "printed": PRINTED,
     "learned": tuple(name for name in PRINTED if name in LEARNED),
@@ -161,14 +100,14 @@ def reproduce(
     figures
         Of `FIGURES` and `GROUPS`; each is made once.
     out
-        The folder; it is made where it is not there. Files of these names in it are replaced, others stay.
+        The folder, created if needed. Files of these names in it are replaced, others stay.
     size
-        `laptop`, `paper`, or `small`, a smoke test: fewer images in the figures of samples, 7 and 8, and shorter
-        videos behind 9 to 12 and the tables. Pages, pictures and numbers of what is learned name it.
+        `laptop`, `paper`, or `small`, a smoke test: fewer images in figures 7 and 8, and shorter videos behind 9 to 12
+        and the tables. Pages, pictures and numbers of section 5 state it.
     work
-        Where sets and models are kept; the folder `work` in `out` where left out.
+        Where sets and models are kept; by default the folder `work` in `out`.
     progress
-        Shows how far it is.
+        Progress callback.
 
     Raises
     ------
@@ -190,12 +129,12 @@ def reproduce(
     for name in wanted:
         if name in LEARNED:
             work.folder.mkdir(parents=True, exist_ok=True)
-        figure, text, numbers = _MAKERS[name](work)
-        if text is None or name in LEARNED:
-            # As the file will hold them: the page says what a reader of the numbers finds.
-            numbers = json.loads(json.dumps({"size": work.size, **numbers}, allow_nan=False))
-        if text is None:
-            text = render(name, numbers)
+        figure, numbers = _MAKERS[name](work)
+        if name in LEARNED:
+            numbers = {"size": work.size, **numbers}
+        # The page must state the numbers as they are in the JSON file.
+        numbers = json.loads(json.dumps(numbers, allow_nan=False))
+        text = render(name, numbers)
         if name in LEARNED:
             text = with_note(text, work.size)
             if figure is not None and is_smoke_test(work.size):

@@ -1,4 +1,4 @@
-"""What may differ between two pictures of the same gaze: brightness, centring, noise."""
+"""Random variations of the training images that do not change the gaze: brightness, centring, noise."""
 
 from __future__ import annotations
 
@@ -17,24 +17,20 @@ __all__ = ["Augmentation", "augment"]
 
 @dataclass(frozen=True)
 class Augmentation:
-    """What is varied at random about an image while training, and nothing that the gaze would change.
+    """Random variations of training images that leave the gaze unchanged.
 
-    Never flips or rotations: they turn the gaze with them, and what tells its sign (the second beam) does not
-    follow.
+    Flips and rotations are excluded: they turn the gaze, while the second beam, which shows its sign, does not follow.
 
     Parameters
     ----------
     gain
-        The image is multiplied by exp(u), u uniform in -gain ... gain. An image here is the root of the
-        intensity less the root of its background; more light or a longer exposure scales both roots alike, by
-        exp(u), and so the intensity by exp(2 u).
+        The image is multiplied by exp(u), u uniform in -gain ... gain. An image is the root of the intensity less the
+        root of its background, so the intensity changes by exp(2 u).
     shift
-        Largest shift in pixels of the network's input, each axis, between pixels as well; the centre is known no
-        better.
+        Largest sub-pixel shift along each axis in pixels of the network's input, as large as the centring error.
     noise
-        Standard deviation of white noise, in units of the training images' standard deviation. The root makes
-        white noise the right kind: counts of a mean n spread by sqrt(n), their root by 1/2 whatever n is
-        (Anscombe, Biometrika 35, 246 (1948)), bright pixels and dark ones alike.
+        Standard deviation of white noise, in units of the training images' standard deviation. White noise is right
+        here because the root makes shot noise independent of the count (Anscombe, Biometrika 35, 246 (1948)).
     """
 
     gain: float = 0.1
@@ -44,20 +40,19 @@ class Augmentation:
     def __post_init__(self) -> None:
         for name, value in asdict(self).items():
             if not (math.isfinite(value) and value >= 0):
-                raise InputError(
-                    f"must not be negative, is {value}", where=f"augmentation.{name}", remedy="0 turns it off"
-                )
+                what = f"must not be negative, is {value}"
+                raise InputError(what, where=f"augmentation.{name}", remedy="0 turns it off")
 
     @classmethod
     def none(cls) -> Self:
-        """Leave the images as they are."""
+        """Return settings that leave images unchanged."""
         return cls(0, 0, 0)
 
 
 def augment(images: Tensor, settings: Augmentation, generator: torch.Generator) -> Tensor:
-    """Return images [N, 1, H, W] with random gain, sub-pixel shift and noise; see `Augmentation`.
+    """Return images [N, 1, H, W] with random gain, sub-pixel shift and noise.
 
-    The numbers are drawn where the generator lives: one of the images' device spares the way there.
+    Random numbers are drawn on the generator's device; a generator on the images' device avoids copies.
     """
     n, _, height, width = images.shape
 

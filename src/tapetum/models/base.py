@@ -1,11 +1,12 @@
-"""What every estimator takes, gives and promises."""
+"""Common part of all models: targets, training frames, `predict`, and the interface of estimators."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol, Self, TypeAlias, runtime_checkable
+from typing import Any, ClassVar, Self, TypeAlias, TypeVar
 
 import numpy as np
 import torch
@@ -15,8 +16,10 @@ from numpy.typing import NDArray
 from tapetum.data.dataset import DEVICE, TRAIN, image_batches
 from tapetum.data.embargo import meeting, reach_of
 from tapetum.errors import InputError
+from tapetum.models.domain import Domain, judged
 from tapetum.models.features import as_images
-from tapetum.models.prediction import Prediction
+from tapetum.models.intervals import Intervals
+from tapetum.models.prediction import Prediction, joined
 from tapetum.progress import Progress, quiet
 
 __all__ = [
@@ -36,69 +39,174 @@ TARGETS: dict[str, tuple[str, ...]] = {
     "device": (DEVICE,),
     "phone": ("gaze_x", "gaze_y", DEVICE),
 }
-"""What a model may be asked for, and the labels that answer it. Any label's own name does as well."""
+"""Short names of targets, and their labels. A label's own name is a target as well."""
 
 Data: TypeAlias = xr.Dataset | NDArray[np.generic]
 """A dataset, or crops [N, side, side]."""
 
 
-@runtime_checkable
-class Predictor(Protocol):
-    """A fitted model, whatever it runs on."""
+T = TypeVar("T")
 
-    @property
-    def kind(self) -> str: ...
 
+class Predictor(ABC):
+    """A fitted model, on any runtime.
+
+    Attributes
+    ----------
+    kind
+        Its name on the model card.
+    target_names, quantities
+        The labels that it estimates, and those of them that are numbers.
+    intervals_
+        `tapetum.models.intervals.Intervals`, calibrated on training frames that were not fitted.
+    data_hash_
+        Hash of the content of the fitted training frames, where known.
+    """
+
+    kind: str
     target_names: tuple[str, ...]
     quantities: tuple[str, ...]
+    intervals_: Intervals
     data_hash_: str | None
+    _batch: ClassVar[int] = 64
 
     def predict(
         self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
-    ) -> Prediction: ...
+    ) -> Prediction:
+        """Estimate the target for every image.
 
+        Parameters
+        ----------
+        data
+            A dataset or crops [N, side, side], centred like the training crops.
+        full_scale
+            Largest count of the camera, for crops that are not uint8.
+        progress
+            Shown over the batches.
+        anyway
+            Keep the estimates of images to which the model does not apply; their `reason` is still set.
+
+        Raises
+        ------
+        InputError
+            When the model is not fitted or the images do not fit it.
+        """
+        found = joined(self._map_batches(self._estimate, self._progress_label(), data, full_scale, progress))
+        return found if anyway else found.withheld()
+
+    @abstractmethod
     def parameters(self) -> dict[str, Any]:
-        """Return how it was made, fit for JSON."""
-        ...
+        """Return the arguments that the model was made with, as values that JSON can hold."""
 
     def classes(self) -> tuple[str, ...]:
         """Return the names of the devices learned; empty where that is no target."""
-        ...
+        return ()
+
+    @abstractmethod
+    def _progress_label(self) -> str:
+        """Return the label of the progress bar."""
+
+    @abstractmethod
+    def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
+        """Return the estimates of one batch, with a reason for each image to which the model does not apply."""
+
+    def _map_batches(
+        self,
+        read: Callable[[NDArray[np.generic], float], T],
+        what: str,
+        data: Data,
+        full_scale: float | None = None,
+        progress: Progress = quiet,
+    ) -> list[T]:
+        """Call `read` with each batch of images and its full scale; return its results, at least one."""
+        total = -(-frame_count(data) // self._batch)
+        return [read(*one) for one in progress(self._batches(data, full_scale), what, total=total)]
+
+    def _batches(self, data: Data, full_scale: float | None) -> Iterator[tuple[NDArray[np.generic], float]]:
+        """Yield batches of crops with their full scale; a single empty batch when there are no crops."""
+        if isinstance(data, xr.Dataset):
+            depth = data.tp.full_scale if full_scale is None else full_scale
+            empty = np.empty((0, data.tp.side, data.tp.side), np.uint8)
+            for images in image_batches(data, self._batch) if data.sizes["frame"] else [empty]:
+                yield as_images(images, depth, where="dataset")
+            return
+        images, depth = as_images(data, full_scale)
+        for start in range(0, max(1, len(images)), self._batch):
+            yield images[start : start + self._batch], depth
+
+    def _prediction(
+        self,
+        value: NDArray[np.float64],
+        snr: Callable[[], NDArray[np.float64]],
+        distance: NDArray[np.float64] | None,
+        probability: NDArray[np.float64] | None = None,
+        novelty: NDArray[np.float64] | None = None,
+    ) -> Prediction:
+        """Make a prediction of values [N, K]: add the intervals and the reasons why the model does not apply."""
+        # The SNR costs half a millisecond a frame: only where the intervals depend on it.
+        width = self.intervals_.at(snr() if self.intervals_.conditional else np.zeros(len(value)))
+        ends = value - width, value + width
+        return judged(Prediction(self.quantities, value, *ends, self.classes(), probability, novelty), distance)
 
 
-@runtime_checkable
-class Estimator(Predictor, Protocol):
-    """A model of images that learns: scikit-learn's contract, with progress and intervals.
+class Estimator(Predictor):
+    """A trainable model of images: scikit-learn's contract, with progress bars and intervals.
 
-    Parameters are arguments of ``__init__`` and come back from `parameters`; what is learned ends in an
+    Parameters are the arguments of ``__init__`` and come back from `parameters`; learned attributes end in an
     underscore.
+
+    Attributes
+    ----------
+    domain_
+        `tapetum.models.domain.Domain`: what the training frames look like; None with fewer than 40 frames, and in
+        models saved by versions without it.
+    training_
+        How many frames were fitted and held out, and how crops were centred: `TrainingPart.summary`.
     """
 
+    domain_: Domain | None
     training_: dict[str, Any] | None
 
-    def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self: ...
+    @abstractmethod
+    def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
+        """Fit the training frames of a dataset; return the estimator."""
 
+    @abstractmethod
     def state(self) -> dict[str, torch.Tensor]:
         """Return everything that was learned."""
-        ...
 
     @classmethod
+    @abstractmethod
     def from_state(
         cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
     ) -> Self:
-        """Make a fitted model of what `parameters`, `state` and `classes` returned."""
-        ...
+        """Rebuild a fitted model from the results of `parameters`, `state` and `classes`."""
+
+    def _check_fitted(self) -> None:
+        if not hasattr(self, "intervals_"):
+            raise InputError("the model is not fitted", where=self.kind, remedy="call fit or load_model first")
+
+
+def frame_count(data: Data) -> int:
+    """Return how many images `data` holds."""
+    if isinstance(data, xr.Dataset):
+        return int(data.sizes["frame"])
+    return 1 if np.ndim(data) == 2 else len(data)
 
 
 def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
-    """Return the labels behind a target: "gaze", "focus", "device", "phone", a label's own name or several."""
+    """Return the labels of a target: "gaze", "focus", "device", "phone", a label's own name or several."""
     if isinstance(target, str):
         return TARGETS.get(target, (target,))
     if not target:
-        raise InputError(
-            "nothing to estimate", where="target", remedy=f"give one of {', '.join(TARGETS)} or labels' names"
-        )
+        remedy = f"give one of {', '.join(TARGETS)} or labels' names"
+        raise InputError("nothing to estimate", where="target", remedy=remedy)
     return tuple(target)
+
+
+def plain_target(target: str | tuple[str, ...]) -> str | list[str]:
+    """Return a target as a text or list of texts, for JSON."""
+    return target if isinstance(target, str) else list(target)
 
 
 def quantities_of(names: tuple[str, ...]) -> tuple[str, ...]:
@@ -108,30 +216,18 @@ def quantities_of(names: tuple[str, ...]) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class TrainingPart:
-    """The training frames of a dataset, those to fit apart from those to calibrate with.
+    """The training frames of a dataset, divided into those that fit, calibrate and choose.
 
-    Parameters
-    ----------
-    dataset
-        The training frames alone.
-    quantities, targets
-        Names and values [N, K] of the labels that are numbers.
-    device
-        [N] number of each frame's device in `classes`; None where that is no target.
-    classes
-        Names of the devices that there are training frames of.
-    fit, calibrate, choose
-        Positions in `dataset`, in order; those that choose do nothing else.
-    full_scale
-        Largest count of the camera.
-    data_hash
-        Of the content of the training frames: images, labels, recordings, classes.
+    `dataset` holds the training frames alone, `targets` [N, K] the values of the `quantities`; `camera` [N] numbers
+    each frame's device among `classes` (None where the device is no target). `fit`, `calibrate` and `choose` are
+    ascending positions in `dataset`; no frame is in two of them. `data_hash` covers images, labels, recordings and
+    classes.
     """
 
     dataset: xr.Dataset
     quantities: tuple[str, ...]
     targets: NDArray[np.float64]
-    device: NDArray[np.int64] | None
+    camera: NDArray[np.int64] | None
     classes: tuple[str, ...]
     fit: NDArray[np.intp]
     calibrate: NDArray[np.intp]
@@ -141,20 +237,20 @@ class TrainingPart:
 
     @property
     def summary(self) -> dict[str, Any]:
-        """What the model's card says of the training: counts of frames, intervals, and how crops were centred."""
+        """The model card's entry on the training: frame counts, origin of the intervals, centring of the crops."""
         kept = len(self.calibrate)
         return {
             "frames": len(self.targets),
             "fitted": len(self.fit),
             "calibrated_on": kept,
             "embargo": len(self.targets) - len(self.fit) - kept - len(self.choose),
-            # Whatever the data decided, and by which frames: never those that test.
+            # Settings that were chosen by data, and by which frames; test frames never choose.
             "chosen": {},
             "intervals": "from the last part of every recording's training frames, kept out of the fit"
             if kept
             else "none: every training frame is fitted, as in the paper",
             "centring": self.dataset.attrs.get("centring"),
-            # What a guess that looks at no image would say.
+            # The constant estimate that serves as the baseline.
             "mean": dict(zip(self.quantities, self.targets.mean(axis=0).tolist(), strict=True)),
         }
 
@@ -162,53 +258,48 @@ class TrainingPart:
 def training_part(
     dataset: xr.Dataset, names: tuple[str, ...], calibration_fraction: float, *, select: bool = False
 ) -> TrainingPart:
-    """Take the training frames of a dataset; set the last share of each recording's aside to calibrate with.
+    """Take the training frames of a dataset; hold the last share of each recording out of the fit.
 
-    Frames before those whose labels share a measurement with theirs (`tapetum.data.embargo`) are neither fitted nor
-    calibrated with. With `select` the first half of those aside chooses (when to stop, say) and the second calibrates:
-    what was chosen by a frame looks too good there. Frames marked for testing are never used, even when the whole
-    dataset is given.
-
-    Raises
-    ------
-    InputError
-        When there is no training frame, too few of them, a label is missing, not a number or the same throughout.
+    Held-out frames calibrate. With `select`, half of them choose instead (when to stop, for example), because a frame
+    that chose would make the calibration too optimistic. Frames whose labels share a measurement with held-out frames
+    (`tapetum.data.embargo`) are dropped. Test frames are never used. Raises an InputError when there are too few
+    training frames, or a label is missing, not finite or constant.
     """
     if not 0 <= calibration_fraction < 1:
-        raise InputError(
-            f"must lie in 0 ... 1, is {calibration_fraction}",
-            where="calibration_fraction",
-            remedy="0.1 is usual",
-        )
+        what = f"must lie in 0 ... 1, is {calibration_fraction}"
+        raise InputError(what, where="calibration_fraction", remedy="0.1 is usual")
     split = np.asarray(dataset["split"].values)
     train = dataset.isel(frame=np.flatnonzero(split == TRAIN))
     recording = np.asarray(train["recording"].values)
+    few = InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
     if len(recording) < 2:
-        raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
+        raise few
     quantities = quantities_of(names)
     targets = train.tp.values(quantities) if quantities else np.empty((len(recording), 0))
-    device, classes = _devices(train) if DEVICE in names else (None, ())
-    videos = len(np.unique(recording))
+    camera, classes = _cameras(train) if DEVICE in names else (None, ())
     for k, name in enumerate(quantities):
         lost = np.flatnonzero(~np.isfinite(targets[:, k]))
         if len(lost):
             what = f"label {name} is not a number in {len(lost)} training frames, the first is number {lost[0]}"
             raise InputError(what, where="dataset", remedy="build or import it again without these frames")
         if np.ptp(targets[:, k]) == 0:
-            what = f"{name} never changes in {_of(videos)}: nothing to learn"
+            count = len(np.unique(recording))
+            of = "the one recording" if count == 1 else f"{count} recordings"
+            what = f"{name} never changes in {of}: nothing to learn"
             raise InputError(what, where="dataset", remedy="add recordings with other values of it")
-    aside, choosing, owed, half = *(np.zeros(len(recording), dtype=bool) for _ in range(2)), 0.0, 0.0
+    aside, choosing = np.zeros((2, len(recording)), dtype=bool)
+    owed = half = 0.0
     for number in np.unique(recording):
         places = np.flatnonzero(recording == number)
-        # What one recording is too short to give counts for the next: many short ones give their share, too.
+        # Rounding carries over to the next recording, so that many short recordings together give the whole share.
         owed += calibration_fraction * len(places)
         count = min(max(round(owed), 0), len(places))
         owed -= count
-        aside[places[len(places) - count :]] = True
+        last = places[len(places) - count :]
+        aside[last] = True
         if select:
             half += count / 2
-            first = len(places) - count
-            choosing[places[first : first + round(half)]] = True
+            choosing[last[: round(half)]] = True
             half -= round(half)
     span, rest = reach_of(train), aside & ~choosing
     fits = ~aside
@@ -217,12 +308,12 @@ def training_part(
         fits &= ~meeting(span, recording, ~aside, aside)
     fit = np.flatnonzero(fits)
     if len(fit) < 2:
-        raise InputError(f"{len(recording)} frames to train with are too few", where="dataset", remedy="record more")
+        raise few
     return TrainingPart(
         train,
         quantities,
         targets,
-        device,
+        camera,
         classes,
         fit,
         np.flatnonzero(rest),
@@ -232,12 +323,8 @@ def training_part(
     )
 
 
-def _of(videos: int) -> str:
-    return "the one recording" if videos == 1 else f"{videos} recordings"
-
-
-def _devices(train: xr.Dataset) -> tuple[NDArray[np.int64], tuple[str, ...]]:
-    """Return each frame's device, numbered among those that occur, and their names."""
+def _cameras(train: xr.Dataset) -> tuple[NDArray[np.int64], tuple[str, ...]]:
+    """Return the device of each frame as a number [N] among the devices that occur, and their names."""
     if DEVICE not in train:
         have = ", ".join(train.tp.targets) or "none"
         raise InputError("has no label 'device'", where="dataset", remedy=f"it has: {have}")
@@ -249,58 +336,10 @@ def _devices(train: xr.Dataset) -> tuple[NDArray[np.int64], tuple[str, ...]]:
     return numbers.astype(np.int64), tuple(names[int(k)] for k in present)
 
 
-def batches(data: Data, full_scale: float | None, size: int) -> Iterator[tuple[NDArray[np.generic], float]]:
-    """Yield batches of crops with their full scale, from a dataset or an array."""
-    if isinstance(data, xr.Dataset):
-        depth = data.tp.full_scale if full_scale is None else full_scale
-        for images in image_batches(data, size):
-            yield as_images(images, depth, where="dataset")
-        return
-    images, depth = as_images(data, full_scale)
-    for start in range(0, len(images), size):
-        yield images[start : start + size], depth
-
-
-def frame_count(data: Data) -> int:
-    """Return how many images `data` holds."""
-    if isinstance(data, xr.Dataset):
-        return int(data.sizes["frame"])
-    return 1 if np.ndim(data) == 2 else len(data)
-
-
-def checked_state(
-    state: Mapping[str, torch.Tensor], shapes: Mapping[str, tuple[int, ...]]
-) -> dict[str, NDArray[np.float64]]:
-    """Return the named tensors as float64 arrays.
-
-    Raises
-    ------
-    InputError
-        When one is missing, has another shape or is NaN.
-    """
-    arrays: dict[str, NDArray[np.float64]] = {}
-    for name, shape in shapes.items():
-        if name not in state or tuple(state[name].shape) != shape:
-            found = "missing" if name not in state else f"{tuple(state[name].shape)}"
-            remedy = "the model's card and its weights do not belong together"
-            raise InputError(f"expected {name} of shape {shape}, found {found}", where="weights", remedy=remedy)
-        arrays[name] = state[name].detach().cpu().double().numpy()
-        if np.isnan(arrays[name]).any():
-            raise InputError(f"{name} is not a number", where="weights", remedy="train the model again")
-    return arrays
-
-
 def json_safe(value: Any, where: str) -> Any:
-    """Return `value` as JSON gives it back.
-
-    Raises
-    ------
-    InputError
-        When JSON cannot hold it, as NaN or an array.
-    """
+    """Return `value` after a round trip through JSON; raise an InputError for NaN, arrays and other non-JSON values."""
     try:
         return json.loads(json.dumps(value, allow_nan=False))
     except (TypeError, ValueError) as error:
-        raise InputError(
-            f"cannot be written as JSON ({error})", where=where, remedy="give plain numbers and text"
-        ) from error
+        what = f"cannot be written as JSON ({error})"
+        raise InputError(what, where=where, remedy="give plain numbers and text") from error

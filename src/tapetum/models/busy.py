@@ -1,4 +1,4 @@
-"""How much of its time a GPU works: kernels' own times, over a few steps."""
+"""Share of time in which a GPU runs kernels, measured by torch's profiler over a few steps."""
 
 from __future__ import annotations
 
@@ -23,24 +23,11 @@ def covered(spans: Iterable[tuple[float, float]]) -> float:
 
 
 class BusySample:
-    """Measures the share of time in which a kernel runs, over a few steps of a loop.
+    """Measures `share` (0 ... 1, None if not measured) of the time in which a kernel runs, over `steps` steps from
+    `first` on.
 
-    Two CUDA events around a step would count as work the gaps between its kernels, of which a small network has
-    many; torch's profiler knows each kernel's own time.
-
-    Parameters
-    ----------
-    device
-        Where kernels run.
-    first
-        Number of the first step that is measured; a negative one measures nothing.
-    steps
-        How many are.
-
-    Attributes
-    ----------
-    share
-        0 ... 1; None where nothing was measured.
+    A negative `first` measures nothing. Two CUDA events around a step would count the gaps between its kernels as work;
+    the profiler knows each kernel's own time.
     """
 
     def __init__(self, device: torch.device, first: int, steps: int = _STEPS) -> None:
@@ -50,7 +37,7 @@ class BusySample:
         self.share: float | None = None
 
     def before(self, step: int) -> None:
-        """Say that a step begins."""
+        """Mark the beginning of a step."""
         if step == self._first >= 0:
             on_gpu = self._device.type == "cuda"
             kinds = [ProfilerActivity.CUDA if on_gpu else ProfilerActivity.CPU]
@@ -62,7 +49,7 @@ class BusySample:
             self.end()
 
     def end(self) -> None:
-        """Say that the loop is over, where it may be before the sample is full."""
+        """Mark the end of the loop, which may come before all steps are measured."""
         if self._profile is None:
             return
         self._wait()
@@ -75,7 +62,7 @@ class BusySample:
             if event.device_type.name == self._device.type.upper()
         ]
         self._profile = None
-        # No kernels: the profiler was not let near the GPU's counters. That says nothing about the GPU.
+        # Without kernels the profiler had no access to the GPU's counters: the share is unknown.
         self.share = min(1.0, covered(spans) * 1e-6 / seconds) if spans else None
 
     def _wait(self) -> None:

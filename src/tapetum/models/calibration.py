@@ -1,4 +1,4 @@
-"""Probabilities that mean what they say: one temperature for all of a network's class scores."""
+"""Calibrated probabilities: one temperature for all of a network's class scores."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy.special import log_softmax, softmax
 
 __all__ = ["fit_temperature", "probabilities"]
 
-# Of the logarithm of the temperature. A network that is never wrong on few frames is not sure beyond all measure.
+# Limits of the temperature's logarithm: a few frames without an error must not make a network certain.
 _RANGE = (-2.0, 4.0)
 
 
@@ -21,24 +21,16 @@ def probabilities(scores: NDArray[np.float64], temperature: float) -> NDArray[np
 
 
 def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.integer]) -> float:
-    """Return the temperature of the least cross-entropy (C. Guo et al., ICML 2017).
-
-    Parameters
-    ----------
-    scores
-        [n, C] of frames that took no part in fitting; with none, the temperature is 1.
-    classes
-        [n] number of the true class.
-    """
+    """Return the temperature of least cross-entropy (C. Guo et al., ICML 2017) for scores [n, C]; 1 if n is 0."""
     if not len(scores):
         return 1.0
     own = np.arange(len(scores)), classes
-    # As Laplace would have it, one more frame is wrong: without, the frames' number would not bound the certainty.
-    counted = (len(scores), 1)
+    # Laplace's rule: one wrong frame is added, because a few frames without an error would give certainty.
+    count = len(scores)
 
     def loss(log: float) -> float:
-        told = np.asarray(log_softmax(scores / np.exp(log), axis=1))
-        return float((counted[0] * -told[own].mean() - counted[1] * told.mean(axis=1).mean()) / sum(counted))
+        log_p = np.asarray(log_softmax(scores / np.exp(log), axis=1))
+        return float((count * -log_p[own].mean() - log_p.mean(axis=1).mean()) / (count + 1))
 
     best: Any = minimize_scalar(loss, bounds=_RANGE, method="bounded")
     return float(np.exp(best.x))

@@ -1,4 +1,4 @@
-"""What the card of a model, model.json, must hold."""
+"""Schema of a model card, model.json."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from tapetum.checked import Checked, check
 from tapetum.errors import InputError
 from tapetum.models.architectures import ARCHITECTURES
 
-__all__ = ["checked_card"]
+__all__ = ["check_version", "checked_card"]
 
 _REMEDY = "copy it again or train it again"
 
@@ -48,15 +48,11 @@ class _Network(_Parameters):
     shift: Size
     noise: Size
     seed: Count
-
-
-class _NewNetwork(_Network):
-    """Cards of version 1 may lack these: what they then mean is in `NetworkEstimator.from_state`."""
-
-    hide: Count
-    background: str
-    patience: Some | None
-    precision: str
+    # Cards of version 1 may lack these; `NetworkEstimator.from_state` has their defaults.
+    hide: Count = 0
+    background: str = "root"
+    patience: Some | None = None
+    precision: str = "float32"
 
 
 class _Weights(Checked):
@@ -76,37 +72,29 @@ class _Card(Checked):
     notes: dict[str, Any] | str | None
     versions: dict[str, str]
     weights: _Weights
-
-
-class _OldCard(_Card):
-    """Cards of version 1 may lack both."""
-
+    # Cards of version 1 may lack both.
     classes: Annotated[list[Named], Field(default_factory=list)]
     training: dict[str, Any] | None = None
 
 
-class _NewCard(_Card):
-    classes: list[Named]
-    training: dict[str, Any] | None
+_PARAMETERS: dict[str, type[_Parameters]] = {"zernike": _Zernike, **dict.fromkeys(ARCHITECTURES, _Network)}
 
 
-_PARAMETERS: dict[str, tuple[type[_Parameters], type[_Parameters]]] = {
-    "zernike": (_Zernike, _Zernike),
-    **dict.fromkeys(ARCHITECTURES, (_Network, _NewNetwork)),
-}
+def check_version(version: object, newest: int, where: object) -> None:
+    """Refuse a format version that this Tapetum does not read."""
+    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= newest:
+        what = f"has version {version!r} of the format, this Tapetum reads up to {newest}"
+        raise InputError(what, where=where, remedy="update Tapetum")
 
 
 def checked_card(card: dict[str, Any], where: object) -> dict[str, Any]:
-    """Return a card whose structure and values can be used.
-
-    Raises
-    ------
-    InputError
-        For a key that is missing, of another type or out of range: one line with its path.
-    """
-    new = card["version"] > 1
-    found = check(_NewCard if new else _OldCard, card, where, _REMEDY)
-    parameters = check(_PARAMETERS[found.kind][new], found.parameters, f"{where}: parameters", _REMEDY)
+    """Return a valid card; raise an InputError with the path of the first missing, mistyped or out-of-range key."""
+    found = check(_Card, card, where, _REMEDY)
+    parameters = check(_PARAMETERS[found.kind], found.parameters, f"{where}: parameters", _REMEDY)
+    for part, within in ((found, where), (parameters, f"{where}: parameters")):
+        missing = sorted(set(type(part).model_fields) - part.model_fields_set)
+        if card["version"] > 1 and missing:
+            raise InputError(f"{missing[0]}: is missing", where=within, remedy=_REMEDY)
     unknown = sorted(parameters.model_extra or ())
     if unknown:
         raise InputError(f"parameters.{unknown[0]}: unknown key", where=where, remedy=_REMEDY)

@@ -1,4 +1,4 @@
-"""A training on disk: everything that its next epoch needs, whole or not at all."""
+"""Checkpoints: everything that the next epoch of a training needs, written completely or not at all."""
 
 from __future__ import annotations
 
@@ -27,19 +27,7 @@ _MOMENTS = ("exp_avg", "exp_avg_sq")
 
 @dataclass
 class TrainingState:
-    """What changes from epoch to epoch.
-
-    Parameters
-    ----------
-    network
-        Its weights and statistics.
-    optimiser
-        AdamW over the network's parameters.
-    best
-        The network's state after its best epoch, on the CPU; None where the last one is kept.
-    history
-        Reports of the epochs so far.
-    """
+    """What changes from epoch to epoch; `best` is the network's state on the CPU after its best epoch, or None."""
 
     network: nn.Module
     optimiser: torch.optim.Optimizer
@@ -48,16 +36,9 @@ class TrainingState:
 
 
 def write_checkpoint(folder: Path, state: TrainingState, about: Mapping[str, Any]) -> None:
-    """Write checkpoint.safetensors, and history.json for people.
+    """Write checkpoint.safetensors and a readable history.json into a folder, which is created if missing.
 
-    Parameters
-    ----------
-    folder
-        Made where missing.
-    state
-        What to keep.
-    about
-        JSON-able: what the training depends on; only a training of the same may go on from here.
+    `about` (JSON values) identifies the training; only a training with equal `about` may resume.
     """
     tensors = {f"network.{name}": value for name, value in state.network.state_dict().items()}
     tensors |= {f"best.{name}": value for name, value in (state.best or {}).items()}
@@ -66,47 +47,42 @@ def write_checkpoint(folder: Path, state: TrainingState, about: Mapping[str, Any
             tensors[f"optimiser.{key}.{name}"] = torch.as_tensor(value)
     tensors = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     epochs = [asdict(report) for report in state.history]
-    told = {"format": _FORMAT, "about": json.dumps(about), "history": json.dumps(epochs)}
+    metadata = {"format": _FORMAT, "about": json.dumps(about), "history": json.dumps(epochs)}
     with atomic_file(folder / CHECKPOINT) as part:
-        save_file(tensors, part, metadata=told)
+        save_file(tensors, part, metadata=metadata)
     with atomic_file(folder / HISTORY) as part:
         part.write_text(json.dumps({**about, "epochs": epochs}, indent=2) + "\n", encoding="utf-8")
 
 
 def read_checkpoint(folder: Path, state: TrainingState, about: Mapping[str, Any]) -> None:
-    """Put a checkpoint's content into `state`: into its network and optimiser in place.
+    """Load a checkpoint into `state`, its network and optimiser in place.
 
-    Raises
-    ------
-    InputError
-        When the file is damaged, of another version or of another training; the state is then as it was or, where
-        the network is another, of no use.
+    Raises an InputError when the file is damaged, of another version or of another training; with a network that does
+    not fit, the state is then unusable.
     """
     path, remedy = folder / CHECKPOINT, "remove the folder and train from the start"
     try:
-        with safe_open(path, framework="pt") as stored:
-            told = stored.metadata() or {}
-            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118 (not a mapping)
+        with safe_open(path, framework="pt") as file:
+            metadata = file.metadata() or {}
+            tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
     except (SafetensorError, OSError) as error:
         raise InputError(f"damaged checkpoint ({error})", where=path, remedy=remedy) from error
-    if (version := told.get("format")) != _FORMAT:
+    if (version := metadata.get("format")) != _FORMAT:
         what = f"is a checkpoint of another version ({version!r}; this version reads {_FORMAT!r})"
         raise InputError(what, where=path, remedy=remedy)
     try:
-        if json.loads(told["about"]) != about:
+        if json.loads(metadata["about"]) != about:
             what = "was left by a training with other settings or other data"
             raise InputError(what, where=path, remedy="remove the folder, or train as its history.json says")
-        history = [EpochReport(**report) for report in json.loads(told["history"])]
+        history = [EpochReport(**report) for report in json.loads(metadata["history"])]
         state.network.load_state_dict(_under("network.", tensors))
         for name, parameter in state.network.named_parameters():
             moments = state.optimiser.state[parameter]
             moments["step"] = tensors[f"optimiser.step.{name}"]
             for key in _MOMENTS:
-                # In the order of memory that the weights have (channels last): the fused step goes through all
-                # of them by place in memory, and would mix up what belongs to different weights.
-                moments[key] = torch.empty_like(parameter, requires_grad=False).copy_(
-                    tensors[f"optimiser.{key}.{name}"]
-                )
+                # In the weights' memory order (channels last): the fused step indexes all tensors by memory position.
+                stored = tensors[f"optimiser.{key}.{name}"]
+                moments[key] = torch.empty_like(parameter, requires_grad=False).copy_(stored)
     except InputError:
         raise
     except (KeyError, RuntimeError, TypeError, ValueError) as error:
@@ -119,7 +95,7 @@ def _under(prefix: str, tensors: Mapping[str, Tensor]) -> dict[str, Tensor]:
 
 
 def remove_checkpoint(folder: Path) -> None:
-    """Remove a checkpoint that is no longer needed, and its folder where nothing else is in it."""
+    """Remove a checkpoint, and its folder if nothing else is in it."""
     for name in (CHECKPOINT, HISTORY):
         (folder / name).unlink(missing_ok=True)
     with contextlib.suppress(OSError):

@@ -1,4 +1,4 @@
-"""Where a model applies: how the frames that it learned from look, and how unlike them another frame is."""
+"""Where a model applies: what its training frames look like, and how far another frame lies from them."""
 
 from __future__ import annotations
 
@@ -13,42 +13,42 @@ from torch import Tensor
 
 from tapetum.errors import InputError
 from tapetum.models.prediction import Prediction
+from tapetum.models.state import checked_state
 from tapetum.optics.zernike import mode_count, noll_to_nm, zernike_basis
 
-__all__ = ["FALSE_REFUSALS", "Domain", "fit_domain", "judged", "magnitudes", "picture_features"]
+__all__ = ["FALSE_REFUSALS", "Domain", "described", "fit_domain", "judged", "magnitudes", "picture_features"]
 
 Array = NDArray[np.float64]
 
 FALSE_REFUSALS = 0.01
-"""Share of frames like the training frames that may be refused: it sets the limit."""
+"""Share of frames like the training frames that are refused; it sets the limit."""
 
 ORDER = 8
 """Highest radial order of the Zernike modes that describe a picture."""
 
-# Of a feature's variance, added to each direction: without it, directions in which the training frames agree by chance
-# decide.
+# Share of a feature's variance added to each direction: directions with little variance by chance would dominate.
 _SHRINKAGE = 0.01
 _FOLDS = 5
-# Below so many frames neither a covariance nor its limit means anything.
+# With fewer frames, covariance and limit are meaningless.
 _FEWEST = 40
-# How far past the field's edge an estimate may lie whose interval has no end.
+# How far past the field's edge an estimate with an infinite interval may lie.
 _MARGIN = 0.05
 _HALF_FIELD = 0.5
 
 
 @dataclass(frozen=True)
 class Domain:
-    """Mahalanobis distance of a frame from the frames that a model learned from.
+    """Mahalanobis distance of a frame from the training frames.
 
     Parameters
     ----------
     mean
         [F] of their features.
     whitening
-        [F, F] that makes the features' covariance, with shrinkage, the unit matrix.
+        [F, F] matrix that turns the features' covariance, with shrinkage, into the unit matrix.
     unit
-        Distance that counts as 1. Of training frames left out of mean and covariance, all but the share
-        `FALSE_REFUSALS` lie below it.
+        Distance that counts as 1: that of all but the share `FALSE_REFUSALS` of training frames, each left out of mean
+        and covariance.
     """
 
     mean: Array
@@ -56,7 +56,7 @@ class Domain:
     unit: float
 
     def __call__(self, features: Array) -> Array:
-        """Return the distances [N] of features [N, F], in `unit`: above 1 the model does not apply."""
+        """Return the distances [N] of features [N, F] in `unit`; above 1 the model does not apply."""
         return np.sqrt((((features - self.mean) @ self.whitening) ** 2).sum(axis=1)) / self.unit
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -67,44 +67,26 @@ class Domain:
 
     @classmethod
     def from_state(cls, state: Mapping[str, torch.Tensor], features: int) -> Domain | None:
-        """Make it of what `state` returned; None for a model that was saved without one.
-
-        Raises
-        ------
-        InputError
-            When a part is missing, of another shape or not a number.
-        """
-        shapes = {"mean": (features,), "whitening": (features, features), "unit": (1,)}
-        if not any(f"domain.{name}" in state for name in shapes):
+        """Rebuild the domain from `state`, or None for a model saved without one; raises as `checked_state`."""
+        if not any(name.startswith("domain.") for name in state):
             return None
-        found: dict[str, Array] = {}
-        for name, shape in shapes.items():
-            tensor = state.get(f"domain.{name}")
-            if tensor is None or tuple(tensor.shape) != shape or not bool(torch.isfinite(tensor).all()):
-                remedy = "the model's card and its weights do not belong together"
-                raise InputError(f"expected domain.{name} of shape {shape}", where="weights", remedy=remedy)
-            found[name] = tensor.double().numpy()
+        shapes = {"mean": (features,), "whitening": (features, features), "unit": (1,)}
+        found = checked_state(state, shapes, "domain.")
         if not found["unit"][0] > 0:
             raise InputError("domain.unit must be positive", where="weights", remedy="train the model again")
         return cls(found["mean"], found["whitening"], float(found["unit"][0]))
 
 
 def fit_domain(features: Array, recording: NDArray[np.integer]) -> Domain | None:
-    """Learn how the training frames look.
+    """Fit the distance to the training frames; None with fewer than 40 frames.
 
     Parameters
     ----------
     features
         [N, F] of the training frames.
     recording
-        [N] number of each frame's recording. Contiguous fifths of every recording are left out in turn: the distances
-        of the frames left out set the limit, because neighbouring frames are nearly equal and frames that the
-        covariance was made of lie too near.
-
-    Returns
-    -------
-    Domain or None
-        None where there are fewer than 40 frames.
+        [N] number of each frame's recording. Contiguous fifths of every recording are left out in turn and their
+        distances set the limit: neighbouring frames are nearly equal, so frames within the fit would lie too near.
     """
     if len(features) < _FEWEST:
         return None
@@ -123,9 +105,9 @@ def fit_domain(features: Array, recording: NDArray[np.integer]) -> Domain | None
 
 
 def _moments(features: Array) -> tuple[Array, Array]:
-    """Mean [F] and whitening [F, F]."""
+    """Return the mean [F] and the whitening [F, F]."""
     mean, spread = features.mean(axis=0), features.std(axis=0)
-    # A feature that never changes would count by its rounding.
+    # The lower limit keeps rounding errors of a constant feature from counting.
     spread = np.maximum(spread, max(1e-4 * float(np.abs(mean).max(initial=0.0)), np.finfo(float).tiny))
     scaled = (features - mean) / spread
     values, vectors = np.linalg.eigh(scaled.T @ scaled / len(scaled))
@@ -133,7 +115,7 @@ def _moments(features: Array) -> tuple[Array, Array]:
 
 
 def groups(order: int) -> NDArray[np.float64]:
-    """[modes, P]: which modes make up a magnitude, sine and cosine of one (n, |m|) together."""
+    """Return [modes, P]: 1 where a mode belongs to a magnitude, which joins sine and cosine of one (n, |m|)."""
     modes = [noll_to_nm(j) for j in range(1, mode_count(order) + 1)]
     kinds = sorted({(n, abs(m)) for n, m in modes})
     return np.array([[float((n, abs(m)) == kind) for kind in kinds] for n, m in modes])
@@ -142,27 +124,23 @@ def groups(order: int) -> NDArray[np.float64]:
 def magnitudes(coefficients: Array, order: int) -> Array:
     """Return √(Σ c²) over the sine and cosine of each (n, |m|): [N, modes n ≤ `order`] to [N, P].
 
-    They do not change when the picture turns, and so not with the direction of the gaze.
+    A rotation of the image, and so the direction of the gaze, does not change them.
     """
     return np.sqrt(coefficients**2 @ groups(order))
 
 
 @lru_cache(maxsize=4)
 def projection(size: int) -> NDArray[np.float64]:
-    """[size², 2 modes]: least-squares Zernike coefficients, n ≤ 8, of a picture's disc and of that of its middle."""
-    parts = []
-    for side in (size, max(size // 2, 1)):
+    """Return [size², 2 modes]: least-squares Zernike fits, n ≤ 8, of an image's disc and of that of its middle half."""
+    found = np.zeros((2, size, size, mode_count(ORDER)))
+    for whole, side in zip(found, (size, max(size // 2, 1)), strict=True):
         at = (2 * torch.arange(side, dtype=torch.float64) + 1) / side - 1
         y, x = torch.meshgrid(at, at, indexing="ij")
-        inside = (x * x + y * y <= 1).reshape(-1)
-        basis = zernike_basis(ORDER, x.reshape(-1)[inside], y.reshape(-1)[inside])
-        square = np.zeros((side * side, mode_count(ORDER)))
-        square[inside.numpy()] = torch.linalg.pinv(basis).numpy()
+        inside = x * x + y * y <= 1
+        fit = torch.linalg.pinv(zernike_basis(ORDER, x[inside], y[inside]))
         edge = (size - side) // 2
-        whole = np.zeros((size, size, mode_count(ORDER)))
-        whole[edge : edge + side, edge : edge + side] = square.reshape(side, side, -1)
-        parts.append(whole.reshape(size * size, -1))
-    return np.concatenate(parts, axis=1)
+        whole[edge : edge + side, edge : edge + side][inside.numpy()] = fit.numpy()
+    return np.concatenate(found.reshape(2, size * size, -1), axis=1)
 
 
 def picture_width() -> int:
@@ -171,7 +149,7 @@ def picture_width() -> int:
 
 
 def picture_features(images: Tensor) -> Array:
-    """Describe what a network sees, whatever its direction.
+    """Return rotation-invariant features of a network's input.
 
     Parameters
     ----------
@@ -181,34 +159,37 @@ def picture_features(images: Tensor) -> Array:
     Returns
     -------
     ndarray
-        [N, 52]: `magnitudes` of the Zernike coefficients n ≤ 8 over the inscribed disc and over that of the
-        middle half, the root mean square, and the largest value.
+        [N, 52]: `magnitudes` of the Zernike coefficients n ≤ 8 over the inscribed disc and over that of the middle
+        half, the root mean square, and the maximum.
     """
-    flat = images.detach().cpu().flatten(1)
-    if not len(flat):
-        return np.empty((0, picture_width()))
-    found = (flat @ torch.from_numpy(projection(images.shape[-1])).float()).double().numpy()
-    half = found.shape[1] // 2
-    parts = [magnitudes(found[:, :half], ORDER), magnitudes(found[:, half:], ORDER)]
-    others = [flat.square().mean(dim=1).sqrt(), flat.amax(dim=1)]
-    return np.concatenate([*parts, *(one.double().numpy()[:, None] for one in others)], axis=1)
+    return described(images.detach().cpu(), torch.float64).numpy()
+
+
+def described(images: Tensor, precision: torch.dtype) -> Tensor:
+    """Return `picture_features` of prepared images, summed in `precision`; the ONNX export traces this function."""
+    flat, width = images.flatten(1), images.shape[-1]
+    modes = flat @ torch.from_numpy(projection(width)).to(flat)
+    kinds = torch.from_numpy(np.kron(np.eye(2), groups(ORDER))).to(precision)
+    squares = modes.to(precision).square() @ kinds
+    others = [flat.square().mean(dim=1, keepdim=True).sqrt(), flat.amax(dim=1, keepdim=True)]
+    return torch.cat([squares.sqrt(), *(one.to(precision) for one in others)], 1)
 
 
 def judged(prediction: Prediction, distance: Array | None) -> Prediction:
-    """Add to a prediction why it does not count, frame by frame.
+    """Add to a prediction the reasons why the model does not apply.
 
     Parameters
     ----------
     prediction
         For N frames.
     distance
-        [N] of `Domain`; None where the model knows nothing of the frames it learned from.
+        [N] of `Domain`; None for a model without one.
 
     Returns
     -------
     Prediction
-        With a reason where the frame is unlike the training frames, or where an estimate of the gaze lies outside the
-        field of view by more than its interval reaches.
+        With a reason where the distance exceeds 1, or where the interval of a gaze lies wholly outside the field of
+        view.
     """
     reasons = [""] * len(prediction)
     if distance is not None:

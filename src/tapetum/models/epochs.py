@@ -1,4 +1,4 @@
-"""What a training is given, and what each of its epochs came to."""
+"""Settings of a training, and the report of each epoch."""
 
 from __future__ import annotations
 
@@ -20,27 +20,22 @@ class TrainingSettings:
 
     Parameters
     ----------
-    epochs
-        Passes over the training images.
-    batch
-        Images a step, over all processes together.
+    epochs, batch
+        Passes over the training images, and images per step over all processes.
     learning_rate
-        Of AdamW, at its highest: it rises over the first fifth of the steps and falls to nothing along a
-        cosine.
+        Peak of AdamW's rate, which rises over the first fifth of the steps and falls to zero along a cosine.
     weight_decay
         Of AdamW, on matrices and convolutions only.
     seed
-        Of the order of the images and the augmentation. Epoch e draws from its own stream, so a resumed run
+        Of the order of the images and the augmentation. Each epoch has its own random stream, so that a resumed run
         repeats an uninterrupted one.
     augmentation
         See `Augmentation`.
     patience
-        Stop after so many epochs without a lower held-out error, and keep the weights of the epoch with the
-        lowest. Where left out, all epochs are run and the last one's weights kept. The learning rate's cosine
-        spans `epochs` either way.
+        Stop after so many epochs without a lower held-out error, and keep the weights of the best epoch. None runs all
+        epochs and keeps the last. The cosine spans `epochs` either way.
     precision
-        "float32", or "bf16": the network's products in bfloat16 (torch's autocast), weights and loss in
-        float32.
+        "float32", or "bf16": products in bfloat16 (torch's autocast), weights and loss in float32.
     """
 
     epochs: int = 12
@@ -66,24 +61,24 @@ class TrainingSettings:
 
 @dataclass(frozen=True)
 class EpochReport:
-    """What an epoch came to.
+    """The result of an epoch.
 
     Parameters
     ----------
     epoch, epochs
-        Its number, from 1, and how many there will be at most.
+        Number of the epoch, from 1, and of the last.
     loss
         Mean training loss.
     validation_mae
-        Mean absolute error on the frames kept out of the fit, in the targets' units, mean over targets; None
-        without. Whatever `validate` returned, where that is another measure.
+        MAE on the held-out frames in the targets' units, averaged over targets, or whatever `validate` returned; None
+        without held-out frames.
     seconds
-        Time it took, validation included.
+        Duration, validation included.
     images_per_second
-        Images trained on a second, validation left out, all processes together.
+        Training images per second over all processes, validation excluded.
     busy
-        Share of the time in which a kernel ran on the first GPU, over a few steps in the middle of the epoch;
-        see `tapetum.models.busy`. Measured in one epoch of a training, None in the others and on a CPU.
+        Share of time in which a kernel ran on the first GPU, over a few steps of one epoch (`tapetum.models.busy`);
+        None in other epochs and on a CPU.
     best
         Whether the held-out error is lower than in all epochs before.
     """
@@ -99,19 +94,19 @@ class EpochReport:
 
 
 def kept_epoch(history: Sequence[EpochReport], patience: int | None) -> int:
-    """Return the number, from 1, of the epoch whose weights a training leaves: the last, or with patience the best."""
+    """Return the number, from 1, of the epoch whose weights are kept: the last, or with patience the best."""
     if patience is None:
         return len(history)
     return max((report.epoch for report in history if report.best), default=len(history))
 
 
 def out_of_patience(history: Sequence[EpochReport], patience: int | None) -> bool:
-    """Whether `patience` epochs or more have passed since the best one."""
+    """Return whether at least `patience` epochs have passed since the best one."""
     return patience is not None and len(history) - kept_epoch(history, patience) >= patience
 
 
 def learning_rate(step: int, steps: int, highest: float) -> float:
-    """Return the learning rate: a cosine up over the first fifth, a cosine down over the rest."""
+    """Return the learning rate: a rising cosine over the first fifth of the steps, a falling cosine over the rest."""
     rise = max(1, steps // 5)
     if step < rise:
         return highest * (0.04 + 0.96 * 0.5 * (1 - math.cos(math.pi * (step + 1) / rise)))

@@ -19,7 +19,7 @@ SCALES = (100, 200, 300, 400)
 ORDER = 12
 POWERS = (1, 2, 3)
 
-# Whether even down and across: the order in which `_folded` returns what it folds.
+# Parity down and across (True: even), in the order in which `_folded` returns its quadrants.
 _WAYS = ((True, True), (True, False), (False, True), (False, False))
 
 # Frames at a time: 32 of 400 x 400 pixels are 20 MB, so that the fit's matrices (15 MB) are not read too often.
@@ -29,26 +29,10 @@ _BATCH = 32
 def as_images(
     images: NDArray[np.generic], full_scale: float | None, *, where: str = "images"
 ) -> tuple[NDArray[np.generic], float]:
-    """Check a stack of crops and say which number stands for a full pixel.
+    """Return crops as [N, side, side] and the count of a saturated pixel, 255 by default for uint8.
 
-    Parameters
-    ----------
-    images
-        [N, side, side] (or one [side, side]), uint8, uint16 or float counts.
-    full_scale
-        Largest number the camera gives; may be left out for uint8 (255) only.
-    where
-        What the images are called in messages.
-
-    Returns
-    -------
-    images, full_scale
-        [N, side, side] and the number.
-
-    Raises
-    ------
-    InputError
-        When the shape or type does not fit, or the depth is left open.
+    `images` are [N, side, side] or [side, side], integers or floats; `where` names them in messages. Raises an
+    InputError when shape or type do not fit, or `full_scale` is missing or not positive.
     """
     array = np.asarray(images)
     if array.ndim == 2:
@@ -56,33 +40,21 @@ def as_images(
     if array.ndim != 3 or array.shape[1] != array.shape[2]:
         raise InputError(f"expected square crops [N, side, side], got shape {array.shape}", where=where)
     if array.dtype.kind not in "iuf":
-        raise InputError(
-            f"images of type {array.dtype} are not grey levels",
-            where=where,
-            remedy="give uint8, uint16 or float",
-        )
+        what = f"images of type {array.dtype} are not grey levels"
+        raise InputError(what, where=where, remedy="give uint8, uint16 or float")
     if full_scale is None:
         if array.dtype != np.uint8:
             remedy = "pass full_scale, for example 4095 for a 12-bit camera"
             raise InputError(f"the depth of {array.dtype} images cannot be known", where=where, remedy=remedy)
         full_scale = 255.0
     if not full_scale > 0:
-        raise InputError(
-            f"must be positive, is {full_scale}",
-            where="full_scale",
-            remedy="give the largest count of a pixel",
-        )
+        remedy = "give the largest count of a pixel"
+        raise InputError(f"must be positive, is {full_scale}", where="full_scale", remedy=remedy)
     return array, float(full_scale)
 
 
 def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.dtype = torch.float32) -> Tensor:
-    """Return the square root of the intensity in counts of an 8-bit camera: 0 ... 16, whatever the depth.
-
-    Raises
-    ------
-    InputError
-        When a float image holds negative or non-finite values, whose root would be NaN.
-    """
+    """Return the root of the intensity in 8-bit counts, 0 ... 16; raise an InputError for negative or NaN floats."""
     if images.dtype.kind != "u" and not (np.isfinite(images).all() and images.min(initial=0) >= 0):
         raise InputError("intensities must be finite and not negative", where="images", remedy="clip them at 0")
     if images.dtype == np.uint16 or images.dtype.kind == "f":
@@ -94,16 +66,11 @@ def root_intensity(images: NDArray[np.generic], full_scale: float, dtype: torch.
 
 @lru_cache(maxsize=8)
 def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor, Tensor], ...]:
-    """Return the pseudo-inverse that fits all modes at once, zero outside the disc, as `_folded` squares want it.
+    """Return, for each parity of `_WAYS`, the indices of its modes and the matrix [half*half, modes] that fits them.
 
-    The modes are not quite orthogonal on pixels, so the least-squares fit is a solve with their Gram matrix
-    (condition about 1.03 at 400 pixels). Every mode is even or odd in x and in y: a quadrant tells the whole, and only
-    modes that are alike in both have to be separated.
-
-    Returns
-    -------
-    tuple
-        For each way of folding which modes see it, and [half*half, those modes].
+    The matrix is a pseudo-inverse, zero outside the disc, and applies to a quadrant of `_folded`: every mode is even or
+    odd in x and in y. The modes are not quite orthogonal on pixels, so modes of equal parity are separated by solving
+    with their Gram matrix (condition about 1.03 at 400 pixels).
     """
     half = (side + 1) // 2
     at = (2 * torch.arange(side // 2, side, dtype=torch.float64) + 1) / side - 1  # the centres at 0 and right of it
@@ -111,7 +78,7 @@ def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor
     inside = (x * x + y * y <= 1).reshape(-1)
     modes = mode_count(order)
     basis = zernike_basis(order, x.reshape(-1)[inside], y.reshape(-1)[inside])
-    twice = 2.0 - (at == 0).to(torch.float64)  # how many pixels of the square a quadrant's row or column stands for
+    twice = 2.0 - (at == 0).to(torch.float64)  # rows or columns of the square that fold onto one
     weight = torch.outer(twice, twice).reshape(-1)[inside]
     azimuthal = torch.tensor([noll_to_nm(j)[1] for j in range(1, modes + 1)])
     down = azimuthal >= 0
@@ -122,11 +89,8 @@ def _projection(side: int, order: int, dtype: torch.dtype) -> tuple[tuple[Tensor
         own = basis[alike]
         gram = (own * weight) @ own.T
         if int(torch.linalg.matrix_rank(gram, hermitian=True)) < len(alike):
-            raise InputError(
-                f"a crop of {side} pixels cannot separate {modes} modes",
-                where="scales",
-                remedy="use larger crops or a lower order",
-            )
+            what = f"a crop of {side} pixels cannot separate {modes} modes"
+            raise InputError(what, where="scales", remedy="use larger crops or a lower order")
         quadrant = torch.zeros(half * half, len(alike), dtype=torch.float64)
         quadrant[inside] = torch.linalg.solve(gram, own).T
         found.append((alike, quadrant.to(dtype)))
@@ -148,7 +112,7 @@ def _folded(squares: Tensor) -> list[Tensor]:
 
 
 def _middle(images: Tensor, side: int) -> Tensor:
-    """The middle [N, side, side] of images."""
+    """Return the central [N, side, side] of images."""
     edge = (images.shape[-1] - side) // 2
     return images[:, edge : edge + side, edge : edge + side]
 
@@ -179,23 +143,20 @@ def zernike_features(
 ) -> NDArray[np.float64]:
     """Compute the paper's features of centred crops.
 
-    For every scale s the central s x s pixels; on the pixels whose centre lies in the inscribed disc, the
-    least-squares fit of the modes n <= `order` to the square root of the intensity in 8-bit counts (the
-    paper's frames have 8 bits); the coefficients raised to every power.
+    For every scale s, the modes n <= `order` are fitted by least squares to the square root of the intensity (8-bit
+    counts) of the central s x s pixels, over the pixels whose centre lies in the inscribed disc. Each coefficient is
+    raised to every power.
 
     Parameters
     ----------
     images
-        [N, side, side] crops centred on the RR, uint8, uint16 or float counts. Nothing is subtracted from
-        them.
+        [N, side, side] crops centred on the RR, uint8, uint16 or float counts; no background is subtracted.
     scales
-        Sides of the crops in pixels, none above `side`.
-    order
-        Highest radial order.
-    powers
-        Powers of the coefficients.
+        Sides of the squares in pixels, at most `side`.
+    order, powers
+        Highest radial order; powers of the coefficients.
     full_scale
-        Largest count of the camera; 255 for uint8 where left out.
+        Largest count of the camera; 255 by default for uint8.
     dtype
         Precision of the fit: float32 agrees with float64 to about 1e-6 of the largest coefficient.
 
@@ -208,9 +169,9 @@ def zernike_features(
     sides = _checked_scales(scales, array.shape[1])
     modes = mode_count(order)
     features = np.empty((len(array), len(sides), len(powers), modes))
-    # Made outside of inference mode: the cache must not hold tensors that autograd refuses.
+    # Outside inference mode, because autograd refuses cached inference tensors.
     projections = {side: _projection(side, order, dtype) for side in sides}
-    # Folded once: the quadrant of a smaller crop is a corner of a larger one's, where both have a middle pixel or none.
+    # Each parity of side is folded once: a smaller crop's quadrant is a corner of the largest one's.
     largests = {max(one for one in sides if one % 2 == side % 2) for side in sides}
     with torch.inference_mode():
         for start in range(0, len(array), _BATCH):

@@ -1,4 +1,4 @@
-"""From a crop to what a network sees."""
+"""Preparation of crops as network input."""
 
 from __future__ import annotations
 
@@ -10,22 +10,15 @@ from torch import Tensor
 
 from tapetum.errors import InputError
 
-__all__ = ["BACKGROUNDS", "SOFTENING", "central", "prepare"]
+__all__ = ["BACKGROUNDS", "SOFTENING", "central", "prepare", "root_over_background"]
 
 BACKGROUNDS = ("root", "level")
 SOFTENING = 2 / 255
-"""In fractions of full scale, two counts of an 8-bit camera: below it the root of what stands out turns into a line, so
-that the noise of a dim background does not outgrow the RR."""
+"""Fraction of full scale (two 8-bit counts) below which the root becomes linear, to limit background noise."""
 
 
 def central(images: NDArray[np.generic], crop: int) -> NDArray[np.generic]:
-    """Return the central `crop` x `crop` pixels of crops [N, side, side].
-
-    Raises
-    ------
-    InputError
-        When the crops are smaller, negative or not finite.
-    """
+    """Return the central [N, crop, crop] of crops; raise an InputError for smaller, negative or non-finite ones."""
     side = images.shape[1]
     if crop > side:
         what = f"the model looks at {crop} pixels, the crops have {side}"
@@ -40,41 +33,27 @@ def central(images: NDArray[np.generic], crop: int) -> NDArray[np.generic]:
 def prepare(
     images: NDArray[np.generic], crop: int, size: int, full_scale: float, hide: int = 0, background: str = "level"
 ) -> Tensor:
-    """Turn crops into what the network sees.
+    """Return crops [N, side, side] (counts) as float32 network input [N, 1, size, size], about -0.1 ... 1.
 
-    The central `crop` x `crop` pixels, averaged over areas to `size` x `size`, less the image's median, and the square
-    root of the intensity (shot noise then has the same spread everywhere). The brightness of the RR, which depends on
-    its distance from the axis, stays.
-
-    Parameters
-    ----------
-    images
-        [N, side, side], counts.
-    crop, size
-        Pixels along an edge, of what is used and of what comes out.
-    full_scale
-        Count that becomes 1.
-    hide
-        Radius in pixels of a disc about the centre, where the brightest spot lies, that is filled with the background.
-    background
-        "root" subtracts the root of the median after the root (legacy): the background becomes 0, but faint parts of an
-        RR are weaker where the background is bright. "level" subtracts the median before the root, which then keeps
-        its sign: an RR looks alike over any background, but for the noise.
-
-    Returns
-    -------
-    Tensor
-        [N, 1, size, size], float32, about -0.1 ... 1.
-
-    Raises
-    ------
-    InputError
-        When the crops are smaller than `crop`, negative or not finite.
+    The central `crop` x `crop` pixels are averaged to `size` x `size`, divided by `full_scale` and passed to
+    `root_over_background`. The RR's brightness, which depends on its distance from the axis, is kept.
     """
     cut = central(images, crop)
     cut = cut if cut.dtype == np.uint8 else cut.astype(np.float32)
     small = F.interpolate(torch.from_numpy(cut)[:, None].float(), size=(size, size), mode="area") / full_scale
     middle = small.flatten(1).median(dim=1).values[:, None, None, None]
+    return root_over_background(small, middle, crop, hide, background)
+
+
+def root_over_background(small: Tensor, middle: Tensor, crop: int, hide: int, background: str) -> Tensor:
+    """Return the square root of intensities `small` [N, 1, size, size] above their median `middle` [N, 1, 1, 1].
+
+    The root gives shot noise the same spread everywhere. With `background` "level" the median is subtracted before a
+    signed root, so an RR looks the same over any background, except for noise. "root" (legacy) subtracts the root of
+    the median from the root, which weakens faint parts of an RR over a bright background. A central disc of radius
+    `hide` (crop pixels) is filled with the background. The ONNX export traces this function.
+    """
+    size = small.shape[-1]
     if background == "level":
         out = small - middle
         root = out.sign() * ((out.abs() + SOFTENING).sqrt() - SOFTENING**0.5)

@@ -1,4 +1,4 @@
-"""Intervals that hold the truth as often as they say: split-conformal, wider where the retro-reflection is faint."""
+"""Split-conformal intervals: they hold the truth with the stated probability, and widen at low SNR."""
 
 from __future__ import annotations
 
@@ -8,27 +8,28 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from sklearn.model_selection import KFold
 
 from tapetum.errors import InputError
 from tapetum.models.prediction import COVERAGE
+from tapetum.models.state import MISMATCH
 
 __all__ = ["Intervals", "conformal_half_width", "fit_intervals"]
 
-# Classes of SNR, and the fewest frames that one may be calibrated on.
+# Most classes of SNR, and fewest frames to calibrate one.
 _MOST_BINS = 6
 _FEWEST = 60
 _FOLDS = 5
-# A division by SNR must be worth this share of the interval score, or intervals stay plain.
+# A division by SNR must lower the interval score by this share, or all frames get the same width.
 _GAIN = 0.02
 
 
 def conformal_half_width(residuals: NDArray[np.float64], coverage: float = COVERAGE) -> NDArray[np.float64]:
     """Return the half-width of split-conformal intervals.
 
-    The ``ceil((n + 1) coverage)``-th smallest absolute residual of n frames that took no part in fitting: new
-    frames *exchangeable* with those fall inside with at least that probability (Lei et al., J. Am. Stat.
-    Assoc. 113, 1094 (2018)). Frames of one video follow each other, so for other videos it is a guide and not
-    a guarantee.
+    This is the ``ceil((n + 1) coverage)``-th smallest absolute residual of n held-out frames. New frames *exchangeable*
+    with those fall inside with at least that probability (Lei et al., J. Am. Stat. Assoc. 113, 1094 (2018)). Frames of
+    one video are correlated, so the coverage is not guaranteed for other videos.
 
     Parameters
     ----------
@@ -55,7 +56,7 @@ class Intervals:
     Parameters
     ----------
     edges
-        [B - 1] SNR between the classes, rising; none where all frames have the same width.
+        [B - 1] ascending SNR limits between the classes; empty where all frames have the same width.
     half_width
         [B, K].
     """
@@ -70,7 +71,7 @@ class Intervals:
 
     @property
     def conditional(self) -> bool:
-        """Whether the width hangs on the SNR."""
+        """Whether the width depends on the SNR."""
         return len(self.edges) > 0
 
     def at(self, snr: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -78,7 +79,7 @@ class Intervals:
         return self.half_width[np.searchsorted(self.edges, snr, side="right")]
 
     def state(self, prefix: str = "") -> dict[str, torch.Tensor]:
-        """Return both as tensors; only [K] half-widths where they hang on nothing."""
+        """Return both as tensors; without classes of SNR only the half-widths [K]."""
         if not self.conditional:
             return {f"{prefix}half_width": torch.from_numpy(self.half_width[0])}
         edges, widths = torch.from_numpy(self.edges), torch.from_numpy(self.half_width)
@@ -86,31 +87,24 @@ class Intervals:
 
     @classmethod
     def from_state(cls, state: Mapping[str, torch.Tensor], quantities: int, prefix: str = "") -> Intervals:
-        """Make them of what `state` returned.
-
-        Raises
-        ------
-        InputError
-            When they are missing, of another shape or not numbers.
-        """
+        """Rebuild the intervals from `state`; raise an InputError when they are missing, misshapen or NaN."""
         widths = state.get(f"{prefix}half_width", torch.full((1, quantities + 1), torch.nan)).double().numpy()
         edges = state.get(f"{prefix}snr_edges", torch.empty(0)).double().numpy()
         widths = widths[None] if widths.ndim == 1 else widths
         shaped = widths.shape == (len(edges) + 1, quantities)
         if not shaped or np.isnan(widths).any() or np.isnan(edges).any():
             what = f"expected half_width of {quantities} quantities and {len(edges) + 1} classes of SNR"
-            raise InputError(what, where="weights", remedy="the model's card and its weights do not belong together")
+            raise InputError(what, where="weights", remedy=MISMATCH)
         return cls(edges, widths)
 
 
 def fit_intervals(residuals: NDArray[np.float64], snr: NDArray[np.float64], *, coverage: float = COVERAGE) -> Intervals:
-    """Calibrate intervals on frames that took no part in fitting.
+    """Calibrate intervals on held-out frames.
 
-    Frames are divided into classes of equal count by their SNR, each calibrated by itself (Mondrian conformal
-    prediction: V. Vovk, Proc. ACML (2012)), as finely as it pays: the division whose intervals have the least interval
-    score (T. Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102, 359 (2007)) on contiguous fifths left out in turn. So
-    faint frames get wide intervals and bright ones narrow ones where the error hangs on the SNR, and all get the same
-    where it does not.
+    Frames are divided into classes of equal count by SNR and each class is calibrated separately (Mondrian conformal
+    prediction: V. Vovk, Proc. ACML (2012)). The number of classes is the one with the least interval score (T.
+    Gneiting, A. E. Raftery, J. Am. Stat. Assoc. 102, 359 (2007)) in cross-validation over contiguous fifths. Widths so
+    depend on the SNR only where the error does.
 
     Parameters
     ----------
@@ -139,13 +133,12 @@ def _divided(residuals: NDArray[np.float64], snr: NDArray[np.float64], bins: int
 
 
 def _score(residuals: NDArray[np.float64], snr: NDArray[np.float64], bins: int, coverage: float) -> float:
-    """Mean interval score over frames left out, each quantity in its own unit of error."""
+    """Return the cross-validated interval score, each quantity divided by its mean absolute error."""
     if len(residuals) < 2 * _FOLDS:
         return float("inf")
     unit = np.maximum(np.abs(residuals).mean(axis=0), np.finfo(float).tiny)
     total = 0.0
-    for fold in np.array_split(np.arange(len(residuals)), _FOLDS):
-        rest = np.setdiff1d(np.arange(len(residuals)), fold)
+    for rest, fold in KFold(_FOLDS).split(residuals):
         width = _divided(residuals[rest], snr[rest], bins, coverage).at(snr[fold])
         beyond = np.maximum(np.abs(residuals[fold]) - width, 0)
         total += float(((2 * width + 2 / (1 - coverage) * beyond) / unit).sum())

@@ -1,25 +1,31 @@
-"""What training makes small, where a network predicts quantities and a class at once."""
+"""What training minimises: smooth L1 on quantities, cross-entropy on a class."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 import torch.nn.functional as F
 from torch import Tensor
 
-__all__ = ["MixedLoss"]
+__all__ = ["MixedLoss", "SmoothL1"]
+
+
+@dataclass(frozen=True)
+class SmoothL1:
+    """Loss that is quadratic below `beta` and linear above, averaged over images and targets."""
+
+    beta: float = 0.1
+
+    def __call__(self, output: Tensor, target: Tensor) -> Tensor:
+        """Return the loss of outputs [N, K] for targets [N, K]."""
+        return F.smooth_l1_loss(output, target, beta=self.beta)
 
 
 @dataclass(frozen=True)
 class MixedLoss:
-    """Smooth L1 on standardised quantities, and cross-entropy on the class.
+    """Smooth L1 on standardised quantities, plus cross-entropy on the class.
 
-    Parameters
-    ----------
-    quantities
-        How many of the outputs are quantities; the others are the scores of the classes, whose number is the last
-        column of the targets.
+    The first `quantities` outputs are quantities, the others class scores; the last target column is the class number.
     """
 
     quantities: int
@@ -27,9 +33,7 @@ class MixedLoss:
     def __call__(self, output: Tensor, target: Tensor) -> Tensor:
         """Return the mean loss of outputs [n, K + C] for targets [n, K] or [n, K + 1]."""
         k = self.quantities
-        parts: list[Tensor] = []
-        if k:
-            parts.append(F.smooth_l1_loss(output[:, :k], target[:, :k], beta=0.1))
-        if output.shape[1] > k:
-            parts.append(F.cross_entropy(output[:, k:], target[:, k].long()))
-        return torch.stack(parts).sum()
+        quantities = SmoothL1()(output[:, :k], target[:, :k]) if k else output.new_zeros(())
+        if output.shape[1] == k:
+            return quantities
+        return quantities + F.cross_entropy(output[:, k:], target[:, k].long())

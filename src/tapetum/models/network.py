@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Self
 
@@ -16,36 +17,27 @@ from tapetum.data.dataset import DEVICE
 from tapetum.errors import InputError, one_of
 from tapetum.models.architectures import ARCHITECTURES, Network
 from tapetum.models.augmentation import augment
-from tapetum.models.base import (
-    Data,
-    TrainingPart,
-    batches,
-    checked_state,
-    frame_count,
-    quantities_of,
-    target_names,
-    training_part,
-)
+from tapetum.models.base import Estimator, TrainingPart, plain_target, quantities_of, target_names, training_part
 from tapetum.models.calibration import fit_temperature, probabilities
-from tapetum.models.domain import Domain, fit_domain, judged, picture_features, picture_width
+from tapetum.models.domain import Domain, fit_domain, picture_features, picture_width
 from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import Intervals, fit_intervals
 from tapetum.models.losses import MixedLoss
 from tapetum.models.novelty import Novelty, fit_novelty
-from tapetum.models.prediction import Prediction, joined
+from tapetum.models.prediction import Prediction
 from tapetum.models.processes import training_device
 from tapetum.models.snr import crop_snr
+from tapetum.models.state import MISMATCH, checked_state
 from tapetum.models.training import Augmentation, EpochReport, TrainingSettings, kept_epoch, train
 from tapetum.progress import Progress, quiet
 
 __all__ = ["NetworkEstimator", "ResNet18"]
 
-_BATCH = 64
-# Frames of each class that its place among the features is learned from, at the most.
+# Most frames per class that fit the novelty.
 _FRAMES_A_CLASS = 500
 
 
-class NetworkEstimator:
+class NetworkEstimator(Estimator):
     """A network on centred crops (paper, section 5), trained from scratch.
 
     Parameters
@@ -55,28 +47,27 @@ class NetworkEstimator:
     architecture
         One of `tapetum.models.architectures.ARCHITECTURES`; the paper's is "resnet18".
     crop, size
-        The central `crop` x `crop` pixels of each image are reduced to `size` x `size` for the network.
+        The central `crop` x `crop` pixels of each image are averaged to `size` x `size`.
     hide
-        Radius in pixels of a disc about the centre that the network never sees (see `prepare`): what it can tell
-        without the brightest spot.
+        Radius in pixels of a central disc that the network never sees, to test what it learns without the brightest
+        spot.
     background
-        How the background is taken off, "root" or "level": see `prepare`.
+        How the background is subtracted, "root" or "level": see `tapetum.models.inputs.root_over_background`.
     epochs, batch, learning_rate, weight_decay, patience, precision
         See `tapetum.models.training.TrainingSettings`.
     gain, shift, noise
         See `tapetum.models.training.Augmentation`.
     seed
-        Of the initial weights, the order of the images and the augmentation. Equal seeds give equal weights
-        on the CPU of one machine with one number of threads and processes. On a GPU they do not to the last bit: its
-        libraries choose their algorithms by speed and add in no fixed order.
+        Of the initial weights, the order of the images and the augmentation. Equal seeds give equal weights on the CPU
+        of one machine with one number of threads and processes. On a GPU the last bits differ: its libraries choose
+        algorithms by speed and do not fix the order of sums.
     calibration_fraction
-        Share of the training frames, the last ones of each recording, that is kept out of the fit: it shows
-        the error after each epoch and sets the intervals. The weights kept are the last epoch's; with `patience`
-        they are the best on the first half of these frames, and the second half alone sets the intervals.
-    device
-        "auto" (CUDA where there is one), "cpu" or "cuda". Not part of a saved model.
-    processes
-        GPUs or processes that train: "auto" takes all GPUs. Not part of a saved model.
+        Share of the training frames, the last ones of each recording, that is held out: it shows the error after each
+        epoch and sets the intervals. With `patience` the first half chooses the epoch whose weights are kept, and the
+        second half sets the intervals.
+    device, processes
+        "auto" (CUDA if present), "cpu" or "cuda"; and how many GPUs or processes train, "auto" for all GPUs. Not saved
+        with a model.
 
     Attributes
     ----------
@@ -84,21 +75,12 @@ class NetworkEstimator:
         The trained `tapetum.models.architectures.Network`.
     history_
         List of `tapetum.models.training.EpochReport` (empty after loading).
-    intervals_
-        `tapetum.models.intervals.Intervals`, calibrated on the frames kept out of the fit.
     classes_
         Names of the devices learned, sorted.
     temperature_
-        Of the classes' probabilities, set on the frames kept out of the fit: `tapetum.models.calibration`.
+        Of the class probabilities, fitted to held-out frames: `tapetum.models.calibration`.
     novelty_
         `tapetum.models.novelty.Novelty`, or None without classes.
-    domain_
-        `tapetum.models.domain.Domain`: how the training frames look; None where there were fewer than 40, and in
-        models saved before there was one.
-    data_hash_
-        Hash of the content of the training frames fitted to, where known.
-    training_
-        How many frames were fitted and kept aside, and how crops were centred: `TrainingPart.summary`.
 
     Examples
     --------
@@ -112,13 +94,9 @@ class NetworkEstimator:
 
     network_: Network
     history_: list[EpochReport]
-    intervals_: Intervals
     classes_: tuple[str, ...]
     temperature_: float
     novelty_: Novelty | None
-    domain_: Domain | None
-    data_hash_: str | None
-    training_: dict[str, Any] | None
 
     def __init__(
         self,
@@ -177,7 +155,7 @@ class NetworkEstimator:
         resume: bool = False,
         on_epoch: Callable[[EpochReport], None] | None = None,
     ) -> Self:
-        """Train on the training frames of a dataset; frames marked for testing are left alone.
+        """Train on the training frames of a dataset; test frames are not used.
 
         Parameters
         ----------
@@ -186,16 +164,11 @@ class NetworkEstimator:
         progress
             Shown over the reading and over the steps of each epoch.
         checkpoint
-            Folder for a checkpoint after every epoch. After Ctrl-C or a kill it holds the last whole epoch.
+            Folder for a checkpoint after every epoch; after an interruption it holds the last complete epoch.
         resume
-            Go on from the checkpoint, if there is one; the result is that of a run without a break.
+            Continue from the checkpoint, if there is one; the result is that of an uninterrupted run.
         on_epoch
             Called with the report of every epoch.
-
-        Returns
-        -------
-        NetworkEstimator
-            Itself.
 
         Raises
         ------
@@ -203,12 +176,12 @@ class NetworkEstimator:
             When there is too little to train on, or the checkpoint is of another training.
         """
         if resume and checkpoint is None:
-            raise InputError(
-                "resume needs the folder of a checkpoint", where="checkpoint", remedy="pass checkpoint=FOLDER"
-            )
+            what = "resume needs the folder of a checkpoint"
+            raise InputError(what, where="checkpoint", remedy="pass checkpoint=FOLDER")
         patience = self.settings.patience
         part = training_part(dataset, self.target_names, self.calibration_fraction, select=patience is not None)
-        images, snr = self._inputs(part.dataset, None, progress)
+        found = self._map_batches(self._read, "reading the images", part.dataset, progress=progress)
+        images, snr = torch.cat([seen for seen, _ in found]), np.concatenate([one for _, one in found])
         self._centre, self._spread = part.targets[part.fit].mean(axis=0), part.targets[part.fit].std(axis=0)
         self._unit = float(images[part.fit].std())
         if not self._unit > 0:
@@ -218,17 +191,18 @@ class NetworkEstimator:
         k, device = len(self.quantities), training_device(self.device)
         network = ARCHITECTURES[self.kind](k + len(part.classes), seed=self.seed)
         columns = [(part.targets - self._centre) / self._spread]
-        if part.device is not None:
-            columns.append(part.device[:, None].astype(np.float64))
+        if part.camera is not None:
+            columns.append(part.camera[:, None].astype(np.float64))
         wanted = torch.from_numpy(np.concatenate(columns, axis=1).astype(np.float32))
-        # Where nothing is chosen by it, the error is shown on the frames that calibrate.
+        # Without patience no frame chooses, so the calibration frames show the error.
         aside = part.calibrate if patience is None else part.choose
 
         def validate(trained: nn.Module) -> float:
-            found = self._run(trained, images[aside], device)
+            outputs = self._run(trained, images[aside], device)
             if k:
-                return float(np.abs(self._scaled(found) - part.targets[aside]).mean())
-            return float((found.argmax(axis=1) != _of(part.device, aside)).mean())
+                return float(np.abs(self._scaled(outputs) - part.targets[aside]).mean())
+            assert part.camera is not None  # a model estimates one or the other
+            return float((outputs.argmax(axis=1) != part.camera[aside]).mean())
 
         identity = {"kind": self.kind, **self.parameters(), "data": part.data_hash, "frames": len(part.targets)}
         fit = torch.from_numpy(part.fit)
@@ -253,146 +227,84 @@ class NetworkEstimator:
             why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
             self.training_["chosen"]["epochs"] = f"{kept}: {why}"
         self._calibrate(part, images, snr, device)
-        self.domain_ = self._described(images, np.asarray(part.dataset["recording"].values))
+        # The training frames are augmented as in training, but by a separate generator: the result must not depend on
+        # the number of epochs.
+        generator, varied = torch.Generator().manual_seed(self.seed), self.settings.augmentation
+        seen = [picture_features(augment(some, varied, generator)) for some in images.split(self._batch)]
+        self.domain_ = fit_domain(np.concatenate(seen), np.asarray(part.dataset["recording"].values))
         return self
 
-    def _described(self, images: Tensor, recording: NDArray[np.integer]) -> Domain | None:
-        """Describe the training frames, varied as the network saw them while training."""
-        # Not those of the training: what is drawn here must not hang on how long it took.
-        generator = torch.Generator().manual_seed(self.seed)
-        seen = [picture_features(augment(some, self.settings.augmentation, generator)) for some in images.split(_BATCH)]
-        return fit_domain(np.concatenate(seen), recording)
-
     def _calibrate(self, part: TrainingPart, images: Tensor, snr: NDArray[np.float64], device: torch.device) -> None:
-        """Set intervals, temperature and what counts as none of the classes, by the frames kept out of the fit."""
+        """Fit intervals, temperature and novelty to the held-out frames."""
         aside, k = part.calibrate, len(self.quantities)
         found = self._run(self.network_, images[aside], device)
         self.intervals_ = fit_intervals(part.targets[aside] - self._scaled(found), snr[aside])
         self.temperature_, self.novelty_ = 1.0, None
-        if part.device is None:
+        if part.camera is None:
             return
-        self.temperature_ = fit_temperature(found[:, k:], part.device[aside])
-        own = part.device[part.fit]
+        self.temperature_ = fit_temperature(found[:, k:], part.camera[aside])
+        own = part.camera[part.fit]
         few = np.concatenate([_spread_over(part.fit[own == c], _FRAMES_A_CLASS) for c in range(len(part.classes))])
         self.novelty_ = fit_novelty(
             self._run(self.network_.features, images[few], device),
-            part.device[few],
+            part.camera[few],
             len(part.classes),
             self._run(self.network_.features, images[aside], device),
         )
 
-    def _inputs(self, data: Data, full_scale: float | None, progress: Progress) -> tuple[Tensor, NDArray[np.float64]]:
+    def _prepared(self, images: NDArray[np.generic], full_scale: float) -> Tensor:
+        return prepare(images, self.crop, self.size, full_scale, self.hide, self.background)
+
+    def _read(self, images: NDArray[np.generic], full_scale: float) -> tuple[Tensor, NDArray[np.float64]]:
         """Return prepared images [N, 1, size, size] and their SNR [N]."""
-        total = -(-frame_count(data) // _BATCH)
-        parts, snr = [torch.empty(0, 1, self.size, self.size)], [np.empty(0)]
-        for images, depth in progress(batches(data, full_scale, _BATCH), "reading the images", total=total):
-            parts.append(prepare(images, self.crop, self.size, depth, self.hide, self.background))
-            snr.append(crop_snr(images, depth))
-        return torch.cat(parts), np.concatenate(snr)
+        return self._prepared(images, full_scale), crop_snr(images, full_scale)
 
     def _run(self, network: Callable[[Tensor], Tensor], images: Tensor, device: torch.device) -> NDArray[np.float64]:
-        """Return what a network makes [N, ...] of prepared and scaled images."""
+        """Return a network's outputs [N, ...] for prepared and scaled images."""
         with torch.inference_mode():
             found = [
                 network(batch.to(device).contiguous(memory_format=torch.channels_last)).double().cpu().numpy()
-                for batch in images.split(_BATCH)
-                if len(batch)
+                for batch in images.split(self._batch)
             ]
-        return np.concatenate(found) if found else np.empty((0, len(self.quantities) + len(self.classes_)))
+        return np.concatenate(found)
 
     def _scaled(self, found: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the quantities [N, K] in their units."""
         return found[:, : len(self.quantities)] * self._spread + self._centre
 
-    def predict(
-        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
-    ) -> Prediction:
-        """Estimate the target for every image.
+    def _progress_label(self) -> str:
+        return ARCHITECTURES[self.kind].title
 
-        Parameters
-        ----------
-        data
-            A dataset or crops [N, side, side], centred as those of the training were.
-        full_scale
-            Largest count of the camera, for crops that are not uint8.
-        progress
-            Shown over the batches.
-        anyway
-            Answer also where the model does not apply; the prediction still says so.
-
-        Returns
-        -------
-        Prediction
-
-        Raises
-        ------
-        InputError
-            When the model is not fitted or the images do not fit it.
-        """
-        if not hasattr(self, "network_"):
-            raise InputError("the model is not fitted", where=self.kind, remedy="call fit or load_model first")
-        device = training_device(self.device)
+    def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
+        self._check_fitted()
+        device, k = training_device(self.device), len(self.quantities)
         self.network_.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.network_.eval()
-        total, k = -(-frame_count(data) // _BATCH), len(self.quantities)
-        nothing = np.empty((0, k + len(self.classes_))), np.empty((0, self.network_.width)), np.empty(0)
-        parts = [judged(self._predicted(*nothing), None if self.domain_ is None else np.empty(0))]
-        for images, depth in progress(batches(data, full_scale, _BATCH), self.network_.title, total=total):
-            prepared = prepare(images, self.crop, self.size, depth, self.hide, self.background) / self._unit
-            features = self._run(self.network_.features, prepared, device)
-            snr = crop_snr(images, depth) if self.intervals_.conditional else np.zeros(len(images))
-            distance = None if self.domain_ is None else self.domain_(picture_features(prepared))
-            parts.append(judged(self._predicted(self._weighed(features), features, snr), distance))
-        found = joined(parts)
-        return found if anyway else found.withheld()
-
-    def _weighed(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the last layer's outputs [N, K + C], so that the network runs once for them and for the features."""
+        seen = self._prepared(images, full_scale) / self._unit
+        # The network runs once, for the features and for the outputs of its last layer.
+        features = self._run(self.network_.features, seen, device)
         weight, bias = (one.detach().double().cpu().numpy() for one in self.network_.head.parameters())
-        return features @ weight.T + bias
-
-    def _predicted(
-        self, found: NDArray[np.float64], features: NDArray[np.float64], snr: NDArray[np.float64]
-    ) -> Prediction:
-        value, width = self._scaled(found), self.intervals_.at(snr)
-        if not self.classes_:
-            return Prediction(self.quantities, value, value - width, value + width)
-        shares = probabilities(found[:, len(self.quantities) :], self.temperature_)
-        novelty = None if self.novelty_ is None else self.novelty_(features)
-        return Prediction(self.quantities, value, value - width, value + width, self.classes_, shares, novelty)
+        found = features @ weight.T + bias
+        return self._prediction(
+            self._scaled(found),
+            lambda: crop_snr(images, full_scale),
+            None if self.domain_ is None else self.domain_(picture_features(seen)),
+            probabilities(found[:, k:], self.temperature_) if self.classes_ else None,
+            None if self.novelty_ is None else self.novelty_(features),
+        )
 
     def parameters(self) -> dict[str, Any]:
-        """Return the arguments of ``__init__``, fit for JSON, without device and architecture, which is the kind."""
-        settings, varied = self.settings, self.settings.augmentation
-        return {
-            "target": self.target if isinstance(self.target, str) else list(self.target),
-            "crop": self.crop,
-            "size": self.size,
-            "hide": self.hide,
-            "background": self.background,
-            "epochs": settings.epochs,
-            "batch": settings.batch,
-            "learning_rate": settings.learning_rate,
-            "weight_decay": settings.weight_decay,
-            "patience": settings.patience,
-            "precision": settings.precision,
-            "gain": varied.gain,
-            "shift": varied.shift,
-            "noise": varied.noise,
-            "seed": self.seed,
-            "calibration_fraction": self.calibration_fraction,
-        }
+        """Return the arguments of ``__init__`` for JSON, except device, processes and architecture (see `kind`)."""
+        settings = asdict(self.settings)
+        varied = settings.pop("augmentation")
+        own = {name: getattr(self, name) for name in ("crop", "size", "hide", "background", "calibration_fraction")}
+        return {"target": plain_target(self.target), **own, **settings, **varied}
 
     def state(self) -> dict[str, Tensor]:
         """Return everything that was learned: weights under the architecture's usual names, and ``scaling.*``."""
-        if not hasattr(self, "network_"):
-            raise InputError("the model is not fitted", where=self.kind, remedy="call fit first")
+        self._check_fitted()
         learned = {name: tensor.detach().cpu().clone() for name, tensor in self.network_.state_dict().items()}
-        scaling = {
-            "centre": self._centre,
-            "spread": self._spread,
-            "unit": [self._unit],
-        }
+        scaling = {"centre": self._centre, "spread": self._spread, "unit": [self._unit]}
         if self.classes_:
             scaling["temperature"] = [self.temperature_]
         for name, values in scaling.items():
@@ -403,7 +315,6 @@ class NetworkEstimator:
         return learned
 
     def classes(self) -> tuple[str, ...]:
-        """Return the names of the devices learned; empty where that is no target."""
         return self.classes_
 
     @classmethod
@@ -415,18 +326,18 @@ class NetworkEstimator:
         *,
         architecture: str = "resnet18",
     ) -> Self:
-        """Make a fitted model of an architecture, of what `parameters`, `state` and `classes` returned."""
-        # Cards older than the choice do not name it.
+        """Rebuild a fitted model of an architecture from the results of `parameters`, `state` and `classes`."""
+        # Older cards do not name the background.
         model = cls(**{"background": "root", **parameters, "architecture": architecture})
         k = len(model.quantities)
         if (DEVICE in model.target_names) != bool(classes):
             what = f"expected {'names' if not classes else 'no names'} of devices"
-            raise InputError(what, where="card", remedy="the model's card and its weights do not belong together")
-        shapes: dict[str, tuple[int, ...]] = {"scaling.centre": (k,), "scaling.spread": (k,), "scaling.unit": (1,)}
+            raise InputError(what, where="card", remedy=MISMATCH)
+        shapes: dict[str, tuple[int, ...]] = {"centre": (k,), "spread": (k,), "unit": (1,)}
         if classes:
-            shapes["scaling.temperature"] = (1,)
-        scaling = checked_state(state, shapes)
-        # Weights drawn at random only to be replaced would take most of the time.
+            shapes["temperature"] = (1,)
+        scaling = checked_state(state, shapes, "scaling.")
+        # On the meta device no random initial weights are drawn, which would take most of the time.
         with torch.device("meta"):
             network = ARCHITECTURES[architecture](k + len(classes))
         network.to_empty(device="cpu")
@@ -434,14 +345,12 @@ class NetworkEstimator:
         try:
             network.load_state_dict(own)
         except RuntimeError as error:
-            remedy = "the model's card and its weights do not belong together"
-            raise InputError(
-                f"weights do not fit a {network.title} of this card", where="weights", remedy=remedy
-            ) from error
+            what = f"weights do not fit a {network.title} of this card"
+            raise InputError(what, where="weights", remedy=MISMATCH) from error
         model.network_, model.history_, model.classes_ = network.eval(), [], classes
-        model._centre, model._spread = scaling["scaling.centre"], scaling["scaling.spread"]
-        model._unit = float(scaling["scaling.unit"][0])
-        model.temperature_ = float(scaling["scaling.temperature"][0]) if classes else 1.0
+        model._centre, model._spread = scaling["centre"], scaling["spread"]
+        model._unit = float(scaling["unit"][0])
+        model.temperature_ = float(scaling["temperature"][0]) if classes else 1.0
         model.intervals_ = Intervals.from_state(state, k, "scaling.")
         model.novelty_ = Novelty.from_state(state, len(classes), network.width) if classes else None
         model.domain_ = Domain.from_state(state, picture_width())
@@ -452,10 +361,6 @@ class ResNet18(NetworkEstimator):
     """The paper's architecture."""
 
 
-def _of(numbers: NDArray[np.int64] | None, chosen: NDArray[np.intp]) -> NDArray[np.int64]:
-    return np.empty(0, np.int64) if numbers is None else numbers[chosen]
-
-
 def _spread_over(places: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Return at most so many of some places, evenly spread."""
+    """Return at most `most` of the places, evenly spread."""
     return places[:: -(-len(places) // most)]

@@ -1,4 +1,4 @@
-"""None of these: how far an image lies from every class that a network was trained on."""
+"""Distance of an image from every class that a network was trained on, to recognise unknown devices."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from tapetum.errors import InputError
+from tapetum.models.state import checked_state
 
 __all__ = ["Novelty", "fit_novelty"]
 
 _KNOWN = 0.98
-# Of the mean variance, added to each direction: no direction in which the training frames agree by chance counts.
+# Share of the mean variance added to each direction: directions with little variance by chance would dominate.
 _SHRINKAGE = 1e-3
 
 
@@ -22,17 +22,17 @@ _SHRINKAGE = 1e-3
 class Novelty:
     """Mahalanobis distance to the nearest class, in a network's last features.
 
-    K. Lee et al., NeurIPS 31 (2018): the features of each class are taken as normal about a mean of its own, with one
-    covariance for all.
+    K. Lee et al., NeurIPS 31 (2018): each class is normally distributed about its own mean, with one covariance for
+    all.
 
     Parameters
     ----------
     means
         [C, F] whitened mean features of each class.
     whitening
-        [F, F] that makes the covariance within classes the unit matrix.
+        [F, F] matrix that turns the covariance within classes into the unit matrix.
     unit
-        Distance that counts as 1: most frames of known devices that took no part in fitting stay below.
+        Distance that counts as 1; 98 % of held-out frames of known devices stay below.
     """
 
     means: NDArray[np.float64]
@@ -44,7 +44,7 @@ class Novelty:
         return _distances(features @ self.whitening, self.means) / self.unit
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return everything as tensors; the matrix, which is large, in float32."""
+        """Return everything as tensors; the large whitening matrix in float32."""
         return {
             "novelty.means": torch.from_numpy(self.means),
             "novelty.whitening": torch.from_numpy(self.whitening).float(),
@@ -53,22 +53,10 @@ class Novelty:
 
     @classmethod
     def from_state(cls, state: Mapping[str, torch.Tensor], classes: int, features: int) -> Novelty:
-        """Make it of what `state` returned.
-
-        Raises
-        ------
-        InputError
-            When something is missing, of another shape or not a number.
-        """
+        """Rebuild the novelty from `state`; raises as `checked_state`."""
         shapes = {"means": (classes, features), "whitening": (features, features), "unit": (1,)}
-        arrays: dict[str, NDArray[np.float64]] = {}
-        for name, shape in shapes.items():
-            tensor = state.get(f"novelty.{name}")
-            if tensor is None or tuple(tensor.shape) != shape or not bool(torch.isfinite(tensor).all()):
-                remedy = "the model's card and its weights do not belong together"
-                raise InputError(f"expected novelty.{name} of shape {shape}", where="weights", remedy=remedy)
-            arrays[name] = tensor.double().numpy()
-        return cls(arrays["means"], arrays["whitening"], float(arrays["unit"][0]))
+        found = checked_state(state, shapes, "novelty.")
+        return cls(found["means"], found["whitening"], float(found["unit"][0]))
 
 
 def _distances(whitened: NDArray[np.float64], means: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -77,31 +65,25 @@ def _distances(whitened: NDArray[np.float64], means: NDArray[np.float64]) -> NDA
 
 
 def fit_novelty(
-    features: NDArray[np.float64],
-    classes: NDArray[np.integer],
-    count: int,
-    aside: NDArray[np.float64],
+    features: NDArray[np.float64], classes: NDArray[np.integer], count: int, aside: NDArray[np.float64]
 ) -> Novelty:
-    """Learn where known classes lie.
+    """Fit the class means, their covariance and the unit of distance.
 
     Parameters
     ----------
-    features
-        [n, F] of frames that the network was fitted to.
-    classes
-        [n] number of each one's class, below `count`.
+    features, classes
+        [n, F] features of fitted frames, and [n] their class numbers below `count`.
     count
         Number of classes; each must have a frame.
     aside
-        [m, F] of frames of known classes that took no part in fitting: they set the unit, so that 98 % of them count as
-        known. Without any, the fitted ones do.
+        [m, F] features of held-out frames of known classes, which set the unit. If empty, the fitted frames set it.
     """
     means = np.stack([features[classes == k].mean(axis=0) for k in range(count)])
     within = features - means[classes]
     covariance = within.T @ within / max(1, len(features) - count)
     floor = _SHRINKAGE * max(np.trace(covariance) / len(covariance), np.finfo(float).tiny)
     values, vectors = np.linalg.eigh(covariance)
-    # In float32, as it will be stored: what is loaded must judge as what was fitted.
+    # Rounded to float32, as stored, so that a loaded model gives the same distances.
     whitening = (vectors / np.sqrt(np.maximum(values, 0) + floor)).astype(np.float32).astype(np.float64)
     whitened = means @ whitening
     known = _distances((aside if len(aside) else features) @ whitening, whitened)

@@ -1,4 +1,4 @@
-"""What every estimator gives: values with intervals, classes with probabilities."""
+"""Result of every model: values with intervals, classes with probabilities."""
 
 from __future__ import annotations
 
@@ -21,8 +21,7 @@ COVERAGE = 0.9
 """Share of true values that the intervals are meant to hold."""
 
 NONE_OF_THESE = "none of these"
-"""The device of a retro-reflection that is unlike those of every class a model was trained on."""
-
+"""The device of a retro-reflection that resembles no class of the training."""
 
 # Rows of the table that a notebook shows.
 _SHOWN = 10
@@ -30,28 +29,28 @@ _SHOWN = 10
 
 @dataclass(frozen=True, repr=False)
 class Prediction:
-    """Estimates of K quantities, and of one class among C where the model knows classes, for N images.
+    """Estimates of K quantities, and of one class among C for models with classes, for N images.
 
     Parameters
     ----------
     names
-        K names, for example ("gaze_x", "gaze_y"); none where only the class is estimated.
+        K names, for example ("gaze_x", "gaze_y"); empty where only the class is estimated.
     value
         [N, K] estimates, SI units; gaze in fractions of the field of view.
     lower, upper
-        [N, K] ends of an interval meant to hold the true value with the probability `COVERAGE`; infinite
-        where a model was fitted without frames to calibrate on.
+        [N, K] ends of intervals that hold the true value with the probability `COVERAGE`; infinite for models without
+        calibration frames.
     classes
         C names of devices.
     probability
-        [N, C], that the image shows each; given that it shows one of them.
+        [N, C] probability of each class, given that the image shows one of them.
     novelty
-        [N] how unlike every class the image is. Above 1 it is none of these: `tapetum.models.novelty`.
+        [N] distance from the nearest class; above 1 it is none of these: `tapetum.models.novelty`.
     reason
-        [N] why the model does not apply to an image, empty text where it does. Estimates, intervals and probabilities
-        of images with a reason are NaN, unless the model was told to answer anyway.
+        [N] why the model does not apply to an image, empty where it does. Numbers of images with a reason are NaN,
+        unless `predict` was called with `anyway`.
     described
-        Whether the model knows how the frames look that it learned from. Otherwise nobody knows whether it applies.
+        Whether the model knows what its training frames look like, and so whether it applies.
     """
 
     names: tuple[str, ...]
@@ -67,17 +66,14 @@ class Prediction:
     def __post_init__(self) -> None:
         shape = (len(self.value), len(self.names))
         if not self.value.shape == self.lower.shape == self.upper.shape == shape:
-            raise InputError(
-                f"value, lower and upper must all be {shape},"
-                f" are {self.value.shape}, {self.lower.shape} and {self.upper.shape}"
-            )
+            found = f"{self.value.shape}, {self.lower.shape} and {self.upper.shape}"
+            raise InputError(f"value, lower and upper must all be {shape}, are {found}")
         if bool(self.classes) != (self.probability is not None):
             raise InputError("classes and their probabilities belong together", where="probability")
-        shares = (len(self.value), len(self.classes))
-        if self.probability is not None and self.probability.shape != shares:
-            raise InputError(f"must be {shares}, is {self.probability.shape}", where="probability")
-        if self.novelty is not None and self.novelty.shape != shape[:1]:
-            raise InputError(f"must be {shape[:1]}, is {self.novelty.shape}", where="novelty")
+        for name, wanted in (("probability", (len(self.value), len(self.classes))), ("novelty", shape[:1])):
+            given = getattr(self, name)
+            if given is not None and given.shape != wanted:
+                raise InputError(f"must be {wanted}, is {given.shape}", where=name)
         if not self.reason:
             object.__setattr__(self, "reason", ("",) * len(self.value))
         if len(self.reason) != len(self.value):
@@ -85,12 +81,9 @@ class Prediction:
         answered = self.applies
         numbers = [one[answered] for one in (self.value, self.probability) if one is not None]
         numbers += [] if self.novelty is None else [self.novelty]
-        if not all(np.isfinite(one).all() for one in numbers) or any(
-            np.isnan(end[answered]).any() for end in (self.lower, self.upper)
-        ):
-            raise InputError(
-                "a prediction is not finite", where="model", remedy="train it again; its weights are unusable"
-            )
+        if not all(np.isfinite(one).all() for one in numbers) or np.isnan([self.lower, self.upper])[:, answered].any():
+            remedy = "train it again; its weights are unusable"
+            raise InputError("a prediction is not finite", where="model", remedy=remedy)
 
     def __len__(self) -> int:
         return len(self.value)
@@ -103,46 +96,35 @@ class Prediction:
 
     @property
     def applies(self) -> NDArray[np.bool_]:
-        """[N] False where the model does not apply, for a `reason`; True elsewhere, also where nobody knows."""
+        """[N] False where the model does not apply, for a `reason`; True elsewhere, also where this is unknown."""
         return np.array([not one for one in self.reason], dtype=bool)
 
     def because(self, reason: Sequence[str], *, described: bool) -> Prediction:
-        """Return the same numbers with a reason an image, empty where the model applies."""
+        """Return the same numbers with a reason for each image, empty where the model applies."""
         return replace(self, reason=tuple(reason), described=described)
 
     def withheld(self) -> Prediction:
-        """Return it with NaN for all numbers of images that have a `reason`.
+        """Return a copy with NaN for all numbers of images that have a `reason`.
 
-        Estimates of the gaze that lie past the edge of the field, though their intervals reach into it, become those of
-        the edge.
+        Gaze estimates past the edge of the field, whose intervals reach into it, are clipped to the edge.
         """
-        silent = ~self.applies
-
-        def without(values: NDArray[np.float64]) -> NDArray[np.float64]:
-            found = values.copy()
-            found[silent] = np.nan
-            return found
-
-        value = without(self.value)
+        refused = ~self.applies[:, None]
+        value = np.where(refused, np.nan, self.value)
         for k, name in enumerate(self.names):
             if name in ("gaze_x", "gaze_y"):
                 value[:, k] = np.clip(value[:, k], -0.5, 0.5)
-        return replace(
-            self,
-            value=value,
-            lower=without(self.lower),
-            upper=without(self.upper),
-            probability=None if self.probability is None else without(self.probability),
-        )
+        ends = {name: np.where(refused, np.nan, getattr(self, name)) for name in ("lower", "upper")}
+        shares = None if self.probability is None else np.where(refused, np.nan, self.probability)
+        return replace(self, value=value, **ends, probability=shares)
 
     @property
     def device(self) -> list[str]:
-        """The likeliest class of each image, or `NONE_OF_THESE`.
+        """The most probable class of each image, or `NONE_OF_THESE`.
 
         Raises
         ------
         InputError
-            When the model knows no classes.
+            When the model has no classes.
         """
         shares = self._shares
         strange = np.zeros(len(shares)) if self.novelty is None else self.novelty
@@ -152,7 +134,7 @@ class Prediction:
 
     @property
     def device_probability(self) -> NDArray[np.float64]:
-        """[N] probability of the likeliest class, given that it is one of them."""
+        """[N] probability of the most probable class, given that it is one of them."""
         shares = self._shares
         return shares.max(axis=1) if len(shares) else np.empty(0)
 
@@ -170,7 +152,7 @@ class Prediction:
         return f"<Prediction: {what} of {len(self)} images, {known}>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the first images in a table."""
+        """Return a table of the first images, for notebooks."""
         columns = self.columns()
         heads = "".join(f"<th>{html.escape(name)}</th>" for name in columns)
         rows = [
@@ -182,12 +164,12 @@ class Prediction:
         return f"<p>{words}</p><table><tr><th></th>{heads}</tr>{body}</table>"
 
     def plot(self) -> Figure:
-        """Draw each quantity with its interval over the images' numbers, and the probability of the likeliest device.
+        """Draw each quantity with its interval over the image number, and the probability of the most probable device.
 
         Returns
         -------
         matplotlib.figure.Figure
-            It belongs to no window: a notebook shows it, `savefig` writes it. Images that were refused leave gaps.
+            Without a window: a notebook shows it, `savefig` writes it. Refused images leave gaps.
         """
         from matplotlib.figure import Figure
 
@@ -211,16 +193,12 @@ class Prediction:
     def columns(self) -> dict[str, Any]:
         """Return the columns of a table of tracks, [N] each.
 
-        NAME, NAME_low and NAME_high for each name, then `device` and `device_probability` where there are classes, and
-        `applies` (None where nobody knows) and `reason`.
+        NAME, NAME_low and NAME_high for each name; `device` and `device_probability` where there are classes; `applies`
+        (None where unknown) and `reason`.
         """
         table: dict[str, Any] = {}
         for k, name in enumerate(self.names):
-            table |= {
-                name: self.value[:, k],
-                f"{name}_low": self.lower[:, k],
-                f"{name}_high": self.upper[:, k],
-            }
+            table |= {name: self.value[:, k], f"{name}_low": self.lower[:, k], f"{name}_high": self.upper[:, k]}
         if self.classes:
             table |= {"device": self.device, "device_probability": self.device_probability}
         known = [False if why else (True if self.described else None) for why in self.reason]
@@ -234,20 +212,12 @@ def _shown(value: Any) -> str:
 
 
 def joined(parts: Sequence[Prediction]) -> Prediction:
-    """Put predictions of one model for parts of the images, one or more of them, one behind the other."""
+    """Concatenate one or more predictions of one model."""
     first = parts[0]
 
-    def column(name: str) -> NDArray[np.float64]:
-        return np.concatenate([getattr(part, name) for part in parts])
+    def column(name: str) -> Any:
+        values = [getattr(part, name) for part in parts]
+        return None if values[0] is None else np.concatenate(values)
 
-    return Prediction(
-        first.names,
-        column("value"),
-        column("lower"),
-        column("upper"),
-        first.classes,
-        None if first.probability is None else column("probability"),
-        None if first.novelty is None else column("novelty"),
-        tuple(why for part in parts for why in part.reason),
-        first.described,
-    )
+    arrays = {name: column(name) for name in ("value", "lower", "upper", "probability", "novelty")}
+    return replace(first, **arrays, reason=tuple(why for part in parts for why in part.reason))

@@ -1,4 +1,4 @@
-"""Where a training runs: on the CPU, a GPU or several, in one process or more, over Lightning Fabric."""
+"""Devices and processes of a training, over Lightning Fabric."""
 
 from __future__ import annotations
 
@@ -7,9 +7,7 @@ import datetime as dt
 import logging
 import multiprocessing
 import os
-import socket
 from collections.abc import Callable, Iterator
-from multiprocessing.connection import Connection, wait
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -18,24 +16,21 @@ from torch.multiprocessing.spawn import ProcessContext, ProcessException, start_
 from tapetum.errors import InputError
 
 if TYPE_CHECKING:
+    from multiprocessing.synchronize import Semaphore
+
     from lightning_fabric import Fabric
 
-__all__ = ["companions", "fabric_of_one", "process_count", "training_device"]
+__all__ = ["companions", "make_fabric", "process_count", "training_device"]
 
-# The others wait so long for one that validates or writes.
+# How long processes wait for one that validates or writes.
 _TIMEOUT = dt.timedelta(minutes=10)
 _FABRIC_PRECISION = {"float32": "32-true", "bf16": "bf16-mixed"}
-_ENVIRONMENT = ("MASTER_ADDR", "MASTER_PORT", "OMP_NUM_THREADS")
+# Seconds within which a process ends after it has closed its connections.
+_ENDING = 10.0
 
 
 def training_device(name: str | torch.device) -> torch.device:
-    """Return the device called "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1".
-
-    Raises
-    ------
-    InputError
-        When there is none of that name on this machine.
-    """
+    """Return the device "auto" (CUDA if present), "cpu", "cuda" or "cuda:1"; raise an InputError if it is missing."""
     cuda = torch.cuda.device_count()
     if name == "auto":
         return torch.device("cuda" if cuda else "cpu")
@@ -52,13 +47,7 @@ def training_device(name: str | torch.device) -> torch.device:
 
 
 def process_count(processes: int | str, device: torch.device) -> int:
-    """Return how many processes train: "auto" is one for every GPU, and one on a CPU.
-
-    Raises
-    ------
-    InputError
-        When there are not so many GPUs, or `processes` is no such number.
-    """
+    """Return how many processes train ("auto": one per GPU); raise an InputError when there are fewer GPUs."""
     there = torch.cuda.device_count()
     if processes == "auto":
         return max(1, there) if device.type == "cuda" and device.index is None else 1
@@ -74,118 +63,116 @@ def process_count(processes: int | str, device: torch.device) -> int:
     return processes
 
 
-def fabric_of_one(device: torch.device, precision: str) -> Fabric:
-    """Return a Fabric for this process alone."""
+def make_fabric(device: torch.device, precision: str, *, processes: int = 1) -> Fabric:
+    """Return a Fabric for this process alone, or for one of several that `companions` started."""
     from lightning_fabric import Fabric
+    from lightning_fabric.plugins.environments.lightning import LightningEnvironment
+    from lightning_fabric.strategies.ddp import DDPStrategy
 
-    devices = [device.index or 0] if device.type == "cuda" else 1
-    with _quiet_fabric():
-        return Fabric(accelerator=device.type, devices=devices, precision=_FABRIC_PRECISION[precision])  # type: ignore[arg-type]
+    several = processes > 1
+    ours = [device.index or 0] if device.type == "cuda" and not several else processes
+    logger = logging.getLogger("lightning_fabric")
+    level = logger.level
+    # Fabric would announce itself on standard error.
+    logger.setLevel(logging.WARNING)
+    try:
+        made = Fabric(
+            accelerator=device.type,
+            devices=ours,
+            strategy=DDPStrategy(cluster_environment=LightningEnvironment(), timeout=_TIMEOUT) if several else "auto",
+            precision=_FABRIC_PRECISION[precision],  # type: ignore[arg-type]
+        )
+        made.launch()
+    finally:
+        logger.setLevel(level)
+    return made
 
 
 @contextlib.contextmanager
 def companions(
     count: int, device: torch.device, precision: str, work: Callable[..., None], *arguments: Any
 ) -> Iterator[Fabric]:
-    """Start the processes that train beside this one, and yield this one's Fabric, rank 0 of `count`.
+    """Start `count` - 1 more training processes and yield this process's Fabric, of rank 0.
 
-    This process takes part itself: what it is called back with (bars, reports) need not travel, and Ctrl-C ends
-    all of them.
-
-    Parameters
-    ----------
-    count
-        Processes, this one included.
-    device
-        "cpu", or "cuda" for the first `count` GPUs.
-    precision
-        See `tapetum.models.epochs.TrainingSettings`.
-    work
-        Called in each of the others as ``work(fabric, *arguments)``; like them, it must be able to travel.
-    arguments
-        Arrays rather than tensors: those would go through shared memory, which is scarce in containers.
-
-    Raises
-    ------
-    InputError
-        When one of the processes ends before its time.
+    Each of the others calls ``work(fabric, *arguments)``, all pickled; arguments should be arrays, as tensors would use
+    shared memory, which is scarce in containers. Fabric's own launcher is not used, because this process trains too:
+    its callbacks need not be pickled, and Ctrl-C ends all processes. The processes find each other by torchrun's
+    environment variables. Raises an InputError when one of them ends too early.
     """
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    threads = torch.get_num_threads()
+    from lightning_fabric.plugins.environments.lightning import find_free_network_port
+
+    threads, environment = torch.get_num_threads(), dict(os.environ)
     share = max(1, threads // count) if device.type == "cpu" else threads
-    before = {name: os.environ.get(name) for name in _ENVIRONMENT}
-    receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
-    inputs = (count, port, share, device.type, precision, work, arguments, sender)
+    port = str(find_free_network_port())
+    os.environ |= {"MASTER_ADDR": "127.0.0.1", "MASTER_PORT": port, "LOCAL_RANK": "0", "NODE_RANK": "0"}
+    up = multiprocessing.get_context("spawn").Semaphore(0)
+    inputs = (up, count, share, device, precision, work, arguments)
     group = start_processes(_companion, inputs, nprocs=count - 1, join=False, daemon=True, start_method="spawn")
     assert isinstance(group, ProcessContext)  # and not None, as where it waits for their end
     started: list[Any] = group.processes
     try:
-        _await_all(group, receiver, count - 1)
-        fabric = _fabric_of_many(0, count, port, device.type, precision)
+        _await_all(group, up, count - 1)
+        ours = make_fabric(device, precision, processes=count)
         torch.set_num_threads(share)
-        yield fabric
-        fabric.barrier()
-        _leave()
+        yield ours
+        _leave(ours)
         group.join()
     except BaseException as error:
-        # One that fails closes its connections first, and is known to have ended a moment later.
         lost = _said(error) if isinstance(error, ProcessException) else None
         if isinstance(error, RuntimeError):
-            lost = _failure(group, 10)
+            lost = _failure(group, _ENDING)
+        if lost is None:
+            raise
+        remedy = "use fewer processes; a checkpoint can be resumed"
+        raise InputError(lost, where="processes", remedy=remedy) from error
+    finally:
         for process in started:
             process.terminate()
-        _leave()
-        if lost is not None:
-            remedy = "use fewer processes; a checkpoint can be resumed"
-            raise InputError(lost, where="processes", remedy=remedy) from error
-        raise
-    finally:
+        if torch.distributed.is_initialized():
+            torch.distributed.destroy_process_group()
         for process in started:
             process.join()
         torch.set_num_threads(threads)
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
+        os.environ.clear()
+        os.environ.update(environment)
 
 
 def _companion(
     index: int,
+    up: Semaphore,
     count: int,
-    port: int,
     threads: int,
-    accelerator: str,
+    device: torch.device,
     precision: str,
     work: Callable[..., None],
     arguments: tuple[Any, ...],
-    ready: Connection,
 ) -> None:
-    """Be rank index + 1."""
+    """Run as rank index + 1."""
+    up.release()
+    os.environ["LOCAL_RANK"] = str(index + 1)
+    ours = make_fabric(device, precision, processes=count)
     torch.set_num_threads(threads)
-    ready.send(index)
-    fabric = _fabric_of_many(index + 1, count, port, accelerator, precision)
-    torch.set_num_threads(threads)
-    work(fabric, *arguments)
-    fabric.barrier()
-    _leave()
+    work(ours, *arguments)
+    _leave(ours)
 
 
-def _await_all(group: ProcessContext, receiver: Connection, count: int) -> None:
-    """Return when all processes are up; the meeting itself would wait long for one that never comes."""
-    missing = set(range(count))
-    while missing:
-        if receiver in wait([receiver, *group.sentinels]):
-            missing.discard(receiver.recv())
-        elif (lost := _failure(group, 1)) is not None:
-            remedy = 'a script that trains needs `if __name__ == "__main__":` around what it runs'
-            raise InputError(lost, where="processes", remedy=remedy)
+def _leave(ours: Fabric) -> None:
+    """Wait for all processes, then leave the group."""
+    ours.barrier()
+    torch.distributed.destroy_process_group()
+
+
+def _await_all(group: ProcessContext, up: Semaphore, count: int) -> None:
+    """Wait until all processes run; Fabric would wait minutes for one that never starts."""
+    for _ in range(count):
+        while not up.acquire(timeout=0.1):
+            if (lost := _failure(group, 0)) is not None:
+                remedy = 'a script that trains needs `if __name__ == "__main__":` around what it runs'
+                raise InputError(lost, where="processes", remedy=remedy)
 
 
 def _failure(group: ProcessContext, seconds: float) -> str | None:
-    """Say in a line how one of the processes failed; None where none does within so many seconds."""
+    """Return in one line how a process failed; None if none fails within `seconds`."""
     try:
         group.join(timeout=seconds)
     except ProcessException as error:
@@ -195,59 +182,3 @@ def _failure(group: ProcessContext, seconds: float) -> str | None:
 
 def _said(error: ProcessException) -> str:
     return f"a training process failed ({error.msg.strip().splitlines()[-1]})"
-
-
-def _leave() -> None:
-    if torch.distributed.is_initialized():
-        torch.distributed.destroy_process_group()
-
-
-@contextlib.contextmanager
-def _quiet_fabric() -> Iterator[None]:
-    """Keep Fabric from announcing itself on standard error."""
-    logger = logging.getLogger("lightning_fabric")
-    level = logger.level
-    logger.setLevel(logging.WARNING)
-    try:
-        yield
-    finally:
-        logger.setLevel(level)
-
-
-def _fabric_of_many(rank: int, count: int, port: int, accelerator: str, precision: str) -> Fabric:
-    """Return a Fabric that has met the others."""
-    from lightning_fabric import Fabric
-    from lightning_fabric.plugins.environments.lightning import LightningEnvironment
-    from lightning_fabric.strategies.ddp import DDPStrategy
-
-    class Started(LightningEnvironment):
-        """Processes that exist already, on this machine."""
-
-        @property
-        def creates_processes_externally(self) -> bool:
-            return True
-
-        @property
-        def main_address(self) -> str:
-            return "127.0.0.1"
-
-        @property
-        def main_port(self) -> int:
-            return port
-
-        def local_rank(self) -> int:
-            return rank
-
-        def node_rank(self) -> int:
-            return 0
-
-    strategy = DDPStrategy(cluster_environment=Started(), timeout=_TIMEOUT)
-    with _quiet_fabric():
-        fabric = Fabric(
-            accelerator=accelerator,
-            strategy=strategy,
-            devices=count,
-            precision=_FABRIC_PRECISION[precision],  # type: ignore[arg-type]
-        )
-        fabric.launch()
-    return fabric

@@ -1,4 +1,4 @@
-"""How far a retro-reflection stands out of the noise of its picture: what most of an estimate's error hangs on."""
+"""SNR of a retro-reflection in its crop, on which most of an estimate's error depends."""
 
 from __future__ import annotations
 
@@ -11,26 +11,25 @@ from tapetum.models.features import as_images
 
 __all__ = ["crop_snr"]
 
-# Excess below so many deviations is left out: the noise of 160 000 dark pixels would add up to a signal.
+# Excess below this many standard deviations is ignored: the noise of 160 000 dark pixels would add up to a signal.
 _GATE = 4.0
 # Side of the four squares in the corners of a crop that lie outside its inscribed disc.
 _CORNER = (1 - math.sqrt(0.5)) / 2
 
 
 def crop_snr(images: NDArray[np.generic], full_scale: float | None = None) -> NDArray[np.float64]:
-    """Return the signal-to-noise ratio of a matched filter that knows the picture, [N].
+    """Return the signal-to-noise ratio [N] of a matched filter that knows the image.
 
-    The root of the summed squares of what stands out of the background, over the deviation of a dark pixel. The
-    background is the median of the crop, the noise comes from the differences of neighbours in its four corners,
-    outside the inscribed disc, and is never below that of rounding. Shot noise of the retro-reflection itself is not
-    counted.
+    This is the root of the summed squared excess over the background, divided by a dark pixel's standard deviation. The
+    background is the crop's median. The noise comes from the differences of neighbouring pixels in the four corners,
+    outside the inscribed disc, and is at least the rounding noise. Shot noise of the RR itself is not counted.
 
     Parameters
     ----------
     images
         [N, side, side] crops centred on the RR, counts.
     full_scale
-        Largest count of the camera; 255 for uint8 where left out.
+        Largest count of the camera; 255 by default for uint8.
     """
     array, _ = as_images(images, full_scale)
     edge = max(2, round(_CORNER * array.shape[1]))
@@ -44,12 +43,12 @@ def crop_snr(images: NDArray[np.generic], full_scale: float | None = None) -> ND
 
 
 def _strength(image: NDArray[np.generic], noise: float) -> float:
-    """Root of the summed squares of what stands out of the median."""
+    """Return the root of the summed squared excess over the median."""
     if image.dtype.kind == "f":
         levels, count = image.ravel().astype(np.float64), np.ones(image.size)
         middle = float(np.median(levels))
     else:
-        # A camera's counts are few: all that is asked for stands in how often each occurs.
+        # Integer counts take few values, so a histogram gives the median and the sum.
         count = np.bincount(image.ravel())
         levels = np.arange(len(count))
         middle = float(np.searchsorted(np.cumsum(count), image.size / 2))

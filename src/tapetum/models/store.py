@@ -1,4 +1,4 @@
-"""Models on disk: a folder with a card, model.json, and weights.safetensors. Nothing is ever unpickled."""
+"""Models on disk: a folder with a card, model.json, and weights.safetensors; no pickles."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ from tapetum.data.dataset import QUANTITIES
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder, sha256_file
 from tapetum.models.architectures import ARCHITECTURES
-from tapetum.models.base import Estimator, Predictor, json_safe
-from tapetum.models.card import checked_card
+from tapetum.models.base import Estimator, json_safe
+from tapetum.models.card import check_version, checked_card
 from tapetum.models.network import NetworkEstimator, ResNet18
 from tapetum.models.zernike_ridge import ZernikeRidge
 
@@ -31,7 +31,6 @@ __all__ = [
     "VERSION",
     "WEIGHTS",
     "load_model",
-    "load_predictor",
     "model_card",
     "pretrained",
     "save_model",
@@ -40,29 +39,29 @@ __all__ = [
 
 FORMAT, VERSION = "tapetum-model", 2
 CARD, WEIGHTS = "model.json", "weights.safetensors"
-# What makes a model of each kind of what its folder holds.
+# Function that rebuilds a model of each kind.
 KINDS: dict[str, Callable[..., ZernikeRidge | NetworkEstimator]] = {
     ZernikeRidge.kind: ZernikeRidge.from_state,
     **{name: partial(NetworkEstimator.from_state, architecture=name) for name in ARCHITECTURES},
     ResNet18.kind: ResNet18.from_state,
 }
 
+# Packages whose versions the card lists.
+_PACKAGES = ("tapetum", "torch", "numpy", "scikit-learn", "safetensors")
+_REMEDY = "copy it again or train it again"
+_INCOMPLETE = "copy the whole folder or train it again"
 _PRETRAINED = Path(__file__).parent / "pretrained"
 
 
-def _versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in ("tapetum", "torch", "numpy", "scikit-learn", "safetensors"):
-        try:
-            found[package] = metadata.version(package)
-        except metadata.PackageNotFoundError:
-            found[package] = "unknown"
-    return found
+def _version(package: str) -> str:
+    try:
+        return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return "unknown"
 
 
 def _halved(tensor: torch.Tensor, name: str) -> torch.Tensor:
-    # Only the big float32 tensors: biases and the normalisation's statistics cost nothing, and linear models
-    # keep float64.
+    # Only large float32 tensors: biases and normalisation statistics are small, and linear models keep float64.
     if tensor.dtype != torch.float32 or tensor.ndim < 2:
         return tensor
     half = tensor.half()
@@ -89,17 +88,14 @@ def save_model(
         A fitted estimator.
     path
         The folder to write.
-    metrics
-        Figures for the card: what was measured, on what.
+    metrics, notes
+        For the card: what was measured on what; and anything else, such as seeds or the command.
     data_hash
-        Hash of the training data; the model's own where left out.
+        Hash of the training data; by default the model's own.
     half
-        Store matrices and convolutions in float16, half the size. Predictions are computed in float32 all the
-        same.
-    notes
-        Anything else for the card: seeds, the command.
+        Store matrices and convolutions in float16, half the size. Predictions still run in float32.
     overwrite
-        Replace a folder that is there already.
+        Replace an existing folder.
 
     Returns
     -------
@@ -109,7 +105,7 @@ def save_model(
     Raises
     ------
     InputError
-        When the model is not fitted, the card's figures are not JSON, or the folder exists.
+        When the model is not fitted, metrics or notes are not JSON, or the folder exists.
     """
     if model.kind not in KINDS:
         what = f"a model of kind {model.kind!r} learns nothing that a folder could keep"
@@ -129,12 +125,12 @@ def save_model(
         "training": model.training_,
         "metrics": dict(metrics or {}),
         "notes": notes if notes is None or isinstance(notes, str) else dict(notes),
-        "versions": _versions(),
+        "versions": {"python": platform.python_version()} | {name: _version(name) for name in _PACKAGES},
     }
     card = json_safe(card, "metrics or notes")
     with atomic_folder(path, overwrite=overwrite) as folder:
         save_file(state, folder / WEIGHTS)
-        # Safetensors keeps its file to its owner; a model is for whoever may read the folder.
+        # Safetensors restricts its file to the owner; everyone who can read the folder may read the model.
         (folder / WEIGHTS).chmod(0o644)
         card["weights"] = {
             "file": WEIGHTS,
@@ -147,20 +143,7 @@ def save_model(
 
 
 def write_metrics(path: str | Path, metrics: Mapping[str, Any]) -> None:
-    """Put figures on the card of a model that is saved already; its weights stay untouched.
-
-    Parameters
-    ----------
-    path
-        The model's folder.
-    metrics
-        What was measured, on what; replaces the figures on the card.
-
-    Raises
-    ------
-    InputError
-        When there is no readable card, the figures are not JSON, or the card cannot be written.
-    """
+    """Replace `metrics` on a saved model's card; raise an InputError for a bad card or values that are not JSON."""
     card = model_card(path) | {"metrics": json_safe(dict(metrics), "metrics")}
     with atomic_file(Path(path) / CARD) as part:
         part.write_text(json.dumps(card, indent=2) + "\n", encoding="utf-8")
@@ -172,7 +155,7 @@ def model_card(path: str | Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        When the folder or its card is missing, is not a model's, or was written by a newer Tapetum.
+        When the folder or its card is missing, is not a model's, or is of a newer version.
     """
     folder = Path(path)
     if not folder.is_dir():
@@ -180,23 +163,13 @@ def model_card(path: str | Path) -> dict[str, Any]:
     try:
         card = read_json(folder / CARD)
     except FileNotFoundError as error:
-        raise InputError(
-            f"the model lacks {CARD}", where=folder, remedy="copy the whole folder or train it again"
-        ) from error
+        raise InputError(f"the model lacks {CARD}", where=folder, remedy=_INCOMPLETE) from error
     except (ValueError, OSError) as error:
-        raise InputError(
-            f"cannot be read ({error})", where=folder / CARD, remedy="copy it again or train it again"
-        ) from error
+        raise InputError(f"cannot be read ({error})", where=folder / CARD, remedy=_REMEDY) from error
     if not isinstance(card, dict) or card.get("format") != FORMAT:
-        raise InputError(
-            f"is not the card of a model (format {FORMAT})",
-            where=folder / CARD,
-            remedy="give a model's folder",
-        )
-    version = card.get("version")
-    if not isinstance(version, int) or isinstance(version, bool) or not 1 <= version <= VERSION:
-        what = f"has version {version!r} of the format, this Tapetum reads up to {VERSION}"
-        raise InputError(what, where=folder / CARD, remedy="update Tapetum")
+        what = f"is not the card of a model (format {FORMAT})"
+        raise InputError(what, where=folder / CARD, remedy="give a model's folder")
+    check_version(card.get("version"), VERSION, folder / CARD)
     if not isinstance(card.get("kind"), str) or card["kind"] not in KINDS:
         what = f"holds a model of unknown kind {card.get('kind')!r}"
         raise InputError(what, where=folder / CARD, remedy=f"this Tapetum knows {', '.join(KINDS)}")
@@ -204,17 +177,9 @@ def model_card(path: str | Path) -> dict[str, Any]:
 
 
 def load_model(path: str | Path) -> ZernikeRidge | NetworkEstimator:
-    """Load a model that `save_model` wrote, after checking that its weights are the ones its card speaks of.
+    """Load a model that `save_model` wrote, after checking its weights against the hash on its card.
 
-    Parameters
-    ----------
-    path
-        The model's folder.
-
-    Returns
-    -------
-    Estimator
-        Ready to predict, in float32 (or float64 for linear models) whatever the precision stored.
+    It predicts in float32 (linear models in float64), whatever the stored precision.
 
     Raises
     ------
@@ -224,58 +189,35 @@ def load_model(path: str | Path) -> ZernikeRidge | NetworkEstimator:
     card, folder = model_card(path), Path(path)
     weights = folder / WEIGHTS
     if not weights.is_file():
-        raise InputError(f"the model lacks {WEIGHTS}", where=folder, remedy="copy the whole folder or train it again")
+        raise InputError(f"the model lacks {WEIGHTS}", where=folder, remedy=_INCOMPLETE)
     if sha256_file(weights) != card["weights"].get("sha256"):
         what = "has been altered: its SHA-256 is not the one on the card"
-        raise InputError(what, where=weights, remedy="copy it again or train it again")
+        raise InputError(what, where=weights, remedy=_REMEDY)
     try:
         state = load_file(weights)
     except (SafetensorError, OSError, ValueError) as error:
-        raise InputError(
-            f"cannot be read ({error})", where=weights, remedy="copy it again or train it again"
-        ) from error
+        raise InputError(f"cannot be read ({error})", where=weights, remedy=_REMEDY) from error
     state = {name: tensor.float() if tensor.dtype == torch.float16 else tensor for name, tensor in state.items()}
     try:
-        classes = tuple(str(name) for name in card.get("classes", ()))
-        model = KINDS[card["kind"]](card["parameters"], state, classes)
+        model = KINDS[card["kind"]](card["parameters"], state, tuple(card.get("classes", ())))
     except InputError as error:
         raise InputError(str(error), where=folder) from error
     except (TypeError, ValueError) as error:  # an unknown argument, or one of another type
-        remedy = "copy it again or train it again"
-        raise InputError(f"parameters do not fit ({error})", where=folder / CARD, remedy=remedy) from error
+        raise InputError(f"parameters do not fit ({error})", where=folder / CARD, remedy=_REMEDY) from error
     if list(model.target_names) != card["targets"] or set(card["units"]) != set(model.quantities):
         what = "targets and units are not those of parameters.target"
-        raise InputError(what, where=folder / CARD, remedy="copy it again or train it again")
-    known = card.get("training_data")
-    model.data_hash_ = known if isinstance(known, str) else None
-    model.training_ = card.get("training")
+        raise InputError(what, where=folder / CARD, remedy=_REMEDY)
+    model.data_hash_, model.training_ = card["training_data"], card.get("training")
     return model
 
 
-def load_predictor(path: str | Path) -> Predictor:
-    """Load whatever predicts: a model's folder, or a network exported to NAME.onnx, which is faster on a CPU.
-
-    Raises
-    ------
-    InputError
-        As `load_model`, and as `tapetum.models.fast.FastResNet18`.
-    MissingExtraError
-        For a file .onnx, when the extra `fast` is not installed.
-    """
-    if Path(path).suffix.lower() == ".onnx":
-        from tapetum.models.fast import FastResNet18
-
-        return FastResNet18(path)
-    return load_model(path)
-
-
 def pretrained(name: str = "thin-lens-gaze") -> ZernikeRidge | NetworkEstimator:
-    """Load a model that comes with the package.
+    """Load a bundled model.
 
     Raises
     ------
     InputError
-        When no model of that name is bundled; the message lists those that are.
+        When no bundled model has that name; the message lists those that are.
     """
     found = sorted(f.parent.name for f in _PRETRAINED.glob(f"*/{CARD}"))
     if name not in found:

@@ -1,6 +1,4 @@
-"""Training in epochs that can be interrupted and taken up again, on whatever computes: every epoch leaves a whole
-checkpoint.
-"""
+"""Resumable training in epochs, on CPU or GPUs; every epoch writes a complete checkpoint."""
 
 from __future__ import annotations
 
@@ -9,13 +7,12 @@ import json
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import InitVar, asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-import torch.nn.functional as F
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
@@ -31,7 +28,8 @@ from tapetum.models.checkpoint import (
     write_checkpoint,
 )
 from tapetum.models.epochs import EpochReport, TrainingSettings, kept_epoch, learning_rate, out_of_patience
-from tapetum.models.processes import companions, fabric_of_one, process_count, training_device
+from tapetum.models.losses import SmoothL1
+from tapetum.models.processes import companions, make_fabric, process_count, training_device
 from tapetum.progress import Progress, quiet
 
 if TYPE_CHECKING:
@@ -54,26 +52,6 @@ __all__ = [
 Loss = Callable[[Tensor, Tensor], Tensor]
 
 
-@dataclass(frozen=True)
-class SmoothL1:
-    """Squared below `beta`, linear above: mean over images and targets."""
-
-    beta: float = 0.1
-
-    def __call__(self, output: Tensor, target: Tensor) -> Tensor:
-        """Return the loss of outputs [N, K] for targets [N, K]."""
-        return F.smooth_l1_loss(output, target, beta=self.beta)
-
-
-@dataclass(frozen=True)
-class _Calls:
-    """What is called while training, in the process that was asked to train."""
-
-    validate: Callable[[nn.Module], float] | None = None
-    progress: Progress = quiet
-    on_epoch: Callable[[EpochReport], None] | None = None
-
-
 def train(
     network: nn.Module,
     images: Tensor,
@@ -92,11 +70,10 @@ def train(
 ) -> list[EpochReport]:
     """Train a network in place.
 
-    Several processes share every batch, each taking its part, and add up their gradients: batches, steps and
-    learning rates are those of one process, and without augmentation so is the result, to rounding. With it the
-    processes draw their own numbers. On GPUs batch normalisation takes its mean over the whole batch; on a CPU,
-    where torch has no such thing, each process takes it over its own part, and the first one's running mean is
-    kept.
+    Several processes split every batch and add up their gradients: batches, steps and learning rates are those of one
+    process, and without augmentation so is the result, to rounding. With augmentation each process has its own random
+    numbers. On GPUs batch normalisation averages over the whole batch; on a CPU each process averages over its own
+    part, and the first one's running mean is kept.
 
     Parameters
     ----------
@@ -105,26 +82,24 @@ def train(
     images
         [N, C, H, W], standardised, float32, on the CPU.
     targets
-        [N, ...], standardised or classes, whatever `loss` takes.
+        [N, ...], standardised values or classes, as `loss` takes them.
     settings
-        How.
+        How to train.
     loss
-        ``loss(output, target)``, a mean over the images. At the top of a module, or an object of a class that
-        is, where several processes train: it travels to them.
+        ``loss(output, target)``, a mean over the images. Several processes need one that can be pickled.
     validate
-        Returns the validation error of the network, which is in evaluation mode; lower is better. Called in this
-        process only.
+        Returns the validation error (lower is better) of the network in evaluation mode. Called in this process only.
     device
         "auto" (CUDA where there is one), "cpu", "cuda" or "cuda:1". The network stays there.
     processes
-        How many train: GPUs, or processes on the CPU. "auto" takes every GPU, on a CPU one.
+        GPUs, or processes on the CPU, that train. "auto" takes every GPU, on a CPU one.
     checkpoint
-        Folder that gets checkpoint.safetensors and history.json after every epoch, each whole or not at all.
+        Folder that gets checkpoint.safetensors and history.json after every epoch, each complete or not at all.
     resume
-        Go on from the checkpoint in that folder, where there is one, with as many processes as one likes.
+        Continue from the checkpoint in that folder, if there is one, with any number of processes.
     identity
-        JSON-able: what the training depends on besides `settings` (data hash, input size). A checkpoint of
-        another identity is refused.
+        JSON values that identify the training besides `settings` (data hash, input size); a checkpoint of another
+        identity is refused.
     progress
         Shown over the steps of each epoch.
     on_epoch
@@ -133,13 +108,13 @@ def train(
     Returns
     -------
     list of EpochReport
-        Of all epochs, those before a resumption included. `kept_epoch` tells which one's weights the network has.
+        Of all epochs, those before a resumption included; `kept_epoch` returns the one whose weights are kept.
 
     Raises
     ------
     InputError
-        When the checkpoint is damaged, of another version or of another training, when the training diverges, or
-        when there is no such device.
+        When the checkpoint is damaged, of another version or training, the training diverges, or there is no such
+        device.
     """
     device = training_device(device)
     count = process_count(processes, device)
@@ -149,99 +124,90 @@ def train(
         what = f"a batch of {min(settings.batch, len(images))} images leaves fewer than 2 to each of {count} processes"
         raise InputError(what, where="processes" if count > 1 else "images", remedy="use larger batches or more images")
     about = json.loads(json.dumps({"settings": asdict(settings), "identity": dict(identity or {})}))
-    calls = _Calls(validate, progress, on_epoch)
-    kept = checkpoint if resume and checkpoint is not None and (checkpoint / CHECKPOINT).exists() else None
-    work = (settings, loss, about, kept)
+    start = checkpoint if resume and checkpoint is not None and (checkpoint / CHECKPOINT).exists() else None
+    work = (settings, loss, about, start)
+    calls = {"checkpoint": checkpoint, "validate": validate, "progress": progress, "on_epoch": on_epoch}
     if count == 1:
-        fabric = fabric_of_one(device, settings.precision)
-        network.to(device=fabric.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        return _Training(fabric, network, images, targets, *work, checkpoint, calls).run()
-    # The others get the network's shape; its weights follow from here when the processes meet.
+        alone = make_fabric(device, settings.precision)
+        network.to(device=alone.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        return _Training(alone, network, images, targets, *work, **calls).run()
+    # The others get the network's structure; its weights are broadcast from here.
     sent = (copy.deepcopy(network).to("meta"), images.numpy(), targets.numpy())
-    with companions(count, device, settings.precision, _take_part, *sent, *work) as fabric:
-        network.to(device=fabric.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        # Of the copy the processes may wrap and replace parts; the caller's network stays what it was.
+    with companions(count, device, settings.precision, _take_part, *sent, *work) as first:
+        network.to(device=first.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        # Fabric may wrap and replace parts of the copy, not of the caller's network.
         copied = copy.deepcopy(network)
-        history = _Training(fabric, copied, images, targets, *work, checkpoint, calls).run()
+        history = _Training(first, copied, images, targets, *work, **calls).run()
         network.load_state_dict(copied.state_dict())
     network.eval()
     return history
 
 
 def _take_part(
-    fabric: Fabric,
-    network: nn.Module,
-    images: NDArray[np.float32],
-    targets: NDArray[np.generic],
-    settings: TrainingSettings,
-    loss: Loss,
-    about: dict[str, Any],
-    kept: Path | None,
+    ours: Fabric, network: nn.Module, images: NDArray[np.float32], targets: NDArray[np.generic], *work: Any
 ) -> None:
-    """Be one of the other processes: compute, and leave the rest to the first."""
-    network = network.to_empty(device=fabric.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
-    tensors = torch.from_numpy(images), torch.from_numpy(targets)
-    _Training(fabric, network, *tensors, settings, loss, about, kept, None, _Calls()).run()
+    """Run as one of the other processes, which only compute."""
+    network = network.to_empty(device=ours.device).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+    _Training(ours, network, torch.from_numpy(images), torch.from_numpy(targets), *work).run()
 
 
+@dataclass
 class _Training:
-    """The loop, in one process."""
+    """The training loop of one process; only the first process has callbacks."""
 
-    def __init__(
-        self,
-        fabric: Fabric,
-        network: nn.Module,
-        images: Tensor,
-        targets: Tensor,
-        settings: TrainingSettings,
-        loss: Loss,
-        about: dict[str, Any],
-        kept: Path | None,
-        checkpoint: Path | None,
-        calls: _Calls,
-    ) -> None:
-        self._fabric, self._settings, self._loss, self._calls = fabric, settings, loss, calls
-        self._about, self._checkpoint = about, checkpoint
-        self._images, self._targets = (_near(tensor, fabric.device) for tensor in (images, targets))
-        self._per_epoch = max(1, len(images) // settings.batch)
-        if fabric.world_size > 1 and fabric.device.type == "cuda":
+    fabric: Fabric
+    network: InitVar[nn.Module]
+    images: Tensor
+    targets: Tensor
+    settings: TrainingSettings
+    loss: Loss
+    about: dict[str, Any]
+    start: InitVar[Path | None]
+    checkpoint: Path | None = None
+    validate: Callable[[nn.Module], float] | None = None
+    progress: Progress = quiet
+    on_epoch: Callable[[EpochReport], None] | None = None
+
+    def __post_init__(self, network: nn.Module, start: Path | None) -> None:
+        self.images, self.targets = (_near(tensor, self.fabric.device) for tensor in (self.images, self.targets))
+        self.per_epoch = max(1, len(self.images) // self.settings.batch)
+        if self.fabric.world_size > 1 and self.fabric.device.type == "cuda":
             network = nn.SyncBatchNorm.convert_sync_batchnorm(network)
-        optimiser = _optimiser(network, settings)
-        self._state = TrainingState(network, optimiser, None, [])
-        if kept is not None:
-            read_checkpoint(kept, self._state, about)
-        self._module, self._optimiser = fabric.setup(network, optimiser)
+        self.state = TrainingState(network, _optimiser(network, self.settings), None, [])
+        if start is not None:
+            read_checkpoint(start, self.state, self.about)
+        self.module, self.optimiser = self.fabric.setup(network, self.state.optimiser)
 
     def run(self) -> list[EpochReport]:
-        state, settings = self._state, self._settings
+        state, settings = self.state, self.settings
         while len(state.history) < settings.epochs and not out_of_patience(state.history, settings.patience):
             report = self._epoch(len(state.history))
             state.history.append(report)
-            if settings.patience is not None and report.best and self._fabric.is_global_zero:
+            if settings.patience is not None and report.best and self.fabric.is_global_zero:
                 state.best = {name: value.detach().cpu().clone() for name, value in state.network.state_dict().items()}
-            if self._checkpoint is not None:
-                write_checkpoint(self._checkpoint, state, self._about)
-            if self._calls.on_epoch is not None:
-                self._calls.on_epoch(report)
+            if self.checkpoint is not None:
+                write_checkpoint(self.checkpoint, state, self.about)
+            if self.on_epoch is not None:
+                self.on_epoch(report)
         if state.best is not None:
             state.network.load_state_dict(state.best)
         state.network.eval()
         return state.history
 
     def _epoch(self, number: int) -> EpochReport:
-        settings, network, history = self._settings, self._state.network, self._state.history
+        settings, network, history = self.settings, self.state.network, self.state.history
         start = time.perf_counter()
         network.train()
-        # A sample each epoch would cost time; the first epoch is not like the others.
-        measured = self._fabric.device.type == "cuda" and number == min(1, settings.epochs - 1)
-        busy = BusySample(self._fabric.device, self._per_epoch // 2 if measured else -1)
+        # Sampling each epoch would cost time, and the first epoch is slower than the others.
+        measured = self.fabric.device.type == "cuda" and number == min(1, settings.epochs - 1)
+        busy = BusySample(self.fabric.device, self.per_epoch // 2 if measured else -1)
         total = self._steps(number, busy)
         trained = time.perf_counter() - start
         network.eval()
         error = None
-        if self._fabric.is_global_zero and self._calls.validate is not None:
-            error = float(self._calls.validate(network))
-        error = self._fabric.broadcast(error)
+        if self.validate is not None:
+            error = float(self.validate(network))
+        error = self.fabric.broadcast(error)
         if not (math.isfinite(total) and (error is None or math.isfinite(error))):
             what = "training diverged: the loss is not finite"
             raise InputError(what, where="learning_rate", remedy="choose a lower one")
@@ -249,57 +215,57 @@ class _Training:
         return EpochReport(
             number + 1,
             settings.epochs,
-            loss=total / len(self._images),
+            loss=total / len(self.images),
             validation_mae=error,
             seconds=time.perf_counter() - start,
-            images_per_second=len(self._images) / trained,
+            images_per_second=len(self.images) / trained,
             busy=busy.share,
             best=error is not None and error < lowest,
         )
 
     def _steps(self, epoch: int, busy: BusySample) -> float:
-        """Go through the images once; return the sum of their losses."""
-        fabric, settings, count, steps = self._fabric, self._settings, len(self._images), self._per_epoch
+        """Train one epoch; return the sum of the images' losses."""
+        fabric, settings, count, steps = self.fabric, self.settings, len(self.images), self.per_epoch
         rank, ranks = fabric.global_rank, fabric.world_size
-        order = torch.randperm(count, generator=_generator("cpu", settings.seed, epoch, 0)).to(self._images.device)
+        order = torch.randperm(count, generator=_generator("cpu", settings.seed, epoch, 0)).to(self.images.device)
         varied = _generator(fabric.device, settings.seed, epoch, 1 + rank)
-        # Summed up where the losses are: to ask a GPU for a number is to wait for it.
+        # Summed on the device: reading a number from a GPU waits for it.
         total = torch.zeros((), dtype=torch.float64, device=fabric.device)
-        label = f"epoch {epoch + 1}/{settings.epochs}{_told(self._state.history)}"
-        for k in self._calls.progress(range(steps), label, total=steps):
+        label = f"epoch {epoch + 1}/{settings.epochs}{_last_error(self.state.history)}"
+        for k in self.progress(range(steps), label, total=steps):
             busy.before(k)
-            # All images are used: what is left over is spread over the batches.
+            # Batch sizes differ by at most one, so that all images are used.
             batch = order[k * count // steps : (k + 1) * count // steps]
             chosen = batch[rank::ranks]
-            images = augment(self._images[chosen].to(fabric.device), settings.augmentation, varied)
-            target = self._targets[chosen].to(fabric.device)
-            for group in self._optimiser.param_groups:
+            images = augment(self.images[chosen].to(fabric.device), settings.augmentation, varied)
+            target = self.targets[chosen].to(fabric.device)
+            for group in self.optimiser.param_groups:
                 group["lr"] = learning_rate(epoch * steps + k, steps * settings.epochs, settings.learning_rate)
-            self._optimiser.zero_grad(set_to_none=True)
-            loss = self._loss(self._module(images.contiguous(memory_format=torch.channels_last)), target)
-            # The processes' gradients are averaged as equals; their parts of a batch may differ by an image.
+            self.optimiser.zero_grad(set_to_none=True)
+            loss = self.loss(self.module(images.contiguous(memory_format=torch.channels_last)), target)
+            # Gradients are averaged with equal weight, while parts of a batch may differ by an image.
             fabric.backward(loss * (len(chosen) * ranks / len(batch)))
-            self._optimiser.step()
+            self.optimiser.step()
             total += loss.detach() * len(chosen)
         busy.end()
         return float(fabric.all_reduce(total, reduce_op="sum"))  # type: ignore[arg-type]
 
 
 def _generator(device: str | torch.device, *key: int) -> torch.Generator:
-    """Return a stream of random numbers of its own for every key."""
+    """Return a random generator with its own stream for every key."""
     seed = np.random.SeedSequence(key).generate_state(1, np.uint64)[0]
     return torch.Generator(device).manual_seed(int(seed))
 
 
 def _near(tensor: Tensor, device: torch.device) -> Tensor:
-    """Return the tensor on a GPU that has room for it, else where it is."""
+    """Return the tensor on the GPU if it has room, else unchanged."""
     if device.type != "cuda":
         return tensor
     free, _ = torch.cuda.mem_get_info(device)
     return tensor.to(device) if tensor.nbytes < free / 2 else tensor
 
 
-def _told(history: list[EpochReport]) -> str:
+def _last_error(history: list[EpochReport]) -> str:
     error = history[-1].validation_mae if history else None
     return "" if error is None else f", error {error:.4f}"
 
@@ -307,9 +273,6 @@ def _told(history: list[EpochReport]) -> str:
 def _optimiser(network: nn.Module, settings: TrainingSettings) -> torch.optim.AdamW:
     matrices = [p for p in network.parameters() if p.ndim >= 2]
     vectors = [p for p in network.parameters() if p.ndim < 2]
-    groups = [
-        {"params": matrices, "weight_decay": settings.weight_decay},
-        {"params": vectors, "weight_decay": 0.0},
-    ]
+    groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
     # Fused: one pass over 11 million weights instead of a dozen, 2 to 5 times faster on the CPU.
     return torch.optim.AdamW(groups, lr=settings.learning_rate, fused=True)

@@ -1,4 +1,4 @@
-"""Where the sensor of a lens belongs, by real rays: the least wavefront error on the axis."""
+"""Focus by real rays: the sensor's place with the least wavefront error on the axis."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ __all__ = [
 ]
 
 _NODES = 24
-# A round of the search for the pupil's edge narrows it so much.
+# Factor by which each round narrows the search for the pupil's edge.
 _LADDER, _ROUNDS = 129, 2
 _STEPS = 30
 
 
 @dataclass(frozen=True)
 class FocusedLens:
-    """A lens at one wavelength, and the sensor that it was focused on at another.
+    """A lens at one wavelength, with the sensor at its focus for another. Lengths in metres.
 
     Parameters
     ----------
@@ -57,20 +57,10 @@ class FocusedLens:
 
 
 def bundle(height: torch.Tensor, pupil: float, distance: float) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Rays from a point on the axis, `distance` before the entrance pupil, through the pupil at some heights.
+    """Rays through the pupil at heights [N] along y (metres), from a point on the axis `distance` before it.
 
-    Parameters
-    ----------
-    height
-        [N] along y, in metres.
-    pupil, distance
-        z of the entrance pupil, and how far before it the point lies; `inf` for parallel rays.
-
-    Returns
-    -------
-    tuple
-        Positions on the plane of the pupil and directions, [N, 3], and the path so far beyond that of the ray on the
-        axis, [N].
+    `pupil` is z of the entrance pupil; `distance` is `inf` for parallel rays. Returns positions on the plane of the
+    pupil and directions, [N, 3], and the path so far beyond that of the ray on the axis, [N].
     """
     zero = torch.zeros_like(height)
     position = torch.stack([zero, height, zero + pupil], -1)
@@ -78,7 +68,7 @@ def bundle(height: torch.Tensor, pupil: float, distance: float) -> tuple[torch.T
         return position, torch.stack([zero, zero, zero + 1], -1), zero
     length = torch.sqrt(height**2 + distance**2)
     direction = torch.stack([zero, height / length, distance / length], -1)
-    # Without the difference of two long ways.
+    # Without cancellation of two long paths.
     return position, direction, height**2 / (length + distance)
 
 
@@ -108,7 +98,7 @@ def pupil_height(lens: Lens, distance: float = math.inf) -> float:
         low, high = float(heights[first - 1]), float(heights[first])
         inside, outside = (float(rays.height[i].max()) for i in (first - 1, first))
         if bool(rays.good[first]) and outside > inside:
-            # Between two rungs the height runs straight.
+            # Linear interpolation between two heights.
             edge = low + (high - low) * (1 - inside) / (outside - inside)
         else:
             edge = low
@@ -116,14 +106,14 @@ def pupil_height(lens: Lens, distance: float = math.inf) -> float:
 
 
 def stopped_down(lens: Lens, f_number: float) -> Lens:
-    """The lens with its stop where it passes, of parallel light, a real bundle of diameter focal length / F-number.
+    """The lens with its stop set to an F-number: it passes a parallel bundle of diameter focal length / F-number.
 
-    The stop opens as far as the bundle's outermost ray has it; what other surfaces stop, they stop still.
+    The bundle is of real rays. Only the stop changes; other surfaces still stop what they stopped.
 
     Raises
     ------
     InputError
-        Where that ray does not reach the stop.
+        Where the bundle's outermost ray does not reach the stop.
     """
     cardinal = paraxial(lens)
     height = torch.tensor([cardinal.focal_length / (2 * f_number)], dtype=torch.float64)
@@ -139,7 +129,7 @@ def stopped_down(lens: Lens, f_number: float) -> Lens:
 def wavefront(lens: Lens, distance: float, image: float, heights: torch.Tensor) -> torch.Tensor:
     """Optical path of rays from a point on the axis to a sphere about the axial image point, [N], in metres.
 
-    The sphere goes through the middle of the exit pupil; only differences between rays mean anything.
+    The sphere goes through the middle of the exit pupil; only differences between rays have a meaning.
     """
     cardinal = paraxial(lens)
     position, direction, before = bundle(heights, cardinal.entrance_pupil, distance)
@@ -148,19 +138,9 @@ def wavefront(lens: Lens, distance: float, image: float, heights: torch.Tensor) 
 
 
 def best_focus(lens: Lens, object_distance: float) -> float:
-    """z at which the wavefront of a point on the axis has the least RMS error over the pupil.
+    """z, in the lens's coordinates, with the least RMS wavefront error of a point on the axis, by real rays.
 
-    Parameters
-    ----------
-    lens
-        The surfaces.
-    object_distance
-        From the point to the entrance pupil, in metres; `inf` allowed.
-
-    Returns
-    -------
-    float
-        z in the lens's coordinates; real rays, the pupil evenly lit.
+    The pupil is evenly lit; `object_distance` is from the point to the entrance pupil, in metres or `inf`.
 
     Raises
     ------
@@ -172,7 +152,7 @@ def best_focus(lens: Lens, object_distance: float) -> float:
         raise InputError(what, where="object_distance", remedy="give a positive one")
     edge = pupil_height(lens, object_distance)
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
-    # Even in the area of the pupil: in the square of the height.
+    # Evenly spaced in the pupil's area: in the square of the height.
     heights = torch.tensor(edge * np.sqrt((nodes + 1) / 2))
     weight = torch.tensor(weights / weights.sum())
     cardinal = paraxial(lens)
@@ -180,11 +160,9 @@ def best_focus(lens: Lens, object_distance: float) -> float:
     rays = trace(lens, position, direction)
     n = lens.index[-1]
 
-    def without_mean(values: torch.Tensor) -> torch.Tensor:
-        return values - (weight * values).sum()
-
     def path(image: float) -> torch.Tensor:
-        return without_mean(before + rays.path + n * _to_sphere(rays, image, cardinal.exit_pupil))
+        found = before + rays.path + n * _to_sphere(rays, image, cardinal.exit_pupil)
+        return found - (weight * found).sum()
 
     image = paraxial_image(lens, object_distance)
     if not math.isfinite(image) or image <= float(lens.z[-1]):
@@ -194,7 +172,7 @@ def best_focus(lens: Lens, object_distance: float) -> float:
             where="object_distance",
             remedy="focus farther away",
         )
-    # Gauss and Newton's steps: the path is all but linear in z.
+    # Gauss-Newton steps: the path is nearly linear in z.
     nudge = 1e-4 * abs(cardinal.focal_length)
     for _ in range(_STEPS):
         slope = (path(image + nudge) - path(image - nudge)) / (2 * nudge)
@@ -213,7 +191,7 @@ def moved_group(lens: Lens, group: tuple[int, int], shift: float) -> Lens:
 
 
 def _passes(rays: Rays) -> torch.Tensor:
-    # What a table rounds away must not stop the outermost ray.
+    # Rounding in a published table must not stop the outermost ray.
     return rays.good & (rays.height <= 1 + 1e-9).all(-1)
 
 
@@ -234,7 +212,7 @@ def front_focus(lens: Lens) -> float:
 
 
 def _to_sphere(rays: Rays, image: float, pupil: float) -> torch.Tensor:
-    """Way from the last surface, along each ray, to the sphere about the image that goes through the exit pupil."""
+    """Path along each ray from the last surface to the sphere about the image through the exit pupil."""
     centre = torch.zeros_like(rays.position)
     centre[..., 2] = image
     to_centre = centre - rays.position
@@ -243,5 +221,5 @@ def _to_sphere(rays: Rays, image: float, pupil: float) -> torch.Tensor:
         return along
     radius = image - pupil
     miss = (to_centre**2).sum(-1) - along**2
-    # sqrt(R² - miss) - R, without the difference of two long ways. A pupil behind the image has a negative radius.
+    # sqrt(R² - miss) - R, without cancellation. A pupil behind the image has a negative radius.
     return along + math.copysign(1.0, radius) * miss / (torch.sqrt((radius**2 - miss).clamp_min(0)) + abs(radius))

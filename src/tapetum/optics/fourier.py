@@ -10,25 +10,31 @@ import math
 
 import torch
 
-__all__ = ["BandLimitedFourier", "MatrixFourier", "naive_fourier", "phasor"]
+__all__ = ["BandLimitedFourier", "MatrixFourier", "chebyshev_lift", "naive_fourier", "phasor"]
 
 
-def phasor(phase: torch.Tensor) -> torch.Tensor:
-    """exp(i phase) as a complex tensor of the matching precision (phase in radians, any real shape).
+def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tensor:
+    """exp(i phase) as a complex tensor, by default of the matching precision; phase in radians, of any real shape.
 
-    The phase should be formed in float64: a float32 phase of 1e3 radians is off by 1e-4.
+    Form the phase in float64: a float32 phase of 1e3 radians is off by 1e-4. Whole turns are removed before the
+    conversion to complex64, whose error is then 2e-7.
     """
-    return torch.complex(torch.cos(phase), torch.sin(phase))
+    if dtype == torch.complex64 and phase.dtype == torch.float64:
+        turns = phase * (0.5 / math.pi)
+        phase = ((turns - turns.round()) * (2 * math.pi)).float()
+    found = torch.complex(torch.cos(phase), torch.sin(phase))
+    return found if dtype is None else found.to(dtype)
 
 
-# Columns above which a row is summed in blocks of this many: fewer products, for a little more memory traffic.
+# Rows longer than the first are summed in blocks of the second: fewer products, slightly more memory traffic.
 _LONG, _BLOCK = 1500, 64
 
 
 class MatrixFourier:
     """F(u) = Σ_ji field[j, i] exp(-i kappa (x_i u_x + y_j u_y)), for chosen x, y, u_x, u_y.
 
-    Holding the instance is the cache: the two kernels are formed once.
+    The two kernels are computed once, with the instance. Quadrature weights and constants belong to the integral and
+    are not included.
 
     Parameters
     ----------
@@ -40,10 +46,6 @@ class MatrixFourier:
         Radians per square metre: k/z for a propagation over z. Negative for the conjugate kernel.
     dtype
         complex64 or complex128, of the kernels; their phase is formed in float64 either way.
-
-    Notes
-    -----
-    Neither quadrature weights nor constants are included: they belong to the integral, not to the transform.
     """
 
     def __init__(
@@ -73,16 +75,11 @@ class MatrixFourier:
 
 
 class BandLimitedFourier:
-    """The same transform onto pixels much finer than its own detail.
+    """The same transform onto pixels much finer than its own detail; parameters as for `MatrixFourier`.
 
-    A field confined to an aperture has a transform without detail finer than the aperture's Airy disc. Where the wanted
-    pixels are finer than that, the integral is taken at few nodes only, and Chebyshev interpolation, exact to rounding
-    for such functions, carries it on to the pixels: fewer multiplications, by the square of pixels a node.
-
-    Parameters
-    ----------
-    x, y, ux, uy, kappa, dtype
-        As for `MatrixFourier`.
+    A field confined to an aperture has a transform without detail finer than the aperture's Airy disc. Where the pixels
+    are finer, the integral is taken at a few nodes only, and Chebyshev interpolation to the pixels is exact to
+    rounding. Multiplications fall by the square of the number of pixels a node.
     """
 
     def __init__(
@@ -103,36 +100,46 @@ class BandLimitedFourier:
         if len(x) > _LONG:
             self._blocks = _Blocks(self._places, self.ux, kappa, dtype)
             self._places = self._blocks.places
-        self.columns = self._kernel(self._places, None).to(dtype)
-
-    def _kernel(self, places: torch.Tensor, scale: torch.Tensor | None) -> torch.Tensor:
-        if scale is None:
-            return phasor(-self._kappa * places[:, None] * self.ux[None, :])
-        return phasor(-self._kappa * scale[:, None, None] * places[:, None] * self.ux[None, :])
+        self.columns = phasor(-kappa * self._places[:, None] * self.ux[None, :]).to(dtype)
 
     def across(self, field: torch.Tensor, scale: torch.Tensor | None = None) -> torch.Tensor:
         """The sum over columns alone, [..., Y, X] to [..., Y, U']; each of a batch with its own `scale` [B] of u_x."""
         if self._blocks is not None:
             field = self._blocks(field)
-        return field @ (self.columns if scale is None else self._kernel(self._places, scale).to(field.dtype))
+        if scale is None:
+            return field @ self.columns
+        places = -self._kappa * scale[:, None, None] * self._places[:, None]
+        return field @ phasor(places * self.ux[None, :], field.dtype)
 
     def at_nodes(self, field: torch.Tensor, start: int = 0) -> torch.Tensor:
-        """What the rows of `field` from `start` on add to the transform at the nodes: [..., Y', X] to [..., V', U']."""
+        """Contribution of the rows of `field` from `start` on to the nodes: [..., Y', X] to [..., V', U']."""
         return self.rows[:, start : start + field.shape[-2]] @ self.across(field)
 
-    def lift(self, nodes: torch.Tensor) -> torch.Tensor:
-        """From the nodes to the pixels wanted, [..., V', U'] to [..., V, U]."""
+    def lift(
+        self, nodes: torch.Tensor, down: torch.Tensor | None = None, across: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """From the nodes to the pixels wanted, [..., V', U'] to [..., V, U]; times factors of rows and columns."""
+        if self._lift_x is not None:
+            nodes = _lifted(self._lift_x, nodes.mT).mT
+        if across is not None:
+            nodes = nodes * across[..., None, :]
         if self._lift_y is not None:
-            nodes = self._lift_y.to(nodes.dtype) @ nodes
-        return nodes if self._lift_x is None else nodes @ self._lift_x.to(nodes.dtype).T
+            nodes = _lifted(self._lift_y, nodes)
+        return nodes if down is None else nodes * down[..., :, None]
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Transform [..., Y, X] to [..., V, U]."""
         return self.lift(self.at_nodes(field))
 
 
+def _lifted(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
+    """A real matrix [V, V'] times complex fields [..., V', U]: half the multiplications of a complex one."""
+    parts = matrix @ torch.view_as_real(field.contiguous()).flatten(-2)
+    return torch.view_as_complex(parts.reshape(*parts.shape[:-1], field.shape[-1], 2))
+
+
 class _Blocks:
-    """Rows of very many samples, summed block by block: within a block the kernel needs few terms."""
+    """Very long rows, summed block by block: within a block the kernel needs few terms."""
 
     def __init__(self, x: torch.Tensor, u: torch.Tensor, kappa: float | torch.Tensor, dtype: torch.dtype) -> None:
         count = math.ceil(len(x) / _BLOCK)
@@ -147,7 +154,7 @@ class _Blocks:
         self.places = (starts[:, None] + nodes[None, :] * (step / step.detach())).flatten()
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
-        """From the samples [..., Y, X] to what stands for them at the blocks' nodes, [..., Y, places]."""
+        """From samples [..., Y, X] to their equivalents at the blocks' nodes, [..., Y, places]."""
         padded = torch.nn.functional.pad(field, (0, self._padding)) if self._padding else field
         blocks = padded.reshape(*field.shape[:-1], -1, _BLOCK)
         return (blocks @ self._gather).flatten(-2)
@@ -172,17 +179,29 @@ def _barycentric(at: torch.Tensor, nodes: torch.Tensor) -> torch.Tensor:
     return torch.where(exact.any(1, keepdim=True), exact.to(matrix.dtype), matrix)
 
 
+def chebyshev_lift(places: torch.Tensor, turn: float, dtype: torch.dtype) -> tuple[torch.Tensor, torch.Tensor]:
+    """Nodes that resolve a phase of ±`turn` radians over places, and the matrix [places, nodes] back from them."""
+    error, count, left = 1e-12 if dtype == torch.complex128 else 1e-6, 1, turn
+    # With n nodes the error of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
+    while left > error:
+        count += 1
+        left *= turn / (2 * count)
+    nodes = torch.cos(math.pi * (torch.arange(count, dtype=torch.float64, device=places.device) + 0.5) / count)
+    at = nodes * (places.max() - places.min()) / 2 + (places.max() + places.min()) / 2
+    return at, _barycentric(places, at)
+
+
 def _nodes(
     x: torch.Tensor, u: torch.Tensor, kappa: float, dtype: torch.dtype
 ) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Where to take the transform, and the matrix that carries it to `u`; None where `u` itself are few enough."""
+    """Nodes of the transform and the matrix from them to `u`; None where `u` itself is short enough."""
     half = float(u.max() - u.min()) / 2
     reach = float(x.detach().abs().max())
     nodes = _chebyshev(kappa * reach * half, dtype, u.device)
     if len(nodes) > 0.75 * len(u):
         return u, None
     places = nodes * half + float(u.max() + u.min()) / 2
-    return places, _barycentric(u, places).to(dtype)
+    return places, _barycentric(u, places).to(dtype.to_real())
 
 
 def naive_fourier(
@@ -193,6 +212,6 @@ def naive_fourier(
     uy: torch.Tensor,
     kappa: float,
 ) -> torch.Tensor:
-    """The same sum as MatrixFourier, term by term: slow, and there to be compared with."""
+    """The same sum as MatrixFourier, term by term: a slow reference."""
     phase = uy[:, None, None, None] * y[:, None] + ux[None, :, None, None] * x[None, :]
     return (phasor(-kappa * phase) * field).sum(dim=(-2, -1))

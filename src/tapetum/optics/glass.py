@@ -1,4 +1,4 @@
-"""Refractive indices of a few glasses, and what they make of a thin lens's focal length.
+"""Refractive indices of a few glasses, and the focal length of thin lenses made of them.
 
 Indices are relative to air at 20 °C, as their sources state them.
 """
@@ -20,13 +20,13 @@ _MICRON = 1e-6
 _F_LINE, _D_LINE, _C_LINE = 486.133e-9, 587.562e-9, 656.273e-9
 # Mercury's g and caesium's s: the ends of SCHOTT's two normal lines.
 _G_LINE, _S_LINE = 435.834e-9, 852.11e-9
-# Mercury's h and t lines: beyond them a glass known by two numbers is known no more.
+# Mercury's h and t lines: the range of the two-number formula.
 _SHORTEST, _LONGEST = 404.66e-9, 1013.98e-9
 
 
 @dataclass(frozen=True)
 class Glass:
-    """A dispersion formula and where it holds. Coefficients are for wavelengths in micrometres, as published.
+    """A dispersion formula and its range. Coefficients are for wavelengths in micrometres, as published.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Glass:
     powers
         Pairs (coefficient, power) of n² = Σ c λ^power, in place of a Sellmeier formula.
     shortest, longest
-        Wavelengths between which its source gives the formula, in metres.
+        Wavelengths between which the formula holds, in metres.
     source
         Who published it.
     """
@@ -94,14 +94,9 @@ GLASSES = {
 
 
 def refractive_index(glass: str, wavelength: float) -> float:
-    """Refractive index of a glass against air.
+    """Refractive index against air of one of `GLASSES`, the names of a scene's `lens.glass`.
 
-    Parameters
-    ----------
-    glass
-        One of `GLASSES`: the names that a scene's `lens.glass` takes.
-    wavelength
-        In air, in metres.
+    The wavelength is in air, in metres.
 
     Raises
     ------
@@ -111,7 +106,7 @@ def refractive_index(glass: str, wavelength: float) -> float:
     if glass not in GLASSES:
         raise InputError(f"unknown glass {glass!r}", where="glass", remedy=f"use {', '.join(GLASSES)}")
     known = GLASSES[glass]
-    # Written so that NaN is refused, too. A hundredth of a picometre forgives the rounding of 435.8e-9.
+    # Written so that NaN is refused too. A hundredth of a picometre allows for the rounding of 435.8e-9.
     slack = 1e-14
     if not known.shortest - slack <= wavelength <= known.longest + slack:
         raise InputError(
@@ -123,7 +118,7 @@ def refractive_index(glass: str, wavelength: float) -> float:
 
 
 def abbe_number(glass: str) -> float:
-    """(n_d - 1)/(n_F - n_C) of one of `GLASSES`: the larger, the less its index changes with the colour."""
+    """(n_d - 1)/(n_F - n_C) of one of `GLASSES`: the larger, the smaller its dispersion."""
     n_f, n_d, n_c = (refractive_index(glass, line) for line in (_F_LINE, _D_LINE, _C_LINE))
     return (n_d - 1) / (n_f - n_c)
 
@@ -152,14 +147,7 @@ def focal_length_at(focal_length: float, glass: str | None, design_wavelength: f
 
 @functools.lru_cache(maxsize=4096)
 def index_from_abbe(nd: float, vd: float, wavelength: float) -> float:
-    """Refractive index of a glass known by two numbers only, as patents state them.
-
-    Parameters
-    ----------
-    nd, vd
-        Index at the d line, and Abbe number.
-    wavelength
-        In metres.
+    """Refractive index, at a wavelength in metres, of a glass known by n_d and Abbe number, as patents state them.
 
     Raises
     ------
@@ -168,10 +156,10 @@ def index_from_abbe(nd: float, vd: float, wavelength: float) -> float:
 
     Notes
     -----
-    n = A + B/λ² + C/λ⁴ + Dλ², through n_d, n_F - n_C, and a normal glass's partial dispersions P_gF = 0.6438 -
-    0.001682 V and P_Cs = 0.4029 + 0.002331 V (SCHOTT, TIE-29). At 640 and 785 nm it is within 8e-5 of the formulas of
-    N-BK7, N-SF11 and fused silica, and within 6e-4 of PMMA's, whose own source is stated to 1e-3. Cauchy's two terms
-    err by 1.2e-3 for N-SF11, one Sellmeier term by 4e-4 for all.
+    n = A + B/λ² + C/λ⁴ + Dλ², through n_d, n_F - n_C, and a normal glass's partial dispersions P_gF = 0.6438 - 0.001682
+    V and P_Cs = 0.4029 + 0.002331 V (SCHOTT, TIE-29). At 640 and 785 nm it is within 8e-5 of the formulas of N-BK7,
+    N-SF11 and fused silica, and within 6e-4 of PMMA's, whose own source is stated to 1e-3. Cauchy's two terms err by
+    1.2e-3 for N-SF11, one Sellmeier term by 4e-4 for all.
     """
     if not (1 < nd < 5 and 10 <= vd <= 120):
         what = f"n_d = {nd:g} with an Abbe number of {vd:g} is no glass"

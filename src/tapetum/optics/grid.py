@@ -1,4 +1,4 @@
-"""Where a field is sampled, apart from the field itself."""
+"""Sampling grids, independent of the fields on them."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ def lens_numbers(focal_length: float, object_distance: float) -> tuple[float, fl
     Raises
     ------
     InputError
-        When the object is not farther away than the focal length: a real image does not exist.
+        When the object is not farther away than the focal length: there is no real image.
     """
     if object_distance <= focal_length:
         raise InputError(

@@ -1,12 +1,12 @@
-"""Choose the grids of a double pass whose sensor plane is sampled, and say what error to expect.
+"""Choose the grids of a double pass with a sampled sensor plane, and state the expected error.
 
 Three numbers decide the error (docs/conventions.md, "Sampling", shows how they were measured):
 
-- how many Airy rings m of the spot the sensor's window holds: what the window cuts off are the waves that carry
-  the sharp edge of the returning pupil;
-- how far the field turns between two pupil samples, in radians: π is the Nyquist limit;
+- how many Airy rings m of the spot the sensor's window holds: the window cuts off the waves that carry the sharp edge
+of the returning pupil;
+- the phase step of the field between two pupil samples, in radians: π is the Nyquist limit;
 - how much wider than the returning and the accepting pupil together is the period λz/dv that the sensor's samples
-  impose on the returning field: light diffracted beyond it would be folded back in.
+impose on the returning field: light diffracted beyond it would be folded back in.
 
 A sensor that is no mirror diffracts light itself, by λz over its finest detail: it takes several samples a detail.
 """
@@ -14,10 +14,10 @@ A sensor that is no mirror diffracts light itself, by λz over its finest detail
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 from tapetum.errors import InputError
-from tapetum.optics.sampling import HOLDS_RIM, RIM, DoublePassGeometry
+from tapetum.optics.sampling import HOLDS_RIM, RIM, DoublePassGeometry, Plan, step_for
 
 __all__ = [
     "ACCURACIES",
@@ -53,26 +53,23 @@ _LADDER = (
     Effort(6e-4, 150, 0.9, 1.8, 1.6, 7.0, 1.5),
 )
 REFERENCE = Effort(0.0, 210, 0.7, 1.5, 2.0, 9.0, 5.0)
-# What faint pictures are measured against: the next finer effort, of these or one beyond them, and none coarser than
-# the first of these.
+# References for faint pictures: the next finer effort, of these or one beyond them, at least the first of these.
 _FINER = (*_LADDER[2:], Effort(4e-4, 210, 0.8, 1.6, 1.8, 8.0, 1.5))
 _LEAST = Effort(1.0, 4, math.pi, math.pi, 1.0, 2.0, 0.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
-# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones; the field turns
-# fastest where they are dense, so fewer than π/2 times as many do (measured).
+# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones. The phase changes fastest
+# where they are dense, so fewer than π/2 times as many suffice (measured).
 _ROWS_A_COLUMN = 1.45
 # Share of the diffracted tail that the sensor's window passes whole, before it falls off smoothly.
 _FLAT = 0.5
-# How near, in fractions of that bound, the window's end may come.
+# Smallest distance of the window's end from that bound, as a fraction of it.
 _NEAR_BOUND = 0.6
-# Share of returning light below which the error grows against the fading peak.
-_FADING = 0.3
 _MOST_BYTES = 4 << 30
 
 
 @dataclass(frozen=True)
-class SamplingPlan:
-    """Grids of a double pass, and the error that they should give.
+class SamplingPlan(Plan):
+    """Grids of a double pass, and their expected error.
 
     Parameters
     ----------
@@ -88,7 +85,7 @@ class SamplingPlan:
         Largest error of the irradiance, in fractions of the image's peak; infinite where no claim is made: for grids
         forced coarser than planned, and past the cut-off, where no ray returns.
     missing
-        The part of it that the window's end leaves out, however fine the samples are.
+        The part of it due to the window's end, however fine the samples are.
     """
 
     columns: int
@@ -100,16 +97,11 @@ class SamplingPlan:
     missing: float = 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8, *, masked: bool = False) -> int:
-        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
-        # A mask is made in double precision, of two factors.
+        # A mask is computed in double precision, of two factors.
         mask = 64 * batch * self.sensor_count**2 if masked else 0
         pupil, sensor = self.columns * self.rows, self.sensor_count**2
         kernels = (self.columns + self.rows) * (self.sensor_count + 2 * math.isqrt(pixels))
         return mask + complex_size * (kernels + 3 * pupil + 2 * sensor + batch * (2 * pupil + 2 * sensor + 2 * pixels))
-
-    def as_dict(self) -> dict[str, float | int]:
-        """The plan's numbers by name, for metadata."""
-        return asdict(self)
 
 
 def plan_double_pass(
@@ -130,47 +122,36 @@ def plan_double_pass(
     accuracy
         Wanted largest error of the irradiance, in fractions of the image's peak.
     pupil_samples, sensor_samples
-        Force a grid by hand. It is refused where it cannot hold the field.
+        Force a grid; it is refused where it cannot hold the field.
     pixels
         Pixels of the wanted image, for the memory it takes.
     finest
-        Finest detail of the sensor's mask, in metres: the distance of its samples, or a quarter of the pitch of
-        sharp-edged photosites. A mirror when left out.
+        Finest detail of the sensor's mask, in metres: its sample spacing, or a quarter of the pitch of sharp-edged
+        photosites. Default: a mirror.
 
     Raises
     ------
     InputError
         For an accuracy out of reach, a forced grid that would alias, or a scene too large for the memory allowed.
     """
-    if not accuracy >= ACCURACIES[-1]:
-        raise InputError(
-            f"{accuracy:g} of the peak is finer than the engine's {ACCURACIES[-1]:g}",
-            where="accuracy",
-            remedy=f"ask for {ACCURACIES[-1]:g} or more",
-        )
     if finest is not None and not (math.isfinite(finest) and finest > 0):
         raise InputError(f"must be positive, is {finest} m", where="finest", remedy="give the mask's pitch in metres")
-    plan = plan_with(geometry, next(step for step in _LADDER if step.error <= accuracy), finest)
+    plan = plan_with(geometry, step_for(_LADDER, accuracy), finest)
     plan = _forced(plan, geometry, pupil_samples, sensor_samples, finest)
     _check_memory(plan, pixels, finest)
     return plan
 
 
-def _sampled_error(accuracy: float) -> float:
-    """The error that a plane sampled for an accuracy has, where a finer one than the finest is asked for as well."""
-    return next(step.error for step in _LADDER if step.error <= max(accuracy, ACCURACIES[-1]))
-
-
 def plan_finer(geometry: DoublePassGeometry, accuracy: float, *, pixels: int = 1, finest: float) -> SamplingPlan:
-    """The grids to measure the error of an accuracy's against, for a mask; arguments as for `plan_double_pass`.
+    """Finer grids for a mask, as a reference for the error of `accuracy`; arguments as for `plan_double_pass`.
 
     Raises
     ------
     InputError
         For a scene too large for the memory allowed.
     """
-    # A plane that is asked for less than the finest error is sampled for the finest.
-    used = _sampled_error(accuracy)
+    # Accuracies below the finest error use the finest sampling.
+    used = step_for(_LADDER, max(accuracy, ACCURACIES[-1])).error
     plan = plan_with(geometry, next(step for step in _FINER if step.error < used), finest)
     _check_memory(plan, pixels, finest)
     return plan
@@ -191,47 +172,42 @@ def _check_memory(plan: SamplingPlan, pixels: int, finest: float | None) -> None
 
 
 def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None = None) -> SamplingPlan:
-    """The grids that an effort makes of a scene and its mask's finest detail, unchecked."""
+    """The grids of an effort for a scene and its mask's finest detail, unchecked."""
     g = geometry
     wavenumber = 2 * math.pi / g.wavelength
-    # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
+    # A large RR is faint in its middle, and waves from its edges count for more: they follow the rays' slopes.
     kept = max(effort.rings * g.airy_step, effort.spread * g.own_slope * g.image_distance)
     half, flat = g.spot_radius + kept, g.spot_radius + _FLAT * kept
-    # Light that meets the sensor at v returns at 2v - x. Beyond the pupil's own radius none finds the pupil again:
-    # a window that comes near that bound is better taken beyond it, whole, and then cuts off nothing.
-    # A mask's detail turns the light by `spread` at the lens.
+    # Light that meets the sensor at v returns at 2v - x, so beyond the pupil's own radius none meets the pupil again. A
+    # window that ends near that bound is extended beyond it and then cuts nothing off. A mask's detail turns the light
+    # by `spread` at the lens.
     spread = 0.0 if finest is None else g.wavelength * g.image_distance / finest
     bound = 1.05 * (g.radius + g.spot_radius + g.image_distance * g.tangent) + 4 * g.airy_step + spread / 2
-    # With a mask that costs too much, so near the bound.
+    # With a mask that costs too much, so it ends near the bound.
     if half > (_NEAR_BOUND if finest is None else 1.3) * bound:
         half, flat = 1.3 * bound, bound
-    # The steepest slopes that the field has against the pupil, of rays and of the diffracted tail, in and out.
-    rays = max(
-        g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature),
-        g.exit_angle + g.window / g.probe_focal_length,
-    )
+    # Steepest slopes of the field against the pupil, of rays and of the diffracted tail, in and out.
+    rays = g.ray_slope
     tail = (half - g.spot_radius) / g.image_distance
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.radians)
     columns = max(math.ceil(2 * g.radius * wavenumber * turns), 32)
-    # Light that entered at x and met the sensor at v comes back at 2v - x: the diffracted tail, too, must not be folded
-    # into the accepting pupil by the period that the sensor's samples impose.
+    # Light that entered at x and met the sensor at v returns at 2v - x: the period of the sensor's samples must not
+    # fold the diffracted tail into the accepting pupil either.
     reach = 2 * (half + g.radius + g.image_distance * g.tangent) + spread
     step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
     if finest is not None:
         step = min(step, finest / effort.details)
-    # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
-    fading = max(1.0, _FADING / returning if (returning := g.returning) else math.inf)
     missing = _lost_at_the_axis(g, half, flat)
-    # In focus there is none of it, past the cut-off no more than all of the error: 0 times infinity is neither.
+    # None in focus, and past the cut-off at most the whole error: avoid 0 times infinity.
     if g.spot_radius > 0 and half < HOLDS_RIM * g.radius:
-        missing += RIM * g.spot_radius / g.radius * fading
+        missing += RIM * g.spot_radius / g.radius * g.fading
     return SamplingPlan(
         columns=columns,
         rows=math.ceil(columns * _ROWS_A_COLUMN),
         sensor_count=max(2 * math.ceil(half / step), 16),
         sensor_half_width=half,
         sensor_flat=flat,
-        expected_error=effort.error * fading + missing,
+        expected_error=effort.error * g.fading + missing,
         missing=missing,
     )
 
@@ -239,14 +215,14 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
 def _lost_at_the_axis(g: DoublePassGeometry, half: float, flat: float) -> float:
     """Share of the peak that a window loses of the light that meets the sensor on the lens's axis.
 
-    There the diffracted light of all of the pupil's rim comes back through the opposite rim in step, whatever the tilt:
-    what the field's square and the sensor's distance to the lens make of it is stationary. n rings λz/2r from the spot
-    the square of its field is 8/π(πn)³ of the peak's, over an area λz/2 against 4/π rings² of the spot's: an amplitude
-    of 2N/(πn)³ of the peak's, N rings being the pupil's radius, and π/2 times the spot's radius in rings as much where
+    Light diffracted there by all of the pupil's rim returns through the opposite rim in phase, whatever the tilt,
+    because the phase by the field's square and the sensor's distance is stationary. n rings λz/2r from the spot the
+    square of its field is 8/π(πn)³ of the peak's, over an area λz/2 against 4/π rings² of the spot's: an amplitude of
+    2N/(πn)³ of the peak's, N rings being the pupil's radius, and π/2 times the spot's radius in rings as much where
     that dims the peak.
     """
     steepest, ring = g.image_distance * g.tangent, g.airy_step
-    # Of all tilts up to the steepest: the nearer to the window's end the spot has it, the more there is to lose.
+    # Over all tilts up to the steepest: the loss grows as the spot nears the window's end.
     feet = [flat + share / 8 * (min(steepest, half) - flat) for share in range(1, 9)] if steepest > flat else []
 
     def missed(foot: float) -> float:
@@ -260,7 +236,7 @@ def _lost_at_the_axis(g: DoublePassGeometry, half: float, flat: float) -> float:
 
 
 def _width_on_return(g: DoublePassGeometry) -> float:
-    """Half-widths of the returning and of the accepting pupil and their offset: what one period must hold."""
+    """Half-widths of the returning and of the accepting pupil and their offset, which one period must hold."""
     return g.return_radius + g.radius + 2 * g.image_distance * g.tangent
 
 
@@ -298,6 +274,6 @@ def _forced(
             )
         plan = replace(plan, sensor_count=sensor_samples)
     if plan.columns < wanted.columns or plan.sensor_count < wanted.sensor_count:
-        # It does not alias, but nobody has measured how well it does.
+        # It does not alias, but its error has not been measured.
         plan = replace(plan, expected_error=math.inf)
     return plan

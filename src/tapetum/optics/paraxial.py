@@ -57,7 +57,7 @@ def paraxial(lens: Lens) -> Paraxial:
     s = lens.stop
     y_out, u_out = forward(0.0, 1.0, s, len(lens))
     exit_pupil = z[-1] - y_out / u_out if u_out != 0 else float("inf")
-    # Backwards: the same light, read against its travel.
+    # The same light traced backwards.
     y_in, u_in = 0.0, 1.0
     for i in range(s - 1, -1, -1):
         y_in = y_in - u_in / n[i + 1] * (z[i + 1] - z[i])

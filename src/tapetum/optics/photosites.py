@@ -21,19 +21,15 @@ Shape = Literal["square", "round", "hexagon"]
 
 # Lines across one square along which the area under an edge is summed.
 _LINES = 16
-# Frequencies below which a transform is the area.
+# Frequencies below which a transform equals the area.
 _SLOW = 1e-6
 
 
 class Photosite(Protocol):
-    """A photosite in the middle of its cell, of a share `fill` of the cell's area, alike left and right, up and down.
+    """A photosite in the middle of its cell, covering a share `fill` of it, symmetric left-right and up-down.
 
-    Attributes
-    ----------
-    largest
-        The most that it can fill of a square cell.
-    breaks
-        Where its edges are in x and y, for one whose product of two steps is exact; None for any other.
+    `largest` is the most that it can fill of a square cell. `breaks` are its edges in x and y where the product of two
+    steps is exact, else None.
     """
 
     largest: ClassVar[float]
@@ -60,12 +56,10 @@ class Square:
         self.breaks: tuple[float, ...] | None = (-self._side / 2, self._side / 2)
 
     def transform(self, across: Real, down: Real) -> Real:
-        """As of `Photosite`."""
         w = self._side
         return w**2 * np.outer(np.sinc(w * down), np.sinc(w * across))
 
     def half_width(self, y: Real) -> Real:
-        """As of `Photosite`."""
         return np.where(np.abs(y) < self._side / 2, self._side / 2, 0.0)
 
 
@@ -79,21 +73,19 @@ class Round:
         self.breaks: tuple[float, ...] | None = None
 
     def transform(self, across: Real, down: Real) -> Real:
-        """As of `Photosite`."""
         a, nu = self._radius, np.hypot(*np.meshgrid(across, down))
         slow = nu < _SLOW
         safe = np.where(slow, 1.0, nu)
         return np.where(slow, math.pi * a**2, a * j1(2 * math.pi * a * safe) / safe)
 
     def half_width(self, y: Real) -> Real:
-        """As of `Photosite`."""
         return np.sqrt(np.maximum(self._radius**2 - y**2, 0.0))
 
 
 class Hexagon:
     """Regular, with a corner above and one below."""
 
-    # Of corner to corner a pitch.
+    # One pitch from corner to corner.
     largest: ClassVar[float] = 3 * math.sqrt(3) / 8
 
     def __init__(self, fill: float) -> None:
@@ -111,14 +103,13 @@ class Hexagon:
         corners = self._corner * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         total = np.zeros_like(x)
         for (x0, y0), (x1, y1) in itertools.pairwise(corners):
-            # Sides that lie opposite each other make the sum real: of i exp(-iφ) that is sin φ.
+            # Opposite sides make the sum real: i exp(-iφ) becomes sin φ.
             phase = np.pi * ((x0 + x1) * x + (y0 + y1) * y)
             flux = (y1 - y0) * x - (x1 - x0) * y
             total += flux * np.sinc((x1 - x0) * x + (y1 - y0) * y) * np.sin(phase)
         return np.where(slow, self._fill, total / (2 * np.pi * safe))
 
     def half_width(self, y: Real) -> Real:
-        """As of `Photosite`."""
         return np.clip(math.sqrt(3) * (self._corner - np.abs(y)), 0.0, math.sqrt(3) / 2 * self._corner)
 
 
@@ -132,7 +123,7 @@ def covered(edges: Real, site: Photosite) -> Real:
         low, high = site.breaks
         line = np.diff(np.clip(edges, low, high)) / step
         return np.outer(line, line)
-    # One quadrant stands for all.
+    # By symmetry one quadrant suffices.
     edges = edges[len(edges) // 2 :]
     y = (edges[:-1, None] + (np.arange(_LINES) + 0.5) / _LINES * step).ravel()
     inside = np.diff(np.minimum(edges[None, :], site.half_width(y)[:, None]), axis=1) / step

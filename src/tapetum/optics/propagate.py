@@ -1,19 +1,20 @@
 """Scalar free-space propagation of sampled complex fields: the Fresnel integral and the exact angular spectrum.
 
-`exp(+ikz)` travels towards +z, and that carrier is left out of every result: a plane wave along the axis keeps its
-value 1 over any distance. Phases are formed in float64, with k_z - k = -(k_x² + k_y²)/(k_z + k), which loses no digits.
-Neither method interpolates, and both refuse grids on which the result would be aliased.
+`exp(+ikz)` travels towards +z and is left out of every result: a plane wave along the axis keeps its value 1 over any
+distance. Phases are formed in float64, with k_z - k = -(k_x² + k_y²)/(k_z + k), which avoids cancellation. Neither
+method interpolates, and both refuse grids on which the result would be aliased.
 """
 
-# torch types these functions in part only.
-# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
+# SciPy and torch type these functions in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
 
 import math
-from typing import Literal
+from typing import Any, Literal
 
 import torch
+from scipy.fft import next_fast_len
 
 from tapetum.errors import InputError
 from tapetum.optics.fourier import MatrixFourier, phasor
@@ -21,10 +22,10 @@ from tapetum.optics.grid import Grid
 
 __all__ = ["angular_spectrum", "checked_distance", "checked_field", "fast_length", "flux", "fresnel", "suitable_method"]
 
-# Samples a side of the padded spectrum beyond which a request is refused rather than left to exhaust the memory.
+# Samples a side of the padded spectrum beyond which a request is refused, to bound the memory.
 MAX_SIDE = 8192
-# Width of the smooth end of the band, in Fresnel zones' radii sqrt(λz). Measured on a Gaussian beam against its exact
-# form: see tests/optics/test_propagate.py.
+# Width of the smooth end of the band, in Fresnel zone radii sqrt(λz), measured on a Gaussian beam against its exact
+# form (tests/optics/test_propagate.py).
 TAPER = 8.0
 # Neglected phase, in radians, up to which the Fresnel integral is recommended.
 PARAXIAL_PHASE = 1e-2
@@ -44,13 +45,13 @@ def fresnel(
     Parameters
     ----------
     field
-        Complex field, shape [..., rows, columns] of `source`.
+        Complex field, [..., rows, columns] of `source`.
     source, output
-        Where the field is sampled, and where it is wanted: any pitch, size and centre.
+        Input and output grids: any pitch, size and centre.
     wavelength
         In metres.
     distance
-        In metres, of either sign; a tensor without dimensions is differentiated through.
+        In metres, of either sign; a 0-d tensor carries gradients.
     dtype
         complex64 or complex128, of the result; phases are formed in float64 either way.
 
@@ -62,9 +63,9 @@ def fresnel(
     Raises
     ------
     InputError
-        For a field that does not fit `source` or is not finite, for a zero distance, and where the integral's kernel
-        exp(ik(x-u)²/2z) turns by more than half a period from one source sample to the next. This is also where the
-        copies of the output, λz/pitch apart, may reach `output`.
+        For a field that does not fit `source` or is not finite, for a zero distance, and where the kernel
+        exp(ik(x-u)²/2z) turns by more than half a period between source samples. Beyond that the copies of the output,
+        λz/pitch apart, may reach `output`.
 
     Notes
     -----
@@ -108,18 +109,10 @@ def angular_spectrum(
 
     Parameters
     ----------
-    field
-        Complex field, shape [..., rows, columns] of `source`.
-    source
-        Where the field is sampled.
-    wavelength
-        In metres.
-    distance
-        In metres, of either sign; a tensor without dimensions is differentiated through.
+    field, source, wavelength, distance, dtype
+        As for `fresnel`.
     output
-        Where the field is wanted, any grid; the source's own by default, which is the fastest.
-    dtype
-        complex64 or complex128, of the result; phases are formed in float64 either way.
+        Output grid; the source's own by default, which is the fastest.
 
     Returns
     -------
@@ -129,21 +122,21 @@ def angular_spectrum(
     Raises
     ------
     InputError
-        For a field that does not fit `source` or is not finite, and where keeping light that left the window from
-        coming back in at the other side takes a padded grid of more than 8192 samples a side.
+        For a field that does not fit `source` or is not finite, and where padding against wrapped light takes more than
+        8192 samples a side.
 
     Notes
     -----
     A plane wave of the frequency f shifts by z f/f_z, so light that starts on `source` and ends on `output` has a known
     band, and a padded width of twice their greatest separation holds it without aliasing (Matsushima and Shimobaba,
     Opt. Express 17, 19662 (2009)). Their band ends abruptly; here it falls off over 8 sqrt(λz) of shift beyond what is
-    needed, so that its end leaves no ripple. Where the sampled band is narrower than that, all of it is kept.
+    needed, which avoids ripple. A sampled band narrower than that is kept whole.
 
     Waves at grazing angles reach arbitrarily far, so no padding holds them: of light from structures as fine as a
     wavelength, on pitches below 0.7 of one, expect 1e-3 of the peak.
 
-    Evanescent waves decay with |z|: forwards that is physics, backwards it makes the result the adjoint of the way
-    forwards instead of amplified rounding errors.
+    Evanescent waves decay with |z|. Forwards that is physics; backwards it makes the result the adjoint of forward
+    propagation instead of amplified rounding errors.
     """
     field = checked_field(field, source).to(dtype)
     z, target = checked_distance(distance, field.device), source if output is None else output
@@ -164,7 +157,7 @@ def angular_spectrum(
     spectrum = torch.fft.fft2(field, s=(plan_y[0], plan_x[0])) * (transfer * band).to(dtype)
     if output is None:
         return torch.fft.ifft2(spectrum)[..., : source.rows, : source.columns]
-    # The FFT counts from the source's first sample; frequencies without light are left out of the sum.
+    # The FFT counts from the source's first sample; frequencies without light are skipped.
     keep_y, keep_x = ((band.amax(dim) > 0).nonzero()[:, 0] for dim in (1, 0))
     u, v = ((a - b[0]).to(field.device) for a, b in ((output.x(), source.x()), (output.y(), source.y())))
     transform = MatrixFourier(fx[keep_x], fy[keep_y], u, v, -2 * math.pi, dtype)
@@ -174,7 +167,7 @@ def angular_spectrum(
 def suitable_method(
     source: Grid, wavelength: float, distance: float, output: Grid | None = None
 ) -> Literal["fresnel", "angular_spectrum"]:
-    """Which of the two suits these grids (any `output`, by default the source's own).
+    """The method that suits these grids, `output` being by default the source's own.
 
     Returns
     -------
@@ -194,7 +187,7 @@ def flux(
 ) -> torch.Tensor:
     """Power that crosses the field's plane, ∫ |U^(f)|² cos d²f, in W for a field whose |U|² is in W/m².
 
-    The cosine is of each plane wave's angle to the normal. It is what a tilt of the plane keeps; ∫ |U|² is not.
+    The cosine is of each plane wave's angle to the normal. A tilt of the plane conserves this power, but not ∫ |U|².
 
     Raises
     ------
@@ -202,7 +195,7 @@ def flux(
         For a field that does not fit or is not finite.
     """
     field = checked_field(field, grid).to(torch.complex128)
-    # Padded to twice the size: |U^|² is as wide as the field's own correlation, twice the window.
+    # Padded to twice the size: |U^|² is as wide as the field's autocorrelation, twice the window.
     shape = tuple(fast_length(2 * n) for n in grid.shape)
     c = (0.0, 0.0) if carrier is None else carrier
     sy, sx = (wavelength * torch.fft.fftfreq(n, grid.pitch, dtype=torch.float64, device=field.device) for n in shape)
@@ -212,13 +205,7 @@ def flux(
 
 
 def checked_field(field: torch.Tensor, grid: Grid) -> torch.Tensor:
-    """The field itself, after a look at its last two dimensions and its values.
-
-    Raises
-    ------
-    InputError
-        When it does not fit the grid or holds a value that is not finite.
-    """
+    """The field itself; InputError when it does not fit the grid or holds a value that is not finite."""
     if field.ndim < 2 or tuple(field.shape[-2:]) != grid.shape:
         raise InputError(f"has the shape {list(field.shape)}, its grid {list(grid.shape)}", where="field")
     if not bool(torch.isfinite(field.detach()).all()):
@@ -227,13 +214,7 @@ def checked_field(field: torch.Tensor, grid: Grid) -> torch.Tensor:
 
 
 def checked_distance(distance: float | torch.Tensor, device: torch.device) -> torch.Tensor:
-    """The distance as a float64 tensor without dimensions that keeps its gradient.
-
-    Raises
-    ------
-    InputError
-        When it is not one finite number.
-    """
+    """The distance as a 0-d float64 tensor that keeps its gradient; InputError when it is not one finite number."""
     z = torch.as_tensor(distance, dtype=torch.float64, device=device)
     if z.ndim or not math.isfinite(float(z.detach())):
         raise InputError(f"must be one finite number, is {distance}", where="distance")
@@ -242,14 +223,8 @@ def checked_distance(distance: float | torch.Tensor, device: torch.device) -> to
 
 def fast_length(length: int) -> int:
     """The smallest number of samples, `length` at least, with no prime factor above 5: quick to transform."""
-    while True:
-        rest = length
-        for prime in (2, 3, 5):
-            while rest % prime == 0:
-                rest //= prime
-        if rest == 1:
-            return length
-        length += 1
+    found: Any = next_fast_len(length, real=True)
+    return int(found)
 
 
 def _positive(value: float, where: str) -> None:
@@ -275,7 +250,7 @@ def _padding(source: Grid, wavelength: float, z: float, output: Grid) -> list[tu
     """Padded samples along x and y, with the shifts in metres between which the band falls from one to zero."""
     nyquist = 1 / (2 * source.pitch)
     axial_squared = wavelength**-2 - 2 * nyquist**2
-    # The greatest shift that the sampled band holds; a band with grazing waves has none.
+    # Largest shift within the sampled band; unbounded with grazing waves.
     most = z * nyquist / math.sqrt(axial_squared) if axial_squared > 0 else (math.inf if z > 0 else 0.0)
     plans: list[tuple[int, float, float]] = []
     for gap, count in zip(_farthest(source, output), (source.columns, source.rows), strict=True):
@@ -300,5 +275,5 @@ def _band_end(shift: torch.Tensor, start: float, end: float) -> torch.Tensor:
     if math.isinf(start):
         return torch.ones((), dtype=shift.dtype, device=shift.device).expand(shift.shape)
     part = ((shift - start) / (end - start)).clamp(0, 1)
-    # Four continuous derivatives at both ends: the steeper they end, the longer the ripple.
+    # Four continuous derivatives at both ends: a steeper end causes longer ripple.
     return 1 - part**5 * (126 - 420 * part + 540 * part**2 - 315 * part**3 + 70 * part**4)

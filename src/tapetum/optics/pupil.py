@@ -1,10 +1,10 @@
-"""Quadrature over a round pupil whose edge costs no accuracy.
+"""Quadrature over a round pupil without error from its edge.
 
-A pupil sampled on square pixels has a ragged edge: even with every edge pixel weighted by the area it covers,
-the error of a Fourier integral over it falls only like the pixel's area. Here the rows lie at the nodes of
-Gauss-Chebyshev quadrature of the second kind, which absorbs the square root with which a chord shrinks at the top
-and the bottom of a disc, and along each row the trapezoidal rule carries an end correction of high order for a
-chord that ends between two samples. The nodes still form rows and columns, as matrix Fourier transforms need.
+A pupil sampled on square pixels has a ragged edge: even with every edge pixel weighted by the area it covers, the error
+of a Fourier integral over it falls only like the pixel's area. Here the rows lie at the nodes of Gauss-Chebyshev
+quadrature of the second kind, which absorbs the square root with which a chord shrinks at the top and the bottom of a
+disc. Along each row the trapezoidal rule carries an end correction of high order for a chord that ends between two
+samples. The nodes still form rows and columns, as matrix Fourier transforms need.
 """
 
 # SciPy, NumPy and torch type these functions in part only.
@@ -50,7 +50,7 @@ class Quadrature:
 
 
 def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORDER) -> Quadrature:
-    """Quadrature of a smooth function over the disc of `radius` metres.
+    """Quadrature, float64 on the CPU, of a smooth function over the disc of `radius` metres.
 
     Parameters
     ----------
@@ -63,38 +63,21 @@ def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORD
     order
         Degree of the end correction.
 
-    Returns
-    -------
-    Quadrature
-        float64 on the CPU.
-
     Notes
     -----
-    The integrand must be smooth a few samples beyond the edge too: the correction reads it there.
-    End correction: the Euler-Maclaurin formula with an end at the fraction τ of a step past the last sample m,
-    ∫^{m+τ} g = Σ_{i≤m} g_i + Σ_k b_k g_{m-k}, with b fixed by exactness for 1, x … x^order, the moments of the
-    infinite sums taken by zeta regularisation (Lyness and Ninham, Math. Comp. 21, 162 (1967)).
+    The integrand must also be smooth a few samples beyond the edge, where the correction reads it. The end correction
+    is the Euler-Maclaurin formula with an end at the fraction τ of a step past the last sample m, ∫^{m+τ} g = Σ_{i≤m}
+    g_i + Σ_k b_k g_{m-k}, with b fixed by exactness for 1, x … x^order, the moments of the infinite sums taken by zeta
+    regularisation (Lyness and Ninham, Math. Comp. 21, 162 (1967)).
     """
-    step = 2 * radius / columns
-    x = np.asarray((np.arange(columns) - (columns - 1) / 2) * step, np.float64)
-    angle = math.pi * np.arange(1, rows + 1) / (rows + 1)
-    y = radius * np.cos(angle)
-    row_weight = math.pi / (rows + 1) * radius * np.sin(angle)
-    up_to_end = _weights_up_to(radius * np.sin(angle), x, step, order)
-    # What is left of +c, plus what is right of -c, minus everything, is the chord.
-    weights = (up_to_end + up_to_end[:, ::-1] - 1.0) * step * row_weight[:, None]
-    return Quadrature(*(torch.from_numpy(np.ascontiguousarray(a)) for a in (x, y, weights)))
+    found = DiscRows(radius, columns, rows, order)
+    return Quadrature(found.x, found.y, found.weights(slice(0, rows)))
 
 
 class DiscRows:
-    """The same quadrature, its weights made for some rows at a time: a large pupil's do not fit into the caches.
+    """The same quadrature, with weights computed for some rows at a time, because a large pupil's exceed the caches.
 
-    Parameters
-    ----------
-    radius, columns, rows, order
-        As for `disc_quadrature`.
-    device
-        Of the tensors made.
+    Parameters as for `disc_quadrature`; `device` is that of the tensors.
     """
 
     def __init__(
@@ -118,24 +101,13 @@ class DiscRows:
         last = self._last[rows, None]
         first = self._columns - 1 - last
         inside = ((self._index >= first) & (self._index <= last)).to(dtype)
-        # Where a chord is so short that its ends' corrections overlap they add, as both sides' sums do.
+        # Where the corrections of a short chord's two ends overlap they add, like both sides' sums.
         inside -= ((self._index < first) & (self._index > last)).to(dtype)
         steps = torch.arange(self._order + 1, device=last.device)
         corrections = self._corrections[rows].to(dtype)
         inside.scatter_add_(1, last - steps, corrections)
         inside.scatter_add_(1, first + steps, corrections)
         return inside.mul_(self._row_weight[rows, None].to(dtype))
-
-
-def _weights_up_to(
-    ends: npt.NDArray[np.float64], x: npt.NDArray[np.float64], step: float, order: int
-) -> npt.NDArray[np.float64]:
-    """Weights, in steps, of the integral from far left up to each of `ends` (positive), shape [ends, x]."""
-    last, corrections = _end_corrections(ends, x, step, order)
-    weights = (np.arange(len(x))[None, :] <= last[:, None]).astype(float)
-    for k in range(order + 1):
-        weights[np.arange(len(ends)), last - k] += corrections[:, k]
-    return weights
 
 
 def _end_corrections(

@@ -1,7 +1,7 @@
-"""Fields that depend on the distance from one point only: tabulated once, looked up anywhere.
+"""Fields that depend only on the distance from one point: tabulated once, read anywhere.
 
-Light that passes a round aperture twice, with a plane mirror between, comes back as a round field about a point that
-the tilt displaces (docs/conventions.md, "The round pass"). All of a sweep of gazes reads the same table.
+Light that passes a round aperture twice, with a plane mirror between, returns as a round field about a point that the
+tilt displaces (docs/conventions.md, "The round pass"). All gazes of a sweep read the same table.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -28,14 +28,14 @@ __all__ = ["FocusTables", "RadialTable", "disc_transform", "focus_tables", "retu
 Complex = npt.NDArray[np.complex128]
 Real = npt.NDArray[np.float64]
 
-# Samples of the integrand for each that its own band and the wanted reach ask for.
+# Oversampling of the integrand, over its own band and the wanted reach.
 _OVERSAMPLED = 4
 # Samples of the transform for each of its Nyquist interval.
 _PADDED = 4
 # Degree of the end correction: as in optics/pupil.py higher degrees gain nothing.
 _END_ORDER = 6
-# Radians that the tabulated field turns from one entry to the next, at the most: nearest neighbours then err by 1 %
-# at random, which averages out over the pupil's ten thousands of samples, and cubic interpolation by 1e-8.
+# Largest phase step between table entries, in radians: nearest neighbours err by 1 % at random, which averages out over
+# tens of thousands of pupil samples, and cubic interpolation errs by 1e-8.
 _TURN = 2 * math.pi / 512
 
 
@@ -72,7 +72,7 @@ class RadialTable:
         t = (steps - places).clamp(0, 2)
         value = _cubic(self.values, places, t)
         for name, move in moves.items():
-            # A long lens's derivatives cancel to a hundredth of themselves: they need the same care.
+            # A long lens's derivatives cancel to a hundredth, so they need the same precision.
             value = value + _cubic(self.partials[name], places, t.detach()) * move
         return value
 
@@ -87,16 +87,9 @@ class RadialTable:
 
 @dataclass(frozen=True)
 class FocusTables:
-    """Returning light of planes whose distances lie within a range: tables at Chebyshev nodes of the distance.
+    """Returning light of planes at a range of distances: `tables` at Chebyshev `nodes` of the distance z, in metres.
 
     At the same angle ξ/2z the light times z changes smoothly with z, by no more than the pupil's change of focus.
-
-    Parameters
-    ----------
-    nodes
-        Distances z of the tables, in metres.
-    tables
-        One for each.
     """
 
     nodes: tuple[float, ...]
@@ -104,7 +97,7 @@ class FocusTables:
 
     @property
     def only(self) -> RadialTable:
-        """The table where there is but one."""
+        """The table where there is only one."""
         return self.tables[0]
 
     def at(self, distances: torch.Tensor, z: torch.Tensor, moves: dict[str, torch.Tensor]) -> torch.Tensor:
@@ -127,7 +120,7 @@ class FocusTables:
 def focus_tables(
     table: Callable[[float], RadialTable], z: float, reach: float, turning: float, error: float
 ) -> FocusTables:
-    """Tables enough for planes from z/(1 + reach) to z/(1 - reach).
+    """Tables for planes from z/(1 + reach) to z/(1 - reach).
 
     Parameters
     ----------
@@ -144,8 +137,8 @@ def focus_tables(
 
     Notes
     -----
-    The light turns by k r² δ/2z² for a plane farther by δ. What n nodes leave of exp(i turn t) on [-1, 1] is below
-    2 (turn/2)ⁿ/n!.
+    The phase changes by k r² δ/2z² for a plane farther by δ. With n nodes the error of exp(i turn t) on [-1, 1] is
+    below 2 (turn/2)ⁿ/n!.
     """
     if reach == 0:
         return FocusTables((z,), (table(z),))
@@ -173,7 +166,7 @@ def disc_transform(
     reach
         Largest ξ, in metres.
     spacing
-        Largest step of ξ, in metres; a quarter of the Nyquist interval where nothing less is asked for.
+        Largest step of ξ, in metres; at most a quarter of the Nyquist interval.
     moments
         Whether to return the first and second derivatives with respect to ξ as well.
 
@@ -185,8 +178,8 @@ def disc_transform(
     Notes
     -----
     By the projection-slice theorem a round transform is the one-dimensional transform of the disc's projection, which
-    is a Fresnel integral in closed form; it ends like a square root on both sides, which the sum over equally spaced
-    samples is corrected for. One fast Fourier transform then gives all ξ: no Bessel function is evaluated. A Hankel
+    is a Fresnel integral in closed form; it ends like a square root on both sides, for which the sum over equally
+    spaced samples is corrected. One fast Fourier transform then gives all ξ, without Bessel functions. A Hankel
     transform by Gauss-Legendre quadrature agrees to 1e-7 (tests/optics/test_radial.py).
     """
     widest = max(reach, 2 * abs(chirp) * radius / kappa)
@@ -230,7 +223,7 @@ def returning_field(
     *,
     partials: bool = False,
 ) -> RadialTable:
-    """The light that comes back to the lens, chirp and displacement taken out, before it passes the lens again.
+    """The light that returns to the lens, chirp and displacement removed, before it passes the lens again.
 
     Parameters
     ----------
@@ -241,7 +234,7 @@ def returning_field(
     reach
         Largest distance from its middle, in metres.
     slopes
-        Of the field, in radians: what is steeper than the second is left out, nothing below the first is touched.
+        Of the field, in radians: light up to the first is kept whole, light beyond the second is left out.
     partials
         Whether to tabulate the derivatives with respect to `image_distance`, `vergence`, `radius` and `wavenumber`.
 
@@ -253,10 +246,10 @@ def returning_field(
     """
     k, z = 2 * math.pi / wavelength, image_distance
     low, high = slopes
-    # The filter's own response must have died away before the table's end.
+    # The filter's own response must decay before the table's end.
     margin = 30 * wavelength / (high - low)
     kappa, beta = k / (2 * z), vergence + 1 / (2 * z)
-    # Far out the curvature that is taken out turns faster than the field itself.
+    # Far out the removed curvature's phase changes faster than the field's own.
     spacing = 0.6 * math.pi / (kappa * (reach + margin + radius))
     found = disc_transform(radius, k * beta / 2, kappa, reach + margin, spacing=spacing, moments=True)
     disc, step, first, second = found
@@ -267,7 +260,7 @@ def returning_field(
     count = math.ceil(reach / step * finest) + 4
     tables = {"": carrier * disc}
     if partials:
-        # ρ² under the integral is -∇²/κ² outside of it.
+        # ρ² under the integral is -∇²/κ² outside it.
         around = np.concatenate([second[:1], first[1:] / xi[1:]])
         rho_squared = -(second + around) / kappa**2
         edge = np.exp(1j * k * beta * radius**2 / 2) * j0(kappa * xi * radius) * 2 * math.pi * radius
@@ -287,17 +280,14 @@ def returning_field(
 def spot_field(
     wavelength: float, radius: float, image_distance: float, vergence: float, reach: float
 ) -> tuple[Complex, float]:
-    """The spot on the sensor, seen from its own centre: 1/(iλz) ∫ exp(ik(v + 1/z)ρ²/2 - ik x·ξ/z) d²x.
+    """The spot on the sensor, from its own centre: 1/(iλz) ∫ exp(ik(v + 1/z)ρ²/2 - ik x·ξ/z) d²x.
 
-    Parameters
-    ----------
-    wavelength, radius, image_distance, vergence, reach
-        As for `returning_field`; distances on the sensor.
+    Parameters as for `returning_field`, with `reach` on the sensor.
 
     Returns
     -------
     tuple
-        Amplitudes [M] for an illumination of 1 W/m², in W^½/m, and their distance in metres.
+        Amplitudes [M] for an illumination of 1 W/m², in W^½/m, and their spacing in metres.
     """
     k, z = 2 * math.pi / wavelength, image_distance
     disc, step = disc_transform(radius, k * (vergence + 1 / z) / 2, k / z, reach)
@@ -307,7 +297,7 @@ def spot_field(
 def _cubic(values: torch.Tensor, places: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
     """Values at places + t by the cubic through four entries."""
     if not t.requires_grad:
-        # Weights more precise than the table would only make complex128 of it all.
+        # More precise weights would only promote the result to complex128.
         t = t.to(values.real.dtype)
     # The field is even: its entry at -1 is that at 1.
     before, at, after, then = (
@@ -322,7 +312,7 @@ def _cubic(values: torch.Tensor, places: torch.Tensor, t: torch.Tensor) -> torch
 
 
 class _Lowpass:
-    """Leaves out what oscillates faster than wanted, and resamples `finer` times as densely. The field is even."""
+    """Removes oscillations faster than wanted, and resamples `finer` times as densely. The field is even."""
 
     def __init__(self, step: float, low: float, high: float, count: int, finer: int) -> None:
         self._count, self._finer = count, finer
@@ -332,7 +322,7 @@ class _Lowpass:
         self._window: Real = np.cos(fall * math.pi / 2) ** 2
 
     def __call__(self, values: Complex) -> Complex:
-        # Both halves, and between their far ends what joins them without a step.
+        # Both halves, joined smoothly at their far ends.
         gap = self._length - (2 * self._count - 1)
         mirrored = np.concatenate([values, np.full(gap, values[-1]), values[:0:-1]])
         spectrum = np.fft.fft(mirrored) * self._window

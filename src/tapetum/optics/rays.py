@@ -1,7 +1,7 @@
 """Rays through a sequence of rotationally symmetric surfaces: batched, and differentiable in every number of the lens.
 
-The surfaces stand on the z axis. Light travels towards +z; `reversed_lens` turns the lens round for light that comes
-back. Distances along a ray may be negative: a ray can start from the entrance pupil, behind the first surface.
+The surfaces stand on the z axis. Light travels towards +z; `reversed_lens` reverses the lens for returning light.
+Distances along a ray may be negative: a ray can start from the entrance pupil, behind the first surface.
 """
 
 from __future__ import annotations
@@ -13,17 +13,17 @@ import torch
 __all__ = ["Lens", "Rays", "before", "normals", "reversed_lens", "sag", "to_plane", "trace", "trace_out"]
 
 _ITERATIONS = 12
-# A root of a surface's equation may be off by this share of its semi-diameter; others are stray, or none.
+# Largest residual of a root of a surface's equation, over its semi-diameter; other roots are stray.
 _RESIDUAL = 1e-7
-# Newton's last step, in metres: its path is a billionth of a wave.
+# Newton's last step, in metres: a billionth of a wave in path.
 _LAST_STEP = 1e-15
-# Where a conic turns back, 1 - (1 + κ) c² r² is zero. Below this it is held, and a ray there is not good.
+# Floor of 1 - (1 + κ) c² r², which is zero where a conic turns back; rays below it are not good.
 _TURNING = 1e-4
 
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """Surfaces one behind the other, as tensors in SI units (float64). Two are equal when they are the same object.
+    """Surfaces in sequence, as tensors in SI units (float64). Two are equal when they are the same object.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ class Lens:
 
 @dataclass(frozen=True)
 class Rays:
-    """Where rays are, and how they came there.
+    """Places of rays, and the paths that led there.
 
     Parameters
     ----------
@@ -127,15 +127,14 @@ def trace(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
     Returns
     -------
     Rays
-        At the last surface, directions behind it. Rays that miss a surface, or are reflected totally, carry finite but
-        meaningless numbers and are not `good`; vignetted rays go on (their `height` tells).
+        At the last surface, directions behind it. Rays that miss a surface or are totally reflected hold finite,
+        meaningless numbers and are not `good`; vignetted rays continue (see `height`).
 
     Notes
     -----
-    Conics are met by their quadratic equation. Where there are coefficients, Newton's method finds the intersection
-    without recording gradients; one more step with them makes the derivative exact (implicit function theorem). A root
-    is taken only where its residual vanishes: beyond the clear aperture of an asphere Newton finds roots that belong to
-    no ray.
+    Intersections with conics solve a quadratic equation. For aspheres Newton's method finds them without recording
+    gradients; one more step with gradients makes the derivative exact (implicit function theorem). A root counts only
+    where its residual vanishes: beyond the clear aperture of an asphere Newton finds roots that belong to no ray.
     """
     path = torch.zeros_like(position[..., 0])
     good = torch.ones_like(path, dtype=torch.bool)
@@ -158,7 +157,7 @@ def trace(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
 
 
 def trace_out(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
-    """Send rays that come from behind the lens, towards -z, out through all surfaces: arguments as for `trace`.
+    """Send rays that come from behind the lens, towards -z, out through all surfaces; arguments as for `trace`.
 
     Returns
     -------
@@ -167,7 +166,7 @@ def trace_out(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Ra
     """
     if len(lens) == 0:
         return trace(lens, position, direction)
-    # The lens turned round: z runs the other way, and so does the light.
+    # In the reversed lens both z and the light are reversed.
     flip, end = position.new_tensor([1.0, 1.0, -1.0]), lens.z[-1] * position.new_tensor([0.0, 0.0, 1.0])
     rays = trace(reversed_lens(lens), (position - end) * flip, direction * flip)
     return replace(
@@ -196,7 +195,7 @@ def to_plane(position: torch.Tensor, direction: torch.Tensor, z: torch.Tensor | 
 
 
 def reversed_lens(lens: Lens) -> Lens:
-    """The lens turned round: z is counted from the old last vertex, towards the old first one."""
+    """The lens reversed: z is counted from the old last vertex, towards the old first one."""
     return replace(
         lens,
         z=(lens.z[-1] - lens.z).flip(0),
@@ -232,7 +231,7 @@ def _newton(
     lens: Lens, i: int, start: torch.Tensor, way: torch.Tensor, t: torch.Tensor, steps: int = _ITERATIONS
 ) -> torch.Tensor:
     """Distances [N] to surface i along rays from `start` [N, 3], from guesses t [N]."""
-    # No step goes farther than the surface is wide: a wild one ends at a root of another place.
+    # No step exceeds the surface's width: a wild one would end at a root elsewhere.
     widest = 2 * lens.semi_diameter[i].detach()
     for done in range(1, steps + 1):
         step = _step(lens, i, start + t[:, None] * way, way)
@@ -241,7 +240,7 @@ def _newton(
         left = int(far.sum())
         if left == 0:
             break
-        # Most rays arrive after a few steps; those that find no surface go on without them.
+        # Most rays converge after a few steps; the others go on without them.
         if 4 * left < len(t) and done < steps:
             rest = far.nonzero()[:, 0]
             found = _newton(lens, i, start[rest], way[rest], t[rest], steps - done)
@@ -257,7 +256,7 @@ def _to_conic(lens: Lens, i: int, position: torch.Tensor, direction: torch.Tenso
     y = position[..., 1] + start * direction[..., 1]
     linear = c * (x * direction[..., 0] + y * direction[..., 1]) - along
     constant = c * (x**2 + y**2)
-    # Rays that miss get a place all the same: it is not on the surface, and so they are not good.
+    # Rays that miss also get a place: it is off the surface, so they are not good.
     root = torch.sqrt((linear**2 - c * (1 + lens.conic[i] * along**2) * constant).clamp_min(1e-12))
     return start + constant / (root - linear)
 

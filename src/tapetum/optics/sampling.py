@@ -1,19 +1,19 @@
-"""Choose the samples of a round pass from the scene and a wanted accuracy, and say what error to expect.
+"""Choose the samples of a round pass from the scene and a wanted accuracy, and state the expected error.
 
 Three numbers decide the error (docs/conventions.md, "Sampling", shows how they were measured):
 
-- how far the light turns between two samples of the pupil along its rays, in radians: π is the Nyquist limit;
-- how many Airy rings of the spot on the sensor are kept whole: further out lies light that the edge of the pupil
-  diffracted steeply, and it is faded out;
-- how far that diffracted light may turn between two samples. It is faint: a little of it may fold.
+- the phase step of the light between two samples of the pupil, along its rays, in radians: π is the Nyquist limit;
+- how many Airy rings of the spot on the sensor are kept whole: light farther out, diffracted steeply by the pupil's
+edge, is faded out;
+- the phase step of that diffracted light. It is faint, so a little of it may fold.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar, Protocol, TypeVar, cast
 
 from tapetum.errors import InputError
 
@@ -23,6 +23,7 @@ __all__ = [
     "REFERENCE",
     "RIM",
     "DoublePassGeometry",
+    "Plan",
     "RoundEffort",
     "RoundPlan",
     "aperture_samples",
@@ -31,13 +32,14 @@ __all__ = [
     "disc_overlap",
     "plan_round",
     "plan_round_with",
+    "step_for",
     "through_aperture",
 ]
 
 
 @dataclass(frozen=True)
 class DoublePassGeometry:
-    """The lengths that decide how a retro-reflection must be sampled. All in metres but for `sine`.
+    """The lengths that decide the sampling of a retro-reflection. All in metres but for `sine`.
 
     Parameters
     ----------
@@ -46,7 +48,7 @@ class DoublePassGeometry:
     probe_focal_length
         f_p.
     window
-        Half-diagonal of the wanted image on the probe's sensor, seen from the middle of the RR.
+        Half-diagonal of the wanted image on the probe's sensor, from the middle of the RR.
     sine
         Largest sine of the tilt.
     curvature
@@ -67,7 +69,7 @@ class DoublePassGeometry:
 
     @property
     def tangent(self) -> float:
-        """Tangent of the largest tilt: slopes behind the lens go by it."""
+        """Tangent of the largest tilt, which sets the slopes behind the lens."""
         return self.sine / math.sqrt(1 - self.sine**2)
 
     @property
@@ -88,16 +90,16 @@ class DoublePassGeometry:
 
     @property
     def picture_angle(self) -> float:
-        """Half-angle that holds the rays of the returning beam, geometric, whatever the tilt, in radians.
+        """Geometric half-angle that holds the rays of the returning beam at any tilt, in radians.
 
-        Light that meets the sensor r|1/R - 1/f + 1/z| z off its spot's centre leaves the lens anywhere.
+        Light that meets the sensor r|1/R - 1/f + 1/z| z off its spot's centre may leave the lens anywhere.
         """
         out = abs(1 / self.image_distance - 1 / self.focal_length)
         return self.radius * (out + abs(self.curvature - 1 / self.focal_length + 1 / self.image_distance))
 
     @property
     def returning(self) -> float:
-        """Share of the returning light that the aperture lets out again, by rays: 1 head on, 0 past the cut-off."""
+        """Share of the returning light that leaves the aperture again, by rays: 1 at zero tilt, 0 past the cut-off."""
         lit = min(1.0, self.lit_radius / self.radius) * self.return_radius
         return disc_overlap(lit, self.radius, 2 * self.image_distance * self.tangent)
 
@@ -107,15 +109,71 @@ class DoublePassGeometry:
         z, f = self.image_distance, self.focal_length
         slope_in = 1 / f - self.curvature
         gain = 1 - 2 * z * slope_in
-        # A ray that entered at x comes back at gain·x with slope -slope_in·x, and is bent by the lens once more. Where
-        # all rays come back through the lens's middle, gain = 0, they keep that slope.
+        # A ray that entered at x returns at gain·x with slope -slope_in·x, and the lens bends it once more. Where all
+        # rays return through the lens's middle, gain = 0, they keep that slope.
         return self.radius * abs(slope_in + gain / f) / max(1.0, abs(gain))
 
     @property
     def own_slope(self) -> float:
-        """The steepest slope that a ray has against the pupil, before or after it."""
+        """The steepest slope of a ray against the pupil, before or after it."""
         bend = 1 / self.image_distance - 1 / self.focal_length + self.curvature
         return max(self.radius * abs(bend), self.exit_angle)
+
+    @property
+    def ray_slope(self) -> float:
+        """The steepest slope of a ray against the pupil, before or after it, from the picture's edge."""
+        bend = 1 / self.image_distance - 1 / self.focal_length + self.curvature
+        return max(self.radius * abs(bend), self.exit_angle + self.window / self.probe_focal_length)
+
+    @property
+    def fading(self) -> float:
+        """Growth of errors near the cut-off, 1 or more; infinite past it.
+
+        The peak fades with the returning light, the error with the entering light.
+        """
+        returning = self.returning
+        return max(1.0, _FADING / returning if returning else math.inf)
+
+
+class Plan:
+    """Samples of a pass: a dataclass whose numbers are an image's metadata."""
+
+    method: ClassVar[str] = ""
+    columns: int
+    rows: int
+    expected_error: float
+
+    def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
+        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
+        raise NotImplementedError
+
+    def as_dict(self) -> dict[str, float | int | str]:
+        """The plan's numbers by name, for metadata."""
+        numbers = asdict(cast(Any, self))
+        return {"method": self.method, **numbers} if self.method else numbers
+
+
+class _Erring(Protocol):
+    @property
+    def error(self) -> float: ...
+
+
+Step = TypeVar("Step", bound=_Erring)
+
+
+def step_for(ladder: Sequence[Step], accuracy: float) -> Step:
+    """The first step of a ladder, from coarse to fine, whose error is within the accuracy.
+
+    Raises InputError for an accuracy finer than the last step's.
+    """
+    finest = ladder[-1].error
+    if not accuracy >= finest:
+        raise InputError(
+            f"{accuracy:g} of the peak is finer than the engine's {finest:g}",
+            where="accuracy",
+            remedy=f"ask for {finest:g} or more",
+        )
+    return next(step for step in ladder if step.error <= accuracy)
 
 
 @dataclass(frozen=True)
@@ -140,19 +198,19 @@ _LADDER = (
     RoundEffort(1e-4, 800, 0.8, 3.0, 7.0),
 )
 REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 10.0)
-# Light that the rim sends straight on meets the sensor at r/z from the axis and comes straight back to the rim; head on
-# all of it meets in the middle of the picture. Its share of the peak is about so much of the spot's radius over the
-# lens's (measured). A fade that ends at so many times r/z holds it.
+# Light that the rim diffracts straight on meets the sensor at r/z from the axis and returns to the rim; at zero tilt
+# all of it meets in the middle of the picture. Its share of the peak is about this times the spot's radius over the
+# lens's (measured). A fade that ends at this many times r/z holds it.
 RIM, HOLDS_RIM = 0.02, 1.4
-# Rings kept for it at most, over the effort's own; where that is too few, what is missing is stated.
+# Most rings kept for it, over the effort's own; where they do not suffice, the loss is stated.
 _MOST_FOR_RIM = 3
-# Of the light in the probe's aperture, where it is carried that far.
+# Efforts of the light in the probe's aperture, where it propagates that far.
 _AT_APERTURE = RoundEffort(0.0, 0.0, 1.2, 4.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
-# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones, where the light turns
-# least: about as many of them as of columns do (measured).
+# Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones. There the phase changes
+# least, so about as many rows as columns suffice (measured).
 _ROWS_A_COLUMN = 1.05
-# Share of the rings that is passed whole, before the light is faded out.
+# Share of the rings that passes whole, before the light is faded out.
 _FLAT = 0.5
 _LEAST_COLUMNS = 48
 # Fewer samples than these cannot hold the end corrections of both sides.
@@ -160,29 +218,29 @@ _FEWEST_FORCED = 12
 # Share of returning light below which the error grows against the fading peak.
 _FADING = 0.3
 _MOST_BYTES = 3 << 29
-# A sample of the pupil takes its weight, as long as weights are kept, and its distance, its place and its field while
-# it is at work; more samples than these are worked off in bands of rows.
+# Bytes of a pupil sample: its weight, as long as weights are kept, and its distance, place and field while in use;
+# pupils of more samples than these are computed in bands of rows.
 _BYTES_KEPT, _SAMPLES_KEPT = 8, 1 << 24
 _BYTES_AT_WORK, _SAMPLES_AT_WORK = 64, 1 << 20
 # More than this takes many seconds an image.
 _MOST_SAMPLES = 3 << 27
-# A sample of the probe's aperture takes its weight, its phase, and the field before and after.
+# Bytes of a sample of the probe's aperture: weight, phase, and the field before and after.
 _BYTES_AT_APERTURE = 64
-# An entry of the table of returning light, and one of the transform that makes it, take their spectra as well.
+# Bytes of a table entry of returning light and of a sample of its transform, spectra included.
 _BYTES_AN_ENTRY = 48
 
 
 @dataclass(frozen=True)
-class RoundPlan:
-    """Samples of a round pass, and the error that they should give.
+class RoundPlan(Plan):
+    """Samples of a round pass, and their expected error.
 
     Parameters
     ----------
     columns, rows
         Samples over the pupil's diameter.
     flat_slope, end_slope
-        Of the light that comes back to the lens, against its own curvature, in radians: what is steeper than the first
-        begins to be faded out, nothing is left beyond the second.
+        Of the light that returns to the lens, against its own curvature, in radians: light beyond the first fades out,
+        and ends at the second.
     expected_error
         Largest error of the irradiance, in fractions of the image's peak; infinite where no claim is made: for grids
         forced coarser than planned, and past the cut-off, where no ray returns.
@@ -197,11 +255,10 @@ class RoundPlan:
 
     @property
     def missing(self) -> float:
-        """The part of the error that does not come of the samples: it is not known apart."""
+        """The part of the error that no sampling removes; it is not known separately."""
         return 0.0
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
-        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
         pupil, side = self.columns * self.rows, 2 * math.isqrt(pixels)
         kept = _BYTES_KEPT * pupil if pupil <= _SAMPLES_KEPT else 0
         at_work = _BYTES_AT_WORK * min(batch * pupil, _SAMPLES_AT_WORK)
@@ -209,12 +266,8 @@ class RoundPlan:
         return complex_size // 8 * (kept + at_work + kernels + 24 * batch * pixels)
 
     def too_large(self, pixels: int) -> bool:
-        """Whether an image of `pixels` pixels is beyond the memory, or the time, that the engine allows itself."""
+        """Whether an image of `pixels` pixels exceeds the memory or time allowed."""
         return self.bytes_needed(1, pixels) > _MOST_BYTES or self.columns * self.rows > _MOST_SAMPLES
-
-    def as_dict(self) -> dict[str, float | int | str]:
-        """The plan's numbers by name, for metadata."""
-        return {"method": self.method, **asdict(self)}
 
 
 def plan_round(
@@ -234,7 +287,7 @@ def plan_round(
     accuracy
         Wanted largest error of the irradiance, in fractions of the image's peak.
     pupil_samples
-        Force the columns by hand. They are refused where they cannot hold the light's rays.
+        Force the columns; they are refused where they cannot hold the light's rays.
     pixels
         Pixels of the wanted image, for the memory it takes.
     orders
@@ -246,16 +299,10 @@ def plan_round(
         For an accuracy out of reach, a forced grid that would alias, or a scene too large for the memory allowed; with
         the nearest scene that is not.
     """
-    if not accuracy >= ACCURACIES[-1]:
-        raise InputError(
-            f"{accuracy:g} of the peak is finer than the engine's {ACCURACIES[-1]:g}",
-            where="accuracy",
-            remedy=f"ask for {ACCURACIES[-1]:g} or more",
-        )
-    effort = next(step for step in _LADDER if step.error <= accuracy)
+    effort = step_for(_LADDER, accuracy)
     plan = plan_round_with(geometry, effort)
     if orders and math.isinf(plan.expected_error) and geometry.sine:
-        # Some order comes back nearly as if head on: the claim is the mirror's at that tilt.
+        # Some order returns nearly as at zero tilt: claim the mirror's error there.
         nearest = replace(geometry, sine=math.sin(math.atan(max(geometry.tangent - orders, 0.0))))
         plan = replace(plan, expected_error=plan_round_with(nearest, effort).expected_error)
     if pupil_samples is not None:
@@ -272,12 +319,12 @@ def plan_round(
 
 
 def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundPlan:
-    """The samples that an effort makes of a scene, unchecked."""
+    """The samples of an effort for a scene, unchecked."""
     g = geometry
     spot = g.spot_radius / g.image_distance
-    rays = _ray_slope(g)
+    rays = g.ray_slope
     kept = effort.rings * g.wavelength / (2 * g.radius)
-    # A large RR is faint in its middle, and the waves of its edges count for more: they go by the rays' slopes.
+    # A large RR is faint in its middle, and waves from its edges count for more: they follow the rays' slopes.
     tail = max(kept, effort.spread * g.own_slope + g.window / g.probe_focal_length)
     error, missing = effort.error, RIM * g.spot_radius / g.radius
     if missing > error and spot + tail < (rim := HOLDS_RIM * g.radius / g.image_distance):
@@ -292,34 +339,25 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
         rows=math.ceil(columns * _ROWS_A_COLUMN),
         flat_slope=spot + _FLAT * tail,
         end_slope=spot + tail,
-        # Near the cut-off the peak fades with the light that still returns, the error with the light that entered.
-        expected_error=error * max(1.0, _FADING / returning if (returning := g.returning) else math.inf),
-    )
-
-
-def _ray_slope(g: DoublePassGeometry) -> float:
-    """The steepest slope that a ray has against the pupil, before or after it, seen from the picture's edge."""
-    return max(
-        g.radius * abs(1 / g.image_distance - 1 / g.focal_length + g.curvature),
-        g.exit_angle + g.window / g.probe_focal_length,
+        expected_error=error * g.fading,
     )
 
 
 def _forced(plan: RoundPlan, g: DoublePassGeometry, columns: int) -> RoundPlan:
-    least = max(math.ceil(4 * g.radius / g.wavelength * _ray_slope(g)), _FEWEST_FORCED)
+    least = max(math.ceil(4 * g.radius / g.wavelength * g.ray_slope), _FEWEST_FORCED)
     if columns < least:
         raise InputError(
             f"{columns} samples over the pupil would alias",
             where="sampling.pupil",
             remedy=f"use at least {least}, {plan.columns} for the accuracy asked for, or leave it out",
         )
-    # What does not alias may still be coarser than anybody has measured.
+    # Sampling without aliasing may still be coarser than any that was measured.
     error = plan.expected_error if columns >= plan.columns else math.inf
     return replace(plan, columns=columns, rows=math.ceil(columns * _ROWS_A_COLUMN), expected_error=error)
 
 
 def _nearest_that_fits(g: DoublePassGeometry, effort: RoundEffort, pixels: int) -> str:
-    """What to change so that the memory suffices: the nearest aperture, focus and accuracy that fit."""
+    """Changes that make the memory suffice: the nearest aperture, focus and accuracy that fit."""
 
     def fits(one: DoublePassGeometry) -> bool:
         return not plan_round_with(one, effort).too_large(pixels)
@@ -352,13 +390,13 @@ def _largest(fits: Callable[[float], bool]) -> float:
 def through_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> DoublePassGeometry:
     """The lengths by which to plan a pass whose light travels `distance` to a probe's aperture, all in metres.
 
-    Seen from the lens the aperture takes the place of the picture, and the wave is bent by the distance besides.
+    From the lens the aperture takes the place of the picture, and the distance adds to the wave's curvature.
     """
     return replace(geometry, window=geometry.probe_focal_length * (probe_radius + geometry.radius) / distance)
 
 
 def aperture_samples(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> tuple[int, int]:
-    """Columns and rows over the probe's aperture: it sees the whole lens, and its rays under their own angles."""
+    """Columns and rows over the probe's aperture: it sees the whole lens, and rays under their own angles."""
     g = geometry
     widest = (probe_radius + g.radius) / distance
     seen = g.window / g.probe_focal_length
@@ -371,10 +409,7 @@ def aperture_samples(geometry: DoublePassGeometry, distance: float, probe_radius
 def check_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: float) -> None:
     """Refuse a probe's aperture whose samples exceed the memory allowed; arguments as for `aperture_samples`.
 
-    Raises
-    ------
-    InputError
-        With the largest aperture that fits.
+    The InputError names the largest aperture that fits.
     """
 
     def needed(radius: float) -> int:
@@ -397,24 +432,15 @@ def check_aperture(geometry: DoublePassGeometry, distance: float, probe_radius: 
 def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) -> None:
     """Refuse a scene whose table of returning light (optics/radial.py) exceeds the memory allowed.
 
-    Parameters
-    ----------
-    geometry, plan
-        Of the pass.
-    steepest
-        Tangent of the steepest tilt, and half the steepest order's direction.
-
-    Raises
-    ------
-    InputError
-        Where the light comes back far beside the lens, over a very long image distance.
+    `steepest` is the tangent of the steepest tilt plus half the steepest order's direction. Raises InputError where the
+    light returns far beside the lens, over a very long image distance.
     """
     g = geometry
     k, z = 2 * math.pi / g.wavelength, g.image_distance
     margin = 30 * g.wavelength / (plan.end_slope - plan.flat_slope)
     reach = 1.05 * g.radius + 2 * z * steepest + margin
     beta = abs(g.curvature - 1 / g.focal_length + 1 / (2 * z))
-    # Of the disc's projection, and of its transform: as `disc_transform` makes them.
+    # Samples of the disc's projection and of its transform, as `disc_transform` computes them.
     count = max(4096.0, 32 / math.pi * k / (2 * z) * g.radius * max(reach, 2 * z * beta * g.radius))
     length = max(4 * count, 10 / 3 * (reach + g.radius) / (2 * g.radius) * count)
     step = g.wavelength * z / length * count / g.radius
@@ -430,7 +456,7 @@ def check_table(geometry: DoublePassGeometry, plan: RoundPlan, steepest: float) 
 
 
 def disc_overlap(first: float, second: float, offset: float) -> float:
-    """Area that two discs of these radii share at this distance of centres, in fractions of the first's."""
+    """Area shared by two discs of these radii and distance of centres, in fractions of the first's."""
     if offset >= first + second:
         return 0.0
     small, large = sorted((first, second))

@@ -1,16 +1,14 @@
-"""A field seen on a plane that is tilted against the one it is given on: exact, for any tilt, without interpolation.
+"""A field on a plane tilted against the one it is given on: exact, for any tilt, without interpolation.
 
 Stock, Worku and Gross, "Efficient field propagation between tilted planes", J. Opt. Soc. Am. A 34, 1849 (2017): for
 each frequency along the axis of the tilt, a direct sum over the frequencies across it.
 
 Signs. A tilt by `angle` a about x puts the points of the tilted plane at (x', y' cos a, d + y' sin a): its +y' side
-lies farther along the light. A wave exp(iky sin θ), of direction (0, sin θ, cos θ), has there the phase
-k y' sin(θ + a): on the plane turned by a = -θ it is constant, for that plane's normal is the wave's direction. A tilt
-about y is the same with x and y exchanged: points at (x' cos a, y', d + x' sin a), and exp(ikx sin θ) is constant at
-a = -θ.
+lies farther along the light. A wave exp(iky sin θ), of direction (0, sin θ, cos θ), has there the phase k y' sin(θ +
+a), constant on the plane turned by a = -θ, whose normal is the wave's direction. A tilt about y is the same with x and
+y exchanged: points at (x' cos a, y', d + x' sin a), and exp(ikx sin θ) is constant at a = -θ.
 
-Directions are given as their sines (s_x, s_y), the transverse components of the unit vector; spatial frequencies are
-s/λ.
+Directions are sines (s_x, s_y), the transverse components of the unit vector; spatial frequencies are s/λ.
 """
 
 # torch types these functions in part only.
@@ -32,15 +30,15 @@ __all__ = ["TiltedPlane", "far_field_on_tilted", "tilt_directions"]
 
 # Samples a side of the padded spectrum beyond which a request is refused.
 MAX_SIDE = 8192
-# Kernels up to this size, in bytes, are kept; larger ones are recomputed at each use, a piece of this size at a time.
+# Kernels up to this size, in bytes, are kept; larger ones are recomputed at each use, in pieces of this size.
 KEPT_BYTES = 2**29
-# Least cosine to either plane's normal in a band that was not asked for: steeper rays would ask for a huge padding.
+# Least cosine to either plane's normal in a default band: steeper rays need a huge padding.
 GRAZING = 0.1
 
 
 @dataclass(frozen=True)
 class _Band:
-    """The band around the carrier, in cycles per metre, and what becomes of the rays within."""
+    """The band around the carrier, in cycles per metre, and its rays' slopes."""
 
     x: float  # half-width
     y: tuple[float, float]
@@ -51,9 +49,9 @@ class _Band:
 
 
 class TiltedPlane:
-    """The operator from a field on a plane to the same light's field on a tilted plane.
+    """The linear, differentiable operator from a field on a plane to the same light's field on a tilted plane.
 
-    Holding the instance is the cache: kernels are formed once. It is linear, so gradients pass through it.
+    Its kernels are computed once, with the instance.
 
     Parameters
     ----------
@@ -66,26 +64,25 @@ class TiltedPlane:
     axis
         "x" or "y": the line that the plane is turned about.
     output
-        Where the field is wanted on the tilted plane, in that plane's own coordinates; by default the same numbers as
-        `grid`. A beam through the axis gets longer by 1/cos(angle).
+        Output grid in the tilted plane's own coordinates; by default the same numbers as `grid`. A beam through the
+        axis gets longer by 1/cos(angle).
     carrier
-        Direction (s_x, s_y) of a wave taken out of the field before it was sampled: the field times
-        exp(ik(s_x x + s_y y)) is the light. The same wave, seen from the tilted plane (`output_carrier`), is then left
-        out of the result as well, so a collimated beam at 1 degree needs no finer samples than one at 0. None leaves
-        the carriers in, both at zero.
+        Direction (s_x, s_y) of a wave removed from the field before sampling: the field times exp(ik(s_x x + s_y y)) is
+        the light. The same wave, seen from the tilted plane (`output_carrier`), is also left out of the result, so a
+        collimated beam at 1 degree needs no finer samples than one at 0. None leaves the carriers in, both at zero.
     distance
         Of the axis of the tilt from the field's plane, in metres. The factor exp(ikc·distance), c the carrier's cosine
         (1 for None), is left out.
     band
-        Half-width of the band of spatial frequencies around the carrier that the light may use, in fractions of the
-        grid's Nyquist frequency. By default each side is as wide, up to 1, as the output's pitch holds and as no wave
-        within is steeper than 84 degrees to either plane's normal.
+        Half-width of the band of spatial frequencies around the carrier, in fractions of the grid's Nyquist frequency.
+        By default each side is as wide, up to 1, as the output's pitch holds, without waves steeper than 84 degrees to
+        either plane's normal.
     leak
         Fraction of a field's power that may lie outside the band, where it is dropped; a field with more is refused.
     dtype
         complex128 or complex64 (the phases of its kernels are formed in float64).
     device
-        Where the kernels are kept and fields are expected.
+        Of kernels and fields.
 
     Raises
     ------
@@ -95,14 +92,14 @@ class TiltedPlane:
 
     Notes
     -----
-    With the spectrum Û of the field around the carrier's frequency c, frequencies g from there, and its image c' on
-    the tilted plane,
+    With the spectrum Û of the field around the carrier's frequency c, frequencies g from there, and its image c' on the
+    tilted plane,
 
         U'(x', y') = ∫∫ Û(g_x, g_y) exp(i2π [g_x x' + (g_y cos a + δf_z sin a) y' + δf_z d]) dg_y dg_x
         δf_z = f_z(c + g) - f_z(c) = -(g·(2c + g)) / (f_z(c + g) + f_z(c))
 
-    the last form losing no digits. The field is padded so far that, by the slopes of all rays in the band, no copy of
-    the light from the neighbouring period reaches the output.
+    where the last form avoids cancellation. The padding, by the slopes of all rays in the band, keeps copies of the
+    light from the neighbouring period off the output.
     """
 
     def __init__(
@@ -130,7 +127,7 @@ class TiltedPlane:
         self.wavelength, self.angle, self.axis, self.dtype = wavelength, angle, axis, dtype
         self.carrier = (0.0, 0.0) if carrier is None else carrier
         self.output_carrier = (0.0, 0.0) if carrier is None else _turned(self.carrier, angle, axis)
-        # Everything below is for a tilt about x; for one about y, x and y are exchanged on the way in and out.
+        # The code below tilts about x; for y, x and y are exchanged on the way in and out.
         source, target = (g if axis == "x" else _exchanged(g) for g in (grid, self.output))
         (cx, cy), (_, ty) = ((s if axis == "x" else s[::-1]) for s in (self.carrier, self.output_carrier))
         c, t = (cx / wavelength, cy / wavelength), ty / wavelength
@@ -149,7 +146,7 @@ class TiltedPlane:
         change = change / ((wavelength**-2 - transverse).sqrt() + axial)
         weight = 1 / (self._samples[0] * self._samples[1])
         self._start = (start * phasor(2 * math.pi * distance * change) * weight).to(dtype)
-        # The frequency along y' from the output's carrier; without carriers the whole of the axial one stays in.
+        # The frequency along y' from the output's carrier; without carriers it includes the whole axial one.
         left = c[1] * math.cos(angle) + axial * math.sin(angle) - t
         self._across = gy[:, None] * math.cos(angle) + change * math.sin(angle) + left
         self._y = target.y(device=device)
@@ -179,7 +176,7 @@ class TiltedPlane:
     def adjoint(self, field: torch.Tensor) -> torch.Tensor:
         """Conjugate transpose, [..., rows, columns] of `output` to those of `grid`: <T a, b> = <a, T* b>.
 
-        It is the inverse only up to the obliquity: that is the operator of the opposite angle.
+        It is the inverse only up to the obliquity factor; the exact inverse is the operator of the opposite angle.
         """
         field = self._swapped(checked_field(field, self.output).to(self.dtype)) @ self._along.mH
         parts = [
@@ -222,7 +219,7 @@ class TiltedPlane:
 def tilt_directions(
     sx: torch.Tensor, sy: torch.Tensor, angle: float, axis: str = "x"
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Directions on the untilted plane of the waves that a tilted plane sees at (sx, sy), and the amplitudes' Jacobian.
+    """Directions on the untilted plane of the waves at (sx, sy) on a tilted one, and the amplitudes' Jacobian.
 
     Parameters
     ----------
@@ -234,8 +231,8 @@ def tilt_directions(
     Returns
     -------
     tuple of torch.Tensor
-        Sines along x and along y on the untilted plane, and the factor cos/cos' that turns the spectrum there into the
-        spectrum on the tilted plane.
+        Sines along x and along y on the untilted plane, and the factor cos/cos' from its spectrum to that on the tilted
+        plane.
 
     Raises
     ------
@@ -245,8 +242,8 @@ def tilt_directions(
     Notes
     -----
     For a tilt about x: s_y = s_y' cos a - s_z' sin a, s_z = s_y' sin a + s_z' cos a, s_x = s_x'. At fixed s_x one has
-    ds_y/ds_y' = s_z/s_z', hence U'^(s') = U^(s) s_z/s_z'. What both planes then share is the power that crosses them,
-    ∫ |U^|² s_z d²s (`tapetum.optics.propagate.flux`), and not ∫ |U|² of the field.
+    ds_y/ds_y' = s_z/s_z', hence U'^(s') = U^(s) s_z/s_z'. Both planes then have the same power that crosses them, ∫
+    |U^|² s_z d²s (`tapetum.optics.propagate.flux`), but not the same ∫ |U|² of the field.
     """
     _checked(1.0, angle, axis)
     along, across = (sx.double(), sy.double()) if axis == "x" else (sy.double(), sx.double())
@@ -289,13 +286,13 @@ def far_field_on_tilted(
     -------
     torch.Tensor
         [..., V, U], complex128: the field's spectrum in the directions that the tilt maps to (`tilt_directions`), times
-        the Jacobian that keeps the flux. No interpolation: the Fourier integral is evaluated in those directions.
+        the Jacobian that keeps the flux, by the Fourier integral without interpolation.
 
     Raises
     ------
     InputError
-        For a field that does not fit, directions that do not cross both planes forwards, or that lie beyond the
-        grid's Nyquist frequency, where its spectrum repeats.
+        For a field that does not fit, directions that do not cross both planes forwards, or that lie beyond the grid's
+        Nyquist frequency, where its spectrum repeats.
     """
     _checked(wavelength, angle, axis)
     field = checked_field(field, grid).to(torch.complex128)
@@ -312,7 +309,7 @@ def far_field_on_tilted(
             remedy="sample the field more finely, take its carrier out or ask for a smaller range",
         )
     k = 2 * math.pi / wavelength
-    # Along the tilt's axis the map is the identity, so one transform serves all; across it, each column has its own.
+    # Along the tilt's axis the map is the identity, so one transform serves all; across it, each column differs.
     if axis == "y":
         field, grid = field.mT, _exchanged(grid)
         from_x, from_y = from_y.mT, from_x.mT
@@ -399,7 +396,7 @@ def _band(
             remedy=f"take the carrier out with carrier=(s_x, s_y), or use less than {1 / (2 * least.mapped):.4g} m",
         )
     parts = (0.0, 0.0, 0.0)
-    # All sides together first, then what is left of each.
+    # Shrink all sides together first, then each by itself.
     for sides in ((1, 1, 1), (0, 1, 0), (0, 0, 1), (1, 0, 0)):
         low, high, trial = 0.0, 1.0, 1.0
         for _ in range(40):

@@ -27,7 +27,7 @@ __all__ = [
 
 
 def mode_count(order: int) -> int:
-    """Return the number of modes of radial order n <= `order` (91 for the paper's 12)."""
+    """Number of modes of radial order n <= `order` (91 for the paper's 12)."""
     if order < 0:
         raise InputError(f"must not be negative, is {order}", where="order", remedy="give a radial order of 0 or more")
     return (order + 1) * (order + 2) // 2
@@ -35,17 +35,9 @@ def mode_count(order: int) -> int:
 
 @lru_cache(maxsize=4096)
 def noll_to_nm(j: int) -> tuple[int, int]:
-    """Return radial order n and signed azimuthal order m of Noll's mode j.
+    """Radial order n and signed azimuthal order m of Noll's mode j, from 1 (piston).
 
-    Parameters
-    ----------
-    j
-        Noll's index, from 1 (piston).
-
-    Returns
-    -------
-    n, m
-        m > 0: ``cos(m phi)``; m < 0: ``sin(|m| phi)``.
+    m > 0 is ``cos(m phi)``, m < 0 ``sin(|m| phi)``.
 
     Raises
     ------
@@ -67,7 +59,7 @@ def noll_to_nm(j: int) -> tuple[int, int]:
 
 @lru_cache(maxsize=4096)
 def nm_to_noll(n: int, m: int) -> int:
-    """Return Noll's index of the mode of radial order n and signed azimuthal order m.
+    """Noll's index of the mode of radial order n and signed azimuthal order m.
 
     Raises
     ------
@@ -81,10 +73,10 @@ def nm_to_noll(n: int, m: int) -> int:
 
 
 def _radial_family(m: int, rho: Tensor, terms: int) -> list[Tensor]:
-    """Return R_n^m for n = m, m + 2, ... (`terms` of them), each 1 at rho = 1.
+    """R_n^m for n = m, m + 2, ... (`terms` of them), each 1 at rho = 1.
 
-    ``R_n^m(rho) = rho^m P_k^(0,m)(2 rho^2 - 1)`` with k = (n - m)/2, by the three-term recurrence of the
-    Jacobi polynomials (DLMF 18.9.2): unlike the sum of factorials it loses no digits at high orders.
+    ``R_n^m(rho) = rho^m P_k^(0,m)(2 rho^2 - 1)`` with k = (n - m)/2, by the three-term recurrence of the Jacobi
+    polynomials (DLMF 18.9.2), which unlike the sum of factorials is accurate at high orders.
     """
     t = 2 * rho * rho - 1
     family = [torch.ones_like(rho)]
@@ -104,7 +96,7 @@ def _radial_family(m: int, rho: Tensor, terms: int) -> list[Tensor]:
 
 
 def zernike_radial(n: int, m: int, rho: Tensor) -> Tensor:
-    """Evaluate the radial polynomial R_n^m, which is 1 at rho = 1.
+    """The radial polynomial R_n^m, which is 1 at rho = 1; differentiable, of the shape and type of `rho`.
 
     Parameters
     ----------
@@ -112,11 +104,6 @@ def zernike_radial(n: int, m: int, rho: Tensor) -> Tensor:
         Orders, 0 <= m <= n, n - m even.
     rho
         Radius, 0 ... 1, any shape; a floating type.
-
-    Returns
-    -------
-    Tensor
-        Shape and type of `rho`; differentiable.
 
     Raises
     ------
@@ -129,21 +116,16 @@ def zernike_radial(n: int, m: int, rho: Tensor) -> Tensor:
 
 
 def zernike_noll(j: int, rho: Tensor, phi: Tensor) -> Tensor:
-    """Evaluate Noll's mode j, of unit variance over the unit disc.
+    """Noll's mode j, of unit variance over the unit disc, in the shape of the broadcast arguments.
 
     Parameters
     ----------
     j
         Noll's index, from 1.
     rho
-        Radius in units of the disc's; values above 1 follow the polynomial, nothing is cut.
+        Radius in units of the disc's; values above 1 follow the polynomial.
     phi
         Angle from +x towards +y in radians; broadcasts with `rho`.
-
-    Returns
-    -------
-    Tensor
-        Z_j(rho, phi), shape of the broadcast arguments.
     """
     n, m = noll_to_nm(j)
     radial = math.sqrt(n + 1) * zernike_radial(n, abs(m), rho)
@@ -154,13 +136,13 @@ def zernike_noll(j: int, rho: Tensor, phi: Tensor) -> Tensor:
 
 
 def disc_coordinates(side: int, *, dtype: torch.dtype = torch.float64) -> tuple[Tensor, Tensor]:
-    """Return x and y of the pixel centres of a square whose inscribed circle is the unit disc.
+    """x and y of the pixel centres of a square whose inscribed circle is the unit disc.
 
     Parameters
     ----------
     side
-        Pixels along an edge. The square's edges lie at -1 and 1, so pixel centres at ``(2 i + 1)/side - 1``:
-        a pixel belongs to the disc when its centre does.
+        Pixels along an edge. The square's edges lie at -1 and 1, so pixel centres at ``(2 i + 1)/side - 1``: a pixel
+        belongs to the disc when its centre does.
     dtype
         Floating type.
 
@@ -177,7 +159,7 @@ def disc_coordinates(side: int, *, dtype: torch.dtype = torch.float64) -> tuple[
 
 
 def zernike_basis(order: int, x: Tensor, y: Tensor) -> Tensor:
-    """Evaluate all modes n <= `order` at the points (x, y).
+    """All modes n <= `order` at points (x, y), as [modes, ...]: row j - 1 is Noll's mode j.
 
     Parameters
     ----------
@@ -185,11 +167,6 @@ def zernike_basis(order: int, x: Tensor, y: Tensor) -> Tensor:
         Highest radial order.
     x, y
         Cartesian coordinates in units of the disc's radius, same shape.
-
-    Returns
-    -------
-    Tensor
-        [modes, ...]: row j - 1 is Noll's mode j.
     """
     if x.shape != y.shape:
         raise InputError(
@@ -197,7 +174,7 @@ def zernike_basis(order: int, x: Tensor, y: Tensor) -> Tensor:
             remedy="give one of each a point",
         )
     rho, phi = torch.hypot(x, y), torch.atan2(y, x)
-    # Filled in place: at 400 x 400 pixels a list of modes and its stack would be held at once.
+    # Filled in place: at 400 x 400 pixels a list of modes and its stack would double the memory.
     basis = torch.empty((mode_count(order), *x.shape), dtype=x.dtype, device=x.device)
     for m in range(order + 1):
         turns = [(m, torch.cos(m * phi)), (-m, torch.sin(m * phi))] if m else [(0, None)]

@@ -1,4 +1,4 @@
-"""When cameras take their frames: clocks that jitter, drift and lose some."""
+"""Times of camera frames: clocks with jitter, drift and lost frames."""
 
 from __future__ import annotations
 
@@ -13,15 +13,7 @@ __all__ = ["Beat", "CameraClock"]
 
 @dataclass(frozen=True)
 class Beat:
-    """The frames that a camera kept.
-
-    Parameters
-    ----------
-    times
-        [T] seconds from the recording's start.
-    dropped_before
-        [T] frames lost since the one before.
-    """
+    """The frames that a camera kept: `times` [T] in seconds from the start, and how many were lost before each."""
 
     times: npt.NDArray[np.float64]
     dropped_before: npt.NDArray[np.int64]
@@ -36,14 +28,10 @@ class CameraClock:
 
     Parameters
     ----------
-    offset
-        Of the first frame after the recording's start, in seconds.
-    jitter
-        Root mean square of a frame's time about its even beat, in seconds.
-    drift
-        Of its monotonic clock, in parts of one.
-    loss
-        Probability that a frame is lost.
+    offset, jitter
+        Delay of the first frame after the recording's start, and RMS deviation of frames from an even beat, in seconds.
+    drift, loss
+        Relative error of its monotonic clock, and probability that a frame is lost.
     """
 
     offset: float = 0.0
@@ -52,13 +40,9 @@ class CameraClock:
     loss: float = 0.004
 
     def draw(self, count: int, rate: float, rng: np.random.Generator) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Times of the frames that were kept, in seconds from the start, and the number lost before each."""
+        """Return the times of the frames that were kept, in seconds from the start, and the number lost before each."""
         times = self.offset + np.arange(count) / rate
-        # A quarter of the beat at the most: frames never change places.
-        times = times + np.clip(self.jitter * rng.standard_normal(count), -0.25 / rate, 0.25 / rate)
+        # At most a quarter of the frame interval, so that no two frames change places.
+        times += np.clip(self.jitter * rng.standard_normal(count), -0.25 / rate, 0.25 / rate)
         kept = np.flatnonzero(np.r_[True, rng.random(count - 1) >= self.loss] if count else [])
         return times[kept], np.diff(kept, prepend=kept[:1]) - np.r_[0, np.ones(len(kept) - 1, int)]
-
-    def beat(self, count: int, rate: float, rng: np.random.Generator) -> Beat:
-        """As `draw`, in one piece."""
-        return Beat(*self.draw(count, rate, rng))

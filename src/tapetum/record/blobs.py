@@ -1,8 +1,8 @@
-"""Small bright spots of a picture, found to a part of a pixel, with the odds that each is a laser.
+"""Small bright spots of an image, located to sub-pixel accuracy, with the odds that each is a laser.
 
-Candidates are the points where the smoothed picture bends down in every direction. Each is compared with a
-Gaussian by linear least squares, the best are fitted with one (on a sloping background, saturated pixels left
-out), and the fit's own figures say how likely it is a laser and not a part of the scene.
+Candidates are the points where the smoothed image curves down in every direction. Each is compared with a Gaussian by
+linear least squares. The best are fitted with a Gaussian on a sloping background, without saturated pixels, and a
+logistic regression on the fit's results gives the odds.
 """
 
 from __future__ import annotations
@@ -25,32 +25,16 @@ KEPT_EACH, KEPT, APART = 120, 12, 4.0
 REACH = 3.0  # the fit sees this many of the spot's own sigma: a ghost some 10 px away stays outside
 STEPS = 8
 
-# Log-odds that a fitted candidate is the laser, from `features`: a logistic regression on synthetic scenes
-# (tests/record/calibrate_spot.py makes them and prints these). In order: log of amplitude over the fit's
-# residual, log sigma and its square, log of amplitude over the scene's range, height among the
-# picture's brightest, strength over that of others.
+# Logistic regression of `features` on synthetic scenes, by tests/record/calibrate_spot.py: log of amplitude over
+# residual, log sigma and its square, log of amplitude over the scene's range, height relative to the brightest pixel,
+# strength over that of others.
 WEIGHTS = np.array([2.72, 4.26, -4.07, 0.95, 9.19, 0.82])
 BIAS = -17.6
 
 
 @dataclass(frozen=True, eq=False)
 class Candidates:
-    """What may be the laser, most likely first.
-
-    Attributes
-    ----------
-    x, y
-        Centres in pixels, [K]; (0, 0) is the centre of the top left pixel.
-    odds
-        Natural logarithm of the odds that it is the laser, [K].
-    peak
-        Height over the background in the picture's digital numbers, from the flanks where it is saturated,
-        [K].
-    snr
-        That height over the rms of what the fit leaves, [K].
-    sigma
-        Standard deviation of the Gaussian in pixels, [K].
-    """
+    """Possible lasers, most likely first: [K] each, as of a `spot.Spot`; `odds` is the log-odds of being the laser."""
 
     x: np.ndarray
     y: np.ndarray
@@ -69,11 +53,7 @@ class Candidates:
 
 
 def _templates() -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Return, for each of WIDTHS, its basis [P, 6], the pseudo-inverse [6, P] and the mask [P] on the patch.
-
-    The basis is a Gaussian, its two derivatives (which take up the part of a pixel that it is off), and a
-    plane.
-    """
+    """Return basis [P, 6] (Gaussian, its slopes, a plane), pseudo-inverse [6, P] and mask [P] of each of WIDTHS."""
     y, x = (axis.ravel().astype(float) for axis in np.mgrid[-SCREEN : SCREEN + 1, -SCREEN : SCREEN + 1])
     r2 = x * x + y * y
     out = []
@@ -90,26 +70,26 @@ FIT_Y, FIT_X = (axis.ravel().astype(np.float32) for axis in np.mgrid[-PATCH : PA
 
 
 def bumps(smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y ([K] int) of the points of a smoothed picture that bend down most in every direction."""
+    """Return x and y ([K] int) of the points of a smoothed image that curve down most in every direction."""
     bend = cv2.Laplacian(smooth, cv2.CV_32F, scale=-1.0)
     highest = cv2.compare(bend, cv2.dilate(bend, np.ones((5, 5), np.uint8)), cv2.CMP_GE)
     upward = cv2.compare(bend, 0, cv2.CMP_GT)  # type: ignore[call-overload]
     y, x = np.divmod(np.flatnonzero(cv2.bitwise_and(highest, upward).view(bool)), smooth.shape[1])
-    # A mirrored rim, as the Laplacian takes: a spot may stand half outside the picture.
+    # Mirrored as in the Laplacian, because a spot may lie half outside the image.
     wide = cv2.copyMakeBorder(smooth, 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
     up, row, down, left, column, right = y, y + 1, y + 2, x, x + 1, x + 2
     middle = 2 * wide[row, column]
     along = middle - wide[row, left] - wide[row, right]
     across = middle - wide[up, column] - wide[down, column]
     mixed = (wide[down, right] + wide[up, left] - wide[up, right] - wide[down, left]) / 4
-    # The least curvature of all directions: an edge or a line has one of about zero.
+    # The smallest curvature of all directions, which is about zero for edges and lines.
     least = (along + across) / 2 - np.hypot((along - across) / 2, mixed)
     best = np.argpartition(least, -KEPT_EACH)[-KEPT_EACH:] if len(least) > KEPT_EACH else np.arange(len(least))
     return x[best], y[best]
 
 
 def blobs(field: np.ndarray, smooth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return x and y ([K] int) of what may be a spot, small (in `smooth`) or larger (in a halved picture)."""
+    """Return x and y ([K] int) of possible spots, small (in `smooth`) or larger (in a halved image)."""
     height, width = field.shape
     found = [bumps(smooth)]
     half = cv2.resize(field, (width // 2, height // 2), interpolation=cv2.INTER_AREA)
@@ -133,7 +113,7 @@ def screen(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarra
         left = ((patches * mask - found @ basis.T) ** 2).sum(axis=1) / (mask.sum() - basis.shape[1])
         height = np.maximum(found[:, 0], 0)
         score = np.maximum(score, height**1.5 / np.sqrt(left + 1))
-    # A saturated spot is no Gaussian to look at; only the fit, which leaves the flat part out, can judge it.
+    # A saturated spot is not Gaussian; only the fit, which ignores the flat part, can rate it.
     score = np.where(saturated[y, x], np.inf, score)
     kept: list[int] = []
     for index in np.argsort(-score, kind="stable"):
@@ -148,12 +128,7 @@ def screen(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarra
 def fit(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Fit a Gaussian on a sloping background to each candidate (damped Gauss–Newton, all at once).
 
-    Returns
-    -------
-    parameters
-        [K, 4]: amplitude, x and y in the picture, sigma.
-    rms
-        What the fit leaves, [K].
+    Returns [K, 4] amplitude, x and y in the picture and sigma, and [K] the rms of what the fit leaves.
     """
     side = 2 * PATCH + 1
 
@@ -166,7 +141,7 @@ def fit(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarray) 
     usable = (seen & ~flat).astype(np.float32)
     data = patches(field, cv2.BORDER_REPLICATE)
     base = np.median(data[:, ::2], axis=1)
-    # A flat top hides the middle: the first guess must be wide enough to reach the flanks.
+    # Around a saturated top the first guess must be wide enough to reach the flanks.
     core = np.hypot(FIT_X, FIT_Y) <= PATCH - 1
     guess = np.clip(0.8 * np.sqrt((flat & core).sum(axis=1) / np.pi), 1.5, 4.0)
     state = np.zeros((len(x), 7), np.float32)  # amplitude, dx, dy, log sigma, background, its slopes
@@ -200,29 +175,20 @@ def fit(field: np.ndarray, saturated: np.ndarray, x: np.ndarray, y: np.ndarray) 
 
 
 def features(field: np.ndarray, smooth: np.ndarray, found: np.ndarray, rms: np.ndarray) -> np.ndarray:
-    """Return what tells a laser from a part of the scene, [K, 6], in the order of WEIGHTS."""
+    """Return the features [K, 6] that distinguish a laser from the scene, in the order of WEIGHTS."""
     height, width = field.shape
     x = np.clip(np.rint(found[:, 1]), 0, width - 1).astype(int)
     y = np.clip(np.rint(found[:, 2]), 0, height - 1).astype(int)
     low, middle, high = np.percentile(field[::8, ::8], [1, 50, 99])
     amplitude, sigma = np.maximum(found[:, 0], 1), found[:, 3]
     contrast = np.log(amplitude / np.sqrt(rms**2 + 1))
-    # How far it stands out from what else there is of its width: from the third of the others, since a laser
-    # may bring its ghosts.
+    # Strength relative to the third strongest other candidate, as a laser may have ghosts.
     strength = np.log(amplitude) + contrast - 4 * (np.log(sigma) - np.log(1.5)) ** 2
     ranked = np.sort(np.where(np.eye(len(found), dtype=bool), -np.inf, strength), axis=1)[:, ::-1]
     rival = np.maximum(ranked[:, 2], 0) if len(found) > 3 else np.zeros(len(found))
-    return np.stack(
-        [
-            contrast,
-            np.log(sigma),
-            np.log(sigma) ** 2,
-            np.log(np.clip(amplitude / max(high - low, 1), 0.01, 10)),
-            (smooth[y, x] - middle) / (smooth.max() - middle + 1),
-            strength - rival,
-        ],
-        axis=1,
-    )
+    over_range = np.log(np.clip(amplitude / max(high - low, 1), 0.01, 10))
+    height = (smooth[y, x] - middle) / (smooth.max() - middle + 1)
+    return np.stack([contrast, np.log(sigma), np.log(sigma) ** 2, over_range, height, strength - rival], axis=1)
 
 
 def measured(
@@ -237,7 +203,7 @@ def measured(
         whole = np.issubdtype(image.dtype, np.integer)
         full_scale = float(np.iinfo(image.dtype).max) if whole else max(float(image.max()), 1e-12)
     unit = full_scale / 255
-    # 255 to the full scale, as the weights were found on 8 bit pictures.
+    # Scaled to 255, because the weights belong to 8-bit images.
     field = image.astype(np.float32) / np.float32(unit)
     if not np.isfinite(field).all():
         raise InputError("holds NaN or infinite values", where="image", remedy="mask or fill them first")
@@ -247,14 +213,11 @@ def measured(
     smooth = cv2.GaussianBlur(field, (0, 0), SCALE)
     x, y = blobs(field, smooth)
     if not len(x):
-        empty = np.empty(0)
-        return np.empty((0, 4)), empty, np.empty((0, 6)), unit
+        return np.empty((0, 4)), np.empty(0), np.empty((0, 6)), unit
     kept = screen(field, saturated, x, y)
     found, rms = fit(field, saturated, x[kept], y[kept])
-    # What is centred outside the picture cannot be measured from the rest of it.
-    half = 0.5 + np.array([field.shape[1], field.shape[0]]) / 2
-    middle = (np.array([field.shape[1], field.shape[0]]) - 1) / 2
-    inside = (np.abs(found[:, 1:3] - middle) < half).all(axis=1)
+    # A spot centred outside the image cannot be measured.
+    inside = ((found[:, 1:3] > -1) & (found[:, 1:3] < field.shape[::-1])).all(axis=1)
     found, rms = found[inside], rms[inside]
     return found, rms, features(field, smooth, found, rms), unit
 
@@ -262,32 +225,10 @@ def measured(
 def find_candidates(
     image: np.ndarray, background: np.ndarray | None = None, *, full_scale: float | None = None
 ) -> Candidates:
-    """Find what may be the laser in a picture, the dozen most likely at most, most likely first.
-
-    Parameters
-    ----------
-    image
-        [H, W], of any real type.
-    background
-        The same scene without the laser, [H, W], where there is such a picture; it is subtracted.
-    full_scale
-        Digital number of saturation; by default the type's largest, for floats the picture's largest.
-
-    Raises
-    ------
-    InputError
-        When the image is not [H, W], smaller than 13 x 13, or holds NaN; when the background is of another
-        size.
-    """
+    """Return up to a dozen possible lasers in an image, most likely first; arguments and errors as `spot.find_spot`."""
     found, rms, described, unit = measured(image, background, full_scale)
     odds = described @ WEIGHTS + BIAS
     order = np.argsort(-odds)
-    found, rms, odds = found[order], rms[order], odds[order]
-    return Candidates(
-        x=found[:, 1],
-        y=found[:, 2],
-        odds=odds,
-        peak=found[:, 0] * unit,
-        snr=found[:, 0] / np.maximum(rms, 1e-3),
-        sigma=found[:, 3],
-    )
+    (height, x, y, sigma), rms = found[order].T, rms[order]
+    snr = height / np.maximum(rms, 1e-3)
+    return Candidates(x=x, y=y, odds=odds[order], peak=height * unit, snr=snr, sigma=sigma)

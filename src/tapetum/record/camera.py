@@ -16,10 +16,10 @@ from tapetum.record.source import Frame
 __all__ = ["Camera", "is_camera"]
 
 PREFIX = "camera:"
-STALE = 16  # frames that a driver may hold, at the most
-AT_ONCE = 0.002  # s; a frame that comes sooner was there already
+STALE = 16  # most frames that a driver may hold
+AT_ONCE = 0.002  # s; a frame that comes sooner was buffered
 
-# What OpenCV may know of a camera; 0 and -1 stand for what it does not.
+# Camera properties that OpenCV may know; unknown ones are 0 or -1.
 TOLD = {
     "exposure": cv2.CAP_PROP_EXPOSURE,
     "automatic_exposure": cv2.CAP_PROP_AUTO_EXPOSURE,
@@ -34,27 +34,25 @@ TOLD = {
 
 
 def is_camera(source: str) -> bool:
-    """Whether a text names a camera of this machine: `camera:0`."""
+    """Return whether a text names a camera of this machine: `camera:0`."""
     return source.startswith(PREFIX)
 
 
 class Camera:
     """A camera that OpenCV can read, such as a webcam; colour becomes grey, 8 bit.
 
-    Its frames carry the moment at which they arrived here, some milliseconds after they were taken: OpenCV tells
-    nothing better on every system.
+    Frames carry their time of arrival, some milliseconds after the exposure, because OpenCV offers nothing better on
+    every system.
 
     Parameters
     ----------
-    source
-        `camera:` and its number from 0.
-    rate
-        Frames a second to ask it for; None leaves it as it is.
+    source, rate
+        `camera:` and its number from 0, and frames per second to request; None keeps the camera's own.
 
     Raises
     ------
     InputError
-        When there is no such camera or it gives no picture.
+        When there is no such camera or it gives no image.
     """
 
     live, count, full_scale = True, None, 255
@@ -89,15 +87,15 @@ class Camera:
         self.rate: float | None = told.get("frames_a_second", rate)
 
     def first(self) -> Frame:
-        """Return the picture that the camera gave when it was opened."""
+        """Return the image that the camera gave when it was opened."""
         return Frame(0, 0.0, self._seen, self.name, self.full_scale)
 
     def __len__(self) -> int:
         raise TypeError(f"{self.name} is a camera: it has no number of frames")
 
     def __iter__(self) -> Iterator[Frame]:
-        """Yield frames from now on, until the camera gives no more."""
-        # UTC is read once and counted on by the clock that is never set.
+        """Yield frames from now on; raise an InputError when the camera stops."""
+        # UTC is read once and continued by the monotonic clock.
         start_utc, start = time.time_ns(), time.monotonic_ns()
         grabbed, index, first = self._first_new(), 0, 0
         while grabbed:
@@ -119,7 +117,7 @@ class Camera:
         raise InputError("gives no more pictures", where=self.name, remedy="is it still plugged in?")
 
     def _first_new(self) -> bool:
-        """Grab the first frame that must be waited for: what comes at once stood in the driver since it was opened."""
+        """Grab frames until one takes time to arrive: those before were buffered by the driver."""
         for _ in range(STALE):
             asked = time.monotonic()
             if not self._capture.grab():
@@ -129,5 +127,5 @@ class Camera:
         return True
 
     def close(self) -> None:
-        """Give the camera back. Not while it is iterated: drivers crash when a camera goes in the middle of a read."""
+        """Release the camera. Not during iteration: drivers crash when a camera is released during a read."""
         self._capture.release()

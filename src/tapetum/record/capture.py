@@ -1,4 +1,4 @@
-"""Records from real sources: each is read in a thread of its own, and one hand writes."""
+"""Recording from real sources: each is read in its own thread, and one thread writes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 from tapetum.errors import InputError
 from tapetum.interrupts import interruptible
@@ -21,7 +20,7 @@ __all__ = ["Captured", "capture"]
 
 @dataclass(frozen=True)
 class Captured:
-    """How one stream of a recording went: frames, frames known to be lost, and why it ended before its time."""
+    """Result of one stream: its frames, frames known to be lost, and the error that ended it early."""
 
     frames: int
     lost: int
@@ -36,39 +35,30 @@ def capture(
     progress: Progress = quiet,
     overwrite: bool = False,
 ) -> dict[str, Captured]:
-    """Record from several real sources at the same time, until all have ended, `seconds` are over, or Ctrl-C.
+    """Record from several sources at once, until all have ended, `seconds` are over, or Ctrl-C.
 
-    A source that fails ends its own stream; the others go on, and everything is kept. All times count from one start,
-    by one clock.
+    A source that fails ends its own stream; the others continue, and everything is kept. All times count from one start
+    by one clock. Returns the result of each stream.
 
     Parameters
     ----------
-    sources
-        What to record, by the stream's name (`probe`, `target`).
-    out
-        The recording's folder, by custom `NAME.rec`.
+    sources, out
+        Sources by stream name (`probe`, `target`), and the recording's folder, usually `NAME.rec`.
     seconds
         Length; None records until the sources end or Ctrl-C is pressed.
-    progress
-        Shows the frames.
-    overwrite
-        Whether a recording at `out` may be replaced.
-
-    Returns
-    -------
-    dict
-        How each stream went.
+    progress, overwrite
+        Shown over the frames; and whether a recording at `out` may be replaced.
 
     Raises
     ------
     InputError
-        When the disk is full, something stands at `out`, or not one source gave a frame.
+        When the disk is full, something exists at `out`, or no source gave a frame.
     """
     stop = threading.Event()
     try:
         readers = {name: Reader(source, seconds, stop) for name, source in sources.items()}
     except InputError:
-        # One that gives no first frame: no thread has the others yet.
+        # One gave no first frame; no thread reads the others yet.
         for source in sources.values():
             source.close()
         raise
@@ -77,7 +67,7 @@ def capture(
     counts = dict.fromkeys(sources, 0)
     try:
         with RecordingWriter(
-            Path(out),
+            out,
             streams={name: reader.info for name, reader in readers.items()},
             rate=float(rates[0]) if rates else 15.0,
             hardware={name: source.hardware for name, source in sources.items()},
@@ -91,16 +81,7 @@ def capture(
                     if (fault := _unfit(readers[name], frame)) is not None:
                         readers[name].end(fault)
                         continue
-                    assert frame.monotonic_ns is not None and frame.utc_ns is not None
-                    writer.write(
-                        name,
-                        frame.image,
-                        monotonic_ns=frame.monotonic_ns,
-                        utc_ns=frame.utc_ns,
-                        dropped_before=frame.lost,
-                        exposure=frame.exposure,
-                        lit=frame.lit,
-                    )
+                    writer.add(name, frame)
                     counts[name] += 1
             if not any(counts.values()):
                 faults = [reader.fault for reader in readers.values() if reader.fault]
@@ -109,7 +90,7 @@ def capture(
         stop.set()
         for reader in readers.values():
             if reader.thread.ident:
-                # A camera whose last read never comes back stays open: its thread alone may close it.
+                # A camera whose last read never returns stays open: only its thread may close it.
                 reader.thread.join(PATIENCE)
             else:
                 reader.source.close()
@@ -117,7 +98,7 @@ def capture(
 
 
 def _unfit(reader: Reader, frame: Frame) -> InputError | None:
-    """Say why a frame does not belong to its source's stream; None where it does."""
+    """Return the error of a frame whose format is not its stream's, else None."""
     info, (height, width) = reader.info, frame.image.shape
     given = (height, width, frame.image.dtype, frame.full_scale)
     if given == (info.height, info.width, info.dtype, info.full_scale):

@@ -1,13 +1,13 @@
-"""Two streams, two cameras, one clock: which frames of the one lie around each frame of the other."""
+"""Alignment of two streams in time: the frames of one around each frame of the other."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
 
 import numpy as np
 
 from tapetum.errors import InputError
+from tapetum.record.layout import iso
 from tapetum.record.recording import Recording
 
 __all__ = ["Joined", "join"]
@@ -20,14 +20,13 @@ class Joined:
     Attributes
     ----------
     before, after
-        Index of the frame of the other stream at or before, and after, each frame; -1 where there is none
-        near enough. [N] int64.
+        [N] index of the other stream's frame at or before, and after, each frame; -1 where none is near enough.
     weight
-        How far the frame lies from `before` (0) to `after` (1); 0 where there is none. [N] float64.
+        [N] position of the frame between `before` (0) and `after` (1); 0 without them.
     gap
-        Time to the nearer of the two in seconds; infinite where there is none. [N] float64.
+        [N] time to the nearer of the two in seconds; infinite without them.
     times
-        Of the other stream's frames, in seconds from the first. [M] float64.
+        [M] of the other stream's frames, in seconds from the first.
     """
 
     before: np.ndarray
@@ -45,86 +44,64 @@ class Joined:
         return len(self.before)
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
-        """Carry values of the other stream's frames over, along a smooth path in time.
+        """Interpolate values [M] or [M, K] of the other stream's frames at each frame of this one: [N] or [N, K].
 
-        The cubic through the two frames on either side, where there are four and no gap is more than twice the middle
-        one: a straight line would cut the corners of a hand's path, by an eighth of its acceleration times the square
-        of the frame interval. A straight line where there are not.
-
-        Parameters
-        ----------
-        values
-            [M] or [M, K], a value for every frame of the other stream.
-
-        Returns
-        -------
-        numpy.ndarray
-            [N] or [N, K] float64; NaN where a frame has no neighbours, or one that counts has NaN.
+        The cubic through the two frames on either side is used if there are four and no gap is more than twice the
+        middle one; a straight line would be off by an eighth of the acceleration times the frame interval squared.
+        Elsewhere a straight line is used; NaN without neighbours, or where one of them is NaN.
         """
         given = np.asarray(values, np.float64)
-        out = np.full((len(self), *given.shape[1:]), np.nan)
-        there = self.found
-        before, after, weight = self.before[there], self.after[there], self.weight[there]
-        wide = weight.reshape(-1, *[1] * (given.ndim - 1))
-        # A neighbour of weight 0 does not count: its NaN must not spread.
-        out[there] = np.where(wide > 0, (1 - wide) * given[before] + wide * given[after], given[before])
+        frames, straight, cubic, _ = self._shares()
 
-        inside = self._curved(before, after, weight)
-        four = np.stack([before - 1, before, after, after + 1])[:, inside]
-        times, place = self.times[four], weight[inside]
-        moment = times[1] + place * (times[2] - times[1])
-        shares = np.ones_like(times)
-        for k in range(4):
-            for other in range(4):
-                if other != k:
-                    shares[k] *= (moment - times[other]) / (times[k] - times[other])
-        curve = (shares.reshape(4, -1, *[1] * (given.ndim - 1)) * given[four]).sum(axis=0)
-        known = np.isfinite(curve).all(axis=tuple(range(1, curve.ndim)))
-        out[np.flatnonzero(there)[inside][known]] = curve[known]
+        def mixed(shares: np.ndarray) -> np.ndarray:
+            shares = shares.reshape(*shares.shape, *[1] * (given.ndim - 1))
+            # A NaN with weight 0 must not spread.
+            return np.where(shares != 0, shares * given[frames], 0).sum(axis=1)
+
+        out = np.full((len(self), *given.shape[1:]), np.nan)
+        curve = mixed(cubic)
+        known = np.isfinite(curve).all(axis=tuple(range(1, curve.ndim)), keepdims=True)
+        out[self.found] = np.where(known, curve, mixed(straight))
         return out
 
-    def _curved(self, before: np.ndarray, after: np.ndarray, weight: np.ndarray) -> np.ndarray:
-        """Whether the two frames beyond the neighbours count too, [n] bool."""
-        inside = (weight > 0) & (before > 0) & (after < len(self.times) - 1)
-        four = np.stack([before - 1, before, after, after + 1])[:, inside]
-        gap = np.diff(self.times[four], axis=0)
-        inside[inside] = (gap[[0, 2]] <= 2 * gap[1]).all(axis=0)
-        return inside
+    def _shares(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Return the four frames about each frame with neighbours, their linear and cubic weights, and its time."""
+        before, after, weight = (one[self.found] for one in (self.before, self.after, self.weight))
+        frames = np.stack([before - 1, before, after, after + 1], axis=1).clip(0, len(self.times) - 1)
+        times = self.times[frames]
+        gap = np.diff(times, axis=1)
+        moment = times[:, 1] + weight * gap[:, 1]
+        straight = np.stack([0 * weight, 1 - weight, weight, 0 * weight], axis=1)
+        curved = (weight > 0) & (before > 0) & (after < len(self.times) - 1)
+        curved &= (gap[:, [0, 2]] <= 2 * gap[:, 1:2]).all(axis=1)
+        cubic, known = straight.copy(), times[curved]
+        for k in range(4):
+            others = np.delete(known, k, axis=1)
+            cubic[curved, k] = ((moment[curved, None] - others) / (known[:, k : k + 1] - others)).prod(axis=1)
+        return frames, straight, cubic, moment
 
     def reach(self) -> np.ndarray:
-        """How far `interpolate` reaches back and ahead of each frame, [N, 2] in seconds; NaN without neighbours.
+        """Return how far `interpolate` reaches back and ahead of each frame, [N, 2] in seconds; NaN without neighbours.
 
-        To the farthest frame of the other stream that has a say, and half a frame interval more for its exposure.
+        It reaches to the farthest frame used, plus half a frame interval for its exposure.
         """
         out = np.full((len(self), 2), np.nan)
-        there = self.found
-        before, after, weight = self.before[there], self.after[there], self.weight[there]
-        curved = self._curved(before, after, weight)
-        moment = self.times[before] + weight * (self.times[after] - self.times[before])
-        first, last = before - curved, np.where(weight > 0, after, before) + curved
+        frames, _, cubic, moment = self._shares()
+        used, times = cubic != 0, self.times[frames]
+        first, last = np.where(used, times, np.inf).min(axis=1), np.where(used, times, -np.inf).max(axis=1)
         half = np.median(np.diff(self.times)) / 2 if len(self.times) > 1 else 0.0
-        out[there] = np.stack([moment - self.times[first], self.times[last] - moment], axis=1) + half
+        out[self.found] = np.stack([moment - first, last - moment], axis=1) + half
         return out
-
-
-def span(times: np.ndarray) -> str:
-    """Return first and last moment (ns UTC) for a message."""
-    ends = (datetime.fromtimestamp(int(value) / 1e9, UTC) for value in (times[0], times[-1]))
-    return " to ".join(moment.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z" for moment in ends)
 
 
 def rising(recording: Recording, stream: str) -> np.ndarray:
-    """Return a stream's UTC in ns, [N] int64, checked to be usable."""
+    """Return a stream's UTC in ns, [N] int64; raise an InputError when it is empty or does not rise."""
     times = recording.utc_ns(stream)
     if not len(times):
         raise InputError(f"stream {stream} holds no frames", where=recording.path, remedy="record again")
-    back = np.flatnonzero(np.diff(times) <= 0)
-    if len(back):
-        raise InputError(
-            f"UTC of stream {stream} does not rise at frame {back[0] + 1} (its clock was set meanwhile)",
-            where=recording.path,
-            remedy="record again with the clock left alone",
-        )
+    if len(back := np.flatnonzero(np.diff(times) <= 0)):
+        what = f"UTC of stream {stream} does not rise at frame {back[0] + 1} (its clock was set meanwhile)"
+        raise InputError(what, where=recording.path, remedy="record again with the clock left alone")
     return times
 
 
@@ -140,31 +117,26 @@ def join(
 
     Parameters
     ----------
-    recording
-        The recording with both streams.
-    onto
-        The stream whose every frame gets an answer.
-    other
-        The stream in which to look.
+    recording, onto, other
+        The recording, the stream whose frames get neighbours, and the stream to search.
     tolerance
-        Farthest that the nearer neighbour may be, in seconds; by default 0.75 of the other stream's median
-        frame interval, so that a lone lost frame is bridged except in the middle of its gap.
+        Largest distance to the nearer neighbour in seconds; by default 0.75 of the other stream's median frame
+        interval, which bridges a single lost frame except in the middle of its gap.
     offset
         Seconds to add to the other stream's UTC, where its clock is known to be wrong.
 
     Raises
     ------
     InputError
-        When a stream is missing or empty, its UTC does not rise, or the two do not overlap at all.
+        When a stream is missing or empty, its UTC does not rise, or the two do not overlap.
     """
     wanted = rising(recording, onto)
     there = rising(recording, other) + round(offset * 1e9)
     if there[-1] < wanted[0] or there[0] > wanted[-1]:
-        raise InputError(
-            f"the clocks of {onto} and {other} do not overlap: {span(wanted)} and {span(there)}",
-            where=recording.path,
-            remedy="set both cameras by one clock and record again, or give the offset between them",
-        )
+        first, last, begin, end = (iso(int(one), "milliseconds") for one in (*wanted[[0, -1]], *there[[0, -1]]))
+        what = f"the clocks of {onto} and {other} do not overlap: {first} to {last} and {begin} to {end}"
+        remedy = "set both cameras by one clock and record again, or give the offset between them"
+        raise InputError(what, where=recording.path, remedy=remedy)
     period = float(np.median(np.diff(there))) if len(there) > 1 else 1e9 / float(recording.streams[other].rate or 15)
     limit = 0.75 * period if tolerance is None else tolerance * 1e9
     after = np.searchsorted(there, wanted, side="right")
@@ -176,10 +148,5 @@ def join(
     gap = np.where(inside, np.minimum(wanted - low, high - wanted), np.inf)
     inside &= gap <= limit
     weight = np.where(inside, (wanted - low) / np.maximum(high - low, 1), 0.0)
-    return Joined(
-        before=np.where(inside, before, -1),
-        after=np.where(inside, after, -1),
-        weight=weight,
-        gap=np.where(inside, gap, np.inf) / 1e9,
-        times=(there - there[0]) / 1e9,
-    )
+    before, after = np.where(inside, before, -1), np.where(inside, after, -1)
+    return Joined(before, after, weight, np.where(inside, gap, np.inf) / 1e9, (there - there[0]) / 1e9)

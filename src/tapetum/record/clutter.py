@@ -1,8 +1,8 @@
-"""Things in the probe's frame that are no camera: a glint, a lamp, retro-reflective tape.
+"""Objects in the probe's frame that are not cameras: a glint, a lamp, retro-reflective tape.
 
-The probe is focused at infinity: a thing at a distance d that sends light over its whole aperture D makes a disc of
-D f_p/d on its sensor, whatever its own size. What looks small beside a retro-reflection is far away, or sends its light
-back in a narrow beam.
+The probe is focused at infinity: an object at a distance d that fills its aperture D with light makes a disc of D f_p/d
+on its sensor, whatever its own size. Objects that look small beside a retro-reflection are far away, or return a narrow
+beam.
 """
 
 from __future__ import annotations
@@ -19,60 +19,69 @@ import numpy.typing as npt
 from tapetum.bench import Scene
 from tapetum.errors import InputError
 from tapetum.record.motion import Waves
-from tapetum.record.patch import Patch
+from tapetum.record.patch import Patch, bell
 
-__all__ = ["Clutter", "Glint", "Lamp", "Painter", "Stage", "Tape", "draw_clutter"]
+__all__ = ["Clutter", "Glint", "Lamp", "Painter", "Stage", "Tape", "Thing", "draw_clutter"]
 
 Array = npt.NDArray[np.float64]
 Painter = Callable[[int], Patch]
 
 
+class Thing:
+    """Light added to the probe's frames; `positive` names the fields that must be positive where given."""
+
+    positive: ClassVar[tuple[str, ...]] = ("electrons", "size", "distance")
+
+    def __post_init__(self) -> None:
+        for name in self.positive:
+            given = getattr(self, name)
+            for value in given if isinstance(given, tuple) else (given,):
+                if value is not None and not (math.isfinite(value) and value > 0):
+                    where = f"{type(self).__name__.lower()}.{name}"
+                    raise InputError(f"must be positive, is {value}", where=where, remedy="give electrons or metres")
+
+
 @dataclass(frozen=True)
 class Stage:
-    """Where and when clutter is filmed: the scene, [T] seconds of the frames, [T, 2] metres of the target's place."""
+    """The scene, [T] times of the frames in seconds, and [T, 2] sideways place of the target in metres."""
 
     scene: Scene
     times: Array
     place: Array
 
     def pixels(self, length: float, distance: float) -> float:
-        """How many pixels a length at a distance covers, both in metres."""
+        """Return how many pixels a length at a distance covers, both in metres."""
         probe = self.scene.probe
         return length * probe.lens.focal_length / distance / probe.sensor.pitch
 
     def blur(self, distance: float) -> float:
-        """Diameter of the disc that a point at a distance makes, in pixels."""
+        """Return the diameter of the disc that a point at a distance makes, in pixels."""
         return self.pixels(2 * self.scene.probe.lens.aperture_radius, distance)
 
     def where(self, at: tuple[float, float]) -> Array:
-        """Pixel [2] of a place in fractions of the frame."""
+        """Return the pixel [2] of a place in fractions of the frame."""
         size = np.array(self.scene.probe.sensor.pixels)
         return (size - 1) / 2 + np.array(at) * size
 
 
 @dataclass(frozen=True)
-class Glint:
-    """The laser in a small flat facet, as of a screw or a ring: a blob that moves by itself and twinkles.
+class Glint(Thing):
+    """Reflection of the laser in a small flat facet, as of a screw or a ring: a blob that moves by itself and twinkles.
 
     Parameters
     ----------
-    at
-        Its mean place in the probe's picture, in fractions of the frame from the middle.
-    electrons
-        At its middle when it is brightest, in the scene's exposure.
+    at, electrons
+        Mean place in the probe's image, in fractions of the frame from the middle, and peak electrons at the blob's
+        middle in the scene's exposure.
     facet
-        Diameter of the facet, in metres. Its beam comes back about as wide: the blob is a normal distribution as wide
-        as the beam's spread f_p facet/d and its diffraction λ f_p/facet together (assumed; full width at half maximum).
-    distance
-        From the probe, in metres; None for the target's.
-    parallax
-        How much of the target's sideways motion it shares.
-    sway
-        Root mean square of a motion of its own, in metres.
-    sway_band
-        Its frequencies, in Hz, and those of the twinkling.
+        Diameter of the facet, in metres. The blob is a Gaussian whose width combines the beam's spread f_p facet/d and
+        its diffraction λ f_p/facet (assumed; full width at half maximum).
+    distance, parallax
+        From the probe, in metres, None for the target's; and its share in the target's sideways motion.
+    sway, sway_band
+        RMS of its own motion, in metres, and the frequencies of this and of the twinkling, in Hz.
     twinkle
-        How far its facet turns, in widths of its beam at the probe (root mean square): 0 for a steady one.
+        RMS rotation of the facet, in widths of its beam at the probe: 0 for a steady one.
     """
 
     at: tuple[float, float]
@@ -84,12 +93,10 @@ class Glint:
     sway_band: tuple[float, float] = (0.05, 0.6)
     twinkle: float = 0.7
     of_laser: ClassVar[bool] = True
-
-    def __post_init__(self) -> None:
-        _check(self, electrons=self.electrons, facet=self.facet, distance=self.distance)
+    positive: ClassVar[tuple[str, ...]] = ("electrons", "facet", "distance")
 
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
-        """What it adds to each frame."""
+        """Return a function that paints its light in a frame."""
         distance = stage.scene.distance if self.distance is None else self.distance
         probe, wavelength = stage.scene.probe, stage.scene.illumination.wavelength
         diffraction = wavelength * probe.lens.focal_length / self.facet / probe.sensor.pitch
@@ -98,36 +105,22 @@ class Glint:
         places = stage.where(self.at) + stage.pixels(1.0, distance) * moved
         bright = np.exp(-((self.twinkle * Waves.draw(rng, self.sway_band)(stage.times)) ** 2).sum(axis=1) / 2)
         reach = math.ceil(4.5 * sigma)
-
-        def paint(i: int) -> Patch:
-            left, top = (int(one) - reach for one in np.rint(places[i]))
-            x, y = (np.arange(2 * reach + 1) + c - p for c, p in zip((left, top), places[i], strict=True))
-            across, down = (np.exp(-(v**2) / (2 * sigma**2)) for v in (x, y))
-            light = self.electrons * bright[i] * down[:, None] * across
-            return Patch(left, top, light.astype(np.float32))
-
-        return paint
+        return lambda i: bell(places[i], self.electrons * bright[i], sigma, reach)
 
 
 @dataclass(frozen=True)
-class Lamp:
-    """A lamp far behind the target: a large soft disc that knows nothing of the laser.
+class Lamp(Thing):
+    """A lamp far behind the target: a large soft disc, independent of the laser.
 
     Parameters
     ----------
-    at
-        Its place in the probe's picture, in fractions of the frame from the middle.
-    electrons
-        On the disc, in the scene's exposure: above the full well it saturates.
-    size
-        Its diameter, in metres.
-    distance
-        From the probe, in metres. The disc is the probe's blur, its edge as soft as the lamp is large (by rays, the
-        edge taken as straight).
-    flicker
-        Relative amplitude of its light at twice the mains' frequency: some 0.1 for a filament, up to 1 for a poor LED.
-    mains
-        Frequency of the mains, in Hz.
+    at, electrons
+        Its place, as of a `Glint`, and electrons on the disc in the scene's exposure: above the full well it saturates.
+    size, distance
+        Its diameter and distance from the probe, in metres. The disc is the probe's blur; its edge is as soft as the
+        lamp is large (geometric optics, straight edge).
+    flicker, mains
+        Relative amplitude of its light at twice the mains' frequency (Hz): some 0.1 for a filament, up to 1 for an LED.
     """
 
     at: tuple[float, float]
@@ -138,11 +131,8 @@ class Lamp:
     mains: float = 50.0
     of_laser: ClassVar[bool] = False
 
-    def __post_init__(self) -> None:
-        _check(self, electrons=self.electrons, size=self.size, distance=self.distance)
-
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
-        """What it adds to each frame."""
+        """Return a function that paints its light in a frame."""
         blur, image = stage.blur(self.distance), max(1.0, stage.pixels(self.size, self.distance))
         inner, outer = abs(blur - image) / 2, (blur + image) / 2
         places, reach = stage.where(self.at), math.ceil(outer) + 1
@@ -156,24 +146,20 @@ class Lamp:
 
 
 @dataclass(frozen=True)
-class Tape:
+class Tape(Thing):
     """Retro-reflective tape, as on a safety vest: a speckled patch that follows the laser.
 
     Parameters
     ----------
-    at
-        Its mean place in the probe's picture, in fractions of the frame from the middle.
-    electrons
-        Mean on the patch, in the scene's exposure.
-    size
-        Width and height, in metres.
-    angle
-        By which it is turned, in radians from x to y.
+    at, electrons
+        Its mean place, as of a `Glint`, and mean electrons on the patch in the scene's exposure.
+    size, angle
+        Width and height in metres, and rotation in radians from x to y.
     distance
         From the probe, in metres. The patch is its image, blurred by the probe's disc: the return of beads or prisms is
         wider than the probe's aperture (assumed).
     sway, sway_band
-        Root mean square of its motion, in metres, and its frequencies in Hz. Its speckle moves along (assumed).
+        RMS of its motion, in metres, and its frequencies in Hz. Its speckle moves along (assumed).
     """
 
     at: tuple[float, float]
@@ -185,11 +171,8 @@ class Tape:
     sway_band: tuple[float, float] = (0.05, 0.6)
     of_laser: ClassVar[bool] = True
 
-    def __post_init__(self) -> None:
-        _check(self, electrons=self.electrons, width=self.size[0], height=self.size[1], distance=self.distance)
-
     def prepare(self, stage: Stage, rng: np.random.Generator) -> Painter:
-        """What it adds to each frame."""
+        """Return a function that paints its light in a frame."""
         blur = stage.blur(self.distance)
         size = [stage.pixels(one, self.distance) for one in self.size]
         reach = math.ceil((math.hypot(*size) + blur) / 2) + 2
@@ -200,12 +183,8 @@ class Tape:
         patch = blurred(patch, blur)
         probe = stage.scene.probe
         grain = stage.scene.illumination.wavelength * probe.lens.focal_length / (2 * probe.lens.aperture_radius)
-        light = (
-            self.electrons
-            * patch
-            / max(float(patch.max()), 1e-9)
-            * _speckle(patch.shape, grain / probe.sensor.pitch, rng)
-        )
+        shape = self.electrons * patch / max(float(patch.max()), 1e-9)
+        light = shape * _speckle(patch.shape, grain / probe.sensor.pitch, rng)
         moved = self.sway * Waves.draw(rng, self.sway_band)(stage.times)
         # Whole pixels: a speckle is about as large as one.
         corner = np.rint(stage.where(self.at) + stage.pixels(1.0, self.distance) * moved).astype(int) - reach
@@ -216,18 +195,15 @@ Clutter = Glint | Lamp | Tape
 
 
 def draw_clutter(scene: Scene, seed: int, count: int = 3) -> tuple[Clutter, ...]:
-    """Glints, lamps and tape at random places of the probe's frame.
+    """Return glints, lamps and tape at random places of the probe's frame.
 
     Parameters
     ----------
     scene
-        Whose probe decides how bright and how far away they are: glints up to some half of its full well, tape up to a
-        seventh, lamps from a third of it up to four times; lamps and tape so far that each takes a tenth to some half
-        of the frame's height (assumed).
-    seed
-        The same one gives the same things; a larger `count` adds to them.
-    count
-        How many.
+        Its probe sets brightness and distance: glints up to half of its full well, tape up to a seventh, lamps from a
+        third to four times; lamps and tape cover a tenth to half of the frame's height (assumed).
+    seed, count
+        Equal seeds give equal objects; a larger count adds to them.
     """
     return tuple(_draw_one(scene, np.random.default_rng([seed, 0xC1, number])) for number in range(count))
 
@@ -252,7 +228,7 @@ def _draw_one(scene: Scene, rng: np.random.Generator) -> Clutter:
 
 
 def blurred(picture: npt.NDArray[np.float32], diameter: float) -> npt.NDArray[np.float32]:
-    """A picture convolved with a disc of a diameter in pixels; beyond the picture there is no light."""
+    """Return an image convolved with a disc of a diameter in pixels, dark beyond its edges."""
     if diameter < 1:
         return picture
     reach = math.ceil(diameter / 2)
@@ -263,7 +239,7 @@ def blurred(picture: npt.NDArray[np.float32], diameter: float) -> npt.NDArray[np
 
 
 def _speckle(shape: tuple[int, ...], grain: float, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Fully developed speckle of mean 1 with grains `grain` pixels wide, as pixels average it."""
+    """Return fully developed speckle of mean 1 with grains `grain` pixels wide, averaged over pixels."""
     finer = max(1, math.ceil(2 / grain))
     size = (finer * shape[0], finer * shape[1])
     parts = [rng.standard_normal(size, dtype=np.float32) for _ in range(2)]
@@ -271,10 +247,3 @@ def _speckle(shape: tuple[int, ...], grain: float, rng: np.random.Generator) -> 
     light = parts[0] ** 2 + parts[1] ** 2
     light = light.reshape(shape[0], finer, shape[1], finer).mean(axis=(1, 3))
     return (light / light.mean()).astype(np.float32)
-
-
-def _check(piece: object, **values: float | None) -> None:
-    for name, value in values.items():
-        if value is not None and not (math.isfinite(value) and value > 0):
-            where = f"{type(piece).__name__.lower()}.{name}"
-            raise InputError(f"must be positive, is {value}", where=where, remedy="give electrons or metres")

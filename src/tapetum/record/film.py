@@ -1,17 +1,20 @@
-"""The virtual bench: films a scene as two cameras with clocks of their own would."""
+"""The virtual bench: films a scene with two cameras, each with its own clock."""
 
 from __future__ import annotations
 
+import heapq
 import os
+from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 from tapetum.bench import Scene, as_scene
 from tapetum.progress import Progress, quiet
 from tapetum.record.beats import CameraClock
-from tapetum.record.recording import Recording, StreamInfo, open_recording
+from tapetum.record.layout import StreamInfo
+from tapetum.record.recording import Recording, open_recording
 from tapetum.record.session import Placed, Session
-from tapetum.record.shot import Shot, probe_frames
+from tapetum.record.shot import BenchCamera, Shot, probe_frames
+from tapetum.record.source import Frame
 from tapetum.record.writer import RecordingWriter
 
 __all__ = ["CameraClock", "Placed", "Session", "film", "probe_frames", "without_second_beam"]
@@ -25,64 +28,50 @@ def film(
     progress: Progress = quiet,
     overwrite: bool = False,
 ) -> Recording:
-    """Film a hand-held target on the virtual bench, as a recording with two streams and the bench's truth beside.
+    """Film a hand-held target on the virtual bench: a recording with two streams and the bench's truth.
 
     Parameters
     ----------
-    scene
-        What stands on the bench, or its name or path; the target's rotation is the hand's.
-    out
-        The recording's folder, by custom `NAME.rec`.
-    session
-        Length, motion, clocks, light, surroundings and seed.
+    scene, session
+        The scene, or its name or path (the target's rotation is the hand's); and length, motion, clocks, light,
+        surroundings and seed.
+    out, overwrite
+        The recording's folder, usually `NAME.rec`, and whether a recording there may be replaced.
     progress
-        Shows the frames.
-    overwrite
-        Whether a recording at `out` may be replaced.
+        Shown over the frames.
 
     Raises
     ------
     InputError
-        For a session without frames, a full disk, an existing recording, or what cannot be simulated.
+        For a session without frames, a full disk, an existing recording, or an unsupported scene.
     """
-    scene, session = as_scene(scene), session or Session()
-    shot = Shot(scene, session)
-    # First of all: what cannot be simulated is refused before anything is written.
+    shot = Shot(as_scene(scene), session or Session())
+    # Refuses unsupported scenes before anything is written.
     truth = shot.truth()
-    start_ns = int(session.start.timestamp()) * 10**9
-    probe, (columns, rows) = scene.probe.sensor, shot.picture
-    streams = {
-        "probe": StreamInfo(probe.pixels[1], probe.pixels[0], probe.bits, 2**probe.bits - 1, session.rate),
-        "target": StreamInfo(rows, columns, 8, 255, session.rate),
-    }
-    pictures = {"probe": shot.probe, "target": shot.target}
-    clocks = {"probe": session.probe_clock, "target": session.target_clock}
-    order = sorted((t, name, i) for name, beat in shot.beats.items() for i, t in enumerate(beat.times))
     writer = RecordingWriter(
-        Path(out),
-        streams=streams,
-        rate=session.rate,
+        out,
+        streams={name: StreamInfo.of(camera) for name, camera in shot.cameras.items()},
+        rate=shot.session.rate,
         hardware={"bench": "virtual (simulated)", "probe": "simulated", "target": "simulated"},
         extra=shot.parameters(),
-        start_utc_ns=start_ns,
+        start_utc_ns=shot.session.start_ns,
         overwrite=overwrite,
     )
     with writer:
-        for t, name, i in progress(order, "filming", total=len(order)):
-            writer.write(
-                name,
-                pictures[name](i, i + 1)[0],
-                monotonic_ns=round((t + 1e3) * (1 + clocks[name].drift) * 1e9),
-                utc_ns=start_ns + round(t * 1e9),
-                dropped_before=int(shot.beats[name].dropped_before[i]),
-                exposure=shot.exposure(name, i),
-                lit=shot.lit(name, i),
-            )
+        cameras = shot.cameras.values()
+        frames = heapq.merge(*map(_named, cameras), key=lambda one: (one[1].utc_ns, one[0]))
+        for stream, frame in progress(frames, "filming", total=sum(map(len, cameras))):
+            writer.add(stream, frame)
     recording = open_recording(out)
     recording.write_truth(truth)
     return recording
 
 
+def _named(camera: BenchCamera) -> Iterator[tuple[str, Frame]]:
+    for frame in camera:
+        yield camera.name, frame
+
+
 def without_second_beam(scene: Scene) -> Scene:
-    """The same scene with an ideal beam splitter."""
+    """Return the same scene with an ideal beam splitter."""
     return replace(scene, illumination=replace(scene.illumination, second_beam=None))

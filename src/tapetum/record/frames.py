@@ -1,4 +1,4 @@
-"""One way to open frames, wherever they are: a camera, a folder of images, an image, a recording or a video."""
+"""Opening of frames from a camera, a folder of images, an image, a recording or a video."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RATE = 15.0
 def open_frames(
     source: str | os.PathLike[str], stream: str = "probe", *, rate: float | None = None, late: bool = False
 ) -> Source:
-    """Open frames.
+    """Open frames; stored ones can be iterated again.
 
     Parameters
     ----------
@@ -27,29 +27,23 @@ def open_frames(
         A camera of this machine (`camera:0`), a folder of images (in natural order; 8 or 16 bit; colour becomes grey),
         one image file, a `NAME.rec` folder, or a video file.
     stream
-        Which stream of a recording; nothing else has several.
+        Stream of a recording.
     rate
-        Frames per second to ask a camera for, or to count images by (15 where left out), which have no clock.
+        Frames per second to request from a camera, or that time images (15 by default), which have no clock.
     late
-        Whether a video that was cut short gives its readable frames before it raises.
-
-    Returns
-    -------
-    Source
-        An iterable of `Frame`; what is on disk can be iterated again.
+        Whether a truncated video gives its readable frames before it raises.
 
     Raises
     ------
     InputError
         When nothing is there, the camera is in use, the folder holds no image, or the file is damaged or of an unknown
-        type. Images are read one by one, so that a damaged one raises when its turn comes.
+        type. Images are read one by one, so that a damaged one raises at its turn.
     """
     if is_camera(str(source)):
         return Camera(str(source), rate)
     place = existing(source)
     if is_recording(place):
-        found = open_recording(place).source(stream)
-        return replace(found, late=late)
+        return replace(open_recording(place).source(stream), late=late)
     if place.is_dir() or place.suffix.lower() in IMAGE_SUFFIXES:
         return ImageSource.from_path(place, rate or _RATE)
     return VideoSource.from_path(place, late=late)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import functools
 import os
 import re
 import threading
@@ -33,9 +34,9 @@ def natural_key(name: str) -> list[tuple[int, str]]:
 
 @contextlib.contextmanager
 def hushed() -> Iterator[None]:
-    """Keep OpenCV from writing about broken files to standard error: the InputError says it.
+    """Silence OpenCV's messages about broken files on standard error, since an InputError reports them.
 
-    The level is the whole program's: the first thread to enter silences it, the last one to leave sets it back.
+    The log level is global: the first thread to enter sets it, the last one to leave restores it.
     """
     with _hushing:
         if not _hush["depth"]:
@@ -52,11 +53,7 @@ def hushed() -> Iterator[None]:
 
 
 def cut_short(data: bytes) -> bool:
-    """Return whether a PNG, JPEG or BMP lacks its end.
-
-    Looked at before decoding: libpng and libjpeg print about it, and some versions of OpenCV fill the rest
-    with grey.
-    """
+    """Return whether a PNG, JPEG or BMP lacks its end, which some versions of OpenCV fill with grey."""
     if data.startswith(b"\x89PNG\r\n\x1a\n"):
         return b"IEND" not in data[-64:]
     if data.startswith(b"\xff\xd8\xff"):
@@ -68,7 +65,7 @@ def cut_short(data: bytes) -> bool:
 
 
 def pnm_maximum(data: bytes) -> int | None:
-    """Return the maximum sample value that the header of a PGM or PPM states, None for any other file."""
+    """Return the maximum sample value in the header of a PGM or PPM; None for any other file."""
     if data[:2] not in (b"P2", b"P3", b"P5", b"P6"):
         return None
     header = re.sub(rb"#[^\n\r]*", b"", data[:4096])
@@ -87,26 +84,11 @@ def to_grey(image: np.ndarray) -> np.ndarray:
 
 
 def read_image(path: str | os.PathLike[str], page: int = 0) -> tuple[np.ndarray, int]:
-    """Read one image file as grey.
+    """Return an image file as grey [H, W], uint8 or uint16, and its digital number of saturation.
 
-    Parameters
-    ----------
-    path
-        A file with one of `IMAGE_SUFFIXES`.
-    page
-        Which picture of a TIFF of several, from 0.
-
-    Returns
-    -------
-    image
-        [H, W], uint8 or uint16. Colour becomes luma; orientation tags are ignored: pixels are the sensor's.
-    full_scale
-        Digital number of saturation: what a PGM's header states, else 255 or 65535.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, is cut short or damaged, or holds other than 8 or 16 bit samples.
+    `page` chooses an image of a TIFF, from 0. Colour becomes luma; orientation tags are ignored. Saturation is the
+    maximum in a PGM's header, else 255 or 65535. Raises an InputError when the file is unreadable, truncated, damaged,
+    or not 8 or 16 bit.
     """
     file = Path(path)
     try:
@@ -130,12 +112,12 @@ def read_image(path: str | os.PathLike[str], page: int = 0) -> tuple[np.ndarray,
     if image.dtype not in (np.uint8, np.uint16):
         raise InputError(f"holds {image.dtype} samples", where=file, remedy="save it with 8 or 16 bit")
     stated = pnm_maximum(data)
-    # Pictures of 1 bit and palettes are spread over the whole byte: the type's own range holds for them.
+    # OpenCV scales 1-bit and palette images to the whole byte.
     return to_grey(image), stated if stated else full_scale_of(image.dtype)
 
 
 def count_pages(file: Path) -> int:
-    """Return how many pictures a TIFF holds (1 for a damaged one: reading it tells what is wrong)."""
+    """Return the number of images in a TIFF; 1 for a damaged one, whose reading raises the error."""
     with hushed(), contextlib.suppress(cv2.error):
         return max(1, cv2.imcount(str(file)))
     return 1
@@ -143,40 +125,24 @@ def count_pages(file: Path) -> int:
 
 @dataclass(frozen=True)
 class ImageSource(Stored):
-    """Image files as a source of frames. It has no clock: frames are counted at `rate`.
+    """Image `files`, in order, as a source of frames. Without a clock, frames are timed by `rate` (per second).
 
-    Attributes
-    ----------
-    files
-        The image files, in order.
-    name
-        What to call the source in a message.
-    rate
-        Frames per second that `Frame.time` is counted with.
+    `name` is what messages call the source.
     """
 
     files: tuple[Path, ...]
     name: str
     rate: float = 15.0
 
-    def __post_init__(self) -> None:
-        pages = [
-            (file, page)
-            for file in self.files
-            for page in range(count_pages(file) if file.suffix.lower() in TIFF_SUFFIXES else 1)
-        ]
-        object.__setattr__(self, "_pages", pages)
-        object.__setattr__(self, "_full_scale", None)
+    @functools.cached_property
+    def _pages(self) -> list[tuple[Path, int]]:
+        """The file of every image, and its page in it."""
+        pages = [(file, count_pages(file) if file.suffix.lower() in TIFF_SUFFIXES else 1) for file in self.files]
+        return [(file, page) for file, count in pages for page in range(count)]
 
     @classmethod
     def from_path(cls, path: str | os.PathLike[str], rate: float = 15.0) -> ImageSource:
-        """Make a source of one image file, or of all those in a folder, in natural order.
-
-        Raises
-        ------
-        InputError
-            When nothing is there, or the folder holds no image.
-        """
+        """Return a source of an image file, or of all in a folder in natural order; raise an InputError without any."""
         place = existing(path)
         if not place.is_dir():
             return cls((place,), str(place), rate)
@@ -193,15 +159,15 @@ class ImageSource(Stored):
     @property
     def count(self) -> int:
         """Number of frames."""
-        return len(self._pages)  # type: ignore[attr-defined]
+        return len(self._pages)
 
     @property
     def full_scale(self) -> int:
         """Digital number at which the first frame saturates; `Frame.full_scale` is right for every one."""
-        return read_image(*self._pages[0])[1]  # type: ignore[attr-defined]
+        return read_image(*self._pages[0])[1]
 
     def __iter__(self) -> Iterator[Frame]:
-        for index, (file, page) in enumerate(self._pages):  # type: ignore[attr-defined]
+        for index, (file, page) in enumerate(self._pages):
             image, full_scale = read_image(file, page)
             name = f"{file.name}[{page}]" if page else file.name
             yield Frame(index, index / self.rate, image, name, full_scale)

@@ -1,4 +1,4 @@
-"""The probe's light over time: its power, and a code of blinks by which two videos can be aligned."""
+"""The probe's light over time: its power, and a blink code that aligns two videos."""
 
 from __future__ import annotations
 
@@ -17,22 +17,18 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class BlinkCode:
-    """On and off of the laser: a word of bits, sent at the recording's start and again every so often.
+    """Blink code of the laser: a word of bits, sent once or periodically.
 
     Parameters
     ----------
     bit
-        How long a bit lasts, in seconds: two frames or more, so that each bit is seen whole.
-    bits
-        Length of the word, if it is drawn.
-    seed
-        Of the drawn word, which has no structure for other light to follow.
+        Duration of a bit in seconds: two frames or more, so that one frame lies wholly within each bit.
+    bits, seed
+        Length and seed of a random word, which other light does not resemble.
     word
-        The word itself, 1 for on, in place of a drawn one: (1, 0) blinks evenly.
-    start
-        When the first word begins, in seconds from the start.
-    every
-        From one word's start to the next one's, in seconds; None for a single word. Between words the laser is on.
+        The word itself, 1 for on, in place of a random one: (1, 0) blinks evenly.
+    start, every
+        Beginning of the first word, and period in seconds; None for a single word. Between words the laser is on.
     """
 
     bit: float = 0.2
@@ -56,16 +52,16 @@ class BlinkCode:
         """The word: 0 off, 1 on."""
         if self.word is not None:
             return self.word
-        # It starts with a flank at each end: on to off, and back.
+        # It begins and ends with off, for a flank at each end.
         drawn = np.random.default_rng([self.seed, 0x60DE]).integers(0, 2, max(0, self.bits - 2))
         return (0, *(int(one) for one in drawn), 0)
 
     def share(self, times: Array, exposure: float = 0.0) -> Array:
-        """Share of exposures about times [T] (seconds) in which the laser is on, [T] from 0 to 1."""
+        """Return the share [T] of exposures around times [T] (seconds) in which the laser is on."""
         if exposure <= 0:
             return np.array((*self.sent, 1), float)[self._index(times)]
         dark = (self._dark(times + exposure / 2) - self._dark(times - exposure / 2)) / exposure
-        # Differences of times round: an exposure wholly in the dark must see none.
+        # Rounded, so that an exposure wholly in the dark has a share of exactly 0.
         return 1 - np.clip(np.round(dark, 6), 0, 1)
 
     def _phase(self, times: Array) -> Array:
@@ -77,7 +73,7 @@ class BlinkCode:
         return np.where((index < 0) | (index >= len(self.sent)), len(self.sent), index)
 
     def _dark(self, times: Array) -> Array:
-        """Seconds without light since the first word began."""
+        """Return the seconds without light since the first word began."""
         off = np.r_[0.0, np.cumsum(1 - np.array(self.sent))] * self.bit
         words = 0.0 if self.every is None else np.maximum(0, np.floor((times - self.start) / self.every))
         return np.interp(self._phase(times), np.arange(len(off)) * self.bit, off) + words * off[-1]
@@ -85,19 +81,16 @@ class BlinkCode:
 
 @dataclass(frozen=True)
 class Exposure:
-    """How a camera's exposure, and with it all the light in a frame, changes over a recording.
+    """Changes of a camera's exposure, and of all the light in its frames, over a recording.
 
     Parameters
     ----------
     factor
-        Of the scene's exposure time, for the whole recording.
-    drift
-        Root mean square of its logarithm about that, as an automatic exposure makes it.
-    band
-        Frequencies of the drift, in Hz.
+        Exposure time relative to the scene's.
+    drift, band
+        RMS of its logarithm, as of an automatic exposure, and its frequencies in Hz.
     follow
-        How far an automatic exposure makes good what the target's distance does to diverging light: 0 not at all, 1
-        wholly.
+        How far an automatic exposure compensates the target's distance in diverging light, 0 to 1.
     """
 
     factor: float = 1.0
@@ -111,5 +104,5 @@ class Exposure:
             raise InputError(what, where="exposure", remedy="give a factor above 0, a drift from 0, a follow of 0 to 1")
 
     def at(self, times: Array, rng: np.random.Generator, light: Array | float = 1.0) -> Array:
-        """Factors of the scene's exposure at times [T] in seconds, for light [T] over the scene's that it follows."""
+        """Return exposures at times [T] (seconds) relative to the scene's, following relative light [T]."""
         return self.factor * light**-self.follow * np.exp(self.drift * Waves.draw(rng, self.band)(times)[:, 0])

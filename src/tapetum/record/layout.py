@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from dataclasses import dataclass
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -38,15 +39,10 @@ __all__ = [
     "write_table",
 ]
 
-# 2 knows exposure and laser of each frame.
+# Version 2 added exposure and laser of each frame.
 FORMAT, VERSION = "tapetum-recording", 2
-META, JOURNAL, FRAMES, LABELS, TRUTH = (
-    "recording.json",
-    "frames.journal",
-    "frames.parquet",
-    "labels.parquet",
-    "truth.parquet",
-)
+META, JOURNAL = "recording.json", "frames.journal"
+FRAMES, LABELS, TRUTH = "frames.parquet", "labels.parquet", "truth.parquet"
 SCHEMA = pa.schema(
     [
         ("stream", pa.string()),
@@ -64,18 +60,9 @@ _FIRST = 5
 
 @dataclass(frozen=True)
 class StreamInfo:
-    """What one stream of a recording holds.
+    """Format of one stream: frame size in pixels, bit depth 1 to 16 (uint8 up to 8, else uint16), and rate in frames/s.
 
-    Attributes
-    ----------
-    height, width
-        Size of a frame in pixels.
-    bits
-        Depth of the sensor's numbers, 1 to 16; up to 8 are kept as uint8, more as uint16.
-    full_scale
-        Digital number of saturation; by default 2^bits - 1.
-    rate
-        Nominal frames per second; by default the recording's.
+    `full_scale` is the digital number of saturation, by default 2^bits - 1; `rate` defaults to the recording's.
     """
 
     height: int
@@ -94,7 +81,7 @@ class StreamInfo:
 
     @classmethod
     def of(cls, source: Source) -> StreamInfo:
-        """Return what a recording of a source's frames would hold."""
+        """Return the format of a recording of a source's frames."""
         first = source.first()
         height, width = first.image.shape
         scale = int(first.full_scale or 0)
@@ -106,7 +93,7 @@ class StreamInfo:
         return np.dtype(np.uint8 if self.bits <= 8 else np.uint16)
 
 
-# No sensor has more pixels along an edge, and no camera is faster.
+# Generous limits of sensor size and frame rate.
 _Pixels = Annotated[int, Field(ge=1, le=2**20)]
 _Rate = Annotated[float, Field(gt=0, le=1e6)]
 _Count = Annotated[int, Field(ge=0, lt=2**63)]
@@ -124,7 +111,7 @@ class _StreamMeta(Checked):
 
 
 class _Meta(Checked):
-    """What recording.json must hold; what else it holds (scene, labels' origin, ...) stays as it is."""
+    """Required content of recording.json; further keys (scene, origin of labels, ...) are kept."""
 
     uuid: Annotated[str, Field(min_length=1)]
     start_utc: str
@@ -139,26 +126,33 @@ class _Meta(Checked):
     scene: dict[str, Any] | None = None
 
 
+def iso(utc_ns: int, digits: str = "microseconds") -> str:
+    """Return nanoseconds since 1970 as ISO 8601."""
+    seconds, rest = divmod(utc_ns, 10**9)
+    moment = datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000)
+    return moment.isoformat(timespec=digits).replace("+00:00", "Z")
+
+
 def is_recording(path: str | os.PathLike[str]) -> bool:
-    """Return whether `path` is a folder that is, or by its name claims to be, a recording."""
+    """Return whether `path` is a folder that holds a recording, or is named like one."""
     place = Path(path)
     return place.is_dir() and ((place / META).exists() or place.suffix == ".rec")
 
 
 def write_json(path: Path, value: dict[str, Any]) -> None:
-    """Write a JSON file whole or not at all."""
+    """Write a JSON file completely or not at all."""
     with atomic_file(path) as part:
         part.write_text(json.dumps(value, indent=2, ensure_ascii=False, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_table(path: Path, table: pa.Table) -> None:
-    """Write a Parquet file whole or not at all."""
+    """Write a Parquet file completely or not at all."""
     with atomic_file(path) as part:
         pq.write_table(table, part, compression="zstd")
 
 
 def read_table(path: Path) -> pa.Table:
-    """Read a Parquet file, or raise an InputError."""
+    """Read a Parquet file; raise an InputError when it is damaged."""
     try:
         return pq.read_table(path)
     except (OSError, pa.ArrowException) as error:
@@ -172,20 +166,14 @@ _LIT = {"0": False, "1": True, _UNKNOWN: None}
 def journal_line(
     stream: str, index: int, monotonic_ns: int, utc_ns: int, lost: int, exposure: float | None, lit: bool | None
 ) -> bytes:
-    """Return the clocks of a frame, and what else is known of it, as a line of the journal."""
+    """Return a journal line with a frame's clocks, exposure and laser state."""
     words = (stream, index, monotonic_ns, utc_ns, lost, _UNKNOWN if exposure is None else repr(float(exposure)))
     mark = next(text for text, value in _LIT.items() if value is lit)
     return (" ".join(str(one) for one in words) + f" {mark}\n").encode("ascii")
 
 
 def clocks(table: pa.Table, where: Path) -> pa.Table:
-    """Return a table of frames with today's columns; what an older version did not keep is null.
-
-    Raises
-    ------
-    InputError
-        When the columns are others.
-    """
+    """Return a table of frames with the current columns, null where an older version had none; refuse others."""
     if table.schema.equals(pa.schema(list(SCHEMA)[:_FIRST])):
         for field in list(SCHEMA)[_FIRST:]:
             table = table.append_column(field, pa.nulls(len(table), field.type))
@@ -195,19 +183,12 @@ def clocks(table: pa.Table, where: Path) -> pa.Table:
 
 
 def read_journal(path: Path) -> pa.Table:
-    """Read the clocks that an unfinished recording left, without a last line that was torn.
-
-    Raises
-    ------
-    InputError
-        When the journal is missing or a line in its middle is damaged.
-    """
+    """Read the clocks of an unfinished recording, ignoring a torn last line; refuse other damage."""
     try:
         text = path.read_bytes()
     except OSError as error:
-        raise InputError(
-            f"neither {FRAMES} nor {JOURNAL} can be read", where=path.parent, remedy="record again"
-        ) from error
+        what = f"neither {FRAMES} nor {JOURNAL} can be read"
+        raise InputError(what, where=path.parent, remedy="record again") from error
     rows = []
     for number, line in enumerate(text.split(b"\n")[:-1]):
         try:
@@ -218,13 +199,11 @@ def read_journal(path: Path) -> pa.Table:
         except (ValueError, KeyError) as error:
             raise InputError(f"line {number + 1} is damaged", where=path, remedy="cut the journal before it") from error
     columns = list(zip(*rows, strict=True)) or [()] * len(SCHEMA)
-    return pa.table(
-        [pa.array(column, field.type) for column, field in zip(columns, SCHEMA, strict=True)], schema=SCHEMA
-    )
+    return pa.table([pa.array(values, one.type) for values, one in zip(columns, SCHEMA, strict=True)], schema=SCHEMA)
 
 
 def read_meta(place: Path) -> dict[str, Any]:
-    """Read a recording's recording.json and check that it is one that this version can read."""
+    """Read and check a recording's recording.json."""
     file = place / META
     if not file.is_file():
         raise InputError(f"holds no {META}", where=place, remedy="give a recording, a folder NAME.rec")
@@ -238,11 +217,8 @@ def read_meta(place: Path) -> dict[str, Any]:
     if not isinstance(version, int) or isinstance(version, bool) or version < 1:
         raise InputError(f"has no usable version ({version!r})", where=file, remedy="restore it from a copy")
     if version > VERSION:
-        raise InputError(
-            f"is of version {version}, this Tapetum reads up to {VERSION}",
-            where=file,
-            remedy="update Tapetum",
-        )
+        what = f"is of version {version}, this Tapetum reads up to {VERSION}"
+        raise InputError(what, where=file, remedy="update Tapetum")
     streams = check(_Meta, meta, file, "restore it from a copy").streams
     for name, one in streams.items():
         if one.file != f"{name}.mkv" or one.full_scale >= 2**one.bits:

@@ -1,4 +1,4 @@
-"""How a hand holds a camera: a gaze that wanders over the field, a body that sways or walks, a tremor on both."""
+"""Motion of a hand-held camera: a gaze that wanders over the field, a body that sways or walks, a tremor."""
 
 from __future__ import annotations
 
@@ -18,31 +18,21 @@ Array = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class HandMotion:
-    """Spectrum and extent of a hand-held camera's motion. Its parts are independent of each other.
+    """Spectrum and extent of a hand-held camera's motion. Its parts are independent of each other; bands are in Hz.
 
     Parameters
     ----------
-    extent
-        Largest gaze, in fractions of the field.
-    sweep_band
-        Frequencies of the deliberate sweep over the field, in Hz.
-    tremor_band
-        Frequencies of the physiological tremor, in Hz: 8 to 12 (Elble and Koller, Tremor, 1990).
-    tremor
-        Its root mean square, in fractions of the field.
-    sway
-        Root mean square of the camera's sideways position, in metres.
-    sway_band
-        Its frequencies, in Hz. Those of quiet standing: nearly all power of the centre of pressure lies below 1 Hz
-        (Prieto et al., IEEE Trans. Biomed. Eng. 43, 956 (1996)).
-    roll
-        Root mean square of the turn about the target's optical axis, in radians. Some 0.02 for a camera held with care.
-    roll_band
-        Its frequencies, in Hz: assumed those of the sway.
-    reach
-        Root mean square of the position along the line of sight, in metres. Some 0.01 for a hand.
-    reach_band
-        Its frequencies, in Hz: assumed those of the sway.
+    extent, sweep_band
+        Largest gaze, in fractions of the field, and band of the deliberate sweep over it.
+    tremor, tremor_band
+        Physiological tremor, RMS in fractions of the field: at 8 to 12 Hz (Elble and Koller, Tremor, 1990).
+    sway, sway_band
+        Sideways position, RMS in metres. The band is that of quiet standing: nearly all power of the centre of pressure
+        lies below 1 Hz (Prieto et al., IEEE Trans. Biomed. Eng. 43, 956 (1996)).
+    roll, roll_band
+        Turn about the target's optical axis, RMS in radians, some 0.02 for a camera held with care; the sway's band.
+    reach, reach_band
+        Position along the line of sight, RMS in metres, some 0.01 for a hand; the sway's band (assumed, both).
     walk
         Distances from the probe between which the target is carried during the recording, in metres; None where it
         stays at the scene's. It starts and stops gently (a raised cosine of time).
@@ -75,22 +65,10 @@ class HandMotion:
             raise InputError(f"must be positive, is {self.walk}", where="motion.walk", remedy="give two distances")
 
     def draw(self, seed: int, distance: float = 1.0, seconds: float = 60.0) -> Hand:
-        """One such motion.
-
-        Parameters
-        ----------
-        seed
-            The same one gives the same motion.
-        distance
-            Of the target from the probe where it does not walk, in metres.
-        seconds
-            What a walk takes.
-        """
+        """Return one motion, determined by the seed; without a walk (over `seconds`) it stays at `distance` metres."""
         rng = np.random.default_rng([seed, 1])
-        sweep = Waves.draw(rng, self.sweep_band)
-        tremor = Waves.draw(rng, self.tremor_band)
-        sway = Waves.draw(rng, self.sway_band)
-        roll, reach = Waves.draw(rng, self.roll_band), Waves.draw(rng, self.reach_band)
+        bands = (self.sweep_band, self.tremor_band, self.sway_band, self.roll_band, self.reach_band)
+        sweep, tremor, sway, roll, reach = (Waves.draw(rng, band) for band in bands)
         return Hand(self, sweep, tremor, sway, roll, reach, self.walk or (distance, distance), seconds)
 
     def as_dict(self) -> dict[str, object]:
@@ -107,18 +85,18 @@ class Waves:
 
     @classmethod
     def draw(cls, rng: np.random.Generator, band: tuple[float, float], count: int = 24) -> Waves:
-        """One such pair, of even power over a band of frequencies in Hz."""
+        """Return one such pair, of even power over a band of frequencies in Hz."""
         return cls(rng.uniform(*band, size=(count, 2)), rng.uniform(0, 2 * np.pi, size=(count, 2)))
 
     def __call__(self, times: Array) -> Array:
-        """Both of them at times [T] in seconds: [T, 2]."""
+        """Return both processes at times [T] in seconds: [T, 2]."""
         angle = 2 * np.pi * self.frequency * times[:, None, None] + self.phase
         return np.sqrt(2 / len(self.frequency)) * np.cos(angle).sum(axis=1)
 
 
 @dataclass(frozen=True)
 class Hand:
-    """A motion that was drawn: where a target is and looks, at any times [T] in seconds from the start."""
+    """A drawn motion: place and gaze of a target at any times [T] in seconds from the start."""
 
     motion: HandMotion
     _sweep: Waves
@@ -130,20 +108,20 @@ class Hand:
     _seconds: float
 
     def gaze(self, times: Array) -> Array:
-        """Where the probe's laser falls in the target's field, [T, 2] in fractions of it."""
+        """Return the laser's place in the target's field, [T, 2] in fractions of it."""
         swept = self.motion.extent * (2 * ndtr(self._sweep(times)) - 1)
         return swept + self.motion.tremor * self._tremor(times)
 
     def place(self, times: Array) -> Array:
-        """Sideways position, [T, 2] in metres."""
+        """Return the sideways position, [T, 2] in metres."""
         return self.motion.sway * self._sway(times)
 
     def roll(self, times: Array) -> Array:
-        """Turn about the optical axis, [T] in radians, from x towards y."""
+        """Return the rotation about the optical axis, [T] in radians, from x towards y."""
         return self.motion.roll * self._roll(times)[:, 0]
 
     def distance(self, times: Array) -> Array:
-        """Distance from the probe, [T] in metres."""
+        """Return the distance from the probe, [T] in metres."""
         first, last = self._walk
         gone = (1 - np.cos(np.pi * np.clip(times / self._seconds, 0, 1))) / 2
         return first + (last - first) * gone + self.motion.reach * self._reach(times)[:, 0]

@@ -1,7 +1,7 @@
-"""From mean electrons to a frame's digital numbers: the noise of `simulate.exposure`, drawn fast and evenly.
+"""From mean electrons to digital numbers: the noise of `simulate.exposure`, fast and reproducible.
 
-Evenly: every pixel takes the same random numbers whatever its light. A frame whose light differs in its last bit from
-another's then differs in next to no pixel, where drawing by rejection would shift the noise of all that follow.
+Every pixel consumes the same random numbers whatever its light, so frames whose light differs in the last bit differ in
+almost no pixel. Rejection sampling would shift the noise of all later pixels.
 """
 
 from __future__ import annotations
@@ -20,26 +20,14 @@ __all__ = ["counts", "poisson"]
 Frame = npt.NDArray[np.float32]
 # Mean electrons from which the series for the Poisson quantile is right to 1e-4 in probability.
 _MANY = 12.0
-# Pixels worked on at a time: what they take stays in the processor's caches.
+# Pixels processed at a time, few enough for the processor's caches.
 _AT_ONCE = 1 << 14
 
 
 def counts(mean: Frame, sensor: ProbeSensor, rng: np.random.Generator) -> npt.NDArray[Any]:
-    """Draw digital numbers: Poisson electrons, read noise, full well, gain, rounding.
+    """Draw digital numbers [H, W] from mean electrons: Poisson noise, read noise, full well, gain, rounding.
 
-    Parameters
-    ----------
-    mean
-        [H, W] electrons of light and dark current, those of hot pixels included (`stray.Ground` has them).
-    sensor
-        Its noise, full well, gain, offset and bits.
-    rng
-        Of the noise.
-
-    Returns
-    -------
-    numpy.ndarray
-        [H, W], uint8 up to 8 bits, uint16 above.
+    `mean` includes dark current and hot pixels (`stray.Ground`); the numbers are uint8 up to 8 bits, uint16 above.
     """
     gain, top = np.float32(gain_of(sensor)), np.float32(2**sensor.bits - 1)
     numbers = np.empty(mean.shape, np.uint8 if sensor.bits <= 8 else np.uint16)
@@ -62,24 +50,21 @@ def counts(mean: Frame, sensor: ProbeSensor, rng: np.random.Generator) -> npt.ND
 
 
 def poisson(mean: Frame, rng: np.random.Generator) -> Frame:
-    """Poisson numbers for means [N], as float32: one normal number each, put through the Poisson quantile.
+    """Return Poisson numbers for means [N] as float32, each from one normal number by the Poisson quantile.
 
-    Notes
-    -----
-    Means of 12 and more: the quantile's series about the normal one, to the order 1/mean (M. B. Giles, ACM Trans. Math.
-    Softw. 42, 7 (2016), section 2), whose cumulative probability errs by less than 1e-4. Smaller means: by summing the
-    distribution.
+    For means of 12 and more, the quantile is a series to the order 1/mean (M. B. Giles, ACM Trans. Math. Softw. 42, 7
+    (2016), section 2) with an error below 1e-4 in cumulative probability; for smaller ones the distribution is summed.
     """
     w = rng.standard_normal(mean.shape, dtype=np.float32)
     few = mean < _MANY
-    if not few.any():
-        return _many(mean, w)
+    # Without masks where all means are of one kind, which is twice as fast.
     if few.all():
         return _few(mean, w)
+    if not few.any():
+        return _many(mean, w)
     drawn = np.empty_like(w)
-    drawn[few] = _few(mean[few], w[few])
-    many = ~few
-    drawn[many] = _many(mean[many], w[many])
+    for these, draw in ((few, _few), (~few, _many)):
+        drawn[these] = draw(mean[these], w[these])
     return drawn
 
 
@@ -109,12 +94,12 @@ def _many(mean: Frame, w: Frame) -> Frame:
 
 
 def _few(mean: Frame, w: Frame) -> Frame:
-    # Both from the upper tail, where small chances keep their digits: P(normal > w), and P(more than `count`).
+    # Upper tails, where small probabilities keep their digits: P(normal > w), and P(more than `count`).
     above = ndtr(-w)
     chance = np.exp(-mean)
     rest = np.float32(1) - chance
     drawn = np.zeros_like(mean)
-    # Means below 12 do not reach 60: what is left by then is rounding.
+    # Counts above 60 are negligible for means below 12.
     for count in range(1, 60):
         more = above < rest
         if not more.any():

@@ -1,4 +1,4 @@
-"""Frames of sources that are read in threads of their own, so that a live one never waits for who takes them."""
+"""Reading of sources in their own threads, so that a live one never waits for the consumer."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import contextlib
 import queue
 import threading
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 
 from tapetum.errors import InputError
@@ -21,27 +21,21 @@ IDLE = 0.002  # s
 
 
 class Reader:
-    """Reads one source in a thread of its own.
+    """Reads one source in its own thread.
 
     Parameters
     ----------
-    source
-        What to read; it is closed when its frames have ended.
-    seconds
-        How long; None until it ends.
+    source, seconds
+        What to read, and how long (None: to its end); the source is closed afterwards.
     stop
         Set from outside to end all readers.
 
     Attributes
     ----------
-    info
-        What its frames are like.
-    fault
-        Why it ended before its time.
-    lost
-        Frames lost among those that were taken, by what the source says and for want of room.
-    missed
-        Frames that found no room since the last that did.
+    info, fault
+        Format of its frames, and the error that ended it early.
+    lost, missed
+        Frames lost among those taken, and frames that found no room since the last that did.
     """
 
     def __init__(self, source: Source, seconds: float | None, stop: threading.Event) -> None:
@@ -49,14 +43,13 @@ class Reader:
         self.info = StreamInfo.of(source)
         self.waiting: queue.Queue[Frame] = queue.Queue(WAITING)
         self.fault: InputError | None = None
-        self.missed = 0
-        self.lost = 0
+        self.lost = self.missed = 0
         self.done = threading.Event()
         self.ended = threading.Event()  # by what it gave, while the others go on
         self.thread = threading.Thread(target=self._run, daemon=True)
 
     def start(self, monotonic_ns: int, utc_ns: int) -> None:
-        """Begin; stored frames are dated as if they were taken from this moment on."""
+        """Begin; stored frames are dated as if they were taken from now on."""
         self.begin = (monotonic_ns, utc_ns)
         self.thread.start()
 
@@ -71,16 +64,16 @@ class Reader:
             if not self._over():
                 self.fault = error
         except Exception as error:
-            # A driver may fail in any way; what was recorded until then must be kept.
+            # Drivers fail in many ways; what was recorded until then must be kept.
             self.fault = InputError(f"cannot be read any more ({error})", where=self.source.name)
         finally:
             self.done.set()
-            # Here and nowhere else: no other thread may close a camera while this one reads it.
+            # Only this thread may close the camera that it reads.
             with contextlib.suppress(Exception):
                 self.source.close()
 
     def _stamped(self) -> Iterator[Frame]:
-        """Yield frames by the one clock of all streams; what is stored begins with the recording."""
+        """Yield frames on the common clock of all streams; stored ones begin with the recording."""
         start, utc = self.begin
         last = -1
         for frame in self.source:
@@ -95,12 +88,12 @@ class Reader:
         return self.stop.is_set() or self.ended.is_set()
 
     def end(self, fault: InputError) -> None:
-        """End this stream alone, for what it gave."""
+        """End this stream alone because of a fault."""
         self.fault = self.fault or fault
         self.ended.set()
 
     def _offer(self, frame: Frame) -> bool:
-        """Queue a frame; a live one is lost where there is no room. Return False when it is time to stop."""
+        """Queue a frame, or drop a live one without room; return False when it is time to stop."""
         frame = replace(frame, lost=frame.lost + self.missed)
         while not self._over():
             try:
@@ -117,9 +110,9 @@ class Reader:
 
 
 def arriving(readers: Mapping[str, Reader], stop: threading.Event) -> Iterator[tuple[str, Frame]]:
-    """Yield the frames of all readers as they come, until each is done and nothing waits."""
+    """Yield the frames of all readers as they arrive, until each is done and none is queued."""
     while True:
-        # Asked before the queues are looked into: what came before it was done is then still found.
+        # Read before the queues, so that frames queued before the end are still found.
         ended = all(reader.done.is_set() for reader in readers.values())
         came = False
         for name, reader in readers.items():
@@ -134,15 +127,15 @@ def arriving(readers: Mapping[str, Reader], stop: threading.Event) -> Iterator[t
             time.sleep(IDLE)
 
 
-def taken(source: Source, stop: threading.Event, seconds: float | None = None) -> Iterator[Frame]:
-    """Yield a source's frames for so long, or until `stop`; those of a live one that come too fast are counted.
+def taken(source: Source | Iterable[Frame], stop: threading.Event, seconds: float | None = None) -> Iterator[Frame]:
+    """Yield frames for so long, or until `stop`; those that a live source drops are counted.
 
     Raises
     ------
     InputError
         When the source fails, after the frames that came before.
     """
-    if not source.live:
+    if not isinstance(source, Source) or not source.live:
         for frame in source:
             if stop.is_set() or (seconds is not None and frame.time >= seconds):
                 return

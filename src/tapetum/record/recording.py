@@ -1,9 +1,8 @@
-"""Recordings on disk: a video for every stream, the clocks of every frame, and what is known of them.
+"""Recordings on disk: a video for every stream, the clocks of every frame, labels and truth.
 
 `NAME.rec/` holds `recording.json`, `<stream>.mkv`, `frames.parquet` and, once made, `labels.parquet` and
-`truth.parquet`. While it is being written the clocks stand in `frames.journal`, one line a frame; closing
-turns that into `frames.parquet`. A recording whose writer was killed stays readable: the journal counts, as
-far as the video goes.
+`truth.parquet`. During writing the clocks are in `frames.journal`, one line per frame; closing turns it into
+`frames.parquet`. If the writer was killed, the recording stays readable: the journal counts, as far as the video goes.
 """
 
 from __future__ import annotations
@@ -20,19 +19,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from tapetum.errors import InputError
-from tapetum.record.layout import (
-    FRAMES,
-    JOURNAL,
-    LABELS,
-    TRUTH,
-    StreamInfo,
-    clocks,
-    is_recording,
-    read_journal,
-    read_meta,
-    read_table,
-    write_table,
-)
+from tapetum.record import layout
+from tapetum.record.layout import FRAMES, JOURNAL, LABELS, TRUTH, StreamInfo, is_recording, read_table, write_table
 from tapetum.record.source import Frame, Stored, existing
 from tapetum.record.video import count_frames, decoded, truncated
 from tapetum.record.writer import RecordingWriter
@@ -45,16 +33,12 @@ __all__ = ["Recording", "RecordingSource", "RecordingWriter", "StreamInfo", "is_
 
 @dataclass(frozen=True, repr=False)
 class Recording:
-    """A recording on disk, opened for reading (see `open_recording`).
+    """A recording on disk, opened for reading by `open_recording`.
 
     Attributes
     ----------
-    path
-        The folder.
-    meta
-        What recording.json says, whole.
-    streams
-        The streams by name.
+    path, meta, streams
+        The folder, all that recording.json says, and the streams by name.
     """
 
     path: Path
@@ -67,23 +51,20 @@ class Recording:
     def _words(self) -> str:
         parts: list[str] = []
         for name, info in self.streams.items():
-            count = self.meta["streams"][name].get("frames")
+            count = self.meta["streams"].get(name, {}).get("frames")
             frames = "" if count is None else f"{count} frames of "
             parts.append(f"{name} {frames}{info.width} x {info.height}, {info.bits} bit")
         return "; ".join([*parts, "labelled" if (self.path / LABELS).exists() else "not labelled"])
 
     def _repr_html_(self) -> str:
-        """What a notebook shows."""
+        """Return a summary for notebooks."""
         name, words, path = (html.escape(str(one)) for one in (self.name, self._words(), self.path))
         return f"<p><b>{name}</b>: {words}<br><small>{path}</small></p>"
 
     def plot(self) -> Figure:
         """Draw the first frame of every stream and, where there are labels, the gaze over the frames.
 
-        Returns
-        -------
-        matplotlib.figure.Figure
-            It belongs to no window: a notebook shows it, `savefig` writes it.
+        The figure has no window: a notebook shows it, `savefig` writes it.
         """
         from matplotlib.figure import Figure
 
@@ -114,22 +95,16 @@ class Recording:
 
     @property
     def uuid(self) -> str:
-        """What tells this recording from every other."""
+        """Unique identifier of the recording."""
         return str(self.meta["uuid"])
 
     @property
     def finished(self) -> bool:
-        """Whether the recording was closed, or its writer died."""
+        """Whether the recording was closed; False if its writer died."""
         return bool(self.meta["finished"])
 
     def stream(self, name: str) -> StreamInfo:
-        """Return what a stream holds.
-
-        Raises
-        ------
-        InputError
-            When the recording has no such stream.
-        """
+        """Return a stream's format; raise an InputError when there is no such stream."""
         if name not in self.streams:
             has = ", ".join(self.streams)
             raise InputError(f"no stream {name!r}", where=self.path, remedy=f"the recording has {has}")
@@ -141,25 +116,17 @@ class Recording:
         return self.path / f"{stream}.mkv"
 
     def frames(self, stream: str) -> pa.Table:
-        """Return the clocks of a stream's frames.
+        """Return the clocks of a stream's frames; of an unfinished recording, those that are complete in its video.
 
-        Returns
-        -------
-        pyarrow.Table
-            A row a frame: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before`
-            (frames lost since the one before), and where they are known `exposure` (s) and `lit` (whether the laser was
-            on). Of an unfinished recording, the frames that are whole in its video.
-
-        Raises
-        ------
-        InputError
-            When there is no such stream, or a file is missing or damaged.
+        Columns: `stream`, `index` (from 0), `monotonic_ns`, `utc` (timestamp of ns, UTC), `dropped_before` (frames lost
+        since the one before), and where known `exposure` (s) and `lit` (whether the laser was on). Raises an InputError
+        when there is no such stream, or a file is missing or damaged.
         """
         self.stream(stream)
-        # The journal goes last on closing, so that one of the two is always whole.
+        # Closing removes the journal last, so that one of the two is always complete.
         whole = (self.path / FRAMES).exists()
-        table = read_table(self.path / FRAMES) if whole else read_journal(self.path / JOURNAL)
-        table = clocks(table, self.path / FRAMES)
+        table = read_table(self.path / FRAMES) if whole else layout.read_journal(self.path / JOURNAL)
+        table = layout.clocks(table, self.path / FRAMES)
         table = table.filter(pc.equal(table["stream"], stream))  # type: ignore[attr-defined]
         if not np.array_equal(table["index"].to_numpy(), np.arange(len(table))):
             raise InputError(f"frames of {stream} are not numbered 0, 1, 2 …", where=self.path, remedy="record again")
@@ -172,45 +139,31 @@ class Recording:
         return self.frames(stream)["utc"].cast(pa.int64()).to_numpy()
 
     def source(self, stream: str = "probe") -> RecordingSource:
-        """Return a stream as a source of frames.
-
-        Raises
-        ------
-        InputError
-            As `frames` does.
-        """
+        """Return a stream as a source of frames; errors as of `frames`."""
         info, frames = self.stream(stream), self.frames(stream)
-        existing(self.video(stream))
-        utc = frames["utc"].cast(pa.int64()).to_numpy()
-        times = (utc - utc[0]) / 1e9 if len(utc) else np.empty(0)
-        full_scale = int(info.full_scale or 0)
-        return RecordingSource(
-            self.video(stream), stream, full_scale, times, self.finished, info.rate, tuple(_known_of(frames))
-        )
+        utc = frames["utc"].cast(pa.int64())
+        times = (utc.to_numpy() - utc.to_numpy()[:1]) / 1e9
+        columns = {"utc_ns": utc, "monotonic_ns": frames["monotonic_ns"], "lost": frames["dropped_before"]}
+        known = pa.table({**columns, "exposure": frames["exposure"], "lit": frames["lit"]}).to_pylist()
+        video, full_scale = existing(self.video(stream)), int(info.full_scale or 0)
+        return RecordingSource(video, stream, full_scale, times, self.finished, info.rate, tuple(known))
 
     def labels(self) -> pa.Table | None:
-        """Return the labels, or None where none were made yet."""
+        """Return the labels, or None before there are any."""
         return read_table(self.path / LABELS) if (self.path / LABELS).exists() else None
 
     def truth(self) -> pa.Table | None:
-        """Return what the virtual bench knows of the probe frames, or None: real recordings have no truth."""
+        """Return the virtual bench's truth of the probe frames; None for real recordings."""
         return read_table(self.path / TRUTH) if (self.path / TRUTH).exists() else None
 
     def write_labels(self, table: pa.Table) -> None:
-        """Keep labels with the recording, in place of any before.
-
-        Parameters
-        ----------
-        table
-            A row a probe frame; must have the columns `frame`, `how` and `quality`.
-        """
-        missing = {"frame", "how", "quality"} - set(table.column_names)
-        if missing:
+        """Store labels in place of any before; `frame`, `how` and `quality` must be among their columns."""
+        if missing := {"frame", "how", "quality"} - set(table.column_names):
             raise InputError(f"labels lack the columns {', '.join(sorted(missing))}", where=self.path / LABELS)
         write_table(self.path / LABELS, table)
 
     def write_truth(self, table: pa.Table) -> None:
-        """Keep the virtual bench's truth with the recording; `frame` must be among the columns."""
+        """Store the virtual bench's truth; `frame` must be among its columns."""
         if "frame" not in table.column_names:
             raise InputError("truth lacks the column frame", where=self.path / TRUTH)
         write_table(self.path / TRUTH, table)
@@ -222,20 +175,16 @@ class RecordingSource(Stored):
 
     Attributes
     ----------
-    video
-        The stream's video file.
-    stream
-        The stream's name.
-    full_scale
-        Digital number of saturation.
+    video, stream
+        The stream's video file and name.
+    full_scale, rate
+        Digital number of saturation, and nominal frames per second.
     times
-        Seconds of every frame from the first one, [N] float64.
+        [N] seconds of every frame from the first one.
     finished
-        Whether the recording was closed: then a video with fewer frames than it says is an error.
-    rate
-        Nominal frames per second.
+        Whether the recording was closed: then a video with too few frames raises an error.
     known
-        What is known of each frame beside its time: arguments of `Frame`.
+        Further arguments of each `Frame`.
     late
         Whether the readable frames come before that error.
     """
@@ -260,51 +209,32 @@ class RecordingSource(Stored):
         return len(self.times)
 
     def frame(self, number: int, image: np.ndarray) -> Frame:
-        """Return a frame with what is known of it."""
+        """Return a frame with its times, exposure and laser state."""
         known = self.known[number] if self.known else {}
         return Frame(number, float(self.times[number]), image, f"{self.stream}[{number}]", self.full_scale, **known)
 
     def __iter__(self) -> Iterator[Frame]:
-        if not self.count:
-            return
         number = 0
-        for image, _, _ in decoded(self.video, tolerant=not self.finished, late=self.late):
-            if number == self.count:
-                return
-            yield self.frame(number, image)
-            number += 1
+        if self.count:
+            for image, _, _ in decoded(self.video, tolerant=not self.finished, late=self.late):
+                if number == self.count:
+                    return
+                yield self.frame(number, image)
+                number += 1
         if number < self.count:
             raise truncated(self.video, number)
 
 
-def _known_of(frames: pa.Table) -> Iterator[dict[str, Any]]:
-    """Yield what a table of frames knows of each, as arguments of `Frame`."""
-    columns = {
-        "utc_ns": frames["utc"].cast(pa.int64()),
-        "monotonic_ns": frames["monotonic_ns"],
-        "lost": frames["dropped_before"],
-        "exposure": frames["exposure"],
-        "lit": frames["lit"],
-    }
-    for values in zip(*(column.to_pylist() for column in columns.values()), strict=True):
-        yield dict(zip(columns, values, strict=True))
-
-
 def open_recording(path: str | os.PathLike[str]) -> Recording:
-    """Open a recording.
-
-    Parameters
-    ----------
-    path
-        The folder `NAME.rec`.
+    """Open a recording, a folder `NAME.rec`.
 
     Raises
     ------
     InputError
-        When it is missing, not a recording, damaged, or of a newer version than this Tapetum reads.
+        When it is missing, not a recording, damaged, or of a newer version.
     """
     place = existing(path)
-    meta = read_meta(place)
+    meta = layout.read_meta(place)
     names = ("height", "width", "bits", "full_scale", "rate")
     streams = {
         name: StreamInfo(**{**{key: value[key] for key in names}, "rate": value["rate"] or meta["rate"]})

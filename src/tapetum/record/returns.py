@@ -1,9 +1,10 @@
-"""The retro-reflections of one target, frame by frame, as patches on the probe's sensor."""
+"""Retro-reflections of one target, frame by frame, as patches on the probe's sensor."""
 
 from __future__ import annotations
 
+import functools
 import math
-from collections import OrderedDict
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -29,90 +30,80 @@ __all__ = ["Flashes", "Returns", "flashes_of", "returns_of"]
 
 Array = npt.NDArray[np.float64]
 
-# Frames rendered together: always the same ones, so that a frame does not depend on what else was asked for.
+# Frames rendered together: always the same ones, so that a frame does not depend on which others are requested.
 _BATCH = 8
 _CAMERAS_KEPT, _BATCHES_KEPT = 32, 2
-# Accuracy from which on turned pictures may be interpolated coarsely.
+# Accuracy (fraction of the peak) from which rotated images may be interpolated coarsely.
 _COARSE = 0.025
-# Part of a beam's peak below which its flank is not drawn.
+# Fraction of a beam's peak below which its flank is not drawn.
 _FAINT = 1e-3
 
 
 class Returns:
-    """A target that moves before a probe, ready for any frame of it.
+    """A target that moves before a probe; renders its RR in any frame.
 
-    Parameters
-    ----------
-    scene
-        What stands on the bench; its own rotation is not used.
-    tilts
-        [T, 2] of the target against the light, as sines, before it rolls.
-    place
-        [T, 2] of the target sideways, in metres.
-    roll
-        [T] turn of the target about its optical axis, in radians from x to y. Everything turns with it; light of the
-        second beam does not.
-    distance
-        [T] from the probe, in metres.
+    `tilts` [T, 2] are the target's tilts against the light, as sines, before it rolls; `place` [T, 2] its sideways
+    position and `distance` [T] that from the probe, in metres; `roll` [T] its rotation about its optical axis, in
+    radians from x to y. All light rotates with it except that of the second beam. The scene's own rotation is not used.
 
-    Notes
-    -----
-    Light that arrives with a curvature (diverging, fixed area) needs a simulation for each distance. They are made for
-    nodes of 1/d so close that the wave at the lens's edge, kr²/2 times the change of 1/d, is never off by more than the
-    scene's accuracy, in radians; the irradiance, which goes by 1/d² where light diverges, is each frame's own. Where
-    the return overfills the probe's aperture R, its cut moves with the distance as well: r² + 2rR in place of r².
+    Curved wavefronts (diverging light of a fixed area) need a simulation for each distance. Nodes of 1/d are spaced so
+    closely that the phase error at the lens's edge, kr²/2 times the error of 1/d, stays below the scene's accuracy in
+    radians; the irradiance, which falls as 1/d², is exact in each frame. Where the return overfills the probe's
+    aperture R, the cut depends on the distance too, with r² + 2rR in place of r².
     """
 
     def __init__(self, scene: Scene, tilts: torch.Tensor, place: Array, roll: Array, distance: Array) -> None:
         self.scene, self._roll, self._distance = scene, roll, distance
         sensor = scene.probe.sensor
         self._sines = _turned(tilts, roll)
-        # A camera moved to the right in the probe's view shifts its RR by f_p/d times that.
+        # A sideways shift of the target shifts its RR by f_p/d times as much.
         self._centres = torch.from_numpy(place * (scene.probe.lens.focal_length / distance)[:, None])
         columns, rows = sensor.pixels
         self.pixels = (np.array([columns, rows]) - 1) / 2 + self._centres.numpy() / sensor.pitch
-        self._electrons = float(
-            photoelectrons(torch.ones((), dtype=torch.float64), sensor, scene.illumination.wavelength)
-        )
+        one = torch.ones((), dtype=torch.float64)
+        self._electrons = float(photoelectrons(one, sensor, scene.illumination.wavelength))
         if distance.min() < 4 * scene.target.lens.focal_length:
             what = f"the target comes as near as {distance.min():.3g} m, which its lens cannot be simulated at"
             raise InputError(what, where="motion", remedy="walk less far, or reach out less")
         self._steepest, self._round = largest_sine(tilts), _is_round(scene)
         self._window, finite = self._widest()
         self._node = self._nodes(finite)
-        # Cubic splines err by less than 1e-3 of the peak where the finest fringes are 7 pixels wide, quintic ones 4.
-        fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * _radius(scene))
+        # Spline errors stay below 1e-3 of the peak for fringes of 7 pixels (cubic) or 4 pixels (quintic).
+        fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * scene.target.lens.aperture_radius)
         self._order = 3 if fringe >= 7 * sensor.pitch else 5
-        # OpenCV turns ten times as fast, but reads between pixels at steps of 1/32 only: up to 1e-2 of the peak.
+        # OpenCV is ten times as fast, but interpolates at steps of 1/32 pixel: errors up to 1e-2 of the peak.
         if scene.sampling.accuracy >= _COARSE and fringe >= 7 * sensor.pitch:
             self._order = 0
-        self._cameras: OrderedDict[float, Camera] = OrderedDict()
-        self._batches: OrderedDict[int, list[list[Patch]]] = OrderedDict()
+        # A weak reference avoids a cycle that would keep the cameras until garbage collection.
+        own = weakref.proxy(self)
+        self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
+            lambda node: _camera(replace(scene, distance=node), own._steepest, own._window)
+        )
+        self._batch = functools.lru_cache(_BATCHES_KEPT)(lambda number: own._render(number))
 
     def patches(self, frame: int) -> list[Patch]:
-        """What every beam makes of a frame at the scene's power and exposure."""
-        number, inside = divmod(frame, _BATCH)
-        return _kept(self._batches, number, lambda: self._render(number), _BATCHES_KEPT)[inside]
+        """Return the patch of every beam in a frame, at the scene's power and exposure."""
+        return self._batch(frame // _BATCH)[frame % _BATCH]
 
     def _widest(self) -> tuple[Grid, bool]:
-        """Pixels that hold the RR at every distance, and whether the probe's aperture cuts it at any."""
+        """Return the window that holds the RR at every distance, and whether the probe's aperture cuts it at any."""
         ends = {float(self._distance.min()), float(self._distance.max())}
         cameras = [_camera(replace(self.scene, distance=one), self._steepest) for one in ends]
-        # Only the RR's own neighbourhood is computed: light beyond it would not make one electron.
+        # Light outside the window is less than one electron.
         windows = [camera.window() for camera in cameras]
         finite = any(camera.finite for camera in cameras)
         return max(windows, key=lambda grid: grid.rows), finite
 
     def _nodes(self, finite: bool) -> Array:
-        """Distance that each frame is simulated at, [T] in metres."""
+        """Return the distance at which each frame is simulated, [T] in metres."""
         light, d = self.scene.illumination, self._distance
-        if light.mode == "collimated" and not finite:
+        if not light.wave.spherical and not finite:
             return np.full_like(d, self.scene.distance)
         if np.ptp(d) == 0:
             return d
-        radius, aperture = _radius(self.scene), self.scene.probe.lens.aperture_radius
+        radius, aperture = self.scene.target.lens.aperture_radius, self.scene.probe.lens.aperture_radius
         area = radius**2 + (2 * radius * aperture if finite else 0.0)
-        # Half a step off at the most: (2π/λ) area/2 · step/2 radians.
+        # At most half a step off: (2π/λ) area/2 · step/2 radians.
         step = 2 * self.scene.sampling.accuracy * light.wavelength / (math.pi * area)
         return 1 / (np.maximum(1, np.rint(1 / (d * step))) * step)
 
@@ -128,21 +119,13 @@ class Returns:
         return found
 
     def _render_at(self, node: float, frames: npt.NDArray[np.int64]) -> Iterator[tuple[int, Patch]]:
-        camera = _kept(
-            self._cameras,
-            node,
-            lambda: _camera(replace(self.scene, distance=node), self._steepest, self._window),
-            _CAMERAS_KEPT,
-        )
-        sensor = self.scene.probe.sensor
-        gain = np.full(len(frames), self._electrons)
-        if self.scene.illumination.mode == "diverging":
-            gain *= (node / self._distance[frames]) ** 2
+        camera, sensor = self._camera_at(node), self.scene.probe.sensor
+        gain = self._electrons * self.scene.illumination.spread(self._distance[frames], node)
         turned = not self._round and bool(self._roll[frames].any())
         middle = (np.array(sensor.pixels) - 1) / 2
         half = (np.array([self._window.columns, self._window.rows]) - 1) / 2
         for tilts, places, share in camera.beams(self._sines[frames], self._centres[frames]):
-            # Patches lie on whole pixels; what is left of the place is rendered.
+            # Patches start on whole pixels; the sub-pixel rest of the place is rendered.
             corner = np.rint(middle + places.numpy() / sensor.pitch - half)
             rest = middle + places.numpy() / sensor.pitch - half - corner
             if turned:
@@ -158,14 +141,9 @@ class Returns:
 
 
 def returns_of(scene: Scene, gaze: Array, place: Array, roll: Array, distance: Array) -> list[Returns]:
-    """The returns of a target, of a phone those of all its cameras: first that of the one whose gaze is given.
+    """Return the returns of a target, or of all cameras of a phone, that whose gaze is given first.
 
-    Parameters
-    ----------
-    scene, place, roll, distance
-        As for `Returns`.
-    gaze
-        [T, 2] where the laser falls in the target's field, in fractions of it.
+    `gaze` [T, 2] is the laser's place in the target's field, in fractions of it; all else as for `Returns`.
     """
     tilts = tilt_of_gaze(scene, torch.from_numpy(gaze))
     turned = _turned(tilts, roll)
@@ -178,16 +156,10 @@ def returns_of(scene: Scene, gaze: Array, place: Array, roll: Array, distance: A
 
 
 class Flashes:
-    """The dot projector of a phone that moves before a probe: what its beams put straight into frames.
+    """Direct light of the dot projector of a moving phone in the probe's frames.
 
-    Parameters
-    ----------
-    scene
-        Of the phone.
-    seconds
-        [T] that the projector shines during each frame.
-    tilts, place, roll, distance
-        As for `Returns`, of the camera that gazes.
+    `seconds` [T] is how long the projector shines during each frame; `tilts`, `place`, `roll` and `distance` are as for
+    `Returns`, of the camera whose gaze is given.
     """
 
     def __init__(self, scene: Scene, seconds: Array, tilts: Array, place: Array, roll: Array, distance: Array) -> None:
@@ -202,7 +174,7 @@ class Flashes:
         self._centres = (place + seen) * (scene.probe.lens.focal_length / distance)[:, None]
 
     def patch(self, frame: int) -> Patch | None:
-        """Electrons in a frame; None where no pulse or no beam meets it."""
+        """Return the electrons in a frame; None where no pulse or no beam reaches it."""
         lens, sensor, dots = self._probe.lens, self._probe.sensor, self._dots
         distance, offsets = float(self._distance[frame]), self._offsets[frame]
         waist = dot_light.waist_at(distance)
@@ -232,24 +204,12 @@ class Flashes:
 
 
 def flashes_of(
-    scene: Scene,
-    times: Array,
-    exposure: Array,
-    phase: float,
-    held: tuple[Array, Array, Array, Array],
+    scene: Scene, times: Array, exposure: Array, phase: float, held: tuple[Array, Array, Array, Array]
 ) -> Flashes | None:
-    """The flashes of a phone with a dot projector, while its camera app is open; None for any other target.
+    """Return the flashes of a phone with a dot projector and an open camera app; None for any other target.
 
-    Parameters
-    ----------
-    scene
-        What stands on the bench.
-    times, exposure
-        [T] middle and length of the probe's exposures, in seconds.
-    phase
-        Of the pulses, from 0 to 1 of their period.
-    held
-        Gaze, place, roll and distance, as for `returns_of`.
+    `times` [T] and `exposure` [T] are the middle and duration of the probe's exposures in seconds, `phase` that of the
+    pulses (0 to 1 of their period), `held` gaze, place, roll and distance as for `returns_of`.
     """
     target = scene.target
     if not isinstance(target, PhoneTarget) or target.phone.dots is None or not target.imaging:
@@ -260,25 +220,19 @@ def flashes_of(
 
 
 def _camera(scene: Scene, steepest: float, window: Grid | None = None) -> Camera:
-    # A frame is to be the same wherever it is made: a GPU would round its light differently.
-    # A spot that crosses the sensor's edge fades as it goes: no frame is refused.
+    # On the CPU, as a GPU would round differently; "dimmed" lets a spot cross the sensor's edge.
     return Camera(scene, steepest, output=window, edge="dimmed", device="cpu")
 
 
-def _radius(scene: Scene) -> float:
-    """Of the light that the target sends back, in metres."""
-    return scene.target.lens.aperture_radius
-
-
 def _is_round(scene: Scene) -> bool:
-    """Whether turning the target about its axis is the same as turning the light that it meets."""
+    """Return whether rotating the target about its axis equals rotating the incoming light."""
     sensor = scene.target.sensor
     straight = all(plane.tilt == (0.0, 0.0) for plane in (sensor, *sensor.layers))
     return straight and sensor.array is None and sensor.microlens is None and sensor.mask is None
 
 
 def _turned(sines: torch.Tensor, angle: Array) -> torch.Tensor:
-    """Vectors [T, 2] turned from x to y by angles [T]."""
+    """Return vectors [T, 2] rotated from x to y by angles [T]."""
     if not angle.any():
         return sines
     c, s = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))
@@ -286,13 +240,10 @@ def _turned(sines: torch.Tensor, angle: Array) -> torch.Tensor:
 
 
 def _turn(image: npt.NDArray[np.float32], angle: float, shift: Array, order: int) -> npt.NDArray[np.float32]:
-    """A picture turned from x to y about its middle and moved by part of a pixel, by splines of an order.
-
-    Order 0 stands for OpenCV's bicubic interpolation.
-    """
+    """Return an image rotated from x to y and shifted by a sub-pixel, by splines; order 0 is OpenCV's bicubic."""
     c, s = math.cos(angle), math.sin(angle)
     middle = (np.array(image.shape) - 1) / 2
-    # Of rows and columns, from the new picture to the old one.
+    # Maps (row, column) of the new image to the old one.
     back = np.array([[c, -s], [s, c]])
     if order == 0:
         x, y = middle[1] + shift[0], middle[0] + shift[1]
@@ -306,21 +257,10 @@ def _turn(image: npt.NDArray[np.float32], angle: float, shift: Array, order: int
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """The last bits of a product depend on how many threads share it; frames must not."""
+    """Compute in one thread, because the last bits of a product depend on the number of threads."""
     threads = torch.get_num_threads()
     torch.set_num_threads(1)
     try:
         yield
     finally:
         torch.set_num_threads(threads)
-
-
-def _kept(cache: OrderedDict[Any, Any], key: Any, make: Any, most: int) -> Any:
-    """A value of a cache, made where it is missing; the oldest goes."""
-    if key not in cache:
-        cache[key] = make()
-        if len(cache) > most:
-            cache.popitem(last=False)
-    else:
-        cache.move_to_end(key)
-    return cache[key]

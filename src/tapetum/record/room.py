@@ -1,4 +1,4 @@
-"""What the target's camera sees: a furnished room with the probe's laser in it, made up from a seed."""
+"""Images of the target's camera: a furnished room with the probe's laser in it, generated from a seed."""
 
 from __future__ import annotations
 
@@ -8,24 +8,18 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from tapetum.record.patch import add_patch, bell
+
 __all__ = ["Room"]
 
 _SPOT_REACH = 12
 
 
 class Room:
-    """A textured wall that fills more than the target's field, and the probe's laser on it.
+    """A textured wall larger than the target's field, with the probe's laser on it.
 
-    Parameters
-    ----------
-    columns, rows
-        Of the target's picture.
-    seed
-        Of furniture and texture.
-    spot_sigma
-        Width of the laser's image, in pixels.
-    spot_peak
-        Its height above the scene at full power, in digital numbers; above 255 it saturates.
+    `columns` and `rows` are those of the target's image; `seed` draws furniture and texture. `spot_sigma` is the width
+    of the laser's image in pixels, `spot_peak` its height above the scene at full power in digital numbers.
     """
 
     def __init__(
@@ -46,27 +40,12 @@ class Room:
         exposure: float = 1.0,
         second: tuple[float, float, float] | None = None,
     ) -> npt.NDArray[np.uint8]:
-        """The room as the target sees it, with noise.
+        """Return the target's noisy 8-bit image of the room, [rows, columns].
 
-        Parameters
-        ----------
-        gaze
-            Where the laser is, [2] in fractions of the field.
-        rng
-            Of the noise.
-        roll
-            Turn of the camera about its axis, in radians from x to y: the room turns the other way.
-        nearer
-            How much larger the room looks than at the scene's distance.
-        laser, exposure
-            The laser's power and the camera's exposure, over the usual ones.
-        second
-            Offset of the second beam's spot from the first, at no roll and in pixels, and its relative height.
-
-        Returns
-        -------
-        numpy.ndarray
-            [rows, columns], 8 bit.
+        `gaze` [2] is the laser's place in fractions of the field, `rng` draws the noise. `roll` rotates the camera
+        about its axis, in radians from x to y; `nearer` magnifies the room. `laser` and `exposure` are relative to
+        their usual values. `second` is the offset (x, y) of the second beam's spot in pixels, at no roll, and its
+        relative height.
         """
         x = (self.columns - 1) / 2 + gaze[0] * self.columns
         y = (self.rows - 1) / 2 + gaze[1] * self.rows
@@ -78,13 +57,13 @@ class Room:
         moved = cv2.warpAffine(self._wall, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         scene = np.asarray(moved, np.float32)
         if laser:
-            self._add_spot(scene, x, y, laser)
-            if second is not None:
-                dx, dy, ratio = second
-                self._add_spot(scene, x + c * dx + s * dy, y - s * dx + c * dy, ratio * laser)
+            dx, dy, ratio = second or (0.0, 0.0, 0.0)
+            for spot, share in (((x, y), 1.0), ((x + c * dx + s * dy, y - s * dx + c * dy), ratio)):
+                if share:
+                    add_patch(scene, bell(spot, self.spot_peak * (share * laser), self.spot_sigma, _SPOT_REACH), 1.0)
         if exposure != 1:
             scene *= np.float32(exposure)
-        # Shot noise of a 6500 electron well read at 8 bits, and 2 electrons of read noise.
+        # Shot noise of a full well of 6500 electrons at 8 bits, and 2 electrons of read noise.
         scale = 255 / 6500
         noise = rng.standard_normal(scene.shape, dtype=np.float32)
         noise *= np.sqrt(scene * np.float32(scale) + np.float32((2 * scale) ** 2))
@@ -92,18 +71,9 @@ class Room:
         np.rint(scene, out=scene)
         return np.clip(scene, 0, 255, out=scene).astype(np.uint8)
 
-    def _add_spot(self, scene: npt.NDArray[np.float32], x: float, y: float, share: float) -> None:
-        left, top = max(0, int(x) - _SPOT_REACH), max(0, int(y) - _SPOT_REACH)
-        right, bottom = min(self.columns, int(x) + _SPOT_REACH + 1), min(self.rows, int(y) + _SPOT_REACH + 1)
-        if left >= right or top >= bottom:
-            return
-        across = np.exp(-((np.arange(left, right) - x) ** 2) / (2 * self.spot_sigma**2))
-        down = np.exp(-((np.arange(top, bottom) - y) ** 2) / (2 * self.spot_sigma**2))
-        scene[top:bottom, left:right] += (self.spot_peak * share * down[:, None] * across).astype(np.float32)
-
 
 def _furnish(width: int, height: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """A lit wall with shelves, books and frames, and fine texture over all: mean some 70 of 255."""
+    """Return a lit wall with shelves, books, frames and fine texture; mean about 70 of 255."""
     wall = np.full((height, width), 80.0, np.float32)
     wall += np.linspace(-18, 18, width, dtype=np.float32) * rng.choice([-1, 1])
     for _ in range(14):

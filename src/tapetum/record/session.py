@@ -1,4 +1,4 @@
-"""What a take of the virtual bench is to be like."""
+"""Settings of a take on the virtual bench."""
 
 from __future__ import annotations
 
@@ -24,15 +24,11 @@ class Placed:
     Parameters
     ----------
     offset
-        Of its place from the first one's, along x and y in the probe's picture, in metres at the target.
-    target
-        What it is; None for another like the first.
-    distance
-        From the probe, in metres; None for the first one's own.
-    motion
-        How it is held.
-    seed
-        Of its motion, together with the session's and its place among the others.
+        Of its place from the first one's, along x and y in the probe's image, in metres at the target.
+    target, distance
+        The target and its distance from the probe, in metres; None for those of the first one.
+    motion, seed
+        How it is held; its seed is combined with the session's and its number among the others.
     """
 
     offset: tuple[float, float]
@@ -44,32 +40,24 @@ class Placed:
 
 @dataclass(frozen=True)
 class Session:
-    """How long to film, how the target is held, how clocks and light run, and what else is in the picture.
+    """Length of a take, motion of the target, clocks, light, and other objects in the image.
 
     Parameters
     ----------
-    seconds, rate
-        Length and frames a second of both cameras.
+    seconds, rate, start
+        Length, frames per second of both cameras, and UTC of the beginning.
     seed
         Of everything random. The same scene, session and seed give the same frames.
     motion
         How the target is held.
-    probe_clock, target_clock
-        The two cameras' clocks.
-    start
-        UTC of the beginning.
-    laser
-        Whether the target sees the probe's laser.
-    code
-        Blinks of the laser; None where it shines throughout.
+    probe_clock, target_clock, exposure, target_exposure
+        The two cameras' clocks, and their exposures over time.
+    laser, code
+        Whether the target sees the probe's laser, and its blink code; None for constant light.
     power_jitter
-        Root mean square of the laser's power from frame to frame, in parts of one.
-    exposure, target_exposure
-        Of the two cameras, over time.
-    stray
-        Light in the probe's frame besides the scene's even background, and the sensor's fixed pattern.
-    clutter
-        Things in the probe's frame that are no camera.
+        Relative RMS of the laser's power from frame to frame.
+    stray, clutter
+        Additional light in the probe's frame, the sensor's fixed pattern included, and objects that are not cameras.
     others
         Further targets. Labels are the first one's: only its camera films.
     """
@@ -99,26 +87,24 @@ class Session:
 
     @property
     def frames(self) -> int:
-        """Beats of each camera.
-
-        Raises
-        ------
-        InputError
-            When there is none.
-        """
+        """Nominal frames of each camera; raises an InputError when there are none."""
         count = round(self.seconds * self.rate)
         if count < 1:
             raise InputError(f"{self.seconds:g} s hold no frame", where="seconds", remedy="film longer")
         return count
 
+    @property
+    def start_ns(self) -> int:
+        """UTC of the beginning in nanoseconds since 1970, to the second."""
+        return int(self.start.timestamp()) * 10**9
+
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, for a recording; None where a thing is not there."""
-        clocks = {"probe": self.probe_clock, "target": self.target_clock}
+        """Return plain values for a recording; None for absent parts."""
         return {
             "seed": self.seed,
             "seconds": self.seconds,
             "motion": self.motion.as_dict(),
-            "clocks": {name: vars(clock) for name, clock in clocks.items()},
+            "clocks": {"probe": vars(self.probe_clock), "target": vars(self.target_clock)},
             "laser": {
                 "seen_by_target": self.laser,
                 "power_jitter": self.power_jitter,

@@ -1,7 +1,8 @@
-"""What every origin of frames looks like to the rooms above: grey images in order, with what is known of each."""
+"""Common interface of all sources of frames: grey images in order, with their times and exposure."""
 
 from __future__ import annotations
 
+import contextlib
 import os
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
@@ -17,28 +18,20 @@ __all__ = ["Frame", "FrameSource", "Source", "Stored", "existing", "full_scale_o
 
 @dataclass(frozen=True)
 class Frame:
-    """One grey image of a stream.
+    """One grey image of a stream; unknown values are None.
 
     Attributes
     ----------
-    index
-        Place of the frame in its source, from 0.
-    time
-        Seconds from the source's first frame, by the source's own clock.
-    image
-        Digital numbers, [H, W], uint8 or uint16.
+    index, time
+        Number of the frame in its source, from 0, and seconds from the first one by the source's own clock.
+    image, full_scale
+        Digital numbers, [H, W], uint8 or uint16, and the one at which this frame saturates (255, 4095, 65535 …).
     name
-        What to call the frame in a message: a file name, or `probe[12]`.
-    full_scale
-        Digital number at which this frame saturates (255, 4095, 65535 …).
-    utc_ns
-        When it was taken, in nanoseconds since 1970; None where nobody knows.
-    monotonic_ns
-        The same by a clock of this machine that is never set; None for what was recorded elsewhere.
-    exposure
-        Exposure time in seconds; None where nobody knows.
-    lit
-        Whether the probe's laser was on; None where nobody knows.
+        Name for messages: a file name, or `probe[12]`.
+    utc_ns, monotonic_ns
+        When it was taken, in nanoseconds since 1970, and by this machine's monotonic clock.
+    exposure, lit
+        Exposure time in seconds, and whether the probe's laser was on.
     lost
         Frames known to be lost since the one before.
     """
@@ -56,34 +49,28 @@ class Frame:
 
     def __post_init__(self) -> None:
         if self.image.ndim != 2 or self.image.dtype not in (np.uint8, np.uint16):
-            raise InputError(
-                f"must be [H, W] uint8 or uint16, is {list(self.image.shape)} {self.image.dtype}",
-                where=f"image of frame {self.name or self.index}",
-            )
+            what = f"must be [H, W] uint8 or uint16, is {list(self.image.shape)} {self.image.dtype}"
+            raise InputError(what, where=f"image of frame {self.name or self.index}")
         if self.full_scale is None:
             object.__setattr__(self, "full_scale", full_scale_of(self.image.dtype))
 
 
 @runtime_checkable
 class Source(Protocol):
-    """Frames in order. What is stored can be iterated again from its beginning; a camera goes on from now.
+    """Frames in order. Stored frames can be iterated again from the beginning; a camera continues from now.
 
     Attributes
     ----------
-    name
-        What to call the source in a message.
+    name, hardware
+        Name for messages, and what is known of the camera or file, as JSON values.
     live
-        Whether frames come at their own pace, and are lost where nobody takes them.
+        Whether frames arrive at their own pace, and are lost unless they are taken.
     count
-        Number of frames, or None where only reading to the end would tell. `len(source)` gives the same and
-        raises TypeError where it is None.
+        Number of frames, or None where only reading to the end would tell; `len(source)` then raises TypeError.
     full_scale
-        Digital number at which the frames saturate; where the frames differ, that of the first one
-        (`Frame.full_scale` is always right).
+        Digital number at which the first frame saturates (`Frame.full_scale` is right for each).
     rate
-        Nominal frames per second; None where nobody knows.
-    hardware
-        What is known of the camera or the file, as JSON can hold it.
+        Nominal frames per second, or None.
     """
 
     @property
@@ -113,7 +100,7 @@ class Source(Protocol):
     def __len__(self) -> int: ...
 
     def close(self) -> None:
-        """Give the camera back; files close themselves."""
+        """Release the camera; files need no closing."""
         ...
 
 
@@ -121,32 +108,23 @@ FrameSource = Source
 
 
 class Stored:
-    """What sources of frames on disk have in common."""
+    """Common part of sources of stored frames."""
 
     @property
     def live(self) -> bool:
-        """Stored frames wait."""
+        """False: stored frames wait."""
         return False
 
     @property
     def hardware(self) -> dict[str, Any]:
-        """The file's name, and that times are its own."""
+        """The file's name, and the origin of its times."""
         return {"file": Path(cast(Source, self).name).name, "time": "the file's own"}
 
     def first(self) -> Frame:
-        """Return the first frame.
-
-        Raises
-        ------
-        InputError
-            When there is none, or it cannot be read.
-        """
+        """Return the first frame; raise an InputError when there is none or it cannot be read."""
         source = cast(Source, self)
-        frames = cast("Generator[Frame]", iter(source))
-        try:
+        with contextlib.closing(cast("Generator[Frame]", iter(source))) as frames:
             found = next(frames, None)
-        finally:
-            frames.close()
         if found is None:
             raise InputError("holds no frame", where=source.name, remedy="give another file, or copy it again")
         return found
@@ -167,13 +145,7 @@ def full_scale_of(dtype: np.dtype | type) -> int:
 
 
 def existing(path: str | os.PathLike[str]) -> Path:
-    """Return `path` as a Path.
-
-    Raises
-    ------
-    InputError
-        When nothing is there, or it may not be looked at.
-    """
+    """Return `path` as a Path; raise an InputError when it does not exist or is not accessible."""
     found = Path(path)
     try:
         found.stat()

@@ -1,8 +1,8 @@
-"""The laser in the target's picture, and the labels it gives: where the probe is in the target's field."""
+"""The laser in the target's image, and the gaze labels that follow: the probe's place in the target's field."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 import pyarrow as pa
@@ -15,34 +15,32 @@ from tapetum.record.recording import Recording
 
 __all__ = ["LabelSummary", "NoLaserError", "Spot", "find_spot", "label_recording"]
 
-GOOD = 0.5  # quality from which a spot is taken for the laser
+GOOD = 0.5  # least quality of a spot that counts as the laser
 NEIGHBOURS = 4  # frames before and after that a spot must agree with
-BRIDGE = 3  # frames at most to the good spots on both sides that vouch for a doubtful one
-VOUCHED = 4.0  # what their word adds to its log-odds
+BRIDGE = 3  # most frames to the good spots on both sides that confirm a doubtful one
+CONFIRMED = 4.0  # increase of the log-odds of a confirmed spot
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
 
 
 class NoLaserError(InputError):
-    """Hardly a frame of the target shows a laser."""
+    """Almost no frame of the target shows a laser."""
 
 
 @dataclass(frozen=True)
 class Spot:
-    """The most likely laser spot of a picture.
+    """The most likely laser spot of an image.
 
     Attributes
     ----------
     x, y
-        Place of its centre in pixels; (0, 0) is the centre of the top left pixel.
+        Centre in pixels; (0, 0) is the centre of the top left pixel.
     quality
-        How likely it is the laser and not a part of the scene, 0 to 1. Below 0.5: take the laser as absent.
-    peak
-        Height over the background around it, in the picture's digital numbers; where it is saturated, what
-        the fit to its flanks says.
-    snr
-        That height over the rms of what the fit leaves.
+        Probability that it is the laser and not a part of the scene. Below 0.5, treat the laser as absent.
+    peak, snr
+        Height over the background in digital numbers (extrapolated where saturated), and its ratio to the fit's RMS
+        residual.
     sigma
-        Its width (standard deviation of the Gaussian) in pixels.
+        Standard deviation of the Gaussian in pixels.
     """
 
     x: float
@@ -54,60 +52,46 @@ class Spot:
 
 
 def find_spot(image: np.ndarray, background: np.ndarray | None = None, *, full_scale: float | None = None) -> Spot:
-    """Find the probe's laser in a target's picture.
+    """Find the probe's laser in a target's image.
 
     Parameters
     ----------
-    image
-        [H, W], of any real type.
-    background
-        The same scene without the laser, [H, W], where there is such a picture; it is subtracted.
+    image, background
+        [H, W], of any real type, and optionally the same scene without the laser, which is subtracted.
     full_scale
-        Digital number of saturation; by default the type's largest, for floats the picture's largest.
+        Digital number of saturation; by default the type's largest, for floats the image's largest.
 
     Returns
     -------
     Spot
-        The most likely spot; look at its `quality`. A picture without any blob gives quality 0 at its centre.
-        It is careful: a spot fainter than the scene's own contrast is called doubtful, however clean.
+        The most likely spot, whose `quality` says whether it is the laser. An image without any blob gives quality 0 at
+        its centre. A spot fainter than the scene's own contrast has a low quality.
 
     Raises
     ------
     InputError
-        When the image is not [H, W], smaller than 13 x 13, or holds NaN; when the background is of another
-        size.
+        When the image is not [H, W], smaller than 13 x 13, or holds NaN; when the background is of another size.
     """
     found = find_candidates(image, background, full_scale=full_scale)
     if not len(found):
         return Spot((image.shape[1] - 1) / 2, (image.shape[0] - 1) / 2, 0.0, 0.0, 0.0, 0.0)
-    return Spot(
-        x=float(found.x[0]),
-        y=float(found.y[0]),
-        quality=float(found.quality[0]),
-        peak=float(found.peak[0]),
-        snr=float(found.snr[0]),
-        sigma=float(found.sigma[0]),
-    )
+    return Spot(**{field.name: float(getattr(found, field.name)[0]) for field in fields(Spot)})
 
 
 @dataclass(frozen=True)
 class LabelSummary:
-    """How labelling a recording went.
+    """Result of labelling a recording.
 
     Attributes
     ----------
-    n
-        Number of probe frames.
-    labelled
-        How many of them got a gaze.
-    no_spot
-        How many did not because a target frame beside them shows no laser.
-    no_partner
-        How many did not because no target frames lie around them in time.
+    n, labelled
+        Numbers of probe frames, and of those with a gaze.
+    no_spot, no_partner
+        Numbers without one because a neighbouring target frame shows no laser, or because none is close in time.
     target_frames, spots
-        Number of target frames, and in how many the laser was found.
+        Numbers of target frames, and of those with a laser.
     median_quality
-        Median quality of the labels.
+        Of the labels.
     """
 
     n: int
@@ -120,10 +104,10 @@ class LabelSummary:
 
 
 def strays(times: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Return which places ([K, 2] px, at times [K]) leave the path that their neighbours draw, [K] bool.
+    """Return which places ([K, 2] px, at times [K]) are off a path by 20 px and by five times their neighbours'
+    scatter.
 
-    Each is compared with a straight line through its neighbours, fitted by medians so that one stray among
-    them does not bend it (Theil and Sen); it strays where it is off by 20 px and by five times what they are.
+    The path is a robust straight line through the neighbours (Theil and Sen).
     """
     out = np.zeros(len(times), bool)
     for i in range(len(times)):
@@ -141,25 +125,11 @@ def strays(times: np.ndarray, places: np.ndarray) -> np.ndarray:
 
 
 def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.ndarray]:
-    """Choose one candidate a frame, with the help of the frames around it.
+    """Choose one candidate per frame at times [N] (s); return places [N, 2] in pixels (NaN without one) and qualities
+    [N].
 
-    A good spot that jumps off the path of its neighbours loses its quality; a doubtful one between two good
-    ones, and where these say it should be, gains some. Frames around never raise a spot that none of them
-    vouches for.
-
-    Parameters
-    ----------
-    times
-        Seconds of the frames, [N].
-    found
-        Candidates of every frame.
-
-    Returns
-    -------
-    place
-        x and y in pixels, [N, 2]; NaN where a frame has no candidate.
-    quality
-        [N], 0 to 1.
+    A good spot off the path of its neighbours loses quality; a doubtful one where two good neighbours predict it gains
+    some. Without such neighbours no quality rises.
     """
     place = np.array([(c.x[0], c.y[0]) if len(c) else (np.nan, np.nan) for c in found]).reshape(-1, 2)
     quality = np.array([c.quality[0] if len(c) else 0.0 for c in found])
@@ -181,7 +151,7 @@ def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.n
         if near.any():
             best = int(np.flatnonzero(near)[np.argmax(found[i].odds[near])])
             place[i] = found[i].x[best], found[i].y[best]
-            quality[i] = 1 / (1 + np.exp(-(found[i].odds[best] + VOUCHED)))
+            quality[i] = 1 / (1 + np.exp(-(found[i].odds[best] + CONFIRMED)))
     return place, quality
 
 
@@ -193,23 +163,20 @@ def label_recording(
     target: str = "target",
     offset: float = 0.0,
 ) -> LabelSummary:
-    """Label every probe frame with the gaze, from the laser in the target's own video, and keep the labels.
+    """Label every probe frame with the gaze, from the laser in the target's video, and store the labels.
 
-    The field of view is the whole target picture: gaze_x = (x - (W - 1) / 2) / W, and so for y with H.
-    Between target frames the spot's place is interpolated by `Joined.interpolate`. `labels.parquet` gets a row for
-    every probe frame: `frame`, `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how`
-    ("laser-spot"), `quality` (the lesser of both target frames'), and `reach_back` and `reach_ahead`, how far from the
-    frame the target frames lie that the label rests on (seconds); gaze and spot are null where there is no good spot or
-    no target frame near.
+    The field of view is the whole target image: gaze_x = (x - (W - 1) / 2) / W, and so for y with H. Between target
+    frames the spot is interpolated by `Joined.interpolate`. `labels.parquet` has one row per probe frame: `frame`,
+    `gaze_x`, `gaze_y` (fractions of the field), `spot_x`, `spot_y` (target px), `how` ("laser-spot"), `quality` (the
+    lower of both target frames'), `reach_back` and `reach_ahead` (seconds to the farthest target frames used); gaze,
+    spot and reach are null without a good spot or a target frame near.
 
     Parameters
     ----------
-    recording
-        A recording with both streams.
+    recording, probe, target
+        A recording with both streams, and their names.
     progress
-        Shows how far the target's frames are done.
-    probe, target
-        The streams' names.
+        Shown over the target's frames.
     offset
         Seconds to add to the target's UTC, where its clock is known to be wrong.
 
@@ -218,7 +185,7 @@ def label_recording(
     InputError
         When a stream is missing or damaged, or the clocks do not overlap.
     NoLaserError
-        When hardly a target frame shows a laser.
+        When almost no target frame shows a laser.
     """
     joined = join(recording, probe, target, offset=offset)
     source = recording.source(target)
@@ -239,32 +206,26 @@ def label_recording(
     info = recording.stream(target)
     size = np.array([info.width, info.height], float)
     gaze = (spot - (size - 1) / 2) / size
+    there, labelled = joined.found, np.isfinite(gaze[:, 0])
     both = np.zeros(len(joined))
-    there, sides = joined.found, joined.weight[joined.found] > 0
-    first, second = quality[joined.before[there]], quality[joined.after[there]]
-    both[there] = np.where(sides, np.minimum(first, second), first)
-    labelled = np.isfinite(gaze[:, 0])
+    # At a target frame's own time `after` has no weight, and its quality does not count.
+    after = np.where(joined.weight > 0, joined.after, joined.before)
+    both[there] = np.minimum(quality[joined.before[there]], quality[after[there]])
 
-    reach = joined.reach()
+    def columns(names: str, values: np.ndarray) -> dict[str, pa.Array]:
+        return {
+            name: pa.array(column, pa.float64(), mask=~labelled)
+            for name, column in zip(names.split(), values.T, strict=True)
+        }
 
-    def column(values: np.ndarray) -> pa.Array:
-        return pa.array(values, pa.float64(), mask=~labelled)
-
-    recording.write_labels(
-        pa.table(
-            {
-                "frame": pa.array(np.arange(len(joined)), pa.int64()),
-                "gaze_x": column(gaze[:, 0]),
-                "gaze_y": column(gaze[:, 1]),
-                "spot_x": column(spot[:, 0]),
-                "spot_y": column(spot[:, 1]),
-                "how": pa.array(["laser-spot"] * len(joined), pa.string()),
-                "quality": pa.array(both, pa.float64()),
-                "reach_back": column(reach[:, 0]),
-                "reach_ahead": column(reach[:, 1]),
-            }
-        )
-    )
+    table = {
+        "frame": pa.array(np.arange(len(joined)), pa.int64()),
+        **columns("gaze_x gaze_y spot_x spot_y", np.hstack([gaze, spot])),
+        "how": pa.array(["laser-spot"] * len(joined), pa.string()),
+        "quality": pa.array(both, pa.float64()),
+        **columns("reach_back reach_ahead", joined.reach()),
+    }
+    recording.write_labels(pa.table(table))
     return LabelSummary(
         n=len(joined),
         labelled=int(labelled.sum()),

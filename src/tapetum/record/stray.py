@@ -1,9 +1,10 @@
-"""Light in the probe's frame that stands still, and the sensor's own pattern under it."""
+"""Constant stray light in the probe's frame, and the sensor's fixed pattern."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 import cv2
 import numpy as np
@@ -11,37 +12,35 @@ import numpy.typing as npt
 
 from tapetum.bench import Scene
 from tapetum.errors import InputError
-from tapetum.record.clutter import blurred
+from tapetum.record.clutter import Thing, blurred
 from tapetum.simulate.exposure import hot_currents
 from tapetum.simulate.radiometry import dark_electrons
 
 __all__ = ["DimRoom", "FixedPattern", "Gradient", "Ground", "Stray", "draw_stray"]
 
 Frame = npt.NDArray[np.float32]
-# Pixels of the dim room in its blur: finer would show nothing more.
+# Pixels of the dim room across its blur; finer ones would not be visible.
 _CELLS = 24
 
 
 @dataclass(frozen=True)
-class Gradient:
+class Gradient(Thing):
     """Stray light that grows evenly across the frame, as from a window beside the probe.
 
     Parameters
     ----------
-    electrons
-        At the bright corner, in the scene's exposure; none at the opposite one.
-    angle
-        Of the direction in which it grows, in radians from x to y.
+    electrons, angle
+        At the bright corner in the scene's exposure (the opposite one has none); and the direction of growth, in
+        radians from x to y.
     """
 
     electrons: float
     angle: float = 0.0
 
-    def __post_init__(self) -> None:
-        _check("gradient.electrons", self.electrons)
+    positive: ClassVar[tuple[str, ...]] = ("electrons",)
 
     def light(self, scene: Scene, rng: np.random.Generator) -> Frame:
-        """Electrons, [H, W]."""
+        """Return the electrons, [H, W]."""
         columns, rows = scene.probe.sensor.pixels
         x = (np.arange(columns) - (columns - 1) / 2) * math.cos(self.angle)
         y = (np.arange(rows) - (rows - 1) / 2) * math.sin(self.angle)
@@ -51,29 +50,26 @@ class Gradient:
 
 
 @dataclass(frozen=True)
-class DimRoom:
+class DimRoom(Thing):
     """A furnished room behind the target, out of focus: the probe sees it blurred by a disc of D f_p/d.
 
     Parameters
     ----------
-    electrons
-        Mean over the frame, in the scene's exposure.
-    distance
-        Of the room's wall from the probe, in metres; None for 2 m behind the target.
+    electrons, distance
+        Mean over the frame in the scene's exposure, and distance of its wall from the probe in metres; None for 2 m
+        behind the target.
     contrast
-        Standard deviation of the logarithm of what the furniture sends back: assumed 0.8.
+        Standard deviation of the logarithm of the furniture's reflected light: assumed 0.8.
     """
 
     electrons: float
     distance: float | None = None
     contrast: float = 0.8
 
-    def __post_init__(self) -> None:
-        _check("dimroom.electrons", self.electrons)
-        _check("dimroom.distance", 1.0 if self.distance is None else self.distance)
+    positive: ClassVar[tuple[str, ...]] = ("electrons", "distance")
 
     def light(self, scene: Scene, rng: np.random.Generator) -> Frame:
-        """Electrons, [H, W]."""
+        """Return the electrons, [H, W]."""
         probe = scene.probe
         columns, rows = probe.sensor.pixels
         distance = scene.distance + 2 if self.distance is None else self.distance
@@ -83,7 +79,7 @@ class DimRoom:
         margin = math.ceil(blur / cell / 2) + 2
         width, height = math.ceil(columns / cell) + 2 * margin, math.ceil(rows / cell) + 2 * margin
         room = np.zeros((height, width), np.float32)
-        # Things of 1 to 50 cm, one over the other, until each place has been covered some ten times.
+        # Overlapping objects of 1 to 50 cm, until each place has been covered about ten times.
         covered = 0.0
         while covered < 10 * width * height:
             w, h = np.exp(rng.uniform(math.log(0.01), math.log(0.5), 2)) * scale / cell
@@ -103,15 +99,15 @@ class DimRoom:
 
 @dataclass(frozen=True)
 class FixedPattern:
-    """What a sensor adds to every frame, and how unevenly it sees: the same for a sensor's serial number.
+    """A sensor's constant offsets and uneven sensitivity, determined by its serial number.
 
     Parameters
     ----------
     columns, rows, pixels
-        Root mean square of the offsets of columns, rows and single pixels, in electrons. They count as light: a dark
-        place cannot lie below none, and each has its shot noise (which is small beside the read noise).
+        RMS of the offsets of columns, rows and single pixels, in electrons. They count as light: they cannot make a
+        pixel negative, and have shot noise (small beside the read noise).
     gain
-        Root mean square of the pixels' sensitivity, in parts of one.
+        RMS of the pixels' relative sensitivity.
     """
 
     columns: float = 0.5
@@ -122,12 +118,11 @@ class FixedPattern:
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not (math.isfinite(value) and value >= 0):
-                raise InputError(
-                    f"must not be negative, is {value}", where=f"fixedpattern.{name}", remedy="give 0 or more"
-                )
+                where = f"fixedpattern.{name}"
+                raise InputError(f"must not be negative, is {value}", where=where, remedy="give 0 or more")
 
     def draw(self, scene: Scene) -> tuple[Frame, Frame]:
-        """Offsets in electrons and sensitivities, [H, W] each."""
+        """Return offsets in electrons and sensitivities, [H, W] each."""
         columns, rows = scene.probe.sensor.pixels
         rng = np.random.default_rng([scene.probe.sensor.serial, 0xF1])
         across, down = rng.standard_normal(columns), rng.standard_normal(rows)
@@ -141,15 +136,7 @@ Stray = Gradient | DimRoom | FixedPattern
 
 @dataclass(frozen=True)
 class Ground:
-    """A frame without laser and clutter.
-
-    Parameters
-    ----------
-    light
-        [H, W] electrons in the scene's exposure.
-    offset, gain
-        The sensor's pattern, [H, W]; None where it has none.
-    """
+    """A frame without laser and clutter: [H, W] electrons in the scene's exposure, and the sensor's pattern, if any."""
 
     light: Frame
     offset: Frame | None = None
@@ -157,13 +144,12 @@ class Ground:
 
     @classmethod
     def of(cls, scene: Scene, stray: tuple[Stray, ...] = (), seed: int = 0) -> Ground:
-        """The scene's own even background and dark current, hot pixels included, with what else there is."""
+        """Return the scene's even background and dark current, hot pixels included, plus stray light."""
         sensor = scene.probe.sensor
         light = np.full(sensor.pixels[::-1], dark_electrons(sensor), np.float32)
         if sensor.hot_pixels and sensor.hot_current:
             light += (hot_currents(sensor) * sensor.exposure).numpy()
-        offset: Frame | None = None
-        gain: Frame | None = None
+        offset = gain = None
         for number, one in enumerate(stray):
             if isinstance(one, FixedPattern):
                 offset, gain = one.draw(scene)
@@ -172,11 +158,11 @@ class Ground:
         return cls(light, offset, gain)
 
     def lit(self, exposure: float) -> Frame:
-        """A new frame of mean electrons, to which more light may be added."""
+        """Return a new frame of mean electrons, to which more light may be added."""
         return self.light * np.float32(exposure)
 
     def seen(self, mean: Frame) -> Frame:
-        """What the sensor's pattern makes of all light; the frame is overwritten."""
+        """Apply the sensor's pattern to a frame in place; return it."""
         if self.gain is not None and self.offset is not None:
             mean *= self.gain
             mean += self.offset
@@ -185,13 +171,8 @@ class Ground:
 
 
 def draw_stray(scene: Scene, seed: int) -> tuple[Stray, ...]:
-    """A dim room, a gradient and a fixed pattern, as bright as the scene's even background or less (assumed)."""
+    """Return a dim room, a gradient and a fixed pattern, at most as bright as the scene's background (assumed)."""
     rng = np.random.default_rng([seed, 0x57])
     usual = max(10.0, scene.probe.sensor.background)
     room, ramp = usual * rng.uniform(0.2, 1.0, 2)
     return DimRoom(float(room)), Gradient(float(ramp), float(rng.uniform(0, 2 * math.pi))), FixedPattern()
-
-
-def _check(name: str, value: float) -> None:
-    if not (math.isfinite(value) and value > 0):
-        raise InputError(f"must be positive, is {value}", where=name, remedy="give a positive number")

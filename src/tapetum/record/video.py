@@ -1,15 +1,16 @@
-"""Lossless grey video: FFV1 in Matroska, written so that a killed program loses one frame, and read exactly.
+"""Lossless grey video: FFV1 in Matroska. A killed program loses one frame; reading is exact.
 
-Every frame is a key frame in a cluster of its own that goes to the operating system as soon as the next frame
-comes. FFV1 version 3, Golomb–Rice coder, small context model, 4 slices on up to 2 threads: the fastest of
-what FFV1 offers (the range coder takes twice the time to save no byte on noisy frames).
+Every frame is a key frame in its own cluster, which goes to the operating system as soon as the next frame comes. FFV1
+version 3, Golomb-Rice coder, small context model, 4 slices on up to 2 threads is FFV1's fastest mode (the range coder
+takes twice the time and saves nothing on noisy frames).
 """
 
 from __future__ import annotations
 
+import contextlib
 import os
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from fractions import Fraction
 from pathlib import Path
@@ -30,8 +31,7 @@ PIXEL_FORMATS = {np.dtype(np.uint8): "gray", np.dtype(np.uint16): "gray16le"}
 FFV1 = {"level": "3", "coder": "0", "context": "0", "g": "1", "slices": "4", "slicecrc": "1"}
 FULL_SCALE_TAG = "TAPETUM_FULL_SCALE"
 MILLISECOND = Fraction(1, 1000)
-# A list of what may be opened keeps play lists (which would fetch other files) and text (which FFmpeg would
-# show as a terminal's screen) out.
+# This list excludes play lists, which would open other files, and text, which FFmpeg would render as a terminal.
 CONTAINERS = (
     "matroska,webm,mov,mp4,m4a,3gp,3g2,mj2,avi,mpegts,mpeg,ogg,flv,asf,nut,ivf,mjpeg,dv,mxf,gif,apng,"
     "yuv4mpegpipe,h264,hevc,wtv"
@@ -44,25 +44,21 @@ THREADS = max(1, min(2, os.cpu_count() or 1))
 
 
 class VideoWriter:
-    """Writes grey images as FFV1 in Matroska. A file of that name is replaced.
+    """Writes grey images as FFV1 in Matroska; replaces an existing file.
 
     Parameters
     ----------
-    path
-        The file, by custom `.mkv`.
-    size
-        Height and width in pixels.
+    path, size, dtype
+        The file, usually `.mkv`; height and width in pixels; and numpy.uint8 or numpy.uint16.
     rate
-        Nominal frames per second, used for the time stamps where `write` is given none.
-    dtype
-        numpy.uint8 or numpy.uint16.
+        Nominal frames per second, for time stamps where `write` is given none.
     full_scale
         Digital number of saturation, kept as a tag (`TAPETUM_FULL_SCALE`); by default the type's largest.
 
     Raises
     ------
     InputError
-        When the size, rate or type cannot be written, or the file cannot be made.
+        When size, rate or type are not supported, or the file cannot be created.
     """
 
     def __init__(
@@ -73,12 +69,8 @@ class VideoWriter:
         dtype: np.dtype | type = np.uint8,
         full_scale: int | None = None,
     ) -> None:
-        self.path, self.size, self.dtype, self.count = (
-            Path(path),
-            (int(size[0]), int(size[1])),
-            np.dtype(dtype),
-            0,
-        )
+        self.path, self.size, self.dtype = Path(path), (int(size[0]), int(size[1])), np.dtype(dtype)
+        self.count = 0
         if self.dtype not in PIXEL_FORMATS:
             raise InputError(f"cannot hold {self.dtype} samples", where=self.path, remedy="give uint8 or uint16")
         if min(self.size) < 1:
@@ -93,37 +85,26 @@ class VideoWriter:
         self._closed = False
         self._format = PIXEL_FORMATS[self.dtype]
         with told_when_full(self.path):
-            # The "file:" keeps a name with a colon in it from being taken for a protocol.
-            # A cluster for every frame, however small: FFmpeg writes whole clusters only.
+            # "file:" keeps FFmpeg from reading a name with a colon as a protocol. FFmpeg writes whole clusters only,
+            # so every frame gets its own.
             options = {"flush_packets": "1", "cluster_size_limit": "1"}
             self._container = av.open(f"file:{self.path}", "w", format="matroska", options=options)
         self._container.metadata[FULL_SCALE_TAG] = str(full_scale)
-        stream: Any = self._container.add_stream("ffv1", rate=Fraction(rate).limit_denominator(10_000))
-        stream.height, stream.width = self.size
-        stream.pix_fmt = self._format
-        stream.time_base = stream.codec_context.time_base = MILLISECOND
-        stream.codec_context.thread_type = "SLICE"
-        stream.codec_context.thread_count = THREADS
-        stream.options = FFV1
-        self._stream = stream
+        self._stream: Any = self._container.add_stream("ffv1", rate=Fraction(rate).limit_denominator(10_000))
+        self._stream.height, self._stream.width = self.size
+        self._stream.pix_fmt, self._stream.options = self._format, FFV1
+        context = self._stream.codec_context
+        self._stream.time_base = context.time_base = MILLISECOND
+        context.thread_type, context.thread_count = "SLICE", THREADS
         with told_when_full(self.path):
-            # Makes the file now: a place that cannot be written to is reported before the first frame.
+            # Creates the file, so that an unwritable path is reported before the first frame.
             self._container.start_encoding()
 
     def write(self, image: np.ndarray, time: float | None = None) -> None:
-        """Append one image.
+        """Append one image [H, W] of the writer's size and type.
 
-        Parameters
-        ----------
-        image
-            [H, W] of the writer's size and type.
-        time
-            Seconds from the first frame, kept to the millisecond; by default the frame's number over `rate`.
-
-        Raises
-        ------
-        InputError
-            When the image is of another size or type, or the disk is full.
+        `time` is in seconds from the first frame, kept to the millisecond; by default the frame's number over `rate`.
+        Raises an InputError when the image is of another size or type, or the disk is full.
         """
         if self._closed:
             raise InputError("the video is closed already", where=self.path)
@@ -140,18 +121,12 @@ class VideoWriter:
         self.count += 1
 
     def flush(self) -> None:
-        """Do nothing more: every frame but the newest has reached the operating system when `write` returns.
-
-        Those frames survive the death of the program (`kill -9`); a loss of power is not covered.
-        """
+        """Do nothing: every frame but the newest has reached the operating system when `write` returns."""
 
     def close(self) -> None:
-        """Write what is left and the index. Closing twice is harmless.
+        """Write the rest and the index; closing twice is harmless.
 
-        Raises
-        ------
-        InputError
-            When the disk is full; the frames before stay readable.
+        Raises an InputError when the disk is full; the frames before stay readable.
         """
         if self._closed:
             return
@@ -168,31 +143,24 @@ class VideoWriter:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if error is None:
+        # An error on closing must not hide the one that ended the block.
+        with contextlib.nullcontext() if error is None else contextlib.suppress(OSError, InputError):
             self.close()
-            return
-        # The first error is the one to tell: one on closing would only hide it.
-        try:
-            self.close()
-        except (OSError, InputError):
-            return
 
 
 def open_container(file: Path) -> tuple[Any, Any]:
-    """Return the opened container and its first video stream, or raise an InputError."""
+    """Return the opened container and its first video stream; raise an InputError for other files."""
     if file.is_file() and not file.stat().st_size:
         raise truncated(file, 0)
     try:
         container = av.open(f"file:{file}", options=READ)
     except EOFError as error:
-        # Nothing but a header, as a writer leaves that was killed at its first frame.
+        # Only a header: the writer was killed at its first frame.
         raise truncated(file, 0) from error
     except (FFmpegError, OSError, ValueError) as error:
-        raise InputError(
-            "is not a video that can be read (or its beginning is damaged)",
-            where=file,
-            remedy="give an image, a folder of images, a .rec folder or a video such as .mkv, .mp4 or .avi",
-        ) from error
+        remedy = "give an image, a folder of images, a .rec folder or a video such as .mkv, .mp4 or .avi"
+        what = "is not a video that can be read (or its beginning is damaged)"
+        raise InputError(what, where=file, remedy=remedy) from error
     if not container.streams.video:
         container.close()
         raise InputError("holds no video", where=file, remedy="give a file with a video stream")
@@ -203,10 +171,9 @@ def open_container(file: Path) -> tuple[Any, Any]:
 
 
 def matroska_missing(file: Path) -> int | None:
-    """Return how many bytes a finished Matroska file lacks of the size it states.
+    """Return by how many bytes a Matroska file is shorter than it states (RFC 8794, §6); None if it states no size.
 
-    FFmpeg drops a torn last frame without a word, so the size is the only trace of a file that was cut. None
-    for a file that is no Matroska or that states no size, as one does whose writer was killed (RFC 8794, §6).
+    FFmpeg silently drops a torn last frame, so only the size shows that a file was cut.
     """
     with file.open("rb") as stream:
         head = stream.read(4096)
@@ -215,10 +182,10 @@ def matroska_missing(file: Path) -> int | None:
 
     def size_at(place: int) -> tuple[int, int]:
         """Return an element's size and where its data begin; -1 for the size that means unknown."""
-        first = head[place]
-        width = 9 - first.bit_length()
-        value = int.from_bytes(head[place : place + width], "big") & ((1 << 7 * width) - 1)
-        return (-1 if value == (1 << 7 * width) - 1 else value), place + width
+        width = 9 - head[place].bit_length()
+        unknown = (1 << 7 * width) - 1
+        value = int.from_bytes(head[place : place + width], "big") & unknown
+        return (-1 if value == unknown else value), place + width
 
     try:
         header, start = size_at(4)
@@ -232,25 +199,22 @@ def matroska_missing(file: Path) -> int | None:
 
 
 def count_frames(path: str | os.PathLike[str]) -> int:
-    """Return how many whole frames a video holds, without decoding them (some GB a second)."""
-    number = 0
+    """Return the number of complete frames of a video, without decoding them (some GB per second)."""
     try:
         container, stream = open_container(existing(path))
     except InputError as error:
         if isinstance(error.__cause__, EOFError):
-            return number
+            return 0
         raise
-    with container:
-        try:
-            for packet in container.demux(stream):
-                number += packet.size > 0 and not packet.is_corrupt
-        except (FFmpegError, OSError):
-            return number
+    number = 0
+    with container, contextlib.suppress(FFmpegError, OSError):
+        for packet in container.demux(stream):
+            number += packet.size > 0 and not packet.is_corrupt
     return number
 
 
 def truncated(file: Path, number: int) -> InputError:
-    """Return the error for a video that ends too early, after `number` whole frames."""
+    """Return the error for a video that ends early, after `number` complete frames."""
     return InputError(
         f"the video is truncated or damaged: {number} frames could be read",
         where=file,
@@ -263,19 +227,20 @@ def to_array(frame: Any) -> tuple[np.ndarray, int]:
     name = frame.format.name
     if name in NATIVE_GREY:
         return frame.to_ndarray(), NATIVE_GREY[name]
-    # Luma over the type's whole range, from whatever colour and depth the file has.
+    # Other formats become luma over the type's whole range.
     wanted = "gray16le" if max(part.bits for part in frame.format.components) > 8 else "gray"
     return frame.to_ndarray(format=wanted), NATIVE_GREY[wanted]
 
 
-def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple[np.ndarray, int, float | None]]:
-    """Yield image, full scale and seconds (None where the file has no stamp), checking for an early end.
+def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Generator[tuple[np.ndarray, int, float | None]]:
+    """Yield image, full scale and seconds (None without a time stamp), and raise an InputError for an early end.
 
-    What is reported of an early end comes before the first frame where the file shows it, `late` only after the last.
+    It is raised before the first frame where the file shows it, or with `late` only after the last; never if
+    `tolerant`.
     """
     missing = matroska_missing(file)
     if missing and not tolerant and not late:
-        # Known before the first frame: nobody should wait an hour to be told.
+        # Raised before the first frame, not after an hour of reading.
         raise truncated(file, count_frames(file))
     number = packets = 0
     container, stream = open_container(file)
@@ -291,11 +256,8 @@ def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple
                     if frame.is_corrupt:
                         raise truncated(file, number)
                     image, full_scale = to_array(frame)
-                    yield (
-                        image,
-                        stated or full_scale,
-                        None if frame.pts is None else float(frame.pts * frame.time_base),
-                    )
+                    time = None if frame.pts is None else float(frame.pts * frame.time_base)
+                    yield image, stated or full_scale, time
                     number += 1
         except (FFmpegError, OSError, InputError) as error:
             if not tolerant:
@@ -306,16 +268,16 @@ def decoded(file: Path, *, tolerant: bool, late: bool = False) -> Iterator[tuple
 
 
 def slices_whole(packet: bytes) -> bool:
-    """Return whether the checksums of all slices of a frame that `VideoWriter` wrote hold (RFC 9043, §4.9).
+    """Return whether the checksums of all slices of a frame of `VideoWriter` hold (RFC 9043, §4.9).
 
-    FFmpeg's decoder covers a damaged slice up with what the frame before had there, and reports nothing.
+    FFmpeg's decoder silently replaces a damaged slice by that of the frame before.
     """
-    # The checksum takes each byte's highest bit first, zlib's takes the lowest first.
+    # FFV1's checksum starts with each byte's highest bit, zlib's with the lowest.
     mirrored = packet.translate(MIRRORED)
     end = len(packet)
     while end >= FOOTER:
         start = end - FOOTER - int.from_bytes(packet[end - FOOTER : end - FOOTER + 3], "big")
-        # Seeded so that the register starts at 0; it ends there too, since the checksum is part of the slice.
+        # The register starts at 0, and ends at 0 because the slice includes its checksum.
         if start < 0 or zlib.crc32(mirrored[start:end], 0xFFFFFFFF) != 0xFFFFFFFF:
             return False
         end = start
@@ -323,24 +285,10 @@ def slices_whole(packet: bytes) -> bool:
 
 
 def read_video(path: str | os.PathLike[str], *, tolerant: bool = False) -> Iterator[np.ndarray]:
-    """Yield the frames of a video as grey arrays, exactly as written where the video is lossless grey.
+    """Yield the frames of a video as grey arrays [H, W], uint8 or uint16; exactly as written if it is lossless grey.
 
-    Parameters
-    ----------
-    path
-        A video file of any kind that FFmpeg reads.
-    tolerant
-        Whether to stop quietly at the last whole frame of a truncated or damaged file.
-
-    Yields
-    ------
-    image
-        [H, W], uint8 or uint16.
-
-    Raises
-    ------
-    InputError
-        When the file cannot be read, and, unless `tolerant`, when it is truncated or damaged.
+    Any format of FFmpeg works. Raises an InputError when it cannot be read or is truncated or damaged; with `tolerant`
+    it stops at the last complete frame instead.
     """
     for image, _, _ in decoded(existing(path), tolerant=tolerant):
         yield image
@@ -352,16 +300,12 @@ class VideoSource(Stored):
 
     Attributes
     ----------
-    path
-        The video file.
-    full_scale
-        Digital number of saturation.
-    count
-        Number of frames where the file states it, else None.
+    path, full_scale, count
+        The video file, digital number of saturation, and number of frames where the file states it, else None.
     rate
         Frames per second for a file without stamps.
     late
-        Whether all readable frames come before the error about a file that was cut.
+        Whether all readable frames come before the error about a truncated file.
     """
 
     path: Path
@@ -372,20 +316,11 @@ class VideoSource(Stored):
 
     @classmethod
     def from_path(cls, path: str | os.PathLike[str], *, late: bool = False) -> VideoSource:
-        """Open a video file far enough to know that it can be read.
-
-        Raises
-        ------
-        InputError
-            When it is no video, holds no frame that can be decoded, or is seen to be truncated.
-        """
+        """Open a video file; raise an InputError when it is no video, has no readable frame, or is truncated."""
         file = existing(path)
-        first = decoded(file, tolerant=False, late=late)
-        try:
+        with contextlib.closing(decoded(file, tolerant=False, late=late)) as frames:
             # An empty or wholly damaged video raises here.
-            _, full_scale, _ = next(first)
-        finally:
-            first.close()  # type: ignore[attr-defined]
+            _, full_scale, _ = next(frames)
         container, stream = open_container(file)
         with container:
             rate = float(stream.average_rate or 0) or 15.0

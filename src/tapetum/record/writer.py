@@ -1,4 +1,4 @@
-"""Writes recordings, so that they can be read whatever ends the writing."""
+"""Writing of recordings, which stay readable however the writing ends."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ import re
 import shutil
 import uuid
 from collections.abc import Mapping
-from dataclasses import replace
-from datetime import UTC, datetime
+from dataclasses import asdict, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -23,33 +22,16 @@ import numpy as np
 from tapetum.durable import clean_leftovers, sole_writer, sync
 from tapetum.errors import InputError
 from tapetum.files import free_name, replace_folder, told_when_full
-from tapetum.record.layout import (
-    FORMAT,
-    FRAMES,
-    JOURNAL,
-    META,
-    VERSION,
-    StreamInfo,
-    journal_line,
-    read_journal,
-    read_meta,
-    write_json,
-    write_table,
-)
+from tapetum.record import layout
+from tapetum.record.layout import FRAMES, JOURNAL, META, StreamInfo, write_table
+from tapetum.record.source import Frame
 from tapetum.record.video import VideoWriter
 
 __all__ = ["RecordingWriter"]
 
 
-def iso(utc_ns: int) -> str:
-    """Return nanoseconds since 1970 as ISO 8601 to the microsecond."""
-    seconds, rest = divmod(utc_ns, 10**9)
-    moment = datetime.fromtimestamp(seconds, UTC).replace(microsecond=rest // 1000)
-    return moment.isoformat(timespec="microseconds").replace("+00:00", "Z")
-
-
 def software() -> dict[str, str]:
-    """Return the versions that made a recording."""
+    """Return the versions of the software."""
     return {
         "tapetum": importlib.metadata.version("tapetum"),
         "python": platform.python_version(),
@@ -61,35 +43,30 @@ def software() -> dict[str, str]:
 class RecordingWriter:
     """Writes a recording; use it in a `with` block.
 
-    Each frame goes to its video and its clocks to the journal at once, so that a killed program loses at most
-    the newest frame of every stream. Leaving the block by an exception keeps what was written, marked as
-    unfinished; if that was nothing at all, the folder goes. Once it is closed all of it is on the disk.
-
-    A recording that is replaced stands until the new one is whole: that one grows as `NAME.unfinished.rec` beside it,
-    and stays there if it ends unfinished.
+    Each frame goes to its video and its clocks to the journal at once, so that a killed program loses at most the
+    newest frame of every stream. An exception in the block keeps the frames, marked as unfinished, or removes an empty
+    folder. A recording to be replaced stays until the new one is complete, which is written beside it as
+    `NAME.unfinished.rec` and stays there if unfinished.
 
     Parameters
     ----------
     path
-        The folder to make, by custom `NAME.rec`.
-    streams
-        What is recorded, by name (`probe`, `target`).
-    rate
-        Nominal frames per second.
-    hardware
-        What recorded: cameras, lenses, serial numbers; whatever JSON can say.
-    extra
-        More fields for recording.json (a scene, seeds); they may not take the names of its own.
+        The folder to make, usually `NAME.rec`.
+    streams, rate
+        Formats by stream name (`probe`, `target`), and nominal frames per second.
+    hardware, extra
+        Cameras, lenses, serial numbers; and further fields of recording.json (a scene, seeds), under names that it does
+        not use itself. JSON values.
     start_utc_ns
         UTC of the recording's start, nanoseconds since 1970.
     overwrite
-        Whether a recording that stands at `path` may be replaced once this one is whole. Anything else never is.
+        Whether a recording at `path` may be replaced once this one is complete. Nothing else ever is.
 
     Raises
     ------
     InputError
-        When something stands at `path`, another command is recording to it, the arguments cannot be written, or there
-        is no room on the disk.
+        When something exists at `path`, another command is recording to it, the arguments cannot be written, or the
+        disk is full.
 
     Attributes
     ----------
@@ -112,32 +89,22 @@ class RecordingWriter:
         if not streams:
             raise InputError("no stream to record", where=self.path, remedy="give at least one")
         for name in streams:
-            # The name becomes a file's and a word of the journal.
+            # The name is used for a file and in the journal.
             if not re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]*", name):
-                raise InputError(
-                    f"cannot name a stream {name!r}", where=self.path, remedy="use letters, digits, - and _"
-                )
+                what = f"cannot name a stream {name!r}"
+                raise InputError(what, where=self.path, remedy="use letters, digits, - and _")
         self.streams = {name: replace(info, rate=info.rate or rate) for name, info in streams.items()}
         self.meta: dict[str, Any] = {
-            "format": FORMAT,
-            "version": VERSION,
+            "format": layout.FORMAT,
+            "version": layout.VERSION,
             "uuid": str(uuid.uuid4()),
-            "start_utc": iso(start_utc_ns),
+            "start_utc": layout.iso(start_utc_ns),
             "start_utc_ns": int(start_utc_ns),
             "rate": rate,
             "finished": False,
             "hardware": dict(hardware or {}),
             "streams": {
-                name: {
-                    "file": f"{name}.mkv",
-                    "codec": "ffv1",
-                    "height": info.height,
-                    "width": info.width,
-                    "bits": info.bits,
-                    "full_scale": info.full_scale,
-                    "rate": info.rate,
-                }
-                for name, info in self.streams.items()
+                name: {"file": f"{name}.mkv", "codec": "ffv1", **asdict(info)} for name, info in self.streams.items()
             },
             "clock": {
                 "utc": "nanoseconds since 1970-01-01, at mid-exposure where the source knows it",
@@ -145,8 +112,7 @@ class RecordingWriter:
             },
             "software": software(),
         }
-        taken = sorted(set(extra or {}) & set(self.meta))
-        if taken:
+        if taken := sorted(set(extra or {}) & set(self.meta)):
             raise InputError(f"{', '.join(taken)} is a name of {META}'s own", where=f"{self.path} extra")
         self.meta.update(extra or {})
         self._closed = False
@@ -159,11 +125,11 @@ class RecordingWriter:
                 self.path.absolute().parent.mkdir(parents=True, exist_ok=True)
                 self._lock.enter_context(sole_writer(self.path))
                 clean_leftovers(self.path)
-                # Asked again: only now does nobody else write here.
+                # Checked again under the lock.
                 self.place = self._free_place(overwrite)
                 self.place.mkdir()
                 self._made = True
-                # Unbuffered: each line is the operating system's as soon as it is written.
+                # Unbuffered, so that each line reaches the operating system at once.
                 self._journal = (self.place / JOURNAL).open("wb", buffering=0)
             self._write_meta()
             for name, info in self.streams.items():
@@ -175,19 +141,19 @@ class RecordingWriter:
             raise
 
     def _free_place(self, overwrite: bool) -> Path:
-        """Return where to write: the path itself, or a free name beside a recording that is to be replaced."""
+        """Return the folder to write: the path itself, or a free name beside a recording that will be replaced."""
         if not self.path.exists() and not self.path.is_symlink():
             return self.path
         if not overwrite:
             raise InputError("exists already", where=self.path, remedy="choose another name or remove it first")
-        # Only what shows that it is a recording may be replaced.
-        read_meta(self.path)
+        # Only recordings may be replaced.
+        layout.read_meta(self.path)
         return free_name(self.path, "unfinished")
 
     def _write_meta(self) -> None:
-        """Write recording.json as things stand."""
+        """Write the present recording.json."""
         try:
-            write_json(self.place / META, self.meta)
+            layout.write_json(self.place / META, self.meta)
         except (TypeError, ValueError) as error:
             if isinstance(error, InputError):
                 raise
@@ -213,18 +179,14 @@ class RecordingWriter:
 
         Parameters
         ----------
-        stream
-            One of the streams the writer was made with.
-        image
-            [H, W] of the stream's size; uint8 up to 8 bit, uint16 above.
-        monotonic_ns
-            The frame's moment by a clock that is never set; must rise within a stream.
-        utc_ns
-            The same moment in UTC, nanoseconds since 1970.
+        stream, image
+            One of the writer's streams, and [H, W] of its size; uint8 up to 8 bit, uint16 above.
+        monotonic_ns, utc_ns
+            The frame's time by a rising monotonic clock, and in UTC since 1970, in nanoseconds.
         dropped_before
             Frames known to be lost since the one before.
         exposure, lit
-            Exposure time in seconds, and whether the probe's laser was on; None where nobody knows.
+            Exposure time in seconds, and whether the probe's laser was on; None where unknown.
 
         Raises
         ------
@@ -238,31 +200,31 @@ class RecordingWriter:
         video, here = self._videos[stream], f"{self.path} {stream}[{self._videos[stream].count}]"
         first = self._last.setdefault(f"{stream} first", monotonic_ns)
         if video.count and monotonic_ns <= self._last[stream]:
-            raise InputError(
-                f"the monotonic clock does not rise ({self._last[stream]} then {monotonic_ns} ns)", where=here
-            )
+            what = f"the monotonic clock does not rise ({self._last[stream]} then {monotonic_ns} ns)"
+            raise InputError(what, where=here)
         if dropped_before < 0:
             raise InputError(f"dropped_before must not be negative, is {dropped_before}", where=here)
         if exposure is not None and not 0 <= exposure < math.inf:
             raise InputError(f"exposure must not be negative, is {exposure}", where=here)
-        line = journal_line(stream, video.count, int(monotonic_ns), int(utc_ns), int(dropped_before), exposure, lit)
+        times = (int(monotonic_ns), int(utc_ns), int(dropped_before))
+        line = layout.journal_line(stream, video.count, *times, exposure, lit)
         video.write(image, (monotonic_ns - first) / 1e9)
         with told_when_full(self.path):
-            self._write_line(line)
+            # A nearly full disk may accept only part of a line.
+            while line:
+                line = line[self._journal.write(line) or 0 :]
         self._last[stream] = monotonic_ns
 
-    def _write_line(self, line: bytes) -> None:
-        """Write a line of the journal whole; a nearly full disk may take only a part at first."""
-        while line:
-            line = line[self._journal.write(line) or 0 :]
+    def add(self, stream: str, frame: Frame) -> None:
+        """Append a frame with known times to a stream: see `write`."""
+        assert frame.monotonic_ns is not None and frame.utc_ns is not None
+        times = {"monotonic_ns": frame.monotonic_ns, "utc_ns": frame.utc_ns, "dropped_before": frame.lost}
+        self.write(stream, frame.image, **times, exposure=frame.exposure, lit=frame.lit)
 
     def close(self) -> None:
-        """Finish the recording: the videos' indexes, frames.parquet, and `"finished": true` last of all.
+        """Finish the recording: the videos' indexes, frames.parquet, and finally `"finished": true`.
 
-        Raises
-        ------
-        InputError
-            When the disk is full; the recording then stays readable, marked as unfinished.
+        Raises an InputError when the disk is full; the recording then stays readable, marked as unfinished.
         """
         if self._closed:
             return
@@ -270,15 +232,15 @@ class RecordingWriter:
         with self._lock, told_when_full(self.path):
             for name, video in self._videos.items():
                 video.close()
-                # "finished" is a promise: nothing that it is about may still be on its way to the disk.
+                # Everything must be on disk before "finished" is written.
                 sync(self.place / f"{name}.mkv")
             self._journal.close()
-            write_table(self.place / FRAMES, read_journal(self.place / JOURNAL))
+            write_table(self.place / FRAMES, layout.read_journal(self.place / JOURNAL))
             for name, count in self.counts.items():
                 self.meta["streams"][name]["frames"] = count
             self.meta["finished"] = True
             self._write_meta()
-            # Last, so that at every moment there is a whole list of the frames.
+            # Last, so that a complete list of frames always exists.
             (self.place / JOURNAL).unlink()
             if self.place != self.path:
                 replace_folder(self.place, self.path)
@@ -286,7 +248,7 @@ class RecordingWriter:
             sync(self.path.absolute().parent)
 
     def _abandon(self) -> str:
-        """Close what is open without a word; remove the folder if it holds no frame. Return what is kept."""
+        """Close all files without errors, remove a folder without frames, and return a note on what is kept."""
         self._closed = True
         for video in self._videos.values():
             with contextlib.suppress(OSError, InputError):
@@ -310,6 +272,5 @@ class RecordingWriter:
         if error is None:
             self.close()
             return
-        kept = self._abandon()
-        if kept:
+        if kept := self._abandon():
             error.add_note(kept)

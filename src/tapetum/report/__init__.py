@@ -1,5 +1,6 @@
-"""Measures, the paper's figures and tables, and pages that stand alone."""
+"""Measures, the paper's figures and tables, and self-contained pages."""
 
+from tapetum.report.binned import ErrorByDistance, error_by_distance
 from tapetum.report.demo_report import (
     DemoReport,
     DemoScores,
@@ -36,7 +37,6 @@ from tapetum.report.metrics import (
     sign_right,
     wilson_interval,
 )
-from tapetum.report.rings import ErrorByDistance, error_by_distance
 
 __all__ = [
     "DemoReport",

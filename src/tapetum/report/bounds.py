@@ -1,4 +1,4 @@
-"""The old place of `tapetum.simulate.bounds`, kept for one release."""
+"""Deprecated alias of `tapetum.simulate.bounds`, kept for one release."""
 
 from tapetum.simulate.bounds import (
     ALL_UNKNOWN,

@@ -1,28 +1,32 @@
-"""The page that `tapetum demo` ends with: what was filmed, what was learned, and how far to trust it."""
+"""The report of `tapetum demo`: recording, models, accuracy and limitations."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tapetum.errors import InputError
-from tapetum.report import demo_background as behind
-from tapetum.report import demo_sections as part
-from tapetum.report import html
+from tapetum.report import figures, html
+from tapetum.report.binned import ErrorByDistance, error_by_distance
 from tapetum.report.figures import SignRate
+from tapetum.report.figures._style import runs
 from tapetum.report.metrics import (
     SIGN_THRESHOLD,
     GazeScores,
     LabelScores,
+    coverage,
     predict_mean,
     score_gaze,
     score_labels,
 )
+from tapetum.report.verdicts import MEAN
 
 __all__ = [
     "DemoReport",
@@ -40,18 +44,16 @@ AnyArray = NDArray[np.generic]
 
 @dataclass(frozen=True)
 class ModelResult:
-    """What a model made of the held-out frames.
+    """A model's predictions for the held-out frames.
 
     Parameters
     ----------
-    name
-        As people call it: "ResNet-18".
+    name, training
+        Its usual name ("ResNet-18"), and one sentence on its training data.
     predicted
         [N, 2] gaze, fractions of the field.
-    training
-        One sentence on what it learned from: "bundled; trained on 24 recordings with other seeds".
     lower, upper
-        [N, 2] ends of its 90 % intervals, where it gives any.
+        [N, 2] ends of its 90 % intervals, if it has any.
     """
 
     name: str
@@ -63,7 +65,7 @@ class ModelResult:
 
 @dataclass(frozen=True)
 class SignEvidence:
-    """What the sign of the gaze rests on.
+    """Evidence for the sign of the gaze.
 
     Parameters
     ----------
@@ -72,7 +74,7 @@ class SignEvidence:
     with_beam, without_beam
         [Y, X] d' of +gaze against -gaze in one frame, with and without the probe's second beam.
     rates
-        How often models got the sign right, where measured.
+        Measured shares of correct signs by model.
     beam
         The second beam in words: "10 % of the first, at 0.9 mrad".
     """
@@ -87,18 +89,16 @@ class SignEvidence:
 
 @dataclass(frozen=True)
 class Tracking:
-    """How the whole probe frames of the held-out part were tracked.
+    """Tracks found in the whole probe frames of the held-out part.
 
     Parameters
     ----------
-    frame
-        [H, W] one probe frame.
+    frame, frames
+        [H, W] one probe frame, and the number of frames tracked.
     track, x, y, time, snr
         [M] a row each: track, place (pixels), seconds, signal-to-noise ratio (NaN while coasting).
-    frames
-        Frames given to the tracker.
     truth, predicted
-        [K, 2] gaze of the rows that have a label, and what the model said of them.
+        [K, 2] true and predicted gaze of the rows that have a label.
     file
         Where the tracks were written.
     """
@@ -117,45 +117,40 @@ class Tracking:
 
 @dataclass(frozen=True)
 class DemoReport:
-    """Everything the demo's report shows; every number in it is computed from what stands here.
+    """Content of the demo's report; every number in the report is computed from it.
 
     Parameters
     ----------
     made
-        When, in words.
+        Date and time, in words.
     recording
         (name, value) of how the recording was made: scene, streams, noise, motion.
     picture
         [H, W] a frame of the target's video.
-    time, truth
-        [N] seconds and [N, 2] gaze of the held-out frames, in the order of filming; the truth is the label
-        from the target's video unless `truth_is` says otherwise.
+    time, truth, truth_is
+        [N] seconds and [N, 2] gaze of the held-out frames, in the order of filming; `truth_is` says where the truth
+        comes from, by default labels from the target's video.
     train
         [M, 2] gaze of the training frames: their mean is the baseline.
     models
-        The best known first.
+        The best-known model first.
     samples, sample_gaze
         [S, h, w] and [S, 2]: RRs to show.
     path
-        Frames of the held-out part to draw as a path: (first, last + 1); up to its first hole when None.
+        Held-out frames to draw as a path: (first, last + 1); up to the first gap when None.
     path_rrs, path_rrs_at
-        RRs [h, w] beside the path, and the frames (of the N) they belong to.
-    spots_found, spots_true
-        [L, 2] pixels of the target's video, NaN where none was found; and the bench's own truth.
-    spots_joined
-        [L, 2] what a perfect finder would give: the target's true spots, joined and interpolated as the found ones are.
+        RRs [h, w] beside the path, and their indices among the N frames.
+    spots_found, spots_true, spots_joined
+        [L, 2] pixels of the target's video: spots found (NaN where none), the bench's true spots, and the true spots
+        joined and interpolated as the found ones are, as from a perfect detector.
     sign, tracking
-        The sections of those names, left out when None.
-    truth_is
-        What the models are scored against.
-    timings, seeds, sizes
-        (what, value) rows; timings in seconds.
-    versions
-        (software, version).
+        Optional sections.
+    timings, seeds, sizes, versions
+        (name, value) rows; timings in seconds, versions by software.
     limits
-        Further honest limits, a sentence each.
+        Further limitations, one sentence each.
     files, next_steps
-        (name, what it is) beside the report; (command, what it does).
+        (file beside the report, what it is) and (command, what it does).
     """
 
     made: str
@@ -194,10 +189,8 @@ class DemoScores:
     ----------
     models
         (name, scores), in the report's order.
-    baseline
-        Scores of predicting the training mean.
-    labels
-        Label error.
+    baseline, labels
+        Scores of predicting the training mean, and the label error.
     """
 
     models: tuple[tuple[str, GazeScores], ...]
@@ -228,48 +221,127 @@ def score_demo(content: DemoReport) -> DemoScores:
 
 
 def write_demo_report(path: str | os.PathLike[str], content: DemoReport) -> DemoScores:
-    """Compose the demo's report and write it, whole or not at all.
-
-    Parameters
-    ----------
-    path
-        The HTML file.
-    content
-        What it shows.
-
-    Returns
-    -------
-    DemoScores
-        The numbers in it, for the last lines on the terminal.
+    """Write the demo's report as one HTML file and return the numbers in it.
 
     Raises
     ------
     InputError
         When arrays do not fit each other or the file cannot be written.
     """
-    scores = score_demo(content)
-    sections: list[tuple[str, html.Html | None]] = [
-        ("Results", part.results(content, scores)),
-        ("Following the gaze", part.following(content)),
-        ("Where the errors are", part.errors(content)),
-        ("How the recording was made", behind.recording(content)),
-        ("The labels", behind.labels(content, scores)),
-        ("Retro-reflections", behind.retro_reflections(content)),
-        ("What the sign rests on", behind.sign(content, scores)),
-        ("Tracking", behind.tracking(content)),
-        ("Limits", behind.limits(content)),
-        ("Beside the paper", behind.paper(scores)),
-        ("Seeds, sizes, times", behind.bookkeeping(content)),
-    ]
-    present = [(title, body) for title, body in sections if body is not None]
+    scores, rings = score_demo(content), _rings(content)
+    best = int(np.argmin([one.mae_overall for _, one in scores.models] + [scores.baseline.mae_overall]))
+    first = scores.models[0][1].mae_overall
+    body = html.render(
+        "demo.html",
+        content=content,
+        scores=scores,
+        drawn=_figures(content, rings),
+        best=best,
+        worse=[name for name, one in scores.models if one.mae_overall >= scores.baseline.mae_overall],
+        ahead=[name for name, one in scores.models[1:] if one.mae_overall < first],
+        total=sum(value for _, value in content.timings),
+        **_measured(content, rings),
+    )
     text = html.page(
         "Where does that camera look?",
-        part.opening(content, scores),
-        *(html.section(title, body) for title, body in present),
+        body,
         subtitle="Tapetum read a camera's gaze from the light it throws back. The camera, the laser and "
         "the light are simulated; everything after the videos is what real recordings would get.",
-        contents=[title for title, _ in present],
-        footer=f"Made by `tapetum demo`, {content.made}. This file stands alone: it asks nothing of any network.",
+        contents=html.headings(body),
+        footer=f"Made by `tapetum demo`, {content.made}. This file is self-contained and makes no network requests.",
     )
     html.write_page(Path(path), text)
     return scores
+
+
+def _section(content: DemoReport) -> tuple[int, int]:
+    """Return the frames that are drawn as a path: (first, last + 1)."""
+    whole = runs(content.time)[0]
+    return content.path if content.path is not None else (whole.start, whole.stop)
+
+
+def _rings(content: DemoReport) -> dict[str, ErrorByDistance]:
+    edges = np.linspace(0.0, max(float(np.hypot(*content.truth.T).max()), 1e-6) * 1.0001, 11)
+    everyone = {model.name: model.predicted for model in content.models}
+    everyone[MEAN] = predict_mean(content.train, len(content.truth))
+    return {name: error_by_distance(content.truth, values, edges=edges) for name, values in everyone.items()}
+
+
+def _figures(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Figure]:
+    first, (begin, end) = content.models[0], _section(content)
+    marks = [
+        (rr, at - begin) for rr, at in zip(content.path_rrs, content.path_rrs_at, strict=True) if begin <= at < end
+    ]
+    drawn = {
+        "path": figures.fig_gaze_path(
+            content.picture,
+            content.truth[begin:end],
+            first.predicted[begin:end],
+            content.time[begin:end] - content.time[begin],
+            name=first.name,
+            rrs=[rr for rr, _ in marks],
+            rrs_at=[at for _, at in marks],
+        ),
+        "over_time": figures.fig_gaze_over_time(
+            content.time,
+            content.truth,
+            {model.name: model.predicted for model in content.models},
+            interval=None if first.lower is None or first.upper is None else (first.lower, first.upper),
+        ),
+        "errors": figures.fig_error_by_distance(rings, baseline=MEAN),
+        "labels": figures.fig_label_error(content.spots_found, content.spots_true),
+        "samples": figures.fig_samples(content.samples, content.sample_gaze),
+    }
+    if content.sign is not None:
+        one = content.sign
+        drawn["sign_map"] = figures.fig_sign_map(one.x, one.y, one.with_beam, one.without_beam)
+        if one.rates:
+            drawn["sign_rates"] = figures.fig_sign_rates(one.rates)
+    if content.tracking is not None:
+        one = content.tracking
+        drawn["tracks"] = figures.fig_tracks(one.frame, one.track, one.x, one.y, one.time, one.snr)
+    return drawn
+
+
+def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Any]:
+    """Return the further numbers on the page."""
+    begin, end = _section(content)
+    known = {name: one.mae[np.isfinite(one.mae)] for name, one in rings.items()}
+    told: dict[str, Any] = {
+        "held": [_coverage(content.truth, model) for model in content.models] + ["–"],
+        "path_frames": end - begin,
+        "path_seconds": content.time[end - 1] - content.time[begin],
+        "correlations": [
+            (model.name, axis, _correlation(content.truth[:, k], model.predicted[:, k]))
+            for model in content.models
+            for k, axis in enumerate("xy")
+        ],
+        "rings": [(name, values[0], values[-1]) for name, values in known.items()],
+        "clock": None,
+    }
+    if content.spots_joined is not None:
+        # Two parts of the label error: the detector's, and motion between the two cameras' frames.
+        joined = np.isfinite(content.spots_joined).all(axis=1)
+        told["finder"] = score_labels(content.spots_found[joined], content.spots_joined[joined])
+        told["clock"] = score_labels(content.spots_joined, content.spots_true)
+    if content.sign is not None:
+        told["with_beam"] = float(np.median(content.sign.with_beam))
+        told["without_beam"] = float(np.median(content.sign.without_beam))
+    if content.tracking is not None:
+        one = content.tracking
+        told["tracked"] = {
+            "seen": len(np.unique(one.time[np.isfinite(one.snr)])),
+            "lengths": np.unique(one.track, return_counts=True)[1].tolist(),
+            "gaze": None if one.truth is None or one.predicted is None else score_gaze(one.truth, one.predicted),
+        }
+    return told
+
+
+def _coverage(truth: Array, model: ModelResult) -> str:
+    if model.lower is None or model.upper is None:
+        return "–"
+    return " / ".join(html.share(float(part)) for part in coverage(truth, model.lower, model.upper))
+
+
+def _correlation(a: Array, b: Array) -> str:
+    return f"{np.corrcoef(a, b)[0, 1]:.2f}" if np.std(a) > 0 and np.std(b) > 0 else "none"

@@ -1,8 +1,7 @@
-"""Report pages that stand alone: one HTML file, styles and pictures inside, nothing asked of any network.
+"""Self-contained report pages: one HTML file with its styles and pictures.
 
-Small functions that each return a piece of `Html`; `page` puts the pieces together. Text is escaped wherever
-it comes in, so that no file name or label can become markup; only what is `Html` already passes as it is. A
-content policy in the page forbids scripts and every outside request.
+Each function returns a piece of `Html`, and `page` assembles them. All text but `Html` is escaped, so no file name or
+label becomes markup. The page's content policy forbids scripts and outside requests.
 """
 
 from __future__ import annotations
@@ -10,14 +9,21 @@ from __future__ import annotations
 import base64
 import html
 import os
+import re
 from collections.abc import Iterable, Sequence
+from functools import cache
 from pathlib import Path
 
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
+from tapetum.models.prediction import NONE_OF_THESE
 from tapetum.report.figures import figure_png
+from tapetum.report.looks import look
+from tapetum.report.verdicts import MEAN, NARROW, warnings
 
 __all__ = [
     "Html",
@@ -25,77 +31,33 @@ __all__ = [
     "details",
     "facts",
     "figure",
+    "headings",
     "headline",
     "join",
     "note",
     "page",
     "paragraph",
+    "render",
     "section",
+    "share",
     "table",
     "text",
     "write_page",
 ]
 
-STYLE = """
-:root{color-scheme:light dark;--ink:#1b1f24;--quiet:#5b6472;--rule:#d9dee5;--paper:#fff;--panel:#f5f7fa;
---link:#005b94;--good:#00694b;--mark:#9a3c00}
-@media(prefers-color-scheme:dark){:root{--ink:#e7eaee;--quiet:#a2abb8;--rule:#333b46;--paper:#14171b;
---panel:#1d2127;--link:#7cc4f5;--good:#5cd6a9;--mark:#ffab70}}
-*{box-sizing:border-box}
-body{margin:0;background:var(--paper);color:var(--ink);
-font:16px/1.55 system-ui,-apple-system,"Segoe UI",Roboto,"DejaVu Sans",sans-serif}
-main{max-width:62rem;margin:0 auto;padding:2.5rem 1.25rem 4rem}
-h1{font-size:1.9rem;line-height:1.2;margin:0 0 .35rem}
-h2{font-size:1.3rem;margin:2.8rem 0 .6rem;padding-top:.7rem;border-top:1px solid var(--rule)}
-h3{font-size:1.05rem;margin:1.6rem 0 .4rem}
-p,ul{margin:.6rem 0;max-width:46rem}
-ul{padding-left:1.25rem}
-.lead{color:var(--quiet);font-size:1.05rem;margin:0 0 1.4rem}
-.numbers{display:grid;grid-template-columns:repeat(auto-fit,minmax(15rem,1fr));gap:.8rem;margin:1.4rem 0}
-.numbers div{background:var(--panel);border-radius:.5rem;padding:.85rem 1rem}
-.numbers b{display:block;font-size:1.65rem;line-height:1.2;font-variant-numeric:tabular-nums}
-.numbers span{display:block;color:var(--quiet);font-size:.86rem;line-height:1.35;margin-top:.25rem}
-figure{margin:1.3rem 0}
-figure img{display:block;max-width:100%;height:auto;margin:0 auto;background:#fff;border-radius:.4rem;
-padding:.45rem;border:1px solid var(--rule)}
-figcaption,caption{color:var(--quiet);font-size:.88rem;line-height:1.45;text-align:left}
-figcaption{margin-top:.5rem;max-width:52rem}
-caption{caption-side:bottom;padding-top:.45rem}
-.scroll{overflow-x:auto;margin:1rem 0}
-table{border-collapse:collapse;font-size:.94rem;font-variant-numeric:tabular-nums;min-width:50%}
-th,td{padding:.34rem .9rem .34rem 0;text-align:left;vertical-align:top;border-bottom:1px solid var(--rule)}
-thead th{border-bottom:2px solid var(--quiet);font-weight:600;white-space:nowrap}
-tbody th{font-weight:500}
-.n{text-align:right;white-space:nowrap}
-.best td,.best th{font-weight:700}
-.note{border-left:.25rem solid var(--mark);background:var(--panel);padding:.6rem 1rem;
-border-radius:0 .4rem .4rem 0;max-width:48rem;margin:1rem 0}
-details{margin:1rem 0;border:1px solid var(--rule);border-radius:.5rem;padding:.2rem 1rem}
-summary{cursor:pointer;padding:.45rem 0;font-weight:600}
-code{font-family:ui-monospace,SFMono-Regular,Menlo,Consolas,"DejaVu Sans Mono",monospace;font-size:.9em;
-background:var(--panel);border-radius:.25rem;padding:.06em .3em}
-nav{font-size:.9rem;margin:1rem 0;display:flex;flex-wrap:wrap;gap:.25rem 1.1rem}
-a{color:var(--link)}
-footer{margin-top:3rem;padding-top:.8rem;border-top:1px solid var(--rule);color:var(--quiet);font-size:.86rem}
-@media print{:root{color-scheme:light;--ink:#000;--quiet:#444;--rule:#bbb;--paper:#fff;--panel:#f3f3f3;
---mark:#9a3c00;--link:#000}
-body{font-size:10.5pt}main{max-width:none;padding:0}nav{display:none}figure,table,.numbers,.note{break-inside:avoid}
-h2,h3{break-after:avoid}details{border:0;padding:0}@page{margin:16mm}}
-"""
 
-
-class Html(str):
-    """Markup that was made here, safe to put in a page as it stands."""
+class Html(Markup):
+    """Escaped markup, safe to put into a page."""
 
     __slots__ = ()
 
 
 def text(value: object) -> Html:
     """Return anything as escaped text; `Html` as it is; `code` between backquotes."""
-    if isinstance(value, Html):
-        return value
+    if isinstance(value, Markup):
+        return Html(value)
     parts = html.escape(str(value), quote=True).split("`")
-    if len(parts) % 2 == 0:  # an odd backquote is only a character
+    if len(parts) % 2 == 0:  # an unpaired backquote is an ordinary character
         return Html("`".join(parts))
     return Html("".join(f"<code>{part}</code>" if k % 2 else part for k, part in enumerate(parts)))
 
@@ -122,7 +84,7 @@ def bullets(items: Iterable[object]) -> Html:
 
 
 def headline(numbers: Iterable[tuple[object, object]]) -> Html:
-    """Return the numbers a reader came for, large: (value, what it is)."""
+    """Return the main numbers in large type, from (value, what it is)."""
     cells = (f"<div><b>{text(value)}</b><span>{text(what)}</span></div>" for value, what in numbers)
     return Html(f'<div class="numbers">{"".join(cells)}</div>')
 
@@ -139,16 +101,12 @@ def table(
 
     Parameters
     ----------
-    columns
-        Headings.
-    rows
-        As many cells each.
+    columns, rows
+        Headings, and rows of as many cells.
     caption
         Below the table.
-    numeric
-        Columns set flush right.
-    best
-        Row set in bold.
+    numeric, best
+        Columns set flush right, and the row set in bold.
 
     Raises
     ------
@@ -179,19 +137,21 @@ def facts(pairs: Iterable[tuple[object, object]], *, caption: object = "") -> Ht
     return Html(f'<div class="scroll"><table>{below}<tbody>{rows}</tbody></table></div>')
 
 
-def figure(picture: Figure | bytes, *, alt: str, caption: object = "", dpi: int = 160) -> Html:
+def figure(
+    picture: Figure | bytes, *, alt: str, caption: object = "", dpi: int = 160, width: int | None = None
+) -> Html:
     """Return a picture inside the page.
 
     Parameters
     ----------
     picture
         A Matplotlib figure, or a PNG file's bytes.
-    alt
-        What the picture shows, for those who do not see it; required.
-    caption
-        Below it.
+    alt, caption
+        Description for readers who cannot see the picture (required), and text below it.
     dpi
         Of a Matplotlib figure.
+    width
+        On the screen, in pixels of 1/96 inch; a Matplotlib figure's own when None.
 
     Raises
     ------
@@ -200,19 +160,18 @@ def figure(picture: Figure | bytes, *, alt: str, caption: object = "", dpi: int 
     """
     if not alt.strip():
         raise InputError("a picture needs a description", where="alt", remedy="say what it shows")
-    width = ""
-    if isinstance(picture, bytes):
-        data = picture
-    else:
-        data = figure_png(picture, dpi)
-        # Drawn at 160 dpi for sharp screens and paper, shown at the size it was designed for.
-        width = f' width="{round(picture.get_figwidth() * 96)}"'
+    # Drawn at 160 dpi for sharp screens and paper, shown at the size it was designed for.
+    data = picture if isinstance(picture, bytes) else figure_png(picture, dpi)
+    if width is None and not isinstance(picture, bytes):
+        width = round(picture.get_figwidth() * 96)
     if not data.startswith(b"\x89PNG\r\n\x1a\n"):
         raise InputError("not a PNG file", where="picture")
     source = base64.b64encode(data).decode("ascii")
-    label = html.escape(" ".join(alt.split()), quote=True)
+    words = alt.unescape() if isinstance(alt, Markup) else alt
+    label = html.escape(" ".join(words.split()), quote=True)
     below = f"<figcaption>{text(caption)}</figcaption>" if caption else ""
-    return Html(f'<figure><img{width} alt="{label}" src="data:image/png;base64,{source}">{below}</figure>')
+    size = "" if width is None else f' width="{width}"'
+    return Html(f'<figure><img{size} alt="{label}" src="data:image/png;base64,{source}">{below}</figure>')
 
 
 def details(summary: object, *pieces: object) -> Html:
@@ -224,9 +183,48 @@ def section(title: str, *pieces: object, level: int = 2) -> Html:
     """Return a titled section; those of level 2 appear in the page's contents."""
     if level not in (2, 3):
         raise InputError(f"must be 2 or 3, is {level}", where="level")
-    name = "".join(c if c.isalnum() else "-" for c in title.lower()).strip("-")
-    mark = html.escape(name, quote=True)
+    mark = html.escape(_anchor(title), quote=True)
     return Html(f'<section id="{mark}"><h{level}>{text(title)}</h{level}>{join(pieces)}</section>')
+
+
+def _anchor(title: str) -> str:
+    """Return the name of a section, to link to it."""
+    return "".join(c if c.isalnum() else "-" for c in title.lower()).strip("-")
+
+
+def share(value: float | None, digits: int = 0) -> str:
+    """Return a fraction in percent; a dash for None."""
+    return "–" if value is None else f"{100 * value:.{digits}f} %"
+
+
+@cache
+def _environment() -> Environment:
+    made = Environment(
+        loader=PackageLoader("tapetum.report"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        autoescape=True,
+        finalize=text,
+    )
+    pieces = (bullets, details, facts, figure, headline, join, note, section, table)
+    made.globals |= {piece.__name__: piece for piece in pieces} | {"look": look, "warnings": warnings}
+    made.globals |= {"MEAN": MEAN, "NARROW": NARROW, "NONE_OF_THESE": NONE_OF_THESE}
+    made.filters |= {"shown": lambda value, quantity: look(quantity).shown(value)}
+    made.filters |= {"anchor": _anchor, "fmt": format, "share": share}
+    made.filters |= {"seconds": lambda value: f"{value:.1f} s" if value < 120 else f"{value / 60:.1f} min"}
+    made.filters |= {"as_code": lambda pairs: [(f"`{name}`", what) for name, what in pairs]}
+    return made
+
+
+def render(template: str, **values: object) -> Html:
+    """Render a template of `tapetum/report/templates`; values are escaped where they are not `Html`."""
+    return Html(_environment().get_template(template).render(**values))
+
+
+def headings(body: str) -> list[str]:
+    """Return the titles of a body's sections of level 2."""
+    return [html.unescape(title) for title in re.findall(r"<h2>(.*?)</h2>", body)]
 
 
 def page(
@@ -241,40 +239,19 @@ def page(
 
     Parameters
     ----------
-    title
-        Of the page and its first heading.
+    title, subtitle
+        Title of the page and its first heading, and a sentence below it.
     pieces
         Its body.
-    subtitle
-        A sentence below the title.
     contents
         Titles of sections to link to.
     footer
         Below everything.
     language
-        Of the text, for readers aloud.
+        Language code of the text, for screen readers.
     """
-    links = "".join(
-        f'<a href="#{"".join(c if c.isalnum() else "-" for c in name.lower()).strip("-")}">{text(name)}</a>'
-        for name in contents
-    )
-    top = join(
-        [
-            Html(f"<h1>{text(title)}</h1>"),
-            *([paragraph(subtitle, kind="lead")] if subtitle else []),
-            *([Html(f'<nav aria-label="Contents">{links}</nav>')] if links else []),
-        ]
-    )
-    bottom = f"<footer>{text(footer)}</footer>" if footer else ""
-    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
-    return (
-        f'<!doctype html>\n<html lang="{html.escape(language, quote=True)}">\n<head>\n'
-        '<meta charset="utf-8">\n'
-        f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{html.escape(title)}</title>\n<style>{STYLE}</style>\n</head>\n<body>\n<main>\n"
-        f"{top}\n{join(pieces)}\n{bottom}\n</main>\n</body>\n</html>\n"
-    )
+    values = {"subtitle": subtitle, "contents": contents, "footer": footer, "language": language}
+    return str(render("page.html", title=title, body=join(pieces), **values))
 
 
 def write_page(path: str | os.PathLike[str], content: str) -> Path:

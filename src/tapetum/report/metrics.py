@@ -1,8 +1,7 @@
-"""How far estimates lie from the truth: MAE and RMSE in fractions of the field of view.
+"""Errors of estimates: MAE and RMSE in fractions of the field of view, as in the paper (§5.1.1).
 
-The paper (§5.1.1) normalises errors by the field of view and states MAE and RMSE. Around them stand the
-numbers that keep such a table honest: the error of a guess that never looks at an image (the training mean),
-how often the sign of the gaze is right, and where in the field the errors are made.
+Beside them: the error of a guess that looks at no image (the training mean), the share of correct signs of the gaze,
+and the error by distance from the field's centre.
 """
 
 from __future__ import annotations
@@ -13,6 +12,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.special import ndtr
+from scipy.stats import binomtest
 
 from tapetum.errors import InputError
 
@@ -32,7 +33,7 @@ __all__ = [
 ]
 
 SIGN_THRESHOLD = 0.05
-"""Gaze (fraction of the field) from which its sign counts: nearer to the axis a sign means nothing."""
+"""Gaze (fraction of the field) from which its sign counts; nearer to the axis it is meaningless."""
 
 THIRDS = (0.0, 0.5 / 3, 1.0 / 3, np.inf)
 """Edges of the thirds of the half field, by distance from its centre; the corners belong to the outer one."""
@@ -65,17 +66,12 @@ def matched(
 
 
 def mae(truth: ArrayLike, predicted: ArrayLike) -> NDArray[np.float64]:
-    """Return the mean absolute error along the first axis.
+    """Return the mean absolute error along the first axis, [] or [K].
 
     Parameters
     ----------
     truth, predicted
         [N] or [N, K], any unit, the same for both.
-
-    Returns
-    -------
-    ndarray
-        [] or [K], in that unit.
 
     Raises
     ------
@@ -109,18 +105,14 @@ def predict_mean(train: ArrayLike, count: int) -> NDArray[np.float64]:
 
 
 def sign_right(truth: ArrayLike, predicted: ArrayLike, threshold: float = SIGN_THRESHOLD) -> tuple[int, int]:
-    """Count the frames whose sign is predicted correctly, and those that count: |truth| above `threshold`.
+    """Count the frames whose sign is predicted correctly, and the frames with |truth| above `threshold`.
 
     Parameters
     ----------
     truth, predicted
-        [N] one axis of the gaze, fractions of the field. A prediction of exactly 0 tells no sign: wrong.
+        [N] one axis of the gaze, fractions of the field. A prediction of exactly 0 is wrong.
     threshold
         Fraction of the field.
-
-    Returns
-    -------
-    right, counted : int
     """
     a, b = matched(truth, predicted)
     far = np.abs(a) > threshold
@@ -130,8 +122,8 @@ def sign_right(truth: ArrayLike, predicted: ArrayLike, threshold: float = SIGN_T
 def wilson_interval(right: int, counted: int, z: float = 1.96) -> Pair:
     """Return the Wilson score interval of a fraction `right / counted`.
 
-    Source: Wilson, J. Am. Stat. Assoc. 22, 209 (1927). It takes the frames for independent. Those of a video
-    follow each other, so the true interval is wider.
+    Frames are treated as independent; consecutive video frames are not, so the true interval is wider.
+    Source: Wilson, J. Am. Stat. Assoc. 22, 209 (1927).
 
     Raises
     ------
@@ -140,11 +132,8 @@ def wilson_interval(right: int, counted: int, z: float = 1.96) -> Pair:
     """
     if counted <= 0 or not 0 <= right <= counted:
         raise InputError(f"no fraction: {right} of {counted}", where="sign")
-    p = right / counted
-    middle = p + z * z / (2 * counted)
-    half = z * np.sqrt(p * (1 - p) / counted + z * z / (4 * counted * counted))
-    scale = 1 + z * z / counted
-    return float(max(0.0, (middle - half) / scale)), float(min(1.0, (middle + half) / scale))
+    ends = binomtest(right, counted).proportion_ci(2 * float(ndtr(z)) - 1, method="wilson")
+    return float(ends.low), float(ends.high)
 
 
 @dataclass(frozen=True)
@@ -153,10 +142,8 @@ class PartScores:
 
     Parameters
     ----------
-    inner, outer
-        Distance from the centre, inner <= distance < outer.
-    count
-        Frames in it.
+    inner, outer, count
+        Part with inner <= distance from the centre < outer, and its number of frames.
     mae, rmse
         Mean over both axes; None where there is no frame.
     """
@@ -178,21 +165,15 @@ class GazeScores:
         Frames scored.
     mae, rmse
         (x, y).
-    mae_overall
-        Mean of both axes' MAE.
-    rmse_overall
-        Root of the mean of both axes' squared errors.
-    radial
-        Mean distance between estimate and truth.
-    radial_rms
-        Root mean square of that distance: the radius of the paper's "ball" (§5.1.1).
+    mae_overall, rmse_overall
+        Mean of both axes' MAE, and root of the mean of both axes' squared errors.
+    radial, radial_rms
+        Mean and root mean square of the distance between estimate and truth; the latter is the radius of the paper's
+        "ball" (§5.1.1).
     thirds
         The field in three rings by the true distance from its centre, inner to outer.
-    sign_right, sign_count
-        (x, y): share of frames whose sign is right, among the `sign_count` with |gaze| > sign_threshold; None
-        where there are none.
-    sign_threshold
-        Fraction of the field.
+    sign_right, sign_count, sign_threshold
+        (x, y) share of frames whose sign is right (None without frames), among the frames with |gaze| > threshold.
     """
 
     count: int
@@ -208,7 +189,7 @@ class GazeScores:
     sign_threshold: float
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, fit for JSON (the outermost edge, infinite, becomes None)."""
+        """Return JSON values; the infinite outermost edge becomes None."""
         table = asdict(self)
         for part in table["thirds"]:
             part["outer"] = part["outer"] if np.isfinite(part["outer"]) else None
@@ -224,10 +205,6 @@ def score_gaze(truth: ArrayLike, predicted: ArrayLike, *, sign_threshold: float 
         [N, 2] gaze (x, y), fractions of the field of view.
     sign_threshold
         |gaze| above which its sign counts.
-
-    Returns
-    -------
-    GazeScores
 
     Raises
     ------
@@ -269,10 +246,7 @@ def score_gaze(truth: ArrayLike, predicted: ArrayLike, *, sign_threshold: float 
 
 
 def coverage(truth: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> NDArray[np.float64]:
-    """Return the share of true values [N, K] that lie within lower ... upper [N, K], for each column.
-
-    Infinite ends are allowed; they hold everything.
-    """
+    """Return the share of true values [N, K] within lower ... upper [N, K] by column; infinite ends are allowed."""
     a = finite(truth, "truth")
     low, high = np.asarray(lower, dtype=np.float64), np.asarray(upper, dtype=np.float64)
     if not a.shape == low.shape == high.shape or np.isnan(low).any() or np.isnan(high).any():
@@ -284,12 +258,12 @@ def coverage(truth: ArrayLike, lower: ArrayLike, upper: ArrayLike) -> NDArray[np
 
 @dataclass(frozen=True)
 class LabelScores:
-    """How far the laser spots found in the target's video lie from the true ones, in that video's pixels.
+    """Distances of the laser spots found in the target's video from the true ones, in that video's pixels.
 
     Parameters
     ----------
     count, total
-        Frames labelled, and frames there were.
+        Frames labelled, and all frames.
     rms, median, p95, largest
         Of the distance between found and true, pixels.
     bias
@@ -310,10 +284,8 @@ def score_labels(found: ArrayLike, true: ArrayLike) -> LabelScores:
 
     Parameters
     ----------
-    found
-        [N, 2] (x, y) pixels; NaN in the rows where no spot was found.
-    true
-        [N, 2] (x, y) pixels.
+    found, true
+        [N, 2] (x, y) pixels; NaN in `found` where there is no spot.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""What numbers say in words: computed in one place, so that no page praises what its own table does not."""
+"""Verdicts on numbers in words, computed in one place so that text and tables agree."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ __all__ = ["MEAN", "NARROW", "NOT_TO_USE", "against_mean", "intervals", "warning
 MEAN = "the training mean"
 NOT_TO_USE, NARROW = "do not use such estimates", "too narrow"
 
-# Errors smaller by less than this factor are not worth speaking of.
+# Improvements by less than this factor are not reported.
 _WORTH = 1.1
-# Shares of intervals nearer to what is wanted than this are called right: frames of a video err alike, and the share of
+# Coverage this close to the nominal one counts as right: errors of a video's frames are correlated, so the coverage of
 # one video scatters by some hundredths.
 _NEAR = 0.05
 
@@ -19,14 +19,9 @@ _NEAR = 0.05
 def against_mean(
     mae: float, guess_mae: float | None, rmse: float | None = None, guess_rmse: float | None = None
 ) -> str | None:
-    """Say how errors compare with those of predicting the training part's mean; None where there is none.
+    """Compare errors with those of predicting the training part's mean, in words; None without such a guess.
 
-    Parameters
-    ----------
-    mae, guess_mae
-        Mean absolute error of the model and of the guess, in one unit.
-    rmse, guess_rmse
-        Root mean square errors, where they count too: worse by one of the two is worse.
+    If RMSEs are given, a model that is worse by either measure counts as worse.
     """
     if guess_mae is None:
         return None
@@ -39,12 +34,12 @@ def against_mean(
 
 
 def intervals(held: float, wanted: float = COVERAGE) -> str:
-    """Say whether intervals hold as many true values as they are meant to."""
+    """Compare the coverage of intervals with the nominal one, in words."""
     if held < wanted - _NEAR:
         return NARROW
     return "wider than they need be" if held > wanted + _NEAR else "as wide as they should be"
 
 
 def warnings(verdict: str | None) -> str:
-    """Return what to do about a verdict of `against_mean`; empty where all is well."""
+    """Return the remedy for a verdict of `against_mean`; empty if none is needed."""
     return "" if verdict is None or verdict.startswith("better") else NOT_TO_USE

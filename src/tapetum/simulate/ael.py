@@ -1,12 +1,12 @@
 """Limits of exposure and emission for continuous laser light of 400 to 1400 nm, after IEC 60825-1:2014.
 
-Tables are cited as in the standard: 3 and 4 (Class 1, small and extended sources), 5 (Class 2), 6 and 7 (Class 3R),
-8 (Class 3B), 9 (factors), A.1 and A.2 (exposure of the eye), A.5 (of the skin). ICNIRP's guidelines of 2013 (Health
-Phys. 105(3):271-295) hold the same exposure limits, under the names C_A (C4), C_B (C3), C_E (C6) and C_C (C7).
-Wavelengths and angles stand in metres and radians here, in nanometres and milliradians in the tables.
+Tables are cited as in the standard: 3 and 4 (Class 1, small and extended sources), 5 (Class 2), 6 and 7 (Class 3R), 8
+(Class 3B), 9 (factors), A.1 and A.2 (exposure of the eye), A.5 (of the skin). ICNIRP's guidelines of 2013 (Health Phys.
+105(3):271-295) hold the same exposure limits, under the names C_A (C4), C_B (C3), C_E (C6) and C_C (C7). Wavelengths
+and angles are in metres and radians here, in nanometres and milliradians in the tables.
 
-Where a table lets more light through because a source spreads beyond the cone it measures in (γ of 11 to 110 mrad for
-blue light, 100 mrad for heat), the relief is not taken: the limits here are the stricter ones.
+Some limits are higher for a source wider than the cone of measurement (γ of 11 to 110 mrad for blue light, 100 mrad for
+heat). This relief is not used: the limits here are the stricter ones.
 """
 
 from __future__ import annotations
@@ -39,12 +39,9 @@ _SHORTEST, _LONGEST = 0.25, 3e4  # s
 def nanometres(wavelength: float) -> float:
     """The wavelength in nm, checked to lie from 400 nm up to, not including, 1400 nm.
 
-    Raises
-    ------
-    InputError
-        Outside that range, where other organs and other tables count.
+    Raises InputError outside that range, where other organs and other tables apply.
     """
-    # Rounding undoes the last binary digit: 400e-9 m is 400 nm, and "400 to" includes it.
+    # Multiplying rounds 400e-9 m to just below 400 nm: undo the last binary digit.
     value = round(wavelength * 1e9, 6) if math.isfinite(wavelength) else math.nan
     if not 400 <= value < 1400:
         raise InputError(
@@ -61,22 +58,22 @@ def visible(wavelength: float) -> bool:
 
 
 def c3(wavelength: float) -> float:
-    """C3, how much less blue light harms at longer wavelengths; 400 to 600 nm (table 9)."""
+    """C3, the smaller hazard of blue light at longer wavelengths; 400 to 600 nm (table 9)."""
     return 10 ** (0.02 * max(nanometres(wavelength) - 450, 0))
 
 
 def c4(wavelength: float) -> float:
-    """C4, how much less the retina absorbs beyond 700 nm (table 9)."""
+    """C4, the smaller absorption of the retina beyond 700 nm (table 9)."""
     return 10 ** (0.002 * min(max(nanometres(wavelength) - 700, 0), 350)) if nanometres(wavelength) < 1050 else 5.0
 
 
 def c6(source_angle: float) -> float:
-    """C6, how much more an extended source may send, for exposures of 0.25 s and more (table 9)."""
+    """C6, the larger limit of an extended source, for exposures of 0.25 s and more (table 9)."""
     return min(max(source_angle, SMALL_SOURCE), _LARGEST) / SMALL_SOURCE
 
 
 def c7(wavelength: float) -> float:
-    """C7, how much the eye's water takes away beyond 1150 nm (table 9; the edition of 2007 stopped at 8)."""
+    """C7, the absorption by the eye's water beyond 1150 nm (table 9; the edition of 2007 stopped at 8)."""
     nm = nanometres(wavelength)
     if nm < 1150:
         return 1.0
@@ -84,17 +81,17 @@ def c7(wavelength: float) -> float:
 
 
 def t2(source_angle: float) -> float:
-    """T2 in seconds: from then on a source of that size heats the retina no further (table 9)."""
+    """T2 in seconds, after which a source of that size heats the retina no further (table 9)."""
     angle = min(max(source_angle, SMALL_SOURCE), _LARGEST)
     return 10 * 10 ** ((angle - SMALL_SOURCE) / (_LARGEST - SMALL_SOURCE))
 
 
 def mpe(wavelength: float, exposure: float, source_angle: float = 0.0) -> float:
-    """Maximum permissible exposure of the eye, as irradiance at the cornea averaged over 7 mm.
+    """Maximum permissible exposure of the eye, as irradiance at the cornea in W/m², averaged over 7 mm.
 
-    The lowest of the retina's limits by heat and by blue light, and of the skin's limit, which protects the front of
-    the eye (the standard's note to table A.1). The skin's limit is meant over 3.5 mm; it enters at a quarter, so that
-    what passes 7 mm keeps it however narrow the beam is.
+    It is the lowest of the retina's limits for heat and blue light and of the skin's limit, which protects the front of
+    the eye (the standard's note to table A.1). The skin's limit applies over 3.5 mm; a quarter of it is used, so that
+    light within 7 mm keeps it however narrow the beam is.
 
     Parameters
     ----------
@@ -103,12 +100,7 @@ def mpe(wavelength: float, exposure: float, source_angle: float = 0.0) -> float:
     exposure
         In seconds, 0.25 to 30000, of light that does not change.
     source_angle
-        What the apparent source subtends at the eye, in radians; up to 1.5 mrad it counts as a point.
-
-    Returns
-    -------
-    float
-        In W/m².
+        Angle that the apparent source subtends at the eye, in radians; up to 1.5 mrad it counts as a point.
 
     Raises
     ------
@@ -132,7 +124,7 @@ def mpe(wavelength: float, exposure: float, source_angle: float = 0.0) -> float:
 
 
 def ael(laser_class: str, wavelength: float, exposure: float = 100.0, source_angle: float = 0.0) -> float:
-    """Accessible emission limit of a class.
+    """Accessible emission limit of a class, in watts through the measuring aperture.
 
     Parameters
     ----------
@@ -142,12 +134,7 @@ def ael(laser_class: str, wavelength: float, exposure: float = 100.0, source_ang
         As for [`mpe`][tapetum.simulate.ael.mpe].
     exposure
         The time base of Class 1 and of Class 3R beyond 700 nm, in seconds, at least 100: 100 where nobody means to look
-        into the light, 30000 where that is its purpose (subclause 4.3 e). Visible Classes 2 and 3R rest on 0.25 s.
-
-    Returns
-    -------
-    float
-        In watts through the measuring aperture.
+        into the light, 30000 where that is its purpose (subclause 4.3 e). Visible Classes 2 and 3R use 0.25 s.
 
     Raises
     ------
@@ -175,8 +162,7 @@ def ael(laser_class: str, wavelength: float, exposure: float = 100.0, source_ang
     else:
         start = 7e-4 if laser_class == "1" else 3.5e-3  # tables 4 and 7
         thermal = start * c6(source_angle) * spectral * t2(source_angle) ** -0.25
-    # The standard stops Classes 1 and 3R at the limit of Class 3B; the European amendment A11:2021 also at the skin's
-    # limit, which is stricter and taken here.
+    # The standard limits Classes 1 and 3R by Class 3B; the stricter amendment A11:2021 also by the skin's limit.
     skin = 2000 * c4(wavelength) * math.pi * _SKIN**2 / 4
     limits = [thermal, skin, 0.5]
     if laser_class == "1" and _blue_counts(nm, t):
@@ -201,6 +187,6 @@ def checked_angle(source_angle: float) -> float:
 
 
 def _blue_counts(nm: float, exposure: float) -> bool:
-    # From 10 s on; below 484 nm from 1 s on, as a note asks for sources of 1.5 to 82 mrad. Taken for all: heat sets the
-    # lower limit for small ones anyway.
+    # From 10 s on; below 484 nm from 1 s on, as a note asks for sources of 1.5 to 82 mrad. Used for all sources: for
+    # small ones heat sets the lower limit anyway.
     return nm < 600 and exposure >= (1 if nm < 484 else 10)

@@ -1,4 +1,4 @@
-"""The beam that leaves a probe, as eye safety sees it: how wide it is, and what passes an opening."""
+"""The probe's beam as eye safety needs it: its width, and the power that passes an opening."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Beam:
     divergence
         Full angle in radians, 0 for parallel light.
     source_angle
-        What the apparent source subtends at 100 mm, in radians. Farther away the source is taken to shrink with the
-        distance. Up to 1.5 mrad it is a point, the strictest case.
+        Angle that the apparent source subtends at 100 mm, in radians; farther away it shrinks with the distance. Up to
+        1.5 mrad it is a point, the strictest case.
     profile
         `tophat`: evenly lit over the full width, as Tapetum lights the disc. `gaussian`: diameter and divergence are
         taken where the irradiance falls to 1/e of its peak (d63 of the standard, the 1/e² width over √2).
@@ -88,7 +88,7 @@ class Beam:
         return self.power * min(1.0, (aperture / width) ** 2)
 
     def angle_at(self, distance: float) -> float:
-        """What the source subtends at a distance, in radians; nearer than 100 mm no more than there."""
+        """Angle, in radians, that the source subtends at a distance; constant within 100 mm."""
         return self.source_angle * NEAREST / max(distance, NEAREST)
 
     def reach(self, aperture: float, limit: float) -> float:
@@ -105,14 +105,14 @@ class Beam:
 
 
 def beam_of(scene: Scene) -> Beam:
-    """The beam that a scene's probe sends out, taken at its worst.
+    """The beam that a scene's probe sends out, in the worst case.
 
     Collimated light keeps its width. Diverging light starts from a point at the probe, and so does that of
-    `fixed_area`, with the angle that fills the disc at the target. The second beam's power is added as if it lay in the
-    first. Light of some bandwidth counts as one full bandwidth shorter, where every limit is lower, though not as
-    visible when it is not. A `vergence` other than 0 may put a focus anywhere: such light counts as a thin parallel
-    ray, all of which enters any eye. The source counts as a point, whatever `source_size`. The scene says nothing of
-    pulses: the light counts as continuous.
+    `fixed_area`, with the angle that fills the disc at the target. The second beam's power is added to the first's.
+    Light with a bandwidth counts as one full bandwidth shorter, where every limit is lower, but invisible light never
+    as visible. A `vergence` other than 0 may focus anywhere: such light counts as a thin parallel ray that enters any
+    eye whole. The source counts as a point, whatever `source_size`, and the light as continuous, for a scene has no
+    pulses.
 
     Raises
     ------
@@ -134,7 +134,7 @@ def beam_of(scene: Scene) -> Beam:
     radius = beam_radius(scene)
     if light.vergence:
         return Beam(wavelength, power, 0.0)
-    if light.mode == "collimated" or light.vergence == 0:
+    if light.curvature(scene.distance) == 0:
         return Beam(wavelength, power, 2 * radius)
     return Beam(wavelength, power, 0.0, 2 * math.atan(radius / scene.distance))
 

@@ -1,7 +1,7 @@
-"""What no unbiased estimate undercuts, for the sets' figures: gaze by distance from the centre, and focus.
+"""Cramér-Rao bounds of the gaze by its distance from the centre, and of the focus, for the frames of training sets.
 
-The frames are those of a set but for its sensor's fixed pattern (1 % of the pixels' sensitivity, which an estimate may
-know): light, second beam, exposure, background, bits and noise are the scene's.
+Light, second beam, exposure, background, bits and noise are the scene's. The sensor's fixed pattern (1 % of the pixels'
+sensitivity) is left out, because an estimate may know it.
 """
 
 from __future__ import annotations
@@ -18,12 +18,10 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike, NDArray
 
-from tapetum.bench import PrescriptionLens, Scene, with_values
+from tapetum.bench import Scene, with_values
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
-from tapetum.simulate import fisher, tilt_of_gaze
-from tapetum.simulate.information import FisherInformation, information_of
-from tapetum.simulate.traced_information import TracedSlopes
+from tapetum.simulate.information import FisherInformation, information_of, slopes_of
 
 __all__ = ["ALL_UNKNOWN", "FRAME", "FocusBounds", "GazeBound", "GazeInformation", "focus_bounds", "gaze_bounds"]
 __all__ += ["gaze_information", "gaze_prior", "rings_of_gazes"]
@@ -41,9 +39,9 @@ tell nothing, and the limit is that of the smooth change from one photosite to t
 
 Array = NDArray[np.float64]
 _GAZE, _FOCUS = ("gaze_x", "gaze_y"), ("object_distance", "focal_length")
-# Of a Gaussian error with the standard deviation 1.
+# MAE of a Gaussian error with the standard deviation 1.
 _MAE = math.sqrt(2 / math.pi)
-# Azimuths off the sensor's axes and diagonals, which are like no others.
+# Azimuths off the sensor's axes and diagonals, where the symmetry makes special cases.
 _FIRST_AZIMUTH = 0.35
 
 
@@ -56,8 +54,8 @@ class GazeBound:
     distance
         [R] in fractions of the field.
     rms, mae
-        [R] of an unbiased estimate as good as can be, mean over both axes, median over the azimuths; fractions of the
-        field. The MAE is that of a Gaussian error.
+        [R] of the best unbiased estimate, mean over both axes, median over the azimuths; fractions of the field. The
+        MAE assumes a Gaussian error.
     """
 
     distance: Array
@@ -67,7 +65,7 @@ class GazeBound:
 
 @dataclass(frozen=True)
 class GazeInformation:
-    """What one frame tells at each of many gazes.
+    """Information of one frame at each of many gazes.
 
     Parameters
     ----------
@@ -76,7 +74,7 @@ class GazeInformation:
     gazes
         [G, 2] in fractions of the field.
     information
-        [G, P, P] Fisher's matrices.
+        [G, P, P] Fisher matrices.
     """
 
     names: tuple[str, ...]
@@ -84,22 +82,20 @@ class GazeInformation:
     information: Array
 
     def bounds(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> Array:
-        """Standard deviations [G, 2] of gaze_x and gaze_y while the nuisances are unknown, all where left out.
+        """Standard deviations [G, 2] of gaze_x and gaze_y while the nuisances are unknown, by default all.
 
         Parameters
         ----------
         nuisances
-            Of `names`. What is not among them counts as known.
+            Of `names`. All others count as known.
         priors
-            What is known before the frame, by name: standard deviations. Then it is van Trees' bound, which biased
-            estimates keep too, with the information of this gaze in place of the prior's mean of it.
+            Standard deviations known before the frame, by name. The bound is then van Trees', which also holds for
+            biased estimates, with the information at this gaze in place of its mean over the prior.
         """
-        own = (*_GAZE, *(self.names[2:] if nuisances is None else nuisances))
-        found = [_deviations(self.names, one, own, priors) for one in self.information]
-        return np.array([[one[name] for name in _GAZE] for one in found])
+        return _bounds(self.names, self.information, _GAZE, self.names[2:] if nuisances is None else nuisances, priors)
 
     def curve(self, nuisances: Sequence[str] | None = None, priors: Mapping[str, float] | None = None) -> GazeBound:
-        """The bounds by the distance from the centre: gazes of the same distance, to 1e-6, are put together."""
+        """The bounds by the distance from the centre; gazes of the same distance, to 1e-6, are combined."""
         deviation = self.bounds(nuisances, priors)
         distance = np.hypot(self.gazes[:, 0], self.gazes[:, 1]).round(6)
         rings = np.unique(distance)
@@ -122,7 +118,7 @@ class FocusBounds:
     names
         Of all that is unknown.
     information
-        [D, F, P, P] Fisher's matrices of one frame.
+        [D, F, P, P] Fisher matrices of one frame.
     """
 
     object_distances: Array
@@ -137,24 +133,19 @@ class FocusBounds:
 
     @property
     def mae(self) -> Array:
-        """[D, F, 2] of Gaussian errors as small as can be, in metres."""
+        """[D, F, 2] mean absolute errors of the best estimate with Gaussian errors, in metres."""
         return _MAE * self.deviation
 
     def bounds(self, wanted: Sequence[str], unknown: Sequence[str] | None = None) -> Array:
-        """Standard deviations [D, F, W] of some names, while `unknown` ones are not known: all where left out."""
-        own = tuple(dict.fromkeys((*wanted, *(self.names if unknown is None else unknown))))
-        shape = self.information.shape[:2]
-        found = [
-            _deviations(self.names, one, own, None) for one in self.information.reshape(-1, *([len(self.names)] * 2))
-        ]
-        return np.array([[one[name] for name in wanted] for one in found]).reshape(*shape, len(wanted))
+        """Standard deviations [D, F, W] of the wanted names while the `unknown` ones are unknown, by default all."""
+        return _bounds(self.names, self.information, wanted, self.names if unknown is None else unknown)
 
 
 def gaze_prior(extent: float) -> float:
-    """The standard deviation, extent/π, that counts in `priors` for a gaze within ± extent.
+    """Standard deviation, extent/π, to pass in `priors` for a gaze within ± extent.
 
-    Van Trees' bound wants a prior that vanishes at its ends: of all such ones, cos²(πx/2e) holds the least information,
-    (π/e)². The even one of the sets has no such bound, and holds no more.
+    Van Trees' bound requires a prior density that vanishes at its ends. Of these cos²(πx/2e) has the least information,
+    (π/e)². The sets' uniform density does not vanish there, and carries no more information.
     """
     return extent / math.pi
 
@@ -176,26 +167,21 @@ def gaze_information(
     gazes
         [G, 2] in fractions of the field.
     nuisances
-        What else may be unknown, as `fisher` names it; of traced lenses `roll`, `photosite_x` and `photosite_y` too.
+        Other unknowns, as `fisher` names them; of traced lenses also `roll`, `photosite_x` and `photosite_y`.
     accuracy
         Of the simulation, in place of the scene's.
     progress
-        Shows how far it is.
+        Reports how many gazes are done.
 
     Raises
     ------
     InputError
-        For gazes of another shape, no number, or outside the field, and as `fisher`.
+        For gazes of another shape, not finite, or outside the field, and as `fisher`.
     """
     at, names = _checked(gazes), (*_GAZE, *nuisances)
-    places = torch.as_tensor(at)
-    if isinstance(scene.target.lens, PrescriptionLens):
-        slopes = TracedSlopes(scene, names, places, accuracy=accuracy, dtype=torch.complex64)
-        numbers = progress(range(len(at)), "bounding the gaze", total=len(at))
-        found = [information_of(*slopes(number), scene.probe.sensor) for number in numbers]
-    else:
-        each = progress(places, "bounding the gaze", total=len(at))
-        found = [fisher(_turned_to(scene, one), names, accuracy=accuracy).information for one in each]
+    slopes = slopes_of(scene, names, torch.as_tensor(at), accuracy=accuracy, dtype=torch.complex64)
+    numbers = progress(range(len(at)), "bounding the gaze", total=len(at))
+    found = [information_of(*slopes(number), scene.probe.sensor) for number in numbers]
     return GazeInformation(names, at, torch.stack(found).numpy())
 
 
@@ -247,7 +233,7 @@ def focus_bounds(
     gaze
         In fractions of the field.
     nuisances
-        What else is unknown.
+        Other unknowns.
     accuracy, progress
         As for `gaze_information`.
     workers
@@ -256,7 +242,7 @@ def focus_bounds(
     Raises
     ------
     InputError
-        As `gaze_information`, and for focal lengths and distances that the lens has not.
+        As `gaze_information`, and for focal lengths and distances that the lens does not offer.
     """
     at, names = _checked([gaze]), (*_FOCUS, *nuisances)
     pairs = [(distance, length) for distance in object_distances for length in focal_lengths]
@@ -278,29 +264,27 @@ def focus_bounds(
 
 
 def _focus_information(scene: Scene, names: tuple[str, ...], at: torch.Tensor, accuracy: float | None) -> torch.Tensor:
-    if isinstance(scene.target.lens, PrescriptionLens):
-        slopes = TracedSlopes(scene, names, at, accuracy=accuracy, dtype=torch.complex64)
-        return information_of(*slopes(0), scene.probe.sensor)
-    return fisher(_turned_to(scene, at[0]), names, accuracy=accuracy).information
+    slopes = slopes_of(scene, names, at, accuracy=accuracy, dtype=torch.complex64)
+    return information_of(*slopes(0), scene.probe.sensor)
 
 
-def _turned_to(scene: Scene, gaze: torch.Tensor) -> Scene:
-    return with_values(scene, {"target.rotation": [float(one) for one in torch.asin(tilt_of_gaze(scene, gaze))]})
-
-
-def _deviations(
-    names: tuple[str, ...], information: Array, own: Sequence[str], priors: Mapping[str, float] | None
-) -> dict[str, float]:
-    """Cramér-Rao bounds of some of the names, the others known."""
-    for name in (*own, *(priors or {})):
+def _bounds(
+    names: tuple[str, ...],
+    information: Array,
+    wanted: Sequence[str],
+    unknown: Sequence[str],
+    priors: Mapping[str, float] | None = None,
+) -> Array:
+    """Cramér-Rao bounds [..., W] of the wanted names from information [..., P, P], all but the unknown ones known."""
+    priors, own = priors or {}, tuple(dict.fromkeys((*wanted, *unknown)))
+    for name in (*own, *priors):
         if name not in names:
             raise InputError(f"{name!r} was not differentiated by", where="nuisances", remedy=f"use {', '.join(names)}")
     index = [names.index(name) for name in own]
-    part = torch.as_tensor(information[np.ix_(index, index)].copy())
-    for name, deviation in (priors or {}).items():
-        if name in own:
-            part[own.index(name), own.index(name)] += deviation**-2
-    return FisherInformation(tuple(own), (0.0,) * len(own), part).bounds
+    before = np.diag([priors[name] ** -2 if name in priors else 0.0 for name in own])
+    matrices = torch.as_tensor(information[..., index, :][..., index] + before)
+    found = [FisherInformation(own, (0.0,) * len(own), one).bounds for one in matrices.flatten(0, -3)]
+    return np.array([[one[name] for name in wanted] for one in found]).reshape(*information.shape[:-2], len(wanted))
 
 
 def _checked(gazes: ArrayLike) -> Array:

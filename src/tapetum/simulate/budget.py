@@ -1,7 +1,7 @@
-"""The link budget: where the laser's watts go on their way to the probe's sensor, in closed forms.
+"""The link budget: the laser's power on its way to the probe's sensor, in closed forms, before any simulation.
 
-Rays say how much of the returning beam the target's aperture lets out, rays and diffraction how much of that the
-probe's aperture takes in. An estimate before any simulation: no image is computed.
+Rays give the share of the returning beam that leaves the target's aperture; rays and diffraction give the share of that
+which enters the probe's aperture. No image is computed.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, as_scene, at_wav
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import lens_numbers
 from tapetum.optics.sampling import DoublePassGeometry, disc_overlap
-from tapetum.simulate.exposure import gain_of
+from tapetum.simulate.exposure import most_electrons, readout_variance
 from tapetum.simulate.gaze import spot_places
+from tapetum.simulate.plan_parts import in_si
 from tapetum.simulate.radiometry import (
     beam_radius,
     dark_electrons,
@@ -33,13 +34,14 @@ from tapetum.simulate.radiometry import (
 )
 from tapetum.simulate.reflections import glinting
 from tapetum.simulate.sensor_edge import SensorEdge
+from tapetum.simulate.unknowns import has_photosites
 
 __all__ = ["LinkBudget", "Reflection", "link_budget"]
 
 
 @dataclass(frozen=True)
 class Reflection:
-    """What one reflecting plane of the target sends to the probe.
+    """The return of one reflecting plane of the target.
 
     Parameters
     ----------
@@ -50,7 +52,7 @@ class Reflection:
     transmittance
         Of the layers before the plane, there and back.
     returning
-        Share of the light that the sensor's edges leave on it and the target's aperture lets out again, by rays.
+        Share of the light on the sensor, within its edges, that leaves the target's aperture again, by rays.
     return_radius
         Of the beam at the probe, by rays and diffraction, in metres.
     inside_probe
@@ -76,7 +78,7 @@ class Reflection:
 
 @dataclass(frozen=True)
 class LinkBudget:
-    """From watts at the laser to electrons a frame. SI units; the chain's numbers are those of the target's sensor.
+    """Powers from the laser to the probe's sensor, and electrons a frame. SI units, for the target's sensor.
 
     Parameters
     ----------
@@ -91,17 +93,18 @@ class LinkBudget:
     irradiance_at_target
         In W/m².
     accepted_watts, reflected_watts, leaving_watts, probe_watts, sensor_watts
-        That enter the target's aperture; that the target's sensor reflects, layers passed; that leave the target; that
-        enter the probe; that arrive on its sensor.
+        Powers that enter the target's aperture, are reflected by its sensor (layers included), leave the target, enter
+        the probe, and arrive on its sensor.
     reflections
-        The target's sensor first, then its layers, each by itself.
+        The target's sensor first, then each of its layers alone.
     transmission
         Of the probe.
     photons, electrons
         A frame, of the RR of the target's sensor.
     rr_pixels, peak_electrons
         Pixels that the RR covers to its first dark ring, and mean electrons of the brightest one: an estimate in closed
-        form (see `link_budget`). A picture's is some percent away in focus, up to a factor of 1.6 elsewhere (tests).
+        form (see `link_budget`), within some percent of the picture's in focus, up to a factor of 1.6 elsewhere
+        (tests).
     dark_electrons
         A pixel and frame: background and dark current.
     noise_electrons
@@ -146,7 +149,7 @@ class LinkBudget:
 
     @property
     def total_watts(self) -> float:
-        """On the probe's sensor, of all reflections, which add as power."""
+        """On the probe's sensor, of all reflections, added as power."""
         return sum(one.watts for one in self.reflections)
 
     def as_dict(self) -> dict[str, Any]:
@@ -155,30 +158,30 @@ class LinkBudget:
         return {**content, "reflections": [asdict(one) for one in self.reflections], "notes": list(self.notes)}
 
     def lines(self) -> list[str]:
-        """The budget to read, a line a step."""
+        """The budget as text, one line a step."""
         sensor, *layers = self.reflections
-        reach = "" if self.rayleigh_range is None else f", Rayleigh range {_metres(self.rayleigh_range)}"
+        reach = "" if self.rayleigh_range is None else f", Rayleigh range {in_si(self.rayleigh_range, 'm')}"
         rows = [
-            ("laser", f"{_watts(self.laser_watts)} at {self.wavelength * 1e9:g} nm, {self.mode}{reach}"),
+            ("laser", f"{in_si(self.laser_watts, 'W')} at {self.wavelength * 1e9:g} nm, {self.mode}{reach}"),
             (
                 "lit at the target",
-                f"{_metres(self.field_of_view)} wide, {math.degrees(self.field_angle):.4g} deg, "
-                f"{_metres(self.distance)} away",
+                f"{in_si(self.field_of_view, 'm')} wide, {math.degrees(self.field_angle):.4g} deg, "
+                f"{in_si(self.distance, 'm')} away",
             ),
             ("irradiance there", f"{self.irradiance_at_target:.4g} W/m²"),
-            ("into the aperture", _watts(self.accepted_watts)),
+            ("into the aperture", in_si(self.accepted_watts, "W")),
             (
                 "reflected",
-                f"{_watts(self.reflected_watts)} (reflectance {sensor.reflectance:.4g}, "
+                f"{in_si(self.reflected_watts, 'W')} (reflectance {sensor.reflectance:.4g}, "
                 f"layers there and back {sensor.transmittance:.4g})",
             ),
-            ("leaves the target", f"{_watts(self.leaving_watts)} (share {sensor.returning:.4g})"),
+            ("leaves the target", f"{in_si(self.leaving_watts, 'W')} (share {sensor.returning:.4g})"),
             (
                 "enters the probe",
-                f"{_watts(self.probe_watts)} (share {sensor.inside_probe:.4g} of a beam "
-                f"{_metres(2 * sensor.return_radius)} wide)",
+                f"{in_si(self.probe_watts, 'W')} (share {sensor.inside_probe:.4g} of a beam "
+                f"{in_si(2 * sensor.return_radius, 'm')} wide)",
             ),
-            ("on its sensor", f"{_watts(self.sensor_watts)} (transmission {self.transmission:.4g})"),
+            ("on its sensor", f"{in_si(self.sensor_watts, 'W')} (transmission {self.transmission:.4g})"),
             ("a frame", f"{self.photons:.4g} photons, {self.electrons:.4g} electrons"),
             (
                 "RR",
@@ -189,7 +192,7 @@ class LinkBudget:
             ("SNR of the RR", f"{self.snr:.4g} a frame, noise {self.noise_electrons:.4g} electrons"),
             ("saturation", f"{self.saturation:.4g} of the sensor's range" + (", clipped" * (self.saturation > 1))),
         ]
-        rows += [(one.name, f"{_watts(one.watts)} on the probe's sensor besides") for one in layers]
+        rows += [(one.name, f"{in_si(one.watts, 'W')} on the probe's sensor besides") for one in layers]
         rows += [("note", note) for note in self.notes]
         return [f"{name:<18}{text}" for name, text in rows]
 
@@ -200,9 +203,9 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     Parameters
     ----------
     scene
-        What stands on the bench.
+        A scene, its name or its path.
     wavelength
-        Which of the illumination's lines, in metres; its first where it is left out.
+        One of the illumination's lines, in metres; default: the first.
 
     Raises
     ------
@@ -211,13 +214,13 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
 
     Notes
     -----
-    What is lost where the returning beam overfills the probe: `radiometry.share_in_disc`, for a round beam of the area
-    that leaves. The brightest pixel: the power over the sum of the areas of
-    diffraction, (λ f_p)²/A for an exit pupil of area A, of a quarter of the geometric disc (on the axis a defocused
-    round pupil reaches four times its disc's mean: Born and Wolf, section 8.8), of the source, and of the pixel.
+    A beam that overfills the probe loses what `radiometry.share_in_disc` says of a round beam of the area that leaves.
+    The brightest pixel gets the power over the sum of these areas: of diffraction, (λ f_p)²/A for an exit pupil of area
+    A, of a quarter of the geometric disc (on the axis a defocused round pupil reaches four times its disc's mean: Born
+    and Wolf, section 8.8), of the source, and of the pixel.
 
-    A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field the gaze is
-    in; the notes say so.
+    A traced lens counts as a thin one of its focal length and aperture, a phone as the camera whose field holds the
+    gaze; the notes say so.
     """
     scene = as_scene(scene)
     notes: list[str] = []
@@ -237,13 +240,13 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     light, target, probe = scene.illumination, scene.target, scene.probe
     wavelength, watts = line_of(scene, wavelength)
     f = focal_length_at(target.lens.focal_length, target.lens.glass, target.lens.design_wavelength, wavelength)
-    # The sensor stands where the design wavelength is sharp.
+    # The sensor is in focus at the design wavelength.
     z, _ = lens_numbers(target.lens.focal_length, target.object_distance)
     f_p = focal_length_at(probe.lens.focal_length, probe.lens.glass, probe.lens.design_wavelength, wavelength)
     lit = beam_radius(scene)
     irradiance = irradiance_at_target(scene) * watts / light.power
     sine = math.hypot(*(math.sin(angle) for angle in target.rotation))
-    # Turned, the aperture takes less of the beam; a beam narrower than the aperture goes in whole.
+    # The tilted aperture takes less of the beam, but all of a beam narrower than itself.
     cosine = math.sqrt(1 - sine**2)
     accepted = min(irradiance * math.pi * target.lens.aperture_radius**2 * cosine, watts)
 
@@ -256,7 +259,7 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
         )
         held = 1.0
         if name == "sensor":
-            # Beside its edge nothing comes back.
+            # Nothing returns from beside the sensor's edge.
             spot = geometry.spot_radius + geometry.airy_step
             held = float(SensorEdge.of(target.sensor).share(place, spot))
         return _returned(name, scene, geometry, accepted, reflectance, transmittance, held)
@@ -276,13 +279,12 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
     photons = one.watts * sensor.exposure / photon_energy(wavelength)
     electrons = photons * sensor.quantum_efficiency
     pixels = max(math.pi * one.radius_on_sensor**2 / sensor.pitch**2, 1.0)
-    # A pixel's own area keeps a spot smaller than it from making more electrons than there are.
+    # Adding the pixel's area keeps a spot smaller than it from giving more electrons than there are.
     spot = one.watts / one.peak_irradiance if one.watts > 0 else math.inf
     peak = electrons * sensor.pitch**2 / (spot + sensor.pitch**2)
     dark = dark_electrons(sensor)
-    gain = gain_of(sensor)
-    noise = math.sqrt(electrons + pixels * (dark + sensor.read_noise**2 + 1 / (12 * gain**2)))
-    most = min(sensor.full_well, max((2**sensor.bits - 1 - sensor.offset) / gain, 0.0))
+    noise = math.sqrt(electrons + pixels * (dark + readout_variance(sensor)))
+    most = most_electrons(sensor)
     return LinkBudget(
         mode=light.mode,
         wavelength=wavelength,
@@ -323,8 +325,7 @@ def _returned(
     probe, distance = scene.probe, scene.distance
     share, aperture = g.returning * held, probe.lens.aperture_radius
     rays = return_radius_by_rays(g.radius, g.focal_length, g.image_distance, g.curvature, distance)
-    # The light that leaves, as a disc of the same area. Light that the target brings to a focus in its own lens is as
-    # wide there as diffraction makes it.
+    # A disc of the same area. Light focused into the target's own lens has the width of its diffraction there.
     lit = disc_overlap(g.radius, g.return_radius, 2 * g.image_distance * g.tangent)
     out = max(g.radius * math.sqrt(lit), min(g.radius, g.wavelength * g.image_distance / g.radius)) if share else 0.0
     leaving = math.pi * out**2
@@ -349,41 +350,20 @@ def _returned(
 
 
 def _notes(scene: Scene, lit: float, wavelength: float, radius: float) -> tuple[str, ...]:
-    light, sensor = scene.illumination, scene.target.sensor
-    notes: list[str] = []
-    if light.second_beam is not None:
-        notes.append("the second beam is not counted")
-    if light.lines:
-        notes.append(f"one wavelength of {1 + len(light.lines)} is counted")
-    if sensor.mask is not None:
-        notes.append("the sensor's mask is not counted: a mirror stands in for it")
-    if sensor.array is not None or sensor.microlens is not None:
-        notes.append("the higher orders of the sensor's array and microlenses are not counted")
-    if sensor.diffuse is not None or any(layer.diffuse is not None for layer in sensor.layers):
-        notes.append("the diffuse return is not counted")
-    if glinting(scene, wavelength):
-        notes.append("the glints of the lens's surfaces are not counted")
-    if lit < scene.target.lens.aperture_radius:
-        notes.append("the beam is narrower than the target's aperture")
-    if light.mode == "collimated" and scene.distance > math.pi * lit**2 / wavelength:
-        notes.append("the target stands beyond the Rayleigh range: the beam is wider there than counted")
-    if radius > min(scene.probe.sensor.pixels) * scene.probe.sensor.pitch / 2:
-        notes.append("the RR is larger than the probe's sensor: all of its light is counted")
-    if scene.probe.sensor.hot_pixels and scene.probe.sensor.hot_current:
-        notes.append("hot pixels are not counted")
-    return tuple(notes)
-
-
-def _watts(value: float) -> str:
-    return _scaled(value, "W")
-
-
-def _metres(value: float) -> str:
-    return _scaled(value, "m")
-
-
-def _scaled(value: float, unit: str) -> str:
-    for factor, prefix in ((1e3, "k"), (1.0, ""), (1e-3, "m"), (1e-6, "µ"), (1e-9, "n"), (1e-12, "p")):
-        if abs(value) >= factor:
-            return f"{value / factor:.4g} {prefix}{unit}"
-    return f"{value:.4g} {unit}"
+    light, sensor, probe = scene.illumination, scene.target.sensor, scene.probe.sensor
+    diffuse = any(plane.diffuse is not None for plane in (sensor, *sensor.layers))
+    thinned = light.mode == "collimated" and scene.distance > math.pi * lit**2 / wavelength
+    larger = radius > min(probe.pixels) * probe.pitch / 2
+    notes = (
+        (light.second_beam is not None, "the second beam is not counted"),
+        (bool(light.lines), f"one wavelength of {1 + len(light.lines)} is counted"),
+        (sensor.mask is not None, "the sensor's mask is not counted: a mirror stands in for it"),
+        (has_photosites(scene), "the higher orders of the sensor's array and microlenses are not counted"),
+        (diffuse, "the diffuse return is not counted"),
+        (glinting(scene, wavelength) > 0, "the glints of the lens's surfaces are not counted"),
+        (lit < scene.target.lens.aperture_radius, "the beam is narrower than the target's aperture"),
+        (thinned, "the target stands beyond the Rayleigh range: the beam is wider there than counted"),
+        (larger, "the RR is larger than the probe's sensor: all of its light is counted"),
+        (probe.hot_pixels > 0 and probe.hot_current > 0, "hot pixels are not counted"),
+    )
+    return tuple(note for holds, note in notes if holds)

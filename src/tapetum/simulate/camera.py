@@ -18,7 +18,7 @@ from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.optics.grid_sampling import SamplingPlan, plan_double_pass, plan_finer
 from tapetum.optics.sampling import (
     DoublePassGeometry,
-    RoundPlan,
+    Plan,
     check_aperture,
     check_table,
     plan_round,
@@ -46,13 +46,14 @@ from tapetum.simulate.reflections import (
     scatterers,
     specular_groups,
 )
-from tapetum.simulate.round_pass import RoundPass, Surface
+from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.stated_error import of_narrow_beam, of_tilted_planes
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_lens import TracedLens
-from tapetum.simulate.traced_plan import TracedGroup, TracedPlan
+from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.true_paths import check_squash
 
 __all__ = ["Camera", "pick_device", "scene_geometry", "sensor_grid"]
@@ -62,16 +63,16 @@ _RINGS_SHOWN = 12
 # Wavelengths in the radius of an opening whose first dark ring is 0.12 rad from the axis.
 _LEAST_WIDTH = 5
 
-# Share of the accuracy that the sensor's edges may take of a spot's outer rings before they are computed.
+# Share of the accuracy that the sensor's edges may take from a spot's outer rings before they are computed.
 _EDGE_SHARE = 0.5
 
-# A mirror's one order.
+# A mirror's single order.
 _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
 
 
 @dataclass(frozen=True)
 class _Line:
-    """Light of one wavelength: its power over the scene's first line, and what it makes of a gaze."""
+    """Light of one wavelength: its power over the scene's first line, and its passes."""
 
     wavelength: float
     power: torch.Tensor
@@ -79,28 +80,28 @@ class _Line:
     scatterers: tuple[Scatterer, ...]
     geometry: DoublePassGeometry
     glints: Glints | None = None
-    # For each pass what it returns where its sensor does not hold the whole spot; None where no sensor is in it.
+    # For each pass, its return where the sensor does not hold the whole spot; None without a sensor.
     ends: tuple[SensorEnd | None, ...] = ()
-    # Of the sensor, as of `SpotLight`.
+    # Of the sensor, as in `SpotLight`.
     orders: torch.Tensor = _MIRRORS
 
 
 class Camera:
-    """One target before one probe, ready for any number of gazes. Holding it is the cache.
+    """One target before one probe, ready for any number of gazes. Build it once and call it for many.
 
     Parameters
     ----------
     scene
-        What stands on the bench; its own rotation is not used.
+        Target, probe and light; the scene's own rotation is not used.
     steepest
         Sine of the steepest tilt that will be asked for.
     output
         Pixels to compute in place of the probe's whole sensor.
     object_distance, focal_length, distance, power
-        In place of the scene's, in metres and watts: as tensors they carry gradients.
+        Replace the scene's values, in metres and watts; tensors carry gradients.
     edge
-        What becomes of a spot that the edge of the target's sensor cuts. `exact`: it is computed on a sampled sensor
-        plane, or refused. `dimmed`: the return fades by the share of the spot that the sensor holds, by rays.
+        How to treat a spot that the edge of the target's sensor cuts. `exact`: compute it on a sampled sensor plane, or
+        refuse it. `dimmed`: dim the return to the share of the spot that the sensor holds, by rays.
     accuracy, dtype, device
         As for `retroreflect`.
 
@@ -140,7 +141,7 @@ class Camera:
         self._distance = self._scalar(scene.distance if distance is None else distance)
         self._power = self._scalar(scene.illumination.power if power is None else power)
         _check_focus(float(self._focal_length.detach()), float(self._object_distance.detach()))
-        # 1/z = 1/f - 1/x_d holds at infinity too, where x_i = f²/(x_d - f) would be 0/0 to its gradient.
+        # 1/z = 1/f - 1/x_d also holds at infinity, where the gradient of x_i = f²/(x_d - f) would be 0/0.
         self._z = 1 / (1 / self._focal_length - 1 / self._object_distance)
         _check_widths(scene)
         self._return_radius = self._widest_return()
@@ -160,7 +161,7 @@ class Camera:
             self._finite = self._is_finite()
         self._steepest = steepest
         self.geometry = self._geometry(light.wavelength, steepest)
-        self._plans: list[RoundPlan | SamplingPlan | TracedPlan] = []
+        self._plans: list[Plan] = []
         self._profiles: dict[tuple[float, Scatterer], DiffuseProfile] = {}
 
     @cached_property
@@ -171,8 +172,8 @@ class Camera:
         return [self._line(length, watts, self._steepest) for length, watts in wavelengths(light, rings, path)]
 
     @cached_property
-    def plan(self) -> RoundPlan | SamplingPlan | TracedPlan:
-        """The sampling of the plane that is computed least accurately. Planning is left to the first use."""
+    def plan(self) -> Plan:
+        """The sampling of the plane with the largest error; planned at the first use."""
         assert self._lines
         return max(self._plans, key=lambda plan: (plan.expected_error, plan.columns))
 
@@ -192,7 +193,7 @@ class Camera:
         return glinting(self.scene) > 0 or self._return_radius > self.scene.probe.lens.aperture_radius
 
     def _widest_return(self) -> float:
-        """Radius at the probe of the widest return, of all mirrors and wavelengths, by rays and diffraction, in metres.
+        """Radius at the probe of the widest return, over all mirrors and wavelengths, by rays and diffraction; metres.
 
         A filter before a focused sensor returns a beam much wider than the sensor's.
         """
@@ -218,88 +219,74 @@ class Camera:
         return scene_geometry(self.scene, steepest, f, z, self.output, wavelength, spread)
 
     def _line(self, wavelength: float, watts: float, steepest: float) -> _Line:
-        scene, geometry = self.scene, self._geometry(wavelength, steepest)
-        sensor, radius = scene.target.sensor, geometry.radius
-        if self._lens is not None:
-            return self._traced_line(self._lens, wavelength, watts, geometry)
-        # Beyond this a diffraction order finds no way out of the lens again.
-        widest = 2 * (geometry.return_radius + radius) / geometry.image_distance + 2 * geometry.tangent
-        focal = self._focal_at(wavelength)
-        curvature = self._curvature()
+        scene, geometry, lens = self.scene, self._geometry(wavelength, steepest), self._lens
+        if lens is not None:
+            # Scattered light is computed for a thin lens with the prescription's focus at this wavelength.
+            geometry = replace(geometry, focal_length=lens.thin_focal_length(wavelength))
+            # Orders beyond twice the aperture and the steepest tilt do not leave the lens again.
+            widest = 4 * lens.aperture_sine(wavelength)
+        else:
+            widest = 2 * (geometry.return_radius + geometry.radius) / geometry.image_distance + 2 * geometry.tangent
+        groups = specular_groups(scene, wavelength, self._z, widest)
         passes: list[Pass] = []
         ends: list[SensorEnd | None] = []
-        groups = specular_groups(scene, wavelength, self._z, widest)
         for group in groups:
-            # The plane that is most out of focus asks for the finest grid.
-            lengths = [float(self._scalar(one.image_distance).detach()) for one in group]
-            at = replace(geometry, image_distance=max(lengths, key=lambda z: abs(z - geometry.focal_length)))
-            tilt = max(math.hypot(*order.direction) for one in group for order in one.orders) / 2
-            distance = self._distance if self._finite else None
-            planned = at
-            if distance is not None:
-                planned = through_aperture(at, float(distance.detach()), scene.probe.lens.aperture_radius)
-            plan = plan_round(
-                planned,
-                self._accuracy,
-                pupil_samples=scene.sampling.pupil,
-                pixels=self.output.rows * self.output.columns,
-                orders=tilt,
-            )
-            check_table(at, plan, at.tangent + tilt)
-            check_squash(at)
-            if distance is not None:
-                check_aperture(at, float(distance.detach()), scene.probe.lens.aperture_radius)
-            self._plans.append(plan)
-            options: dict[str, Any] = {
-                "distance": distance,
-                "probe_radius": scene.probe.lens.aperture_radius if self._finite else None,
-                "focal_length": focal,
-                "curvature": curvature,
-                "lit_radius": min(radius, beam_radius(scene)),
-                "dtype": self._dtype,
-                "device": self._device,
-            }
-            passes.append(RoundPass(at, plan, self.output, group, **options))
-            own = {"edge": self._edge, "accuracy": self._accuracy}
-            ends.append(thin_end(at, plan, self.output, group, sensor=sensor, **own, **options))
-        if sensor.mask is not None:
-            passes.append(self._masked(geometry, wavelength, focal))
+            one, end = self._thin(geometry, group) if lens is None else self._traced(lens, wavelength, group)
+            self._plans.append(one.plan)
+            passes.append(one)
+            ends.append(end)
+        if scene.target.sensor.mask is not None:
+            passes.append(self._masked(geometry, wavelength, self._focal_at(wavelength)))
             ends.append(None)
         share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
         found = scatterers(scene, wavelength, geometry.image_distance)
         if not self._plans:
-            # Nothing mirrors: the plan of the light that would says what the scattered light is drawn on.
+            # Without a mirror the scattered light uses the plan of a mirror's light.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
+        way = float(self._distance.detach()) if self._finite else None
+        glints = None if lens is None else lens.glints(self.output, wavelength, way, self._dtype.to_real())
         orders = _orders_of(groups)
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, None, tuple(ends), orders)
+        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 
-    def _traced_line(self, lens: TracedLens, wavelength: float, watts: float, geometry: DoublePassGeometry) -> _Line:
-        scene = self.scene
-        # Scattered light goes by a thin lens, with the prescription's own focus at this wavelength.
-        geometry = replace(geometry, focal_length=lens.thin_focal_length(wavelength))
-        passes: list[Pass] = []
-        # Beyond twice the aperture and the steepest tilt no order finds its way out again.
-        widest = 4 * lens.aperture_sine(wavelength)
-        ends: list[SensorEnd | None] = []
+    def _traced(
+        self, lens: TracedLens, wavelength: float, group: Sequence[Surface]
+    ) -> tuple[TracedGroup, SensorEnd | None]:
+        distance = float(self._distance.detach()) if self._finite else None
 
         def opened(group: Sequence[Surface]) -> TracedGroup:
-            distance = float(self._distance) if self._finite else None
             given = group, self.output, wavelength, self._accuracy, distance
             return lens.group(*given, dtype=self._dtype, device=self._device)
 
-        groups = specular_groups(scene, wavelength, self._z, widest)
-        for group in groups:
-            one = opened(group)
-            self._plans.append(one.plan)
-            passes.append(one)
-            ends.append(traced_end(group, opened, self.output))
-        share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
-        found = scatterers(scene, wavelength, geometry.image_distance)
-        if not self._plans:
-            self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
-        glints = lens.glints(self.output, wavelength, float(self._distance) if self._finite else None)
-        orders = _orders_of(groups)
-        return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
+        return opened(group), traced_end(group, opened, self.output)
+
+    def _thin(self, geometry: DoublePassGeometry, group: Sequence[Surface]) -> tuple[RoundPass, SensorEnd | None]:
+        scene = self.scene
+        # The plane that is most out of focus asks for the finest grid.
+        lengths = [float(self._scalar(one.image_distance).detach()) for one in group]
+        at = replace(geometry, image_distance=max(lengths, key=lambda z: abs(z - geometry.focal_length)))
+        tilt = max(math.hypot(*order.direction) for one in group for order in one.orders) / 2
+        probe_radius, planned, away = scene.probe.lens.aperture_radius, at, float(self._distance.detach())
+        if self._finite:
+            planned = through_aperture(at, away, probe_radius)
+        pixels = self.output.rows * self.output.columns
+        forced = scene.sampling.pupil
+        plan = plan_round(planned, self._accuracy, pupil_samples=forced, pixels=pixels, orders=tilt)
+        check_table(at, plan, at.tangent + tilt)
+        check_squash(at)
+        if self._finite:
+            check_aperture(at, away, probe_radius)
+        options: dict[str, Any] = {
+            "distance": self._distance if self._finite else None,
+            "probe_radius": probe_radius if self._finite else None,
+            "focal_length": self._focal_at(geometry.wavelength),
+            "curvature": self._curvature(),
+            "lit_radius": min(geometry.radius, beam_radius(scene)),
+            "dtype": self._dtype,
+            "device": self._device,
+        }
+        own: dict[str, Any] = {"sensor": scene.target.sensor, "edge": self._edge, "accuracy": self._accuracy}
+        one = RoundPass(at, plan, self.output, group, **options)
+        return one, thin_end(at, plan, self.output, group, **own, **options)
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
         sensor, sampling = self.scene.target.sensor, self.scene.sampling
@@ -343,17 +330,15 @@ class Camera:
         return one
 
     def _curvature(self) -> torch.Tensor | float:
-        """1/R of the light at the target: it follows the distance where that is a tensor."""
-        light = self.scene.illumination
-        if light.vergence is not None or light.mode == "collimated":
-            return illumination_curvature(self.scene)
-        return 1 / self._distance
+        """1/R of the light at the target; it follows a distance given as a tensor."""
+        follows = self.scene.illumination.follows_distance
+        return 1 / self._distance if follows else illumination_curvature(self.scene)
 
     def _scale(self) -> torch.Tensor:
-        """Irradiance of the first line at the target, times what the way back keeps; it follows power and distance."""
+        """First line's irradiance at the target times the transmission back; it follows power and distance."""
         scene, light = self.scene, self.scene.illumination
         at_target = irradiance_at_target(scene) * self._power / light.power
-        if light.mode == "diverging":
+        if light.wave.spreads:
             at_target = at_target * (scene.distance / self._distance) ** 2
         return at_target * scene.probe.transmission
 
@@ -362,7 +347,7 @@ class Camera:
     ) -> torch.Tensor:
         """Irradiance [B, H, W] in W/m² for tilts [B, 2] (sines), the RR at centres [B, 2] (metres) on the sensor.
 
-        With `equivalent` each line counts as the irradiance of the scene's first wavelength with as many photons.
+        `equivalent`: convert each wavelength to the irradiance of the scene's first wavelength with as many photons.
         """
         if centres is None:
             centres = torch.zeros(len(sines), 2, dtype=torch.float64)
@@ -396,7 +381,7 @@ class Camera:
                     found.append((sines, centres, ratio * share))
                     continue
                 angle = torch.tensor((x + dx, y + dy), dtype=torch.float64, device=sines.device)
-                # It meets the target steeper by its angle, and comes back along its own direction.
+                # It meets the target steeper by its angle, and returns along its own direction.
                 place = centres.to(angle) - focal * torch.tan(angle)
                 found.append((off_axis(sines.to(angle), angle), place, ratio * share))
         return found
@@ -419,19 +404,19 @@ class Camera:
                 if end is not None:
                     self._edge_error = max(self._edge_error, end.missed)
                 if end is not None and spots is not None and end.open_beside is None and bool(spots.beside.any()):
-                    # A picture without light has no peak to be right to.
+                    # A dark picture has no peak to relate an error to.
                     self._edge_error = math.inf
                 part = weight.to(image.dtype) * image
                 if narrow:
-                    # A beam within the lens is round across its own direction, and lights an ellipse of the lens.
+                    # A beam narrower than the lens is round across its own direction and lights an ellipse on the lens.
                     part = part / cosines(sines)[:, None, None].to(part) ** 2
                 total = part if total is None else total + part
             for scatterer in line.scatterers:
-                # The spot's light and what the lens sends of it go by the width that the tilted lens shows the probe; a
-                # beam within the lens brings all of its light, whatever the tilt.
+                # The spot's light and the return scale with the lens's foreshortened width; a beam narrower than the
+                # lens enters whole at any tilt.
                 seen = cosines(sines)[:, None, None].to(self._device) ** (1 if narrow else 2)
                 if spots is not None and scatterer.image_distance == line.geometry.image_distance:
-                    # The sensor's own: its layers scatter beside it, too.
+                    # Only the sensor's own: its layers also scatter beside it.
                     seen = seen * spots.share[:, None, None].to(seen)
                 part = weight * seen * self._scattered(line, scatterer, centres)
                 total = part if total is None else total + part.to(total.dtype)
@@ -443,7 +428,7 @@ class Camera:
         return total
 
     def _left_out(self) -> float:
-        """What the passes of a thin lens leave out whatever their sampling, over the peak."""
+        """Error of a thin lens's passes at any sampling, over the peak."""
         if self._lens is not None:
             return 0.0
         geometries, sensor = [line.geometry for line in self._lines], self.scene.target.sensor
@@ -452,7 +437,7 @@ class Camera:
         return narrow + of_tilted_planes(geometries, tilt, self._steepest)
 
     def _spots(self, line: _Line, sines: torch.Tensor) -> Spots:
-        """Where the gazes put their spots on the sensor, and how much of each it holds."""
+        """Places of the gazes' spots on the sensor, and the share of each that it holds."""
         g = line.geometry
         lit = min(g.radius, beam_radius(self.scene))
         places = spot_places(self.scene, self._z, sines)
@@ -465,7 +450,7 @@ class Camera:
         return spots
 
     def _scattered(self, line: _Line, scatterer: Scatterer, centres: torch.Tensor) -> torch.Tensor:
-        """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target, head on."""
+        """Expected irradiance [B or 1, H, W] of a scattering plane for 1 W/m² at the target, at zero tilt."""
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]
@@ -493,15 +478,15 @@ class Camera:
         return profile
 
     def window(self, *, margin: bool = False) -> Grid:
-        """The smallest square of probe pixels that holds one beam's RR but for its faintest rings.
+        """The smallest square of probe pixels that holds one beam's RR without its faintest rings.
 
-        With a margin it holds the second beam's RR too, wherever the first one's lies within a window's quarter.
+        With `margin` it also holds the second beam's RR while the first lies within a quarter of the window.
         """
         g, second = self.geometry, self.scene.illumination.second_beam
         exit_angle = self._picture_angle() if self._lens is None else self._lens.exit_angle
         angle = exit_angle + _RINGS_SHOWN * g.wavelength / (2 * g.radius)
         if self._finite:
-            # No more than the probe's aperture lets through, and the fringes about its edge.
+            # At most the width of the probe's aperture, and the fringes at its edge.
             distance, radius = float(self._distance.detach()), self.scene.probe.lens.aperture_radius
             angle = min(angle, (radius + g.radius) / distance + 4 * math.sqrt(g.wavelength / distance))
         if margin:
@@ -510,7 +495,7 @@ class Camera:
         return Grid(side, side, self.output.pitch)
 
     def _picture_angle(self) -> float:
-        """Half-angle of the widest picture of all that returns behind a thin lens, by rays, in radians."""
+        """Half-angle of the widest picture of all returns behind a thin lens, by rays, in radians."""
         widest = 0.0
         for line in self._light():
             g = self._geometry(line, self._steepest)
@@ -535,7 +520,7 @@ class Camera:
             way += "; the return overfills the probe, which cuts off nothing here"
         return {
             "sampling": self.plan.as_dict(),
-            # With what the sensor's edges change of spots that lie near them, of all gazes so far.
+            # Includes the change by the sensor's edges of spots near them, over all gazes so far.
             "expected_error": max([self.plan.expected_error, *(one.missed for one in self._masks)])
             + self._edge_error
             + self._left_out(),
@@ -549,7 +534,7 @@ class Camera:
 
 
 def _orders_of(groups: Sequence[Sequence[Surface]]) -> torch.Tensor:
-    """Size and direction [M, 3] of what the sensor makes of light; a mirror's where it only lets layers answer."""
+    """Amplitude and direction [M, 3] of the sensor's orders; a mirror's where only its layers reflect."""
     sensors = [one for group in groups for one in group if one.depth == 0]
     orders = [(abs(order.amplitude), *order.direction) for one in sensors for order in one.orders if order.amplitude]
     return torch.tensor(orders, dtype=torch.float64) if orders else _MIRRORS
@@ -604,7 +589,7 @@ def pick_device(device: torch.device | str) -> torch.device:
 
 
 def _check_widths(scene: Scene) -> None:
-    """Refuse light that is no beam: it would leave an opening of a few wavelengths under any angle."""
+    """Refuse light that is no beam: an opening of a few wavelengths radiates under any angle."""
     light = scene.illumination
     least = _LEAST_WIDTH * max(light.wavelength, *(line.wavelength for line in light.lines), 0.0)
     beam = "divergence" if light.divergence is not None else "diameter"

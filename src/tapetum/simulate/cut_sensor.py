@@ -16,35 +16,23 @@ from tapetum.optics.grid_sampling import ACCURACIES, plan_double_pass, plan_fine
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan, through_aperture
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.foreshortening import tangents
-from tapetum.simulate.round_pass import RoundPass, Surface
+from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_edge import SensorEdge
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
+from tapetum.simulate.surfaces import Surface
 
 __all__ = ["CutSensor"]
 
-# Samples of the sensor for each period of its photosites, where their orders are no table's any more.
+# Samples of the sensor for each period of its photosites, where a table of orders no longer applies.
 _DETAILS = 5
 
 
 class CutSensor:
-    """Planes that interfere, the sensor among them, which ends at its edge.
+    """Planes that interfere, among them the sensor (the surface of depth 0), which ends at its edge.
 
-    Parameters
-    ----------
-    geometry, plan, output, surfaces
-        As for `RoundPass`; the sensor is the surface of no depth.
-    sensor, edge
-        Its array, and where it ends.
-    accuracy
-        Of the sampled plane, in fractions of the peak.
-    distance, probe_radius
-        As for `RoundPass`.
-    focal_length
-        Of the lens.
-    finer
-        Whether to sample more finely than the accuracy asks for: to measure its error against.
-    options
-        Further ones of `RoundPass`.
+    `geometry`, `plan`, `output`, `surfaces` and `options` are those of `RoundPass`; `sensor` and `edge` give the
+    sensor's array and outline. `accuracy` of the sampled plane is in fractions of the peak; `finer` samples it more
+    finely than that, to measure its error.
     """
 
     def __init__(
@@ -57,48 +45,31 @@ class CutSensor:
         sensor: TargetSensor,
         edge: SensorEdge,
         accuracy: float,
-        distance: torch.Tensor | float | None,
-        probe_radius: float | None,
-        focal_length: torch.Tensor,
         finer: bool = False,
         **options: Any,
     ) -> None:
         (self._sensor,) = (one for one in surfaces if one.depth == 0)
         self._geometry, self._output, self._edge, self._bare = geometry, output, edge, sensor
         self._accuracy, self._options = max(accuracy, ACCURACIES[-1]), options
-        self._distance, self._probe_radius = distance, probe_radius
-        self._focal_length, self._finer = focal_length, finer
+        self._finer = finer
         layers = [one for one in surfaces if one.depth != 0]
         self._layers: RoundPass | None = None
         if layers:
-            self._layers = RoundPass(
-                geometry,
-                plan,
-                output,
-                layers,
-                distance=distance,
-                probe_radius=probe_radius,
-                interferes=True,
-                focal_length=focal_length,
-                **options,
-            )
+            self._layers = RoundPass(geometry, plan, output, layers, interferes=True, **options)
         self._mirrors: dict[float, DoublePass] = {}
         self.expected_error = 0.0
         """Largest error of the planes sampled so far, over a mirror's peak."""
 
     @property
     def layers(self) -> RoundPass:
-        """What answers where the spot misses the sensor: the layers before it, of which there must be some."""
+        """The pass where the spot misses the sensor: the layers before it, of which there must be some."""
         assert self._layers is not None
         return self._layers
 
     def across(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        """Irradiance [B, H, W] where the edge cuts the spot, by a sampled sensor plane.
+        """Irradiance [B, H, W] of spots that the edge cuts, by a sampled sensor plane.
 
-        Raises
-        ------
-        InputError
-            Where the samples are too many, and for shifted microlenses, which are not sampled.
+        Raises InputError where the samples are too many, and for shifted microlenses, which are not sampled.
         """
         return torch.cat([self._one(sines[i : i + 1], None if centres is None else centres[i : i + 1])
                           for i in range(len(sines))])  # fmt: skip
@@ -116,7 +87,7 @@ class CutSensor:
         return field.real**2 + field.imag**2
 
     def mirror(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        """Irradiance [B, H, W] of a mirror in the sensor's place, endless, as bright as its strongest order."""
+        """Irradiance [B, H, W] of an infinite mirror in the sensor's place, as bright as its strongest order."""
         z = torch.as_tensor(self._sensor.image_distance, dtype=torch.float64)
         brightest = max(abs(order.amplitude) for order in self._sensor.orders)
         return brightest**2 * self._made(z, None)(sines, centres)
@@ -130,11 +101,11 @@ class CutSensor:
 
     def _made(self, z: torch.Tensor, mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None) -> DoublePass:
         geometry = replace(self._geometry, image_distance=float(z.detach()))
-        planned, distance, radius = geometry, self._distance, self._probe_radius
+        planned, distance, radius = geometry, self._options["distance"], self._options["probe_radius"]
         if distance is not None and radius is not None:
             planned = through_aperture(geometry, float(torch.as_tensor(distance).detach()), radius)
         array = self._bare.array
-        # What a straight edge makes of light that comes back through the lens has no finer detail.
+        # The light of a straight edge that returns through the lens has no finer detail.
         finest = geometry.airy_step / 2
         if array is not None or self._bare.microlens is not None:
             pitch = self._bare.pitch if array is None or array.pitch is None else array.pitch
@@ -142,26 +113,16 @@ class CutSensor:
         pixels = self._output.rows * self._output.columns
         plan = (plan_finer if self._finer else plan_double_pass)(planned, self._accuracy, pixels=pixels, finest=finest)
         self.expected_error = max(self.expected_error, plan.expected_error)
-        options = {name: self._options[name] for name in ("dtype", "device") if name in self._options}
-        return DoublePass(
-            geometry,
-            plan,
-            self._output,
-            self._focal_length,
-            z,
-            mask=mask,
-            followed=True,
-            distance=distance,
-            probe_radius=radius,
-            **options,
-        )
+        known = "focal_length", "distance", "probe_radius", "dtype", "device"
+        options = {name: self._options[name] for name in known if name in self._options}
+        return DoublePass(geometry, plan, self._output, image_distance=z, mask=mask, followed=True, **options)
 
     def _plane(self) -> Callable[[torch.Tensor, torch.Tensor], torch.Tensor]:
-        """The sensor's reflectance as its surface weighs it, up to its edge."""
+        """The sensor's reflectance, weighted as its surface, up to its edge."""
         k, (across, down) = 2 * math.pi / self._geometry.wavelength, self._sensor.tilt
         plain = replace(self._bare, mask=None, diffuse=None, reflectance=1.0)
         bare = reflectance_at(plain, self._geometry.wavelength, self._edge.window)
-        # What layers and coherence leave of it: the surface's first order is the sensor's own, scaled.
+        # Reduced by layers and coherence: the surface's first order is the sensor's own, scaled.
         share = _scale_of(self._sensor, plain, self._geometry.wavelength)
 
         def plane(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:

@@ -2,19 +2,18 @@
 
 A Lambertian plane at the image distance z turns the spot's irradiance S into the radiance L = albedo S/π. Written
 around the chief ray, light from the sensor's point v that leaves the lens at x has the direction x(1/z - 1/f) - v/z,
-whatever the gaze; it lands on the probe's sensor at q, f_p times that, and passes the probe's aperture R_p if
-|x + d q/f_p| < R_p. Every point of the plane scatters for itself, so irradiances add:
+whatever the gaze; it lands on the probe's sensor at q, f_p times that, and passes the probe's aperture R_p if |x + d
+q/f_p| < R_p. Points of the plane scatter independently, so irradiances add:
 
     I(q) = 1/(λ z f_p)² ∫ L(v) |∫ P(x) exp(iφ_out(x)) w(x + d q/f_p) exp(-ik x·(v/z + q/f_p)) d²x|² d²v
     w(X) = 1/(iλd) ∫_{|X'| < R_p} exp(ik|X' - X|²/2d) d²X'
 
-Without the probe's aperture, w = 1, this is a convolution, and its transform a product of two pupils' autocorrelations:
-exact for scalar, paraxial light. What the aperture takes away is a factor, by the rays with |w|² in place of its edge.
-The factor leaves out that neighbouring points of the pupil are coherent: in `tests/simulate/test_diffuse.py` it costs 1
-to 3 % of the peak against the integral above, and cost up to 6 % on other scenes.
-Light that fits the aperture by rays and to its first dark ring is taken as unclipped: its outer rings are then
-not cut off. That cost up to 4 % of the peak, and 15 % in the very middle of the image for a target
-focused on the probe and lit from there, where r² > λd.
+Without the probe's aperture, w = 1, this is a convolution whose transform is a product of two pupils' autocorrelations:
+exact for scalar, paraxial light. The aperture's loss is a factor, by rays with |w|² in place of its edge. The factor
+neglects that neighbouring points of the pupil are coherent: against the integral above it errs by 1 to 3 % of the peak
+in `tests/simulate/test_diffuse.py`, by up to 6 % on other scenes. Light that fits the aperture by rays and to its first
+dark ring is treated as unclipped, outer rings included. That errs by up to 4 % of the peak, and by 15 % in the very
+middle of the image of a target focused on the probe and lit from there, where r² > λd.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -25,6 +24,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Unpack
 
 import numpy as np
 import torch
@@ -36,9 +37,11 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.round_picture import RoundPicture
 from tapetum.simulate.scattering import (
     AT_ONCE,
     NOTHING,
+    PlaneOptions,
     Real,
     ScatteringPlane,
     autocorrelation,
@@ -49,7 +52,7 @@ from tapetum.simulate.scattering import (
 
 __all__ = ["DiffuseProfile", "corner", "diffuse_profile", "diffuse_return"]
 
-# Samples of the target's pupil along its radius, and of the probe's along its own, in the factor of the latter.
+# Samples along the radius of the target's pupil, and of the probe's, in the factor of the probe's aperture.
 _FINEST, _STEPS = 48, 500
 # Samples a side of a pixel larger than the image's detail.
 _MOST_PARTS = 64
@@ -73,7 +76,7 @@ def diffuse_return(
     Parameters
     ----------
     geometry
-        The scene's lengths. The tilt and the window play no part: the image does not depend on the gaze.
+        The scene's lengths. Tilt and window are not used: the image does not depend on the gaze.
     distance
         From the target's lens to the probe's, d, in metres.
     probe_radius
@@ -83,21 +86,22 @@ def diffuse_return(
     albedo
         Power scattered over the half-space, in fractions of the power that arrives.
     spread
-        Standard deviation of the place where light leaves the plane against where it arrived, in metres.
+        Standard deviation, in metres, of the distance between where light enters and leaves the plane.
     image_distance
-        z of the plane, reduced by the index of what lies between, in metres; the sensor's own for None.
+        z of the plane in metres, reduced by the index of what lies between; default: the sensor's own.
     lit_radius
-        Of the illuminating beam at the target, in metres, where it is narrower than the aperture.
+        Of an illuminating beam narrower than the aperture, at the target, in metres.
     centre
         (x, y) of the image's middle on the probe's sensor, in metres.
     accuracy
-        In fractions of the peak: decides how far out the light is followed, and how finely the aperture is sampled.
+        In fractions of the peak: sets how far out the light is followed, and the sampling of the aperture. The error is
+        below it without a clipping aperture; with one see the module's head.
 
     Returns
     -------
     torch.Tensor
-        [H, W] float64, W/m² for 1 W/m² at the target. Pixels larger than the image's detail hold their mean, others
-        the value at their middle.
+        [H, W] float64, W/m² for 1 W/m² at the target. Pixels larger than the image's detail hold their mean, others the
+        value at their middle.
 
     Raises
     ------
@@ -106,24 +110,14 @@ def diffuse_return(
 
     Notes
     -----
-    Without a clipping aperture the error is below `accuracy`; with one see the module's head.
-    Small angles: at an F-number of 1.4 the lens collects sin² = 0.11 of the light, r²/z² = 0.13.
-    The autocorrelation of a defocused pupil is that of H. H. Hopkins, Proc. R. Soc. Lond. A 231, 91 (1955).
+    Small angles: at an F-number of 1.4 the lens collects sin² = 0.11 of the light, r²/z² = 0.13. The autocorrelation of
+    a defocused pupil is that of H. H. Hopkins, Proc. R. Soc. Lond. A 231, 91 (1955).
     """
     if not all(map(math.isfinite, centre)):
         raise InputError(f"must be finite, is {centre}", where="centre", remedy="give two lengths in metres")
-    profile = diffuse_profile(
-        geometry,
-        distance,
-        probe_radius,
-        corner(output, centre),
-        albedo=albedo,
-        spread=spread,
-        image_distance=image_distance,
-        lit_radius=lit_radius,
-        accuracy=accuracy,
-    )
-    return profile.on(output, centre)
+    options = PlaneOptions(albedo=albedo, spread=spread, image_distance=image_distance, lit_radius=lit_radius)
+    reach = corner(output, centre)
+    return diffuse_profile(geometry, distance, probe_radius, reach, accuracy=accuracy, **options).on(output, centre)
 
 
 def corner(output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> float:
@@ -134,7 +128,7 @@ def corner(output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> float:
 
 @dataclass(frozen=True, eq=False)
 class DiffuseProfile:
-    """Scattered light on the probe's sensor against the distance from its middle, wherever that lies.
+    """Scattered light on the probe's sensor by the distance from its middle.
 
     Parameters
     ----------
@@ -147,10 +141,29 @@ class DiffuseProfile:
     radii: Real
     irradiance: Real
 
+    @cached_property
+    def _picture(self) -> RoundPicture:
+        return RoundPicture(self.radii, self.irradiance)
+
+    @cached_property
+    def _width(self) -> float:
+        """Half-width at half maximum, by the first place below it."""
+        below = np.nonzero(self.irradiance < self.irradiance.max() / 2)[0]
+        return float(self.radii[max(below[0], 1)]) if len(below) else self._picture.end
+
     def on(self, output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> torch.Tensor:
         """Return the picture [H, W] about a place (x, y) in metres, as `diffuse_return`."""
-        x, y = output.x().numpy() - centre[0], output.y().numpy() - centre[1]
-        return torch.from_numpy(_on_pixels(self.radii, self.irradiance, x, y, output.pitch))
+        x, y, pitch = output.x() - centre[0], output.y() - centre[1], output.pitch
+        if pitch < self._width:
+            return self._picture.at(x, y)
+        parts = min(_MOST_PARTS, math.ceil(3 * pitch / self._width))
+        offsets = ((torch.arange(parts, dtype=torch.float64) + 0.5) / parts - 0.5) * pitch
+        columns, rows = ((one.abs() <= self._picture.end + pitch).nonzero()[:, 0] for one in (x, y))
+        fine = [(one[:, None] + offsets).flatten() for one in (x[columns], y[rows])]
+        image = torch.zeros(len(y), len(x), dtype=torch.float64)
+        means = self._picture.at(*fine).reshape(len(rows), parts, len(columns), parts).mean((1, 3))
+        image[rows[:, None], columns] = means
+        return image
 
 
 def diffuse_profile(
@@ -159,19 +172,16 @@ def diffuse_profile(
     probe_radius: float,
     reach: float,
     *,
-    albedo: float,
-    spread: float = 0.0,
-    image_distance: float | None = None,
-    lit_radius: float | None = None,
     accuracy: float = 1e-2,
+    **options: Unpack[PlaneOptions],
 ) -> DiffuseProfile:
-    """Scattered light by its distance from the middle: nearly all the work of `diffuse_return`, for many places.
+    """Scattered light by its distance from the middle: most of the work of `diffuse_return`, reused for many places.
 
     Parameters
     ----------
     reach
-        How far from its middle the picture goes, in metres.
-    geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius, accuracy
+        Largest distance from the middle, in metres.
+    geometry, distance, probe_radius, accuracy, **options
         As for `diffuse_return`.
 
     Raises
@@ -179,11 +189,11 @@ def diffuse_profile(
     InputError
         For a number out of its range.
     """
-    plane = scattering_plane(geometry, distance, probe_radius, albedo, spread, image_distance, lit_radius)
+    plane = scattering_plane(geometry, distance, probe_radius, **options)
     if not 1e-4 <= accuracy < 1:
         raise InputError(f"must be from 1e-4 to below 1, is {accuracy}", where="accuracy", remedy="ask for 1e-2")
     f_p = geometry.probe_focal_length
-    # A ring's irradiance falls as the cube of its number: at this one the peak's `accuracy` is long past.
+    # A ring's irradiance falls as the cube of its number: here it is far below `accuracy` of the peak.
     rings = 30 * accuracy ** (-1 / 3)
     end = min(reach / f_p, plane.reach(rings))
     step = plane.wavelength / (6 * plane.limit)
@@ -195,7 +205,7 @@ def diffuse_profile(
     profile = _unclipped(plane, angles)
     if clipped:
         profile = profile * _passing(plane, distance, probe_radius, angles, accuracy)
-    return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * albedo / math.pi / (plane.z * f_p) ** 2)
+    return DiffuseProfile(angles * f_p, np.maximum(profile, 0.0) * plane.albedo / math.pi / (plane.z * f_p) ** 2)
 
 
 def _unclipped(plane: ScatteringPlane, angles: Real) -> Real:
@@ -211,12 +221,12 @@ def _passing(plane: ScatteringPlane, distance: float, probe_radius: float, angle
     """Share of the light of each angle that the probe's aperture lets through, by rays and |w|²."""
     r = plane.radius
     end = min(angles[-1] * distance, _lit_at_probe(plane, distance, probe_radius, accuracy))
-    # What follows is smooth on this scale, in metres at the probe: finer fringes than these average out.
+    # The following is smooth on this scale, in metres at the probe: finer fringes average out.
     fine = max(r / _FINEST, end / _STEPS)
     places = np.arange(math.ceil(end / fine) + 3) * fine
     grid, power = _window(plane.wavelength, probe_radius, distance, fine, places[-1] + r + 4 * fine)
     pupil = disc_quadrature(r, 2 * _FINEST, _FINEST)
-    # Rows lie symmetric about the line through both middles: one half does.
+    # Rows are symmetric about the line through both middles: one half suffices.
     half = _FINEST // 2
     x, y, w = pupil.x.numpy(), pupil.y.numpy()[:half], 2 * pupil.weights.numpy()[:half]
     radiance = _smooth_radiance(plane, r / _FINEST, places[-1] / distance + 1.1 * r * abs(plane.outward))
@@ -233,12 +243,11 @@ def _passing(plane: ScatteringPlane, distance: float, probe_radius: float, angle
         shares[i : i + block] = (light * seen).sum(1) / np.maximum(light.sum(1), 1e-300)
     shares = np.where(np.isfinite(shares), np.maximum(shares, 0.0), 0.0)
     inside = np.minimum(angles * distance, places[-1])
-    # Beyond the last place nothing is left.
     return np.where(angles * distance <= places[-1], CubicSpline(places, shares)(inside), 0.0)
 
 
 def _lit_at_probe(plane: ScatteringPlane, distance: float, probe_radius: float, accuracy: float) -> float:
-    """Distance from the axis, in metres, beyond which no light counts: edge waves die away as its inverse."""
+    """Distance from the axis, in metres, beyond which light is neglected: edge waves fall as its inverse."""
     return probe_radius + plane.radius + math.sqrt(plane.wavelength * distance / accuracy)
 
 
@@ -247,7 +256,7 @@ def _window(wavelength: float, radius: float, distance: float, fine: float, reac
     k = 2 * math.pi / wavelength
     values, step = disc_transform(radius, k / (2 * distance), k / distance, reach + 5 * fine)
     x = np.arange(len(values)) * step
-    # By area: the middle's bright point is small.
+    # Weighted by area: the middle's bright point is small.
     area = x + step / 4
     power = gaussian_filter1d(np.abs(values) ** 2 * area, fine / step, mode="mirror")
     return x, power / gaussian_filter1d(area, fine / step, mode="mirror") / (wavelength * distance) ** 2
@@ -266,23 +275,3 @@ def _smooth_radiance(plane: ScatteringPlane, fine: float, reach: float) -> Cubic
     slopes = np.arange(math.ceil(reach / step) + 3) * step
     values = transformed(spot, apart, weights, slopes, k)
     return CubicSpline(slopes, np.maximum(values, values[0] * 1e-12 if values[0] > 0 else 0.0))
-
-
-def _on_pixels(radii: Real, profile: Real, x: Real, y: Real, pitch: float) -> Real:
-    """The profile at the pixels' middles, or its mean over pixels larger than its detail: [len(y), len(x)]."""
-    spline, end = CubicSpline(radii, profile), radii[-1]
-    # Half-width at half maximum, by the first place below it.
-    below = np.nonzero(profile < profile.max() / 2)[0]
-    width = radii[max(below[0], 1)] if len(below) else end
-    parts = 1 if pitch < width else min(_MOST_PARTS, math.ceil(3 * pitch / width))
-    offsets = ((np.arange(parts) + 0.5) / parts - 0.5) * pitch
-    image = np.zeros((len(y), len(x)))
-    distance = np.hypot(y[:, None], x[None, :])
-    lit = np.argwhere(distance <= end + pitch)
-    block = max(1, AT_ONCE // parts**2)
-    for i in range(0, len(lit), block):
-        rows, columns = lit[i : i + block].T
-        at = np.sqrt((y[rows, None, None] + offsets[:, None]) ** 2 + (x[columns, None, None] + offsets[None, :]) ** 2)
-        values = np.where(at <= end, np.maximum(spline(np.minimum(at, end)), 0.0), 0.0)
-        image[rows, columns] = values.mean((1, 2))
-    return image

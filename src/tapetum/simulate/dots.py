@@ -1,12 +1,11 @@
-"""Light that comes straight from a phone's dot projector into the probe.
+"""Light that reaches the probe straight from a phone's dot projector.
 
-A beam that happens to point at the probe passes its aperture; the probe, focused at infinity, sees the projector out of
-focus: a disc of D_p f_p/d, as of light from any point that overfills the aperture. Far away it becomes an Airy pattern.
+A beam that points at the probe passes its aperture. The probe is focused at infinity and sees the projector as a disc
+of diameter D_p f_p/d, as any point source that overfills the aperture; far away it becomes an Airy pattern.
 """
 
-# SciPy and NumPy type these functions in part only.
-# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
-# pyright: reportUnknownArgumentType=false
+# NumPy types these functions in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
 
@@ -17,12 +16,12 @@ import numpy.typing as npt
 import torch
 
 from tapetum.bench.phone import Dots
-from tapetum.optics.fourier import phasor
+from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 
 __all__ = ["DIVERGENCE", "EFFICIENCY", "PASSED", "beam_directions", "beam_offsets", "dot_image", "lit_time"]
-__all__ += ["dot_window", "power_through", "waist_at"]
+__all__ += ["dot_window", "waist_at"]
 
 Array = npt.NDArray[np.float64]
 
@@ -30,9 +29,9 @@ Array = npt.NDArray[np.float64]
 DIVERGENCE = math.radians(0.5)
 # Electrons a photon of 940 nm, of a silicon sensor made for visible light: assumed.
 EFFICIENCY = 0.05
-# What a filter before the probe's camera, made for its own laser, leaves of it: assumed, an optical density of 4.
+# Transmission at 940 nm of a filter for the probe's own laser: assumed, an optical density of 4.
 PASSED = 1e-4
-# Light may turn so far between two samples of the aperture, in radians.
+# Largest phase step between two samples of the aperture, in radians.
 _RADIANS = 2.0
 _LEAST_SAMPLES = 48
 _RINGS = 12
@@ -41,7 +40,7 @@ _RINGS = 12
 def beam_directions(dots: Dots) -> Array:
     """Unit vectors [N, 3] of the beams, in the axes of the back plate: x right, y down, z towards the probe.
 
-    A lens images an array of lasers: they are evenly spaced in tangents of their angles (assumed).
+    A lens images an array of lasers, so the beams are evenly spaced in the tangents of their angles (assumed).
     """
     x, y = (
         np.tan(angle / 2) * (np.linspace(-1, 1, count) if count > 1 else np.zeros(1))
@@ -54,27 +53,17 @@ def beam_directions(dots: Dots) -> Array:
 
 
 def beam_offsets(directions: Array, sines: Array, distance: Array) -> Array:
-    """How far beams pass from the middle of the probe's aperture.
+    """Where beams cross the plane of the probe's aperture: [T, N, 2], in metres from its middle, in the plate's axes.
 
-    Parameters
-    ----------
-    directions
-        [N, 3], as of `beam_directions`.
-    sines
-        [T, 2] tilt of the phone against the light before it rolls: the probe lies right of the middle of its picture
-        for a positive first one, below for a positive second one.
-    distance
-        [T] in metres.
-
-    Returns
-    -------
-    numpy.ndarray
-        [T, N, 2] in metres, in the plate's axes. A beam that leaves the probe behind is infinitely far away.
+    `directions` [N, 3] are those of `beam_directions`, `distance` [T] is in metres. `sines` [T, 2] tilt the phone
+    against the light before it rolls: positive values put the probe right of and below the middle of the phone's
+    picture. A beam that points away from the probe gets an infinite offset.
     """
-    # Face to face, the right of the phone's picture is the probe's left.
+    # Phone and probe face each other: right in the phone's picture is left in the probe's.
     x, y = -sines[:, 0], sines[:, 1]
     z = np.sqrt(1 - x**2 - y**2)
-    # The shortest turn that brings the way to the probe, d, onto the axis: v - d (v·(d + z))/(1 + d_z), across it.
+    # The shortest rotation that takes the direction to the probe, d, to the axis: v - d (v·(d + z))/(1 + d_z), across
+    # it.
     to_probe = np.stack([x, y, z], axis=-1)
     along = to_probe @ directions.T
     lean = (along + directions[:, 2]) / (1 + z[:, None])
@@ -86,33 +75,6 @@ def beam_offsets(directions: Array, sines: Array, distance: Array) -> Array:
 def waist_at(distance: float, divergence: float = DIVERGENCE) -> float:
     """Radius of a beam, to 1/e² of its middle, at a distance; metres and radians."""
     return distance * math.tan(divergence / 2)
-
-
-def power_through(power: float, waist: float, offset: Array, radius: float) -> Array:
-    """Power of a Gaussian beam that passes a round aperture, in watts.
-
-    Parameters
-    ----------
-    power
-        Of the beam, in watts.
-    waist, radius
-        Of the beam (to 1/e²) and of the aperture, in metres.
-    offset
-        [..., 2] of the beam's middle from the aperture's, in metres.
-
-    Notes
-    -----
-    The squared distance from the aperture's middle, in units of (waist/2)², is distributed as a noncentral χ² of two
-    degrees of freedom.
-    """
-    # SciPy's statistics take half a second to import, which every start of a process would wait for.
-    from scipy.stats import ncx2
-
-    sigma = waist / 2
-    away = (np.asarray(offset) ** 2).sum(-1) / sigma**2
-    # SciPy has no noncentral distribution about the centre.
-    central = 1 - math.exp(-(radius**2) / (2 * sigma**2))
-    return power * np.where(away > 1e-12, ncx2.cdf(radius**2 / sigma**2, 2, np.maximum(away, 1e-12)), central)
 
 
 def dot_window(distance: float, radius: float, focal_length: float, wavelength: float, pitch: float) -> Grid:
@@ -136,25 +98,10 @@ def dot_image(
 ) -> torch.Tensor:
     """Irradiance [H, W] in W/m² that beams from one point make on the sensor of a probe focused at infinity.
 
-    Parameters
-    ----------
-    output
-        Pixels of the probe's sensor.
-    offsets
-        [N, 2] of the beams from the aperture's middle, in metres. They do not interfere: each is a laser of its own.
-    power, divergence
-        Of each beam, in watts; full angle in radians.
-    wavelength, distance
-        In metres.
-    radius, focal_length
-        Of the probe's lens, which keeps all light, in metres.
-    centre
-        Of the image on the sensor, in metres.
-
-    Notes
-    -----
-    Fraunhofer's integral over the aperture of exp(ikρ²/2d) under a Gaussian. In the picture, which is turned by half a
-    turn against the sensor, light from the right of the aperture falls to the left of the disc.
+    `offsets` [N, 2] and `centre` (the image's place on the sensor) are in metres, `power` and `divergence` (full angle,
+    radians) are those of each beam; `radius` and `focal_length` are the probe lens's. Beams do not interfere: each is a
+    laser of its own. Computed is the Fraunhofer integral of exp(ikρ²/2d) times a Gaussian over the aperture. The
+    picture is rotated by 180° against the sensor, so light from the right of the aperture falls left in the disc.
     """
     k = 2 * math.pi / wavelength
     u, v = output.x() - centre[0], output.y() - centre[1]
@@ -162,40 +109,24 @@ def dot_image(
     count = max(_LEAST_SAMPLES, math.ceil(2 * k * radius * (radius / distance + widest) / _RADIANS))
     aperture = disc_quadrature(radius, count, count)
     bend = aperture.weights * phasor(k / (2 * distance) * aperture.rho_squared())
-    columns = phasor(k / focal_length * aperture.x[:, None] * u)
-    rows = phasor(k / focal_length * v[:, None] * aperture.y)
+    to_pixels = MatrixFourier(aperture.x, aperture.y, u, v, -k / focal_length)
     waist = waist_at(distance, divergence)
     total = torch.zeros(output.rows, output.columns, dtype=torch.float64)
     for x, y in np.asarray(offsets, np.float64).reshape(-1, 2).tolist():
-        profile = torch.exp(-((aperture.y - y) ** 2) / waist**2)[:, None] * torch.exp(
-            -((aperture.x - x) ** 2) / waist**2
-        )
-        field = rows @ ((profile * bend) @ columns)
-        total = total + field.real**2 + field.imag**2
+        along, down = (torch.exp(-((one - at) ** 2) / waist**2) for one, at in ((aperture.x, x), (aperture.y, y)))
+        total += to_pixels(down[:, None] * along * bend).abs() ** 2
     return total * (2 * power / (math.pi * waist**2) / (wavelength * focal_length) ** 2)
 
 
 def lit_time(dots: Dots, times: Array, exposure: Array, phase: float) -> Array:
-    """How long the projector shines during exposures about times.
+    """Seconds [T] for which the projector shines during exposures centred on `times`, both [T] in seconds.
 
-    Parameters
-    ----------
-    dots
-        Its period and pulse.
-    times, exposure
-        [T] middle and length of the exposures, in seconds.
-    phase
-        When a pulse begins, in seconds.
-
-    Returns
-    -------
-    numpy.ndarray
-        [T] in seconds.
+    A pulse begins at `phase`, in seconds.
     """
 
     def before(at: Array) -> Array:
         turns = np.floor((at - phase) / dots.period)
         return turns * dots.pulse + np.minimum(at - phase - turns * dots.period, dots.pulse)
 
-    # To the nanosecond: an exposure wholly in the dark must see nothing.
+    # Rounded to nanoseconds: an exposure wholly in the dark must see nothing.
     return np.maximum(0.0, np.round(before(times + exposure / 2) - before(times - exposure / 2), 9))

@@ -1,16 +1,17 @@
-"""The double pass by grids: through the target's lens, off its sampled sensor and back, to the probe's focal plane.
+"""The double pass on grids: through the target's lens, off its sampled sensor, back, and to the probe's focal plane.
 
-The slower engine, for any sensor plane. `RoundPass` computes mirrors and gratings from a round field's table.
+This is the slower engine, for any sensor plane; `RoundPass` computes mirrors and gratings from the table of a round
+field.
 
-The quadratic phases of lens and free space are taken out before anything is sampled; what is left is the defocus
-and a tilt (paper, equations 1 to 6, in the form of docs/conventions.md, "The double pass"):
+The quadratic phases of lens and free space are removed before sampling; defocus and a tilt remain (paper, equations 1
+to 6, in the form of docs/conventions.md, "The double pass"):
 
     G(v)  = 1/(iλz) ∫ P(x) exp(iφ_in(x)) exp(-ik x·v/z) d²x            the spot, seen from its own centre u0 = z t
     U3(x) = 1/(iλz) ∫ Arr G(v) exp(ik|v|²/z) exp(-ik (x - 2u0)·v/z) d²v
     U5(q) = cosθ/(iλf_p) ∫ P(x) exp(iφ_out(x)) U3(x) exp(-ik x·Mq/f_p) d²x
 
-G does not depend on the gaze, so one instance serves a whole sweep; Arr is the sensor's reflectance where the gaze puts
-the spot, at u0 + v; t are the tilt's tangents. M foreshortens the probe's picture by the cosine of the tilt along it.
+G does not depend on the gaze, so one instance serves a whole sweep. Arr is the sensor's reflectance at the spot, u0 +
+v; t are the tangents of the tilt. M foreshortens the probe's picture by the cosine of the tilt, along the tilt.
 """
 
 from __future__ import annotations
@@ -24,20 +25,21 @@ from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.grid_sampling import SamplingPlan
 from tapetum.optics.pupil import disc_quadrature
-from tapetum.optics.sampling import DoublePassGeometry, aperture_samples
-from tapetum.simulate.foreshortening import cosines, foreshortening, foreshortens, tangents, twisted
+from tapetum.optics.sampling import DoublePassGeometry
+from tapetum.simulate.foreshortening import cosines, foreshortens, tangents, twisted
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath
 from tapetum.simulate.true_paths import Leg, TruePaths
 
 __all__ = ["DoublePass"]
 
-# Working memory of one batch of gazes, in bytes: past the processor's caches larger batches gain nothing.
+# Working memory of one batch of gazes, in bytes: batches larger than the processor's caches are no faster.
 _BATCH_BYTES = 192 << 20
 
 
 class DoublePass:
     """The retro-reflection of a thin lens before a plane mirror or mask, for any number of gazes.
 
-    Holding the instance is the cache: the spot on the sensor and all fixed kernels are formed once.
+    The spot on the sensor and all fixed kernels are computed once, when the instance is made.
 
     Parameters
     ----------
@@ -48,12 +50,12 @@ class DoublePass:
     output
         Pixels of the probe's sensor.
     focal_length, image_distance
-        Of the target, in metres, as float64 scalars: gradients flow through them where they ask for it.
+        Of the target, in metres, as float64 scalars, which may carry gradients.
     mask
-        Complex reflectance of the sensor plane, for columns x [B, n] and rows y [B, m] in metres from the optical axis:
-        [B, m, n]. Plan for its finest detail. A perfect mirror when left out.
+        Complex reflectance [B, m, n] of the sensor plane at columns x [B, n] and rows y [B, m], in metres from the
+        optical axis; plan the grids for its finest detail. Default: a perfect mirror.
     distance, probe_radius
-        Both given, the light of a mask travels the distance and through the probe's round aperture, in metres.
+        Both given, the light of a mask travels this distance and through the probe's round aperture, in metres.
     followed
         Whether to follow the paths of `true_paths`, along the rays of a mirror.
     dtype
@@ -101,43 +103,32 @@ class DoublePass:
         spot = (
             spot * phasor(self._k * v_squared / z) * _window(v_squared.sqrt(), plan.sensor_flat, plan.sensor_half_width)
         )
-        # Constants ride along with the spot, so that the hot loop is products and phases alone.
-        to_image = 1j * geometry.wavelength * geometry.probe_focal_length
-        self._spot = (spot * (sensor.pitch**2 / wave / to_image)).to(dtype)
         self._to_pupil = MatrixFourier(self._v, self._v, self._x, self._y, self._k / z, dtype)
-        self._exit = (weights * phasor(defocus)).to(dtype)
-        self._kappa = self._k / geometry.probe_focal_length
-        pixels = output.x(device=device), output.y(device=device)
-        self._to_image = MatrixFourier(self._x, self._y, *pixels, self._kappa, dtype)
-        self._aperture: torch.Tensor | None = None
-        way = None
+        aperture, way = None, None
         if distance is not None and probe_radius is not None:
             way = _scalar(distance, device)
-            columns, rows = aperture_samples(geometry, float(way.detach()), probe_radius)
-            stop = disc_quadrature(probe_radius, columns, rows)
-            self._far_x, self._far_y = stop.x.to(device), stop.y.to(device)
-            self._to_probe = self._k / way
-            chirp = stop.weights.to(device) * phasor(self._to_probe / 2 * stop.rho_squared().to(device))
-            self._aperture = (chirp / (1j * geometry.wavelength * way)).to(dtype)
-            self._exit = (weights * phasor(defocus + self._to_probe / 2 * rho_squared)).to(dtype)
-            self._second = MatrixFourier(self._far_x, self._far_y, *pixels, self._kappa, dtype)
+            aperture = ProbeAperture.behind_thin(geometry, way, probe_radius)
+        self._path = ProbePath(
+            output,
+            self._x,
+            self._y,
+            wavelength=geometry.wavelength,
+            probe_focal_length=geometry.probe_focal_length,
+            aperture=aperture,
+            dtype=dtype,
+            device=device,
+        )
+        # The spot includes all constants, so that the hot loop has only products and phases.
+        self._spot = (spot * (sensor.pitch**2 / wave * self._path.constant)).to(dtype)
+        self._exit = (weights * phasor(defocus + self._path.chirp * rho_squared)).to(dtype)
         k, radius, curvature = (_scalar(value, device) for value in (self._k, geometry.radius, geometry.curvature))
         self._paths = TruePaths(k, radius, f, curvature, way, probe_radius) if followed else None
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
-        """Irradiance on the probe's pixels for an illumination of 1 W/m² and the mask's reflectance, or 1.
+        """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target.
 
-        Parameters
-        ----------
-        sines
-            [B, 2] sines of the tilt along x and y.
-        centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
-
-        Returns
-        -------
-        torch.Tensor
-            [B, H, W], W/m².
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
         """
         sines = sines.to(self.device, torch.float64)
         size = self._batch(sines.requires_grad)
@@ -146,9 +137,9 @@ class DoublePass:
         return torch.cat([(u.real**2 + u.imag**2) for u in images])
 
     def exit_pupil(self, sines: torch.Tensor) -> torch.Tensor:
-        """Field leaving the lens, tilt removed, times the quadrature's weights and 1/(iλf_p): [B, rows, columns]."""
+        """Field leaving the lens, tilt removed, times weights and constants: [B, rows, columns]."""
         sines = sines.to(self.device, torch.float64)
-        # A mirror may turn with the pupil, a mask may not.
+        # A mirror may rotate with the pupil, a mask may not.
         turned = self._mask is None and foreshortens(self, sines)
         slopes = tangents(sines)
         offset = 2 * self._k * (twisted(slopes, sines) if turned else slopes)
@@ -168,88 +159,29 @@ class DoublePass:
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
         sines = sines.to(self.device, torch.float64)
-        # What a tilted pupil sends spreads over a foreshortened picture.
+        # A tilted pupil's light spreads over a foreshortened picture.
         pupil = self.exit_pupil(sines) * torch.sqrt(cosines(sines))[:, None, None].to(self.dtype)
-        if self._aperture is not None:
-            far = self._in_place(pupil, sines, self._far_x, self._far_y, self._to_probe) * self._aperture
-            # The beam comes back to the probe's middle, under an angle.
-            return self._second(far if centres is None else far * self._ramp(centres, self._far_x, self._far_y))
-        if centres is not None:
-            pupil = pupil * self._ramp(centres, self._x, self._y)
-        if not foreshortens(self, sines):
-            return self._to_image(pupil)
-        if self._mask is None:
-            return self._foreshortened(pupil, sines)
-        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
-        return self._in_place(pupil, sines, qx, qy, _scalar(self._kappa, self.device))
-
-    def _ramp(self, centres: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        shift = self._kappa * centres.to(self.device, torch.float64)
-        column = phasor(shift[:, 0, None, None] * x[None, None, :]).to(self.dtype)
-        return column * phasor(shift[:, 1, None, None] * y[None, :, None]).to(self.dtype)
+        shortened = foreshortens(self, sines) or self._path.aperture is not None
+        if self._mask is not None and shortened:
+            gathered = self._path.gather_unturned(pupil, sines, centres)
+        else:
+            rows = slice(0, self.plan.rows)
+            gathered = self._path.gather(pupil, rows, sines if foreshortens(self, sines) else None, centres)
+        return self._path.to_image(gathered, centres)
 
     def _batch(self, gradients: bool) -> int:
         size = 16 if self.dtype == torch.complex128 else 8
         masked = self._mask is not None
         one = self.plan.bytes_needed(1, self.output.rows * self.output.columns, size, masked=masked)
-        # A graph for gradients keeps every intermediate result anyway.
+        # Gradients keep every intermediate result anyway.
         return 1 << 20 if gradients else max(1, _BATCH_BYTES // one)
-
-    def _foreshortened(self, pupil: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
-        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation goes
-        # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
-        _, t = foreshortening(sines)
-        qx, qy = self.output.x(device=self.device), self.output.y(device=self.device)
-        # x t00 qx + y (t10 qx + t11 qy): columns first, for qx stands beside both x and y.
-        column = phasor(-self._kappa * t[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :])
-        mix = phasor(-self._kappa * t[:, 1, 0, None, None] * self._y[None, :, None] * qx[None, None, :])
-        row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * self._y[None, None, :])
-        return row.to(self.dtype) @ ((pupil @ column.to(self.dtype)) * mix.to(self.dtype))
-
-    def _in_place(
-        self, pupil: torch.Tensor, sines: torch.Tensor, qx: torch.Tensor, qy: torch.Tensor, kappa: torch.Tensor
-    ) -> torch.Tensor:
-        # M as it is: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Of its four phases the one of y and qx fits into no
-        # product. It turns slowly, by the square of the tilt: a few Chebyshev nodes in qx hold it.
-        rotation, t = foreshortening(sines)
-        m = kappa * (rotation @ t)
-        half_width = float(qx.max() - qx.min()) / 2
-        turn = float(m[:, 1, 0].detach().abs().max() * self._y.abs().max()) * half_width
-        nodes, lift = _nodes(qx, turn, 1e-12 if self.dtype == torch.complex128 else 1e-6)
-        column = phasor(-m[:, 0, 0, None, None] * self._x[None, :, None] * qx[None, None, :]).to(self.dtype)
-        mix = phasor(-m[:, 0, 1, None, None] * qy[None, :, None] * self._x[None, None, :]).to(self.dtype)
-        total: torch.Tensor | None = None
-        for node, share in zip(nodes, lift, strict=True):
-            along = m[:, 1, 1, None] * qy[None, :] + m[:, 1, 0, None] * node
-            row = phasor(-along[:, :, None] * self._y[None, None, :]).to(self.dtype)
-            part = (((row @ pupil) * mix) @ column) * share.to(self.dtype)
-            total = part if total is None else total + part
-        assert total is not None
-        return total
 
 
 def _window(radius: torch.Tensor, flat: float, end: float) -> torch.Tensor:
     """1 up to `flat`, then a raised cosine to 0 at `end`."""
-    return torch.cos(((radius - flat) / (end - flat)).clamp(0, 1) * (math.pi / 2)) ** 2
-
-
-def _nodes(q: torch.Tensor, turn: float, error: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Chebyshev nodes over the pixels q, and each one's share [nodes, q] of a phase that turns by ±turn radians."""
-    count, left = 1, turn
-    # What n nodes leave of exp(i turn t) is below 2 (turn/2)ⁿ/n!.
-    while left > error:
-        count += 1
-        left *= turn / (2 * count)
-    angle = math.pi * (torch.arange(count, dtype=torch.float64, device=q.device) + 0.5) / count
-    half, middle = (q.max() - q.min()) / 2, (q.max() + q.min()) / 2
-    nodes = middle + half * torch.cos(angle)
-    share = [
-        torch.stack([(q - other) / (node - other) for j, other in enumerate(nodes) if j != i]).prod(0)
-        if count > 1
-        else torch.ones_like(q)
-        for i, node in enumerate(nodes)
-    ]
-    return nodes, torch.stack(share)
+    fade = torch.cos(((radius - flat) / (end - flat)).clamp(0, 1) * (math.pi / 2)) ** 2
+    # What cos² of a rounded right angle leaves is so small that the processor multiplies it a hundred times slower.
+    return torch.where(radius < end, fade, 0.0)
 
 
 def _scalar(value: torch.Tensor | float, device: torch.device | str) -> torch.Tensor:

@@ -1,8 +1,8 @@
-"""What the probe's sensor makes of the light: shot noise, read noise, hot pixels, saturation and bits.
+"""The probe's sensor: shot noise, read noise, hot pixels, saturation and quantisation.
 
-Light and dark current make electrons, at most a full well of them; the gain makes them digital numbers, from the
-offset on. `digitise` draws such numbers. `expected_counts` and `count_variance` say what they average to and how much
-they scatter, for fits and information: smooth functions of the light, clipped ends included.
+Light and dark current make electrons, up to the full well; gain and offset turn them into digital numbers. `digitise`
+draws such numbers. `expected_counts` and `count_variance` return their mean and variance as smooth functions of the
+light, clipping included, for fits and Fisher information.
 """
 
 # Torch types from_numpy in part only.
@@ -24,10 +24,11 @@ from tapetum.simulate.image import Image
 from tapetum.simulate.radiometry import electrons
 
 __all__ = ["count_moments", "count_variance", "digitise", "expected_counts", "expose", "gain_of", "hot_currents"]
+__all__ += ["most_electrons", "readout_variance"]
 
-# Keeps the hot pixels' draws apart from all others made of small numbers.
+# Separates the hot pixels' draws from other streams seeded by small numbers.
 _HOT_STREAM = 0x407
-# Read noise, in electrons, above which the clipping at zero sees a normal distribution.
+# Read noise, in electrons, above which clipping at zero uses a normal distribution.
 _NOISY = 8.0
 
 
@@ -39,9 +40,9 @@ def expose(
     Parameters
     ----------
     image
-        Irradiance on the probe's pixels, of the one wavelength that its metadata name.
+        Irradiance on the probe's pixels, at the one wavelength that its metadata name.
     probe
-        Whose sensor takes it: a probe, or a scene, its name or its path.
+        The probe, or a scene, or a scene's name or path.
     seed
         Of the noise; the same seed gives the same frames.
 
@@ -61,27 +62,10 @@ def expose(
 
 
 def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) -> npt.NDArray[np.uint8 | np.uint16]:
-    """Draw digital numbers for mean electrons: Poisson light and dark current, read noise, full well, gain, rounding.
+    """Draw digital numbers (uint8 up to 8 bits, else uint16) for mean electrons a pixel and frame, of any shape.
 
-    Parameters
-    ----------
-    mean
-        Electrons a pixel and frame without those of hot pixels, as of `radiometry.electrons`. Any shape; whole frames
-        [..., H, W] for a sensor with hot pixels.
-    sensor
-        Its noise, full well, gain, offset and bits.
-    rng
-        Of the noise, the hot pixels' places excepted: they belong to the sensor.
-
-    Returns
-    -------
-    numpy.ndarray
-        uint8 up to 8 bits, uint16 above, of the same shape.
-
-    Raises
-    ------
-    InputError
-        When a sensor has hot pixels and `mean` is no whole frame of it.
+    `mean` excludes the electrons of hot pixels, which are added here; `rng` draws the noise, while the places of hot
+    pixels belong to the sensor. Raises InputError where a sensor with hot pixels gets no whole frames [..., H, W].
     """
     generator = torch.Generator().manual_seed(int(rng.integers(1 << 62)))
     light = _with_hot_pixels(mean.detach().to("cpu", torch.float32), sensor)
@@ -98,11 +82,21 @@ def gain_of(sensor: ProbeSensor) -> float:
     return (2**sensor.bits - 1) / sensor.full_well if sensor.gain is None else sensor.gain
 
 
+def most_electrons(sensor: ProbeSensor) -> float:
+    """Electrons of a pixel at which the full well or the largest digital number clips."""
+    return min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor))
+
+
+def readout_variance(sensor: ProbeSensor) -> float:
+    """Variance of readout and of rounding to digital numbers, in electrons squared, a pixel."""
+    return sensor.read_noise**2 + 1 / (12 * gain_of(sensor) ** 2)
+
+
 def hot_currents(sensor: ProbeSensor) -> torch.Tensor:
     """Dark current of the hot pixels, in electrons a second, [H, W]; 0 for all others.
 
-    Its serial number alone decides where they are and how hot: a sensor with a larger share of them has the same ones
-    and more. The currents are exponentially distributed.
+    The sensor's serial number alone decides their places and exponentially distributed currents: a larger share of hot
+    pixels contains those of a smaller one.
     """
     columns, rows = sensor.pixels
     return _hot_currents(rows, columns, sensor.hot_pixels, sensor.hot_current, sensor.serial).clone()
@@ -118,68 +112,52 @@ def expected_counts(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength
     sensor
         Its noise, full well, gain, offset and bits.
     wavelength
-        In metres; of the image's metadata where it is left out.
+        In metres; default: that of the image's metadata. For several wavelengths, sum their electrons first.
 
     Returns
     -------
     torch.Tensor
-        Digital numbers, of the shape and type of the irradiance.
+        Digital numbers, of the shape and type of the irradiance; see `count_moments`.
 
     Raises
     ------
     InputError
         When the wavelength is not known, and as `digitise`.
-
-    Notes
-    -----
-    See `count_moments`. For light of several wavelengths, call it with the sum of their electrons.
     """
     irradiance = light.light if isinstance(light, Image) else light
     return count_moments(electrons(irradiance, sensor, _wavelength(light, wavelength)), sensor)[0]
 
 
 def count_variance(light: Image | torch.Tensor, sensor: ProbeSensor, wavelength: float | None = None) -> torch.Tensor:
-    """Variance of the digital numbers of frames, rounding included; differentiable.
+    """Variance of the digital numbers of frames, in their squares, rounding included; differentiable.
 
-    Parameters, errors and shape as for `expected_counts`; in squares of digital numbers.
+    Parameters, errors and shape as for `expected_counts`.
     """
     irradiance = light.light if isinstance(light, Image) else light
     return count_moments(electrons(irradiance, sensor, _wavelength(light, wavelength)), sensor)[1]
 
 
 def count_moments(mean: torch.Tensor, sensor: ProbeSensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Mean and variance of the digital numbers that `digitise` draws for mean electrons.
+    """Mean (before rounding) and variance of the digital numbers that `digitise` draws for mean electrons.
 
-    Parameters
-    ----------
-    mean
-        Electrons a pixel and frame, as for `digitise`.
-    sensor
-        Its noise, full well, gain, offset and bits.
+    Both have the shape and type of `mean`. Electrons are Poisson distributed with normal read noise. Clipping at the
+    full well or the largest number is that of a normal distribution of the same mean and variance, so it sets in
+    smoothly and the gradient fades only as the information does; the range should hold some tens of electrons. Clipping
+    at 0 is summed over the electron counts that can reach it (for a read noise above 8 electrons, again a normal
+    distribution). Moments of clipped normal variables: N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous Univariate
+    Distributions 1 (1994), chapter 13.
 
-    Returns
-    -------
-    tuple of torch.Tensor
-        Mean before rounding, and variance with 1/12 for the rounding: of the shape and type of `mean`.
-
-    Notes
-    -----
-    Electrons are Poisson distributed with normal read noise. What the full well or the largest number cuts off is taken
-    from a normal distribution of the same mean and variance, so it sets in smoothly, and the gradient fades only as the
-    information does; the range should hold some tens of electrons. What is cut off below the number 0 is summed over
-    the electron counts that can reach it (a normal distribution, again, for a read noise above 8 electrons). Moments of
-    clipped normal variables: N. L. Johnson, S. Kotz, N. Balakrishnan, Continuous Univariate Distributions 1 (1994),
-    chapter 13. The 1/12 assumes that the noise spans some digital numbers; where it does not, rounding hides or doubles
-    it, and the mean of rounded numbers is off by up to one half.
+    The variance includes 1/12 for rounding. This assumes noise of at least some digital numbers; with less, rounding
+    hides or doubles the noise and shifts the mean by up to one half.
     """
     light = _with_hot_pixels(mean, sensor).to(torch.float64)
     gain = gain_of(sensor)
     low = -sensor.offset / gain
-    high = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain)
-    # Less read noise than this is none: its square, or its inverse, would be no number.
+    high = most_electrons(sensor)
+    # Smaller read noise counts as this: its square or inverse would not be finite.
     read_noise = sensor.read_noise if sensor.read_noise > 1e-9 else 0.0
     noise = read_noise**2
-    # A floor far below any noise, for the root's gradient at no light and no read noise.
+    # A floor far below any noise keeps the root's gradient finite without light and read noise.
     variance = light + noise
     scale = variance.clamp_min(1e-6).sqrt()
     over, over2 = _beyond((light - high) / scale, scale)
@@ -235,7 +213,7 @@ def _with_hot_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
 def _hot_currents(rows: int, columns: int, share: float, current: float, serial: int) -> torch.Tensor:
     rng = np.random.default_rng([serial, _HOT_STREAM])
     chosen = torch.from_numpy(rng.random((rows, columns))) < share
-    # The logarithm of a uniform number, not NumPy's own exponential draw: that one may change between versions.
+    # The logarithm of a uniform number, because NumPy's exponential draw may change between versions.
     return torch.from_numpy(-np.log1p(-rng.random((rows, columns)))) * current * chosen
 
 

@@ -1,15 +1,21 @@
 """Is the illumination safe to look into? An aid to planning after IEC 60825-1:2014; never a certificate.
 
-Only continuous light of 400 to 1400 nm is handled. Whatever is unknown is taken at its worst: the source is a point,
+Only continuous light of 400 to 1400 nm is handled. Unknown quantities take their worst case: the source is a point,
 light only spreads, air and optics lose nothing. The limits are in [`tapetum.simulate.ael`][tapetum.simulate.ael].
 """
+
+# SciPy types its root finders in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, cast
+
+import numpy as np
+from scipy.optimize import brentq
 
 from tapetum.errors import InputError
 from tapetum.simulate.ael import PUPIL, SMALL_SOURCE, ael, checked_exposure, mpe, nanometres, visible
@@ -29,7 +35,7 @@ LaserClass = Literal["1", "1M", "2", "2M", "3R", "3B", "4"]
 
 @dataclass(frozen=True)
 class AtDistance:
-    """What meets an eye at `distance` (m): `irradiance` averaged over 7 mm, and the `mpe` there, both in W/m²."""
+    """Light at an eye at `distance` (m): `irradiance` averaged over 7 mm, and the `mpe` there, both in W/m²."""
 
     distance: float
     irradiance: float
@@ -43,7 +49,7 @@ class AtDistance:
 
 @dataclass(frozen=True)
 class EyeSafety:
-    """What [`eye_safety`][tapetum.simulate.eye_safety.eye_safety] finds.
+    """Result of [`eye_safety`][tapetum.simulate.eye_safety.eye_safety].
 
     Parameters
     ----------
@@ -56,7 +62,7 @@ class EyeSafety:
     at
         The same at each distance asked for.
     naked_distance
-        Where condition 3 was taken, in metres: 0.1, or where an extended source is worst.
+        Where condition 3 is evaluated, in metres: 0.1, or where an extended source is worst.
     emission
         Accessible emission in watts under condition `3` (naked eye) and `1` (telescope).
     limits
@@ -84,7 +90,7 @@ class EyeSafety:
     aided_nohd: float
 
     def lines(self) -> list[str]:
-        """What was found and assumed, for people; the last line says what it is not."""
+        """Result and assumptions as text; the last line states that it is no certificate."""
         beam, near = self.beam, self.nearest
         spread = f"spreading {beam.divergence:.3g} rad" if beam.divergence else "parallel"
         width = f"{beam.diameter * 1e3:.3g} mm wide" if beam.diameter else "from a point"
@@ -176,12 +182,12 @@ def eye_safety(
     beam
         The light.
     distances
-        Where else to compare irradiance and MPE, in metres.
+        Further distances at which to compare irradiance and MPE, in metres.
     exposure
-        In seconds. Custom: 0.25 for visible light, 100 for infrared, which nobody sees and turns from; 30000 where
+        In seconds. Default: 0.25 for visible light; 100 for infrared, which triggers no aversion; 30000 where
         `looked_into`.
     nearest
-        The nearest a viewer's eye comes to the exit, in metres, at least 0.1. It does not change the class.
+        Smallest distance of a viewer's eye from the exit, in metres, at least 0.1. It does not change the class.
     looked_into
         Whether people look into the light for long by design; the time base of Class 1 is then 30000 s, not 100 s.
 
@@ -196,8 +202,8 @@ def eye_safety(
     for distance in distances:
         if not 0 < distance < math.inf:
             raise InputError(f"must be positive, is {distance:g} m", where="distances", remedy="give metres")
-    custom = 3e4 if looked_into else 0.25 if visible(beam.wavelength) else 100.0
-    seconds = checked_exposure(custom if exposure is None else exposure)
+    usual = 3e4 if looked_into else 0.25 if visible(beam.wavelength) else 100.0
+    seconds = checked_exposure(usual if exposure is None else exposure)
     base = 3e4 if looked_into else 100.0
     names = ("1", "2", "3R", "3B") if visible(beam.wavelength) else ("1", "3R", "3B")
     telescope = {name: ael(name, beam.wavelength, base) for name in names}
@@ -225,12 +231,12 @@ def _at(beam: Beam, distance: float, exposure: float) -> AtDistance:
 
 
 def _positions(beam: Beam) -> list[float]:
-    # An extended source is judged where it is worst (5.4.3). Its limits shrink with it until it is a point; beyond,
-    # only the light that passes the pupil changes, and it gets less.
+    # An extended source is judged where it is worst (5.4.3). Its limits shrink with the distance until it is a point;
+    # beyond that only the light through the pupil changes, and decreases.
     end = NEAREST * beam.source_angle / SMALL_SOURCE
     if end <= NEAREST:
         return [NEAREST]
-    return [*(NEAREST * (end / NEAREST) ** (i / _STEPS) for i in range(_STEPS)), end * _ROUNDING]
+    return [*np.geomspace(NEAREST, end, _STEPS, endpoint=False).tolist(), end * _ROUNDING]
 
 
 def _classify(beam: Beam, base: float, aided: float, telescope: dict[str, float], positions: list[float]) -> LaserClass:
@@ -242,7 +248,7 @@ def _classify(beam: Beam, base: float, aided: float, telescope: dict[str, float]
             beam.through(PUPIL, place) <= limit * _ROUNDING for place, limit in zip(positions, limits, strict=True)
         )
 
-    # The M classes ask for their own limit from the naked eye and for Class 3B's from the telescope.
+    # The M classes apply their own limit to the naked eye and Class 3B's to the telescope.
     order: tuple[tuple[LaserClass, str, str], ...] = (
         ("1", "1", "1"),
         ("1M", "1", "3B"),
@@ -266,7 +272,7 @@ def _nohd(beam: Beam, exposure: float) -> float:
     if bound == 0 or bound >= small_from:
         return bound
     start = min(NEAREST, bound)
-    grid = [start * (bound / start) ** (i / _STEPS) for i in range(_STEPS + 1)]
+    grid = np.geomspace(start, bound, _STEPS + 1).tolist()
     unsafe = [i for i, distance in enumerate(grid) if not _at(beam, distance, exposure).safe]
     if not unsafe:
         # Nearer than 100 mm the eye cannot focus; the source counts as at 100 mm.
@@ -274,11 +280,13 @@ def _nohd(beam: Beam, exposure: float) -> float:
         return min(beam.reach(PUPIL, limit), start)
     if unsafe[-1] == _STEPS:
         return bound
-    low, high = grid[unsafe[-1]], grid[unsafe[-1] + 1]
-    for _ in range(60):
-        middle = (low + high) / 2
-        low, high = (low, middle) if _at(beam, middle, exposure).safe else (middle, high)
-    return high
+
+    def excess(distance: float) -> float:
+        place = _at(beam, distance, exposure)
+        return place.irradiance / place.mpe - _ROUNDING
+
+    low, high = grid[unsafe[-1] : unsafe[-1] + 2]
+    return cast(float, brentq(excess, low, high, xtol=1e-15))
 
 
 def _milliwatts(power: float) -> str:

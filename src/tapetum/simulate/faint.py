@@ -1,7 +1,7 @@
-"""Pictures of sampled planes that are far fainter than a mirror's: of a spot beside the sensor, or beside its mask.
+"""Pictures of sampled planes that are far fainter than a mirror's, from a spot beside the sensor or beside its mask.
 
-The planner's errors are fractions of what a mirror returns. A picture that is far fainter than that is computed again
-at a finer effort, and how far the two differ is its error.
+The planned errors are fractions of a mirror's return. A far fainter picture is computed again with finer sampling; the
+difference of the two is its error.
 """
 
 from __future__ import annotations
@@ -17,21 +17,16 @@ __all__ = ["FaintPass", "Pass"]
 
 Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 
-# Peak over a mirror's below which a picture counts as faint: what a mirror's error makes of it is 30 times the error.
+# Peak over a mirror's below which a picture counts as faint: there a mirror's error counts 30 times.
 _FAINT = 1e-3
 
 
 class FaintPass:
-    """A pass whose faint pictures are computed finer.
+    """A pass whose faint pictures are computed again with finer sampling.
 
-    Parameters
-    ----------
-    usual
-        Irradiance [B, H, W] at tilts [B, 2] and places [B, 2] of the RR, at the effort planned.
-    mirror
-        The same of a mirror in the plane's place.
-    finer
-        Makes the pass at a finer effort. It, or the pass, may raise InputError where that is too large.
+    `usual` returns the irradiance [B, H, W] at tilts [B, 2] and places [B, 2] of the RR as planned, `mirror` the same
+    for a mirror in the plane's place. `finer` makes the finer pass; it, or that pass, may raise InputError where it is
+    too large.
     """
 
     def __init__(self, usual: Pass, mirror: Pass, finer: Callable[[], Pass]) -> None:

@@ -1,6 +1,6 @@
-"""Where a target's lens puts the light of a direction on its sensor: what a gaze means for it.
+"""Where a target's lens images a direction on its sensor: the link between tilt and gaze.
 
-A thin lens is free of distortion: tan θ. A traced one has the middles of its spots, as a polynomial of the tilt.
+A thin lens is free of distortion: tan θ. For a traced lens, a polynomial of the tilt gives the centroid of the spot.
 """
 
 from __future__ import annotations
@@ -21,39 +21,29 @@ __all__ = ["FieldMap", "field_map"]
 _COUNT = 21
 _NEWTON = 6
 _BISECTIONS = 12
-# Sine of the steepest tilt that is looked at.
+# Sine of the steepest tilt to be tried.
 _STEEPEST = 0.95
-# How far the fit may be off its rays, over the height at the field's edge; else the field is taken to end earlier, and
-# this much. A lens far beyond its field has rays that cross, and no place that the light of a tilt lands at.
+# Largest misfit, over the height at the field's edge; beyond it the field is shortened by this factor. Far beyond a
+# lens's field rays cross, and a tilt's light has no single place.
 _TRUE, _SHORTER = 1e-3, 0.9
-# Last coefficients of the fit, whose sum is what the next ones would add; places where its slope is looked at.
+# Number of last coefficients whose sum estimates the next ones'; places at which the slope is checked.
 _TAIL, _LOOKED_AT = 3, 200
 _EDGE = 1 + 1e-9
 
 
 @dataclass(frozen=True)
 class FieldMap:
-    """Height of the spot on the sensor over the sine of the tilt.
+    """Height of the spot on the sensor by the sine of the tilt.
 
-    Parameters
-    ----------
-    nodes
-        The tilts that were traced, up to the edge of the field that the lens covers or the sensor holds.
-    height
-        [T] Chebyshev coefficients, in metres.
+    `nodes` are the traced tilts, up to the edge of the lens's field or of the sensor; `height` [T] are Chebyshev
+    coefficients, in metres.
     """
 
     nodes: TiltNodes
     height: torch.Tensor
 
     def image(self, size: torch.Tensor) -> torch.Tensor:
-        """Height in metres for sines of the tilt [...]; differentiable.
-
-        Raises
-        ------
-        InputError
-            Beyond the field that was traced: polynomials say nothing there.
-        """
+        """Height in metres for sines of the tilt [...]; differentiable. Raises InputError beyond the traced field."""
         most = float(size.detach().max())
         if not most <= self.nodes.steepest * _EDGE:
             asked, edge = (math.degrees(math.asin(min(one, 1.0))) for one in (most, self.nodes.steepest))
@@ -69,13 +59,7 @@ class FieldMap:
         return (self.nodes.terms(size) * self.height.to(size.device)).sum(-1)
 
     def sine(self, height: torch.Tensor) -> torch.Tensor:
-        """Sine of the tilt for heights [...] in metres; differentiable.
-
-        Raises
-        ------
-        InputError
-            Beyond the field.
-        """
+        """Sine of the tilt for heights [...] in metres; differentiable. Raises InputError beyond the traced field."""
         steepest = torch.tensor(self.nodes.steepest, dtype=torch.float64)
         most = float(self._height(steepest))
         if float(height.detach().max()) > most * (1 + 1e-6):
@@ -89,12 +73,12 @@ class FieldMap:
             found = height.detach() / most * steepest
             for _ in range(_NEWTON):
                 found = (found - (self._height(found) - height.detach()) / self._slope(found)).clamp(0, float(steepest))
-        # One more step, with gradients.
+        # One more step, which carries gradients.
         return found - (self._height(found) - height) / self._slope(found)
 
     @property
     def holds(self) -> bool:
-        """Whether each place stands for one tilt, and the fit has converged to the rays."""
+        """Whether each place has one tilt, and the fit has converged to the rays."""
         tail = float(self.height[-_TAIL:].abs().sum())
         sizes = torch.linspace(0, self.nodes.steepest, _LOOKED_AT, dtype=torch.float64)
         heights = self._height(sizes)
@@ -107,15 +91,7 @@ class FieldMap:
 
 @functools.lru_cache(maxsize=64)
 def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float, half_diagonal: float) -> FieldMap:
-    """Trace a lens's field up to a sensor's corner, or to where no ray gets through any more.
-
-    Parameters
-    ----------
-    lens, wavelength, object_distance
-        As for `PrescriptionLens.focused`.
-    half_diagonal
-        Of the sensor, in metres.
-    """
+    """Trace a lens's field up to a sensor's corner (`half_diagonal`, metres), or to where no ray passes any more."""
     focused = lens.focused(wavelength, object_distance)
 
     def height(sine: float) -> float:

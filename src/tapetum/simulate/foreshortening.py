@@ -1,4 +1,4 @@
-"""How the tilt shortens the probe's picture: by its cosine, along its own direction."""
+"""Foreshortening of the probe's picture: by the cosine of the tilt, along the tilt."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class _Plan(Protocol):
 
 
 class Tilted(Protocol):
-    """What a pass reports about itself here."""
+    """What a pass reports here of itself."""
 
     @property
     def geometry(self) -> DoublePassGeometry: ...
@@ -39,15 +39,14 @@ def tangents(sines: torch.Tensor) -> torch.Tensor:
 
 
 def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
-    """Sines [B, 2] of light that comes `angles` [2], in radians along x and y, beside the light of the tilts [B, 2].
+    """Sines [B, 2] of light at `angles` [2], in radians along x and y, from light of the tilts [B, 2].
 
-    The angles are the probe's, whose picture is upright where the lens looks at it: the rotation that brings the lens's
-    axis onto the laser, and turns nothing about it, takes them to the lens.
+    The angles are the probe's. The rotation that brings the lens's axis onto the laser, without a turn about that axis,
+    takes them to the lens.
     """
     slopes = torch.tan(angles)
     along = 1 / torch.sqrt(1 + slopes.square().sum())
     across = slopes * along
-    # M a + s a_z, with M of `foreshortening`.
     share = (sines * across).sum(-1, keepdim=True) / (1 + cosines(sines)[:, None])
     return across + sines * (along - share)
 
@@ -59,7 +58,7 @@ def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
     tilt = float((sines.detach() ** 2).sum(-1).max()) if len(sines) else 0.0
     g = one.geometry
     reach = min(g.exit_angle + 2 * g.wavelength / g.radius, g.window / g.probe_focal_length)
-    # The edge of the pupil sees the picture's edge move by this phase; its share in a picture's error is smaller.
+    # Phase by which the picture's edge moves for the pupil's edge; its share in a picture's error is smaller.
     allowed = one.plan.expected_error - (one.plan.missing if math.isfinite(one.plan.missing) else 0.0)
     return 2 * math.pi / g.wavelength * g.radius * reach * tilt / 2 > 2 * min(allowed, 1e-2)
 
@@ -77,6 +76,6 @@ def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 
 def twisted(directions: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
-    """Directions [B, 2] in the pupil's coordinates once R of the tilts [B, 2] has gone to the pupil."""
+    """Directions [B, 2] in the pupil's coordinates when R of the tilts [B, 2] acts on the pupil."""
     rotation, _ = foreshortening(sines)
     return (rotation.mT @ directions[:, :, None])[:, :, 0]

@@ -1,4 +1,4 @@
-"""Gaze, in fractions of the field, and the tilts that it stands for."""
+"""Gaze, in fractions of the field, and the tilts that correspond to it."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.field_map import FieldMap, field_map
 
-__all__ = ["gaze_of", "largest_sine", "spot_places", "tilt_of_gaze"]
+__all__ = ["field_size", "gaze_of", "largest_sine", "spot_places", "tilt_of_gaze"]
 
 _NO_TILT = 1e-12
-# Nearer to the axis a traced lens counts as linear: the fit's own offset there, some 1e-11 m, would spoil the slope.
+# Nearer to the axis a traced lens counts as linear: the fit's offset there, some 1e-11 m, would spoil the slope.
 _NEAR_TILT, _NEAR_PLACE = 1e-4, 1e-6
 
 
@@ -37,7 +37,7 @@ def gaze_of(scene: Scene, sines: torch.Tensor) -> torch.Tensor:
         place = sines / size * traced.image(size[..., 0])[..., None]
     else:
         place = sines / torch.sqrt(1 - size**2) * _image_distance(scene)
-    return (place + _axis(scene)) / _field(scene)
+    return (place + _axis(scene)) / field_size(scene)
 
 
 def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
@@ -48,7 +48,7 @@ def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
     InputError
         For a gaze beyond what a traced lens covers.
     """
-    place = gaze * _field(scene) - _axis(scene)
+    place = gaze * field_size(scene) - _axis(scene)
     traced = _traced(scene)
     if traced is not None:
         height = torch.sqrt((place**2).sum(-1, keepdim=True).clamp_min(_NEAR_PLACE**2))
@@ -58,9 +58,9 @@ def tilt_of_gaze(scene: Scene, gaze: torch.Tensor) -> torch.Tensor:
 
 
 def spot_places(scene: Scene, image_distance: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
-    """Where tilts [B, 2] put their spots on the target's sensor: [B, 2] in metres from the lens's axis.
+    """Places [B, 2] of the spots of tilts [B, 2] on the target's sensor, in metres from the lens's axis.
 
-    Beyond the field that a traced lens covers the place is infinitely far away: no light arrives.
+    Beyond the field of a traced lens the place is infinite: no light arrives.
     """
     size = torch.sqrt((sines**2).sum(-1, keepdim=True).clamp_min(_NO_TILT**2))
     traced = _traced(scene)
@@ -71,14 +71,14 @@ def spot_places(scene: Scene, image_distance: torch.Tensor, sines: torch.Tensor)
     return torch.where(size > edge * (1 + 1e-9), math.inf, height) * (sines / size.clamp_min(_NEAR_TILT))
 
 
-def _field(scene: Scene) -> torch.Tensor:
+def field_size(scene: Scene) -> torch.Tensor:
     """Width and height of the target's sensor, in metres."""
     sensor = scene.target.sensor
     return torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
 
 
 def _axis(scene: Scene) -> torch.Tensor:
-    """Where the lens's axis meets the sensor, from its middle, in metres: gaze counts from the middle."""
+    """Where the lens's axis meets the sensor, in metres from its middle, where gaze is zero."""
     return torch.tensor(scene.target.sensor.decentre, dtype=torch.float64)
 
 

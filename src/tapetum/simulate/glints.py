@@ -1,19 +1,21 @@
-"""What the surfaces of a traced lens themselves send back: the glints of its coatings.
+"""Glints: reflections by the surfaces of a traced lens themselves.
 
-A ray that meets a surface along its normal goes back the way it came. For each gaze each surface has one such ray, or a
-few, or none, where its normal points out of the lens. About it the surface, seen through those before it, is a curved
+A ray that meets a surface along its normal retraces its path. For each gaze each surface has one such ray, or a few, or
+none where its normal points out of the lens. Near that ray the surface, seen through those before it, acts as a curved
 mirror: parallel light of 1 W/m² leaves as if from a point, with R dA/dΩ watts a steradian, dA/dΩ = 1/|det ∂s/∂e| by the
-rays beside it (e in the entrance pupil, s the direction at the end). That point lies millimetres to centimetres from
-the pupil. From the probe, metres away, all glints look alike but for place and brightness: discs of the probe's
-aperture, out of focus, with its rings.
+neighbouring rays (e in the entrance pupil, s the direction at the end). That point lies millimetres to centimetres from
+the pupil. From the probe, metres away, all glints differ only in place and brightness: they are defocused discs of the
+probe's aperture, with its rings. As the lens turns, the glint of each surface moves at its own rate, like the Purkinje
+images of an eye.
 
-A glint wanders as the lens turns, each by its own surface: as the Purkinje images of an eye do.
-
-Geometrical optics but for the probe's aperture: an edge of the lens cuts a glint at once, where waves would fade within
-a Fresnel zone √(λL). Glints add to each other and to the light of mirrors as intensities: their paths differ by
-millimetres times the gaze, and a hand turns fringes away within an exposure. Light reflected twice is left out, and so
-is what the coatings take from the light that passes.
+This is geometrical optics but for the probe's aperture: an edge of the lens cuts a glint at once, where waves would
+fade within a Fresnel zone √(λL). Glints add to each other and to the light of mirrors as intensities: their paths
+differ by millimetres times the gaze, and hand motion averages fringes within an exposure. Left out are double
+reflections, and the coatings' loss in the light that passes.
 """
+
+# Torch types svdvals in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
 
 from __future__ import annotations
 
@@ -21,6 +23,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
 import torch
 
 from tapetum.optics.focus import FocusedLens
@@ -28,6 +31,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.rays import Lens, before, normals, sag, to_plane, trace, trace_out
 from tapetum.simulate.foreshortening import foreshortening
+from tapetum.simulate.round_picture import RoundPicture
 
 __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
 
@@ -35,7 +39,7 @@ __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
 _PLACES, _BESIDE = 1201, 1e-4
 # Between the indices of air and of any glass.
 _AIR = 1.1
-# Of the radial profile, in parts of the finest ring's period.
+# Step of the radial profile, in parts of the finest ring's period.
 _FINE = 8
 
 
@@ -64,7 +68,7 @@ class GlintTable:
     passes: torch.Tensor
 
     def at(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Glints of tilts [B] of these sines: the number of each one's tilt, its place e and its area, [G] each."""
+        """Glints of tilts [B] (sines): the index of each one's tilt, its place e and its area, [G] each."""
         low, high = self.sine[:-1], self.sine[1:]
         both = self.passes[:-1] & self.passes[1:]
         s = sines[:, None]
@@ -73,52 +77,42 @@ class GlintTable:
         which, k = meets.nonzero(as_tuple=True)
         t = (sines[which] - low[k]) / (high[k] - low[k])
         e = self.e[k] + t * (self.e[k + 1] - self.e[k])
-        # The area is smooth where it is finite; its inverse is smooth where it is not.
+        # The area is smooth where it is finite, its inverse elsewhere.
         inverse = 1 / self.area[k] + t * (1 / self.area[k + 1] - 1 / self.area[k])
         return which, e, 1 / inverse
 
 
 def glint_tables(focused: FocusedLens, wavelength: float) -> list[GlintTable]:
-    """The tables of all surfaces between glass and air, plane plates' apart, at the wavelength of `focused`."""
+    """Tables of all surfaces between glass and air except plane plates, at the wavelength of `focused`."""
     return [glint_table(focused, i, wavelength) for i in range(len(focused.lens)) if _coated(focused.lens, i)]
 
 
 def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintTable:
-    """Trace the rays that meet a surface along its normal.
-
-    Parameters
-    ----------
-    focused
-        The lens.
-    surface
-        Its number.
-    wavelength
-        In metres.
-    """
+    """Trace the rays that meet the surface of this number along its normal; `wavelength` in metres."""
     lens = focused.lens
     h = torch.linspace(-1, 1, _PLACES, dtype=torch.float64) * lens.semi_diameter[surface]
     zero = torch.zeros_like(h)
     height, _ = sag(lens, surface, h**2)
     at = torch.stack([zero, h, lens.z[surface] + height], -1)
-    # Outwards along the normal: where such a ray leaves the lens, another one comes in.
+    # Outwards along the normal: the reversed path of a ray that enters.
     out = trace_out(before(lens, surface), at, -normals(lens, surface, at))
     crossing, _ = to_plane(out.position, out.direction, focused.entrance_pupil)
     sine, e = -out.direction[:, 1], crossing[:, 1]
     inwards = -out.direction
-    # Three rays of the same direction: this one, and those beside it across and along.
+    # Three rays of one direction: this one, and its neighbours across and along the tilt.
     step = _BESIDE * focused.entrance_radius
     beside = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64) * step
     start = torch.stack([zero, e, zero + focused.entrance_pupil], -1)[:, None] + beside
     back, good = _there_and_back(lens, surface, start, inwards[:, None].expand_as(start))
-    # Seen along the ray, so in the coordinates across it: its own, and those of the displacements.
+    # In coordinates across the ray: its own, and those of the displacements.
     along = torch.stack([zero, inwards[:, 2], -inwards[:, 1]], -1)
     turned = (back[:, 1:] - back[:, :1]) / step
     matrix = torch.stack([turned[..., 0], (turned * along[:, None]).sum(-1)], -1)
-    # Where rays would all go one way, at folds and where a whole ring of the surface faces the light, the pupil spreads
-    # what returns as an L of its Fresnel length a²/λ would.
+    # At folds, and where a whole ring of the surface faces the light, all rays go one way; diffraction by the pupil
+    # then spreads the return like an L of its Fresnel length a²/λ.
     most = focused.entrance_radius**2 / wavelength
-    steep, flat = (one.clamp_min(1 / most) for one in _singular_values(torch.nan_to_num(matrix)))
-    area = inwards[:, 2] / (steep * flat)
+    spread = torch.linalg.svdvals(torch.nan_to_num(matrix)).clamp_min(1 / most)
+    area = inwards[:, 2] / spread.prod(-1)
     passes = out.good & (out.height <= 1).all(-1) & good.all(-1) & torch.isfinite(matrix).all(-1).all(-1)
     return GlintTable(surface, sine, e, area, passes)
 
@@ -131,9 +125,9 @@ class Glints:
     tables
         Of its surfaces, at the wavelength.
     reflectance
-        Power that each surface between glass and air reflects.
-    output
-        Pixels of the probe's sensor.
+        Of each surface between glass and air, for power.
+    output, dtype
+        Pixels of the probe's sensor, and the pictures' type.
     wavelength, distance, probe_radius, probe_focal_length
         λ, d, R_p and f_p, in metres.
     """
@@ -148,27 +142,25 @@ class Glints:
         distance: float,
         probe_radius: float,
         probe_focal_length: float,
+        dtype: torch.dtype = torch.float64,
     ) -> None:
-        self._tables = tables
+        self._tables, self._dtype = tables, dtype
         self._output, self._scale = output, probe_focal_length / distance
         k = 2 * math.pi / wavelength
-        # Shadow of the aperture, its rings, and as far as a picture reaches beyond them.
+        # Shadow of the aperture, its rings, and the picture's extent beyond them.
         reach = math.hypot(output.width, output.height) + probe_radius * self._scale
         finest = wavelength * probe_focal_length / (2 * probe_radius)
-        values, self._step = disc_transform(
+        values, step = disc_transform(
             probe_radius, k / (2 * distance), k / probe_focal_length, reach, spacing=finest / _FINE
         )
         strength = reflectance / (distance * wavelength * probe_focal_length) ** 2
-        self._profile = torch.as_tensor(abs(values) ** 2 * strength, dtype=torch.float64)
+        self._disc = RoundPicture(np.arange(len(values)) * step, abs(values) ** 2 * strength, dtype)
 
     def places(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """All glints of tilts [B, 2] (sines).
+        """All G glints of tilts [B, 2] (sines).
 
-        Returns
-        -------
-        tuple
-            The number of each one's tilt [G], its (x, y) on the probe's sensor against the RR's centre [G, 2] in
-            metres, and its area [G] in m²/sr.
+        Returns the index of each one's tilt [G], its (x, y) on the probe's sensor from the RR's centre [G, 2] in
+        metres, and its area [G] in m²/sr.
         """
         size = torch.sqrt((sines**2).sum(-1).clamp_min(1e-22))
         found = [table.at(size) for table in self._tables]
@@ -181,41 +173,21 @@ class Glints:
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Irradiance [B, H, W] on the probe's pixels for 1 W/m² at the target.
 
-        Parameters
-        ----------
-        sines
-            [B, 2] sines of the tilt along x and y.
-        centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
         """
         sines = sines.cpu().to(torch.float64)
         x, y = self._output.x(), self._output.y()
-        images = torch.zeros(len(sines), len(y), len(x), dtype=torch.float64)
+        images = torch.zeros(len(sines), len(y), len(x), dtype=self._dtype)
         for which, place, area in zip(*self.places(sines), strict=True):
             number = int(which)
             at = place if centres is None else place + centres[number].to(place)
-            images[number] = images[number] + area * self._disc(x - at[0], y - at[1])
+            images[number] += self._disc.at(x - at[0], y - at[1]) * area.to(self._dtype)
         return images
-
-    def _disc(self, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """The profile on pixels, [H, W]."""
-        place = torch.sqrt((x[None, :] ** 2 + y[:, None] ** 2).clamp_min(1e-30)) / self._step
-        place = place.clamp_max(len(self._profile) - 2)
-        low = place.detach().long()
-        value = self._profile[low]
-        return value + (place - low) * (self._profile[low + 1] - value)
-
-
-def _singular_values(matrix: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Of matrices [N, 2, 2]: the larger ones [N], and the smaller ones."""
-    # Half the sum and half the difference of the two, by the matrix's rotating and its mirroring part.
-    a, b, c, d = matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 0], matrix[:, 1, 1]
-    turning, mirroring = torch.hypot(a + d, c - b) / 2, torch.hypot(a - d, c + b) / 2
-    return turning + mirroring, (turning - mirroring).abs()
 
 
 def _coated(lens: Lens, i: int) -> bool:
-    """Whether a surface parts glass from air: cement has no coat, and plane plates are a sensor's layers."""
+    """Whether a surface separates glass from air: cement has no coating, and plane plates are a sensor's layers."""
     before, behind = float(lens.index[i]), float(lens.index[i + 1])
     if not min(before, behind) < _AIR < max(before, behind):
         return False
@@ -230,9 +202,9 @@ def _bends(lens: Lens, i: int) -> bool:
 def _there_and_back(
     lens: Lens, surface: int, position: torch.Tensor, direction: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Directions [..., 3] in which rays leave that a surface reflected, and whether they came through, rims apart."""
+    """Directions [..., 3] in which rays reflected by a surface leave, and whether they came through, rims apart."""
     part = before(lens, surface + 1)
-    # Glass does not change at the surface: the rays arrive there as they are.
+    # The index is the same on both sides: the surface does not bend the rays.
     part = replace(part, index=torch.cat([part.index[:-1], part.index[-2:-1]]))
     rays = trace(part, position, direction)
     normal = normals(lens, surface, rays.position)

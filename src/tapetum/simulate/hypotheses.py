@@ -1,4 +1,7 @@
-"""Can one frame tell where a camera looks from where it does not? Two-hypothesis tests on mean electrons."""
+"""Whether one frame tells a gaze from its opposite: two-hypothesis tests on mean electrons."""
+
+# Torch types lstsq in part only.
+# pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
 
 from __future__ import annotations
 
@@ -7,18 +10,18 @@ import torch
 from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.camera import Camera
-from tapetum.simulate.exposure import gain_of
-from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
+from tapetum.simulate.exposure import readout_variance
+from tapetum.simulate.gaze import field_size, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import electrons
 
 __all__ = ["point_of_symmetry", "sign_dprime"]
 
 
 def point_of_symmetry(scene: Scene) -> torch.Tensor:
-    """The gaze, in fractions of the field, at which light meets a perfect sensor squarely: [2], float64.
+    """The gaze [2], float64, in fractions of the field, at which light meets a perfect sensor at normal incidence.
 
-    The middle of the field, unless the sensor is tilted by a or the lens decentred: then it lies -a R from the lens's
-    axis, R being the distance of the exit pupil. Two gazes that stand opposite each other about it look the same.
+    It is the middle of the field for a centred lens and an untilted sensor. A sensor tilted by a moves it to -a R from
+    the lens's axis, R being the distance of the exit pupil. Gazes opposite each other about it give the same picture.
     """
     target = scene.target
     if isinstance(target.lens, PrescriptionLens):
@@ -27,74 +30,59 @@ def point_of_symmetry(scene: Scene) -> torch.Tensor:
     else:
         pupil, _ = lens_numbers(target.lens.focal_length, target.object_distance)
     sensor = target.sensor
-    field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
     tilt = torch.tensor(sensor.tilt, dtype=torch.float64)
-    return (torch.tensor(sensor.decentre, dtype=torch.float64) - tilt * pupil) / field
+    return (torch.tensor(sensor.decentre, dtype=torch.float64) - tilt * pupil) / field_size(scene)
 
 
 def sign_dprime(
     scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3, centre: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """d' of telling a gaze from its opposite in one frame, by the best detector, the RR's place being unknown.
+    """d' [N], float64, of telling a gaze from its opposite in one frame, by the best detector, the RR's place unknown.
+
+    With equal odds the sign is right with probability Φ(d'/2): 1 means 69 %, 3 means 93 %.
 
     Parameters
     ----------
     scene
-        Its probe's noise decides; its own rotation is not used.
+        Supplies the probe's noise; its own rotation is not used.
     gaze
         [N, 2], in fractions of the field.
     accuracy
-        Of the simulation, in fractions of the peak: differences below it are not resolved.
+        Of the simulation, in fractions of the peak: smaller differences are not resolved.
     centre
-        [2], the gaze about which the opposite one lies; the middle of the field when left out.
-
-    Returns
-    -------
-    torch.Tensor
-        [N], float64. With equal odds the sign is right with probability Φ(d'/2): 1 means 69 %, 3 means 93 %.
+        [2], the gaze about which the opposite one lies; default: the middle of the field.
 
     Notes
     -----
-    d'² = Σ (μ₊ - μ₋)²/(μ̄ + σ²) over the pixels, for Poisson light of means μ and read and rounding noise σ. Where the
-    camera stands is unknown, so the part of the difference that a shift of the picture explains is projected out, after
-    both pictures have been laid on each other by their centres of light.
+    d'² = Σ (μ₊ - μ₋)²/(μ̄ + σ²) over the pixels, for Poisson light of means μ and read and rounding noise σ. The
+    camera's place is unknown, so both pictures are aligned by their centroids, and the part of their difference that a
+    shift explains is projected out.
     """
     gaze = gaze.to(torch.float64)
     opposite = -gaze if centre is None else 2 * centre - gaze
     sines = torch.stack([tilt_of_gaze(scene, gaze), tilt_of_gaze(scene, opposite)], 1)
     steepest = largest_sine(sines.flatten(0, 1))
-    # As films take the sensor's edge.
+    # As recordings treat the sensor's edge.
     rough = Camera(scene, steepest, accuracy=accuracy, edge="dimmed")
     # Room for the second beam's RR beside the first one's.
     output = rough.window(margin=True)
     camera = Camera(scene, steepest, accuracy=accuracy, output=output, edge="dimmed")
     sensor, wavelength = scene.probe.sensor, scene.illumination.wavelength
-    # A digital number's rounding adds a uniform error of one step.
-    step = 1 / gain_of(sensor)
-    noise = sensor.read_noise**2 + step**2 / 12
     results: list[torch.Tensor] = []
     x, y = output.x(), output.y()
     for both in sines:
-        light = camera(both).double()
+        light = camera(both).double().cpu()
         total = light.sum((1, 2)).clamp_min(torch.finfo(torch.float64).tiny)
         middle = torch.stack([(light.sum(1) @ x) / total, (light.sum(2) @ y) / total], -1)
-        light = camera(both, -middle).double()
+        light = camera(both, -middle).double().cpu()
         plus, minus = electrons(light, sensor, wavelength)
-        results.append(_dprime(plus, minus, noise))
+        results.append(_dprime(plus, minus, readout_variance(sensor)))
     return torch.stack(results)
 
 
 def _dprime(plus: torch.Tensor, minus: torch.Tensor, noise: float) -> torch.Tensor:
     mean = (plus + minus) / 2
     weight = 1 / (mean + noise).sqrt()
-    dy, dx = torch.gradient(mean)
-    rest = ((plus - minus) * weight).flatten()
-    across, down = (dx * weight).flatten(), (dy * weight).flatten()
-    down = _without(down, across)
-    return _without(_without(rest, across), down).square().sum().sqrt()
-
-
-def _without(values: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-    """What is left of `values` once its part along `direction` is taken out."""
-    length = direction.square().sum()
-    return values - direction * ((values * direction).sum() / length) if float(length) > 0 else values
+    shifts = torch.stack([(slope * weight).flatten() for slope in torch.gradient(mean)], 1)
+    apart = ((plus - minus) * weight).flatten()[:, None]
+    return (apart - shifts @ torch.linalg.lstsq(shifts, apart).solution).norm()

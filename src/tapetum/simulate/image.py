@@ -37,13 +37,13 @@ class Image:
     Parameters
     ----------
     irradiance
-        [B, H, W] in W/m² on the probe's sensor. It carries gradients where its scene's values do.
+        [B, H, W] in W/m² on the probe's sensor; carries gradients where the scene's values do.
     pitch
         Pixel pitch in metres.
     metadata
-        Plain values: the rotations in degrees, the wavelength, the sampling and the error it should give.
+        Plain values: rotations in degrees, wavelength, sampling and its expected error.
     equivalent
-        Of light of several wavelengths: the irradiance of the one that the metadata name with as many photons.
+        For several wavelengths: the irradiance of the metadata's wavelength with as many photons.
     """
 
     irradiance: torch.Tensor
@@ -53,7 +53,7 @@ class Image:
 
     @property
     def light(self) -> torch.Tensor:
-        """What a sensor counts: irradiance of the metadata's wavelength, [B, H, W] in W/m²."""
+        """Irradiance [B, H, W] in W/m² as a sensor counts it: of the metadata's wavelength."""
         return self.irradiance if self.equivalent is None else self.equivalent
 
     def __len__(self) -> int:
@@ -72,13 +72,10 @@ class Image:
         return self.numpy() if dtype is None else self.numpy().astype(dtype)
 
     def to_xarray(self) -> xr.DataArray:
-        """The irradiance as a labelled array.
+        """The irradiance as a labelled array [image, y, x] in W/m².
 
-        Returns
-        -------
-        xarray.DataArray
-            [image, y, x] in W/m², with `x` and `y` in metres from the middle of the sensor (x right, y down), the
-            rotations in degrees along `image`, and the other metadata as attributes.
+        `x` and `y` are in metres from the middle of the sensor (x right, y down), rotations in degrees along `image`;
+        other metadata are attributes.
         """
         import xarray
 
@@ -96,17 +93,9 @@ class Image:
         return xarray.DataArray(self.numpy(), axes, ("image", "y", "x"), "irradiance", attributes)
 
     def plot(self, *, columns: int = 4) -> Figure:
-        """Draw the images, square root of the irradiance, each to its own peak, with axes in millimetres.
+        """Draw the square root of each irradiance, scaled to its own peak, `columns` in a row; axes in millimetres.
 
-        Parameters
-        ----------
-        columns
-            Most images beside each other.
-
-        Returns
-        -------
-        matplotlib.figure.Figure
-            It belongs to no window: a notebook shows it, `savefig` writes it.
+        The figure belongs to no window: a notebook shows it, `savefig` writes it.
         """
         from matplotlib.figure import Figure
 
@@ -131,7 +120,7 @@ class Image:
         return f"<Image: {count} of {width} x {height} pixels of {self.pitch * 1e6:g} µm, peak {peak:.3g} W/m²>"
 
     def _repr_html_(self) -> str:
-        """What a notebook shows: the first images, and what they are."""
+        """For notebooks: the first images, with their metadata."""
         import base64
 
         few = self.numpy()[:4]
@@ -169,7 +158,7 @@ class Image:
                 group.attrs.update({"units": "W/m^2", "pitch_m": self.pitch, **_plain(self.metadata)})
             return path
         with atomic_file(path) as part:
-            # By way of memory: NumPy and OpenCV do not say why a disk would not take what they write.
+            # Encoded in memory first: NumPy and OpenCV do not say why a write to disk fails.
             if suffix == ".npy":
                 buffer = io.BytesIO()
                 np.save(buffer, images[0] if len(images) == 1 else images)

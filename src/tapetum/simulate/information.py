@@ -1,4 +1,4 @@
-"""How well could anybody tell? Fisher information and Cramér-Rao bounds of one frame, from scene to electrons."""
+"""Fisher information and Cramér-Rao bounds of one frame: the best precision of any unbiased estimate."""
 
 # Torch types autograd.grad, linalg and tolist in part only.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false, reportUnknownArgumentType=false
@@ -6,48 +6,37 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import torch
 
-from tapetum.bench import PhoneTarget, PrescriptionLens, ProbeSensor, Scene, as_scene
+from tapetum.bench import PrescriptionLens, ProbeSensor, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
-from tapetum.simulate.exposure import count_moments, gain_of, hot_currents
-from tapetum.simulate.gaze import gaze_of, largest_sine, tilt_of_gaze
-from tapetum.simulate.radiometry import beam_radius, electrons
-from tapetum.simulate.reflections import only_sensor
-from tapetum.simulate.traced_information import TRACED, TracedSlopes
+from tapetum.simulate.exposure import count_moments, hot_currents, most_electrons
+from tapetum.simulate.gaze import field_size, gaze_of, largest_sine, tilt_of_gaze
+from tapetum.simulate.radiometry import electrons
+from tapetum.simulate.traced_information import TracedSlopes, sensor_part
+from tapetum.simulate.unknowns import NUISANCES, PARAMETERS, checked_parameters, not_told
 
 __all__ = ["PARAMETERS", "FisherInformation", "checked_parameters", "expected_electrons", "fisher", "information_of"]
-__all__ += ["not_told", "true_values"]
-
-PARAMETERS = {
-    "gaze_x": "fraction of the field",
-    "gaze_y": "fraction of the field",
-    "object_distance": "m",
-    "focal_length": "m",
-    "distance": "m",
-    "power": "W",
-    "place_x": "m on the probe's sensor",
-    "place_y": "m on the probe's sensor",
-}
+__all__ += ["not_told", "slopes_of", "true_values"]
 
 
 @dataclass(frozen=True)
 class FisherInformation:
-    """What one frame tells about some parameters.
+    """Fisher information of one frame about some parameters.
 
     Parameters
     ----------
     parameters
         Their names.
     values
-        Where the information was taken, in SI units and fractions of the field.
+        At which it was taken, in SI units and fractions of the field.
     information
-        Fisher's matrix, [P, P], in inverse products of the parameters' units.
+        Fisher matrix, [P, P], in inverse products of the parameters' units.
     """
 
     parameters: tuple[str, ...]
@@ -55,7 +44,7 @@ class FisherInformation:
     information: torch.Tensor
 
     def __add__(self, other: FisherInformation) -> FisherInformation:
-        """What two independent frames tell together: of the same parameters at the same values, by any two probes."""
+        """Information of two independent frames together: same parameters at the same values, from any two probes."""
         if self.parameters != other.parameters or self.values != other.values:
             raise InputError(
                 f"{list(other.parameters)} at {list(other.values)} are not {list(self.parameters)} at "
@@ -68,26 +57,25 @@ class FisherInformation:
     @property
     def units(self) -> dict[str, str]:
         """Of each parameter."""
-        return {name: PARAMETERS[name] for name in self.parameters}
+        return {name: (PARAMETERS | NUISANCES)[name] for name in self.parameters}
 
     @property
     def bounds(self) -> dict[str, float]:
-        """Standard deviation that no unbiased estimate undercuts while all parameters are unknown.
+        """Cramér-Rao bound of each parameter's standard deviation while all parameters are unknown.
 
-        Infinite where the frame cannot tell a parameter from the others: where they can imitate what it changes in the
-        frame to 1 part in 10⁵.
+        It is infinite where a combination of the other parameters changes the frame in the same way, to 1 part in 10⁵.
         """
         own = self.information.diagonal().clamp_min(0).sqrt()
         deviations = torch.full_like(own, torch.inf)
         told = own > 0
-        # Parameters differ by many powers of ten: each in units of what it would be known to alone.
+        # Parameters differ by many powers of ten: scale each by its bound when all others are known.
         shared = self.information[told][:, told] / (own[told, None] * own[None, told])
-        deviations[told] = 1 / (own[told] * _not_shared(shared).sqrt())
+        deviations[told] = 1 / (own[told] * _independent_shares(shared).sqrt())
         return dict(zip(self.parameters, deviations.tolist(), strict=True))
 
     @property
     def alone(self) -> dict[str, float]:
-        """The same for each parameter with all the others known."""
+        """The bound of each parameter with all the others known."""
         diagonal = self.information.diagonal().clamp_min(0)
         return dict(zip(self.parameters, (1 / diagonal.sqrt()).tolist(), strict=True))
 
@@ -104,19 +92,14 @@ def fisher(
     Parameters
     ----------
     scene
-        Its rotation, focus, light and noise.
+        A scene, its name or its path.
     parameters
-        Which values are unknown: names of `PARAMETERS`. `place_x` and `place_y` are where on the probe's sensor the RR
-        lies; name them where the target may stand anywhere.
+        The unknown values: names of `PARAMETERS`. `place_x` and `place_y`, the RR's place on the probe's sensor, belong
+        among them where the target may stand anywhere.
     accuracy
         Of the simulation, in fractions of the peak, in place of the scene's.
     device
         As for `retroreflect`.
-
-    Returns
-    -------
-    FisherInformation
-        With `bounds`, the Cramér-Rao limit of each.
 
     Raises
     ------
@@ -130,40 +113,64 @@ def fisher(
     -----
     F_ij = Σ_pixels (∂m/∂a_i)(∂m/∂a_j)/v, m and v the mean and the variance of a pixel's digital number
     (`exposure.count_moments`). Between the ends of the digital range that is (∂μ/∂a_i)(∂μ/∂a_j)/(μ + σ²), μ the mean
-    electrons and σ² the variance of readout and rounding. A saturated pixel tells nothing.
+    electrons and σ² the variance of readout and rounding. A saturated pixel carries no information.
 
-    What means and variances tell is never more than the whole distribution does (M. Stein, A. Mezghani, J. A. Nossek,
-    IEEE Signal Process. Lett. 21, 796 (2014)). Where the numbers' steps are finer than the noise, the difference is
-    below 1 % of the information for pixels of 10 electrons or more; for darker ones it grows to 1, 11 and 39 % for a
-    read noise of 6, 2 and 1 electrons. Steps coarser than the noise count as noise, too: the limits are estimates then.
+    Means and variances never carry more than the whole distribution (M. Stein, A. Mezghani, J. A. Nossek, IEEE Signal
+    Process. Lett. 21, 796 (2014)). Where the numbers' steps are finer than the noise, the difference is below 1 % of
+    the information for pixels of 10 electrons or more; for darker ones it grows to 1, 11 and 39 % for a read noise of
+    6, 2 and 1 electrons. Steps coarser than the noise also count as noise: the limits are estimates then.
 
-    The gaze is the laser's place in the target's picture, z tan θ/(pN): that is what stays where focus or focal length
-    are varied, not the angle. The derivatives come by automatic differentiation through the whole chain, with the grids
-    as planned; a traced lens's by differences of pictures on the same grids (`traced_information`). A thin lens's
-    aperture stays where its focal length is varied. A traced prime is scaled as a whole, so its F-number stays, and a
-    zoom's stop opens as its states say, or keeps its `f_number`; the object distance stays.
+    The gaze is the laser's place in the target's picture, z tan θ/(pN): that place, not the angle, is kept where focus
+    or focal length are varied. Derivatives come by automatic differentiation through the whole chain, on the planned
+    grids; a traced lens's by differences of pictures on the same grids (`traced_information`). Varying the focal length
+    keeps a thin lens's aperture. A traced prime is scaled as a whole, so its F-number stays; a zoom's stop follows its
+    states, or keeps its `f_number`; the object distance stays.
     """
     scene = as_scene(scene)
     names = checked_parameters(scene, parameters)
-    start = true_values(scene, names)
+    gaze = torch.tensor([list(true_values(scene, ("gaze_x", "gaze_y")).values())], dtype=torch.float64)
+    slopes = slopes_of(scene, names, gaze, accuracy=accuracy, device=device)
+    information = information_of(*slopes(0), scene.probe.sensor)
+    return FisherInformation(names, tuple(true_values(scene, names).values()), information)
+
+
+def slopes_of(
+    scene: Scene,
+    names: Sequence[str],
+    gazes: torch.Tensor,
+    *,
+    accuracy: float | None = None,
+    dtype: torch.dtype = torch.complex128,
+    device: torch.device | str = "auto",
+) -> Callable[[int], tuple[torch.Tensor, torch.Tensor]]:
+    """How a frame changes at any of many gazes: by automatic differentiation, or for a traced lens by differences.
+
+    Arguments as for `TracedSlopes`, errors as of `fisher`. The function returned takes a gaze's number and gives the
+    mean electrons [H, W] without hot pixels' and their slopes [P, H W]. Fields of a thin lens are complex128 whatever
+    `dtype`.
+    """
     if isinstance(scene.target.lens, PrescriptionLens):
-        gaze = torch.tensor([list(true_values(scene, ("gaze_x", "gaze_y")).values())], dtype=torch.float64)
-        mean, jacobian = TracedSlopes(scene, names, gaze, accuracy=accuracy, device=device)(0)
-        return FisherInformation(names, tuple(start.values()), information_of(mean, jacobian, scene.probe.sensor))
-    scales = [abs(value) if name not in _FREE and value else _FREE.get(name, 1.0) for name, value in start.items()]
-    steps = torch.zeros(len(names), dtype=torch.float64, requires_grad=True)
-    values = {n: v + step * s for (n, v), step, s in zip(start.items(), steps, scales, strict=True)}
-    window = _where_it_matters(scene)
-    mean = expected_electrons(scene, values, output=window, accuracy=accuracy, device=device)
-    jacobian = _jacobian(mean.flatten(), steps)
-    information = information_of(mean.detach(), jacobian, scene.probe.sensor)
-    units = torch.tensor(scales, dtype=torch.float64)
-    return FisherInformation(names, tuple(start.values()), information / (units[:, None] * units[None, :]))
+        return TracedSlopes(scene, names, gazes, accuracy=accuracy, dtype=dtype, device=device)
+    names = checked_parameters(scene, names)
+
+    def at(number: int) -> tuple[torch.Tensor, torch.Tensor]:
+        gaze = gazes[number].to(torch.float64)
+        start = true_values(scene, names) | dict(zip(("gaze_x", "gaze_y"), gaze.tolist(), strict=True))
+        scales = {name: _FREE.get(name, abs(value) or 1.0) for name, value in start.items()}
+        steps = torch.zeros(len(names), dtype=torch.float64, requires_grad=True)
+        given: dict[str, torch.Tensor | float] = {**start}
+        given |= {name: start[name] + step * scales[name] for name, step in zip(names, steps, strict=True)}
+        window = _where_it_matters(scene, tilt_of_gaze(scene, gaze))
+        mean = expected_electrons(scene, given, output=window, accuracy=accuracy, device=device)
+        units = torch.tensor([[scales[name]] for name in names], dtype=torch.float64, device=mean.device)
+        return mean.detach(), _jacobian(mean.flatten(), steps) / units
+
+    return at
 
 
 def information_of(mean: torch.Tensor, jacobian: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
-    """Fisher's matrix [P, P] of a frame of mean electrons [H, W], hot pixels' left out, with slopes [P, H W]."""
-    weight = _told_by_pixels(mean, sensor).flatten()
+    """Fisher matrix [P, P] of a frame of mean electrons [H, W], without hot pixels', with slopes [P, H W]."""
+    weight = _information_of_pixels(mean, sensor).flatten()
     return ((jacobian * weight[None, :]) @ jacobian.T).cpu()
 
 
@@ -175,23 +182,19 @@ def expected_electrons(
     accuracy: float | None = None,
     device: torch.device | str = "auto",
 ) -> torch.Tensor:
-    """Mean electrons of one frame without those of hot pixels, for some values in place of the scene's; differentiable.
+    """Mean electrons [H, W], float64, of one frame without those of hot pixels, for given values; differentiable.
 
     Parameters
     ----------
     scene
-        What stands on the bench.
+        What is simulated.
     values
-        By names of `PARAMETERS`, in their units. The gaze stays where focus or focal length are changed.
+        Replace the scene's, by names of `PARAMETERS`, in their units. The gaze stays where focus or focal length
+        change.
     output
         Pixels in place of the probe's whole sensor.
     accuracy, device
         As for `fisher`.
-
-    Returns
-    -------
-    torch.Tensor
-        [H, W], float64.
 
     Raises
     ------
@@ -206,9 +209,8 @@ def expected_electrons(
     if isinstance(scene.target.lens, PrescriptionLens):
         sines = tilt_of_gaze(scene, gaze)[None, :]
     else:
-        field = torch.tensor(sensor.pixels, dtype=torch.float64) * sensor.pitch
         axis = torch.tensor(sensor.decentre, dtype=torch.float64)
-        tangents = (gaze * field - axis) * (1 / at["focal_length"] - 1 / at["object_distance"])
+        tangents = (gaze * field_size(scene) - axis) * (1 / at["focal_length"] - 1 / at["object_distance"])
         sines = (tangents / torch.sqrt(1 + tangents.square().sum()))[None, :]
     places = torch.stack([at["place_x"], at["place_y"]])[None, :]
     camera = Camera(
@@ -245,35 +247,35 @@ def true_values(scene: Scene, names: Iterable[str]) -> dict[str, float]:
     return {name: own[name] for name in names}
 
 
-def _not_shared(shared: torch.Tensor) -> torch.Tensor:
-    """Share of each parameter's information that the others cannot imitate, from a matrix with ones on its diagonal.
+def _independent_shares(shared: torch.Tensor) -> torch.Tensor:
+    """Share of each parameter's information that is independent of the others', from a matrix of unit diagonal.
 
-    1/(F⁻¹)_ii for an F that can be inverted; for any other the residual of each derivative's projection on the others'.
+    1/(F⁻¹)_ii for an invertible F, else the residual of each derivative's projection on the others'.
     """
     left = torch.ones(len(shared), dtype=shared.dtype, device=shared.device)
     for i in range(len(shared)):
         rest = [j for j in range(len(shared)) if j != i]
         values, vectors = torch.linalg.eigh(shared[rest][:, rest])
         along = (shared[i, rest] @ vectors).square()
-        # Along what the others imitate among themselves there is nothing to project on but rounding.
+        # Zero eigenvalues belong to combinations of the others without effect: only rounding is left of them.
         kept = values > _ROUNDING
         left[i] -= (along[kept] / values[kept]).sum()
     return torch.where(left > _ROUNDING, left, torch.zeros_like(left))
 
 
-def _told_by_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
+def _information_of_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
     """Information of each pixel about its own mean electrons, [H, W], in inverse electrons squared."""
     if sensor.hot_pixels:
         columns, rows = sensor.pixels
         top, left = (rows - mean.shape[-2]) // 2, (columns - mean.shape[-1]) // 2
         hot = hot_currents(sensor)[top : top + mean.shape[-2], left : left + mean.shape[-1]]
         mean = mean + (hot * sensor.exposure).to(mean)
-    # It depends on the mean alone, so a table serves millions of pixels. Unclipped, the moments are straight lines.
+    # It depends on the mean alone, so a table serves millions of pixels. Unclipped moments are linear.
     most = _clipped_from(sensor)
     nodes = (torch.arange(2 + int(most**0.5 / _STEP), dtype=torch.float64) * _STEP).square().requires_grad_()
     numbers, variance = count_moments(nodes, replace(sensor, hot_pixels=0.0))
     (slope,) = torch.autograd.grad(numbers.sum(), nodes)
-    # What rounding leaves of a slope in saturation is none.
+    # In saturation the slope is only rounding: set it to zero.
     slope = torch.where(slope > 1e-9, slope, torch.zeros_like(slope))
     table = torch.stack([nodes, slope, variance]).detach().to(mean.device)
     light = mean.clamp(0, most)
@@ -285,96 +287,29 @@ def _told_by_pixels(mean: torch.Tensor, sensor: ProbeSensor) -> torch.Tensor:
 
 def _clipped_from(sensor: ProbeSensor) -> float:
     """Mean electrons beyond which every frame is saturated."""
-    top = min(sensor.full_well, (2**sensor.bits - 1 - sensor.offset) / gain_of(sensor))
-    return max(top, 0.0) + 20 * (max(top, 0.0) + sensor.read_noise**2) ** 0.5 + 400
+    top = max(most_electrons(sensor), 0.0)
+    return top + 20 * (top + sensor.read_noise**2) ** 0.5 + 400
 
 
-def _where_it_matters(scene: Scene) -> Grid | None:
-    """The pixels that hold a mirror's RR, where they are fewer than the sensor's: dark ones tell nothing."""
+def _where_it_matters(scene: Scene, sines: torch.Tensor) -> Grid | None:
+    """Window of the pixels that hold a mirror's RR at a tilt [2], if not all: dark ones carry no information."""
     sensor = scene.target.sensor
     if sensor.layers or any(one is not None for one in (sensor.array, sensor.microlens, sensor.mask, sensor.diffuse)):
         return None
-    tilt = torch.sin(torch.tensor([scene.target.rotation], dtype=torch.float64))
-    window = Camera(scene, largest_sine(tilt), accuracy=1e-2, device="cpu").window(margin=True)
-    columns, rows = scene.probe.sensor.pixels
-    side = 2 * window.rows
-    if side >= min(rows, columns):
-        return None
-    # The sensor's own pixels: an even number of them has a border in the middle, an odd one a pixel.
-    return Grid(side - (side + rows) % 2, side - (side + columns) % 2, window.pitch)
+    window = Camera(scene, largest_sine(sines[None]), accuracy=1e-2, device="cpu").window(margin=True)
+    return sensor_part(scene, 2 * window.rows, window.pitch)
 
 
 # Spacing of the table of a pixel's moments, in roots of electrons: a 25th of the shot noise's standard deviation.
 _STEP = 0.02
-# Information from which an inverse, or a share of one parameter's own, is distinguished from rounding.
+# Information below which an inverse, or a parameter's independent share, is rounding.
 _ROUNDING = 1e-10
-# What may be zero is counted in units of its own.
+# Units of parameters whose values may be zero.
 _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
 
 
-def not_told(scene: Scene, name: str) -> str | None:
-    """Why there is no limit for a parameter in a scene; None where there is one."""
-    target = scene.target
-    if isinstance(target, PhoneTarget):
-        return "not computed for a phone, of which several cameras may answer"
-    if isinstance(target.lens, PrescriptionLens) and name not in TRACED:
-        return "not differentiated through a traced lens"
-    lengths = ("object_distance", "focal_length")
-    if isinstance(target.lens, PrescriptionLens) and name in lengths and not only_sensor(scene):
-        return "light off layers, off lens surfaces or scattered is not followed as a traced lens changes focus"
-    if name == "object_distance" and target.object_distance == float("inf"):
-        return "the target is focused at infinity"
-    return None
-
-
-def checked_parameters(scene: Scene, parameters: Sequence[str]) -> tuple[str, ...]:
-    """Names of parameters as `fisher` takes them; what it would refuse in a scene is refused."""
-    names = (parameters,) if isinstance(parameters, str) else tuple(parameters)
-    for name in names:
-        if name not in PARAMETERS:
-            raise InputError(f"unknown parameter {name!r}", where="parameters", remedy=f"use {', '.join(PARAMETERS)}")
-    if not names or len(set(names)) < len(names):
-        raise InputError(f"{list(names)} names none, or one twice", where="parameters", remedy="name each once")
-    for name in names:
-        why = not_told(scene, name)
-        if why is not None:
-            other = "focus where it is not infinite" if "infinity" in why else "take a thin lens"
-            if isinstance(scene.target, PhoneTarget):
-                other = "take one of its cameras for the target"
-            raise InputError(f"{name}: {why}", where="parameters", remedy=f"leave {name} out, or {other}")
-    _check_derivatives(scene, names)
-    return names
-
-
-def _check_derivatives(scene: Scene, names: tuple[str, ...]) -> None:
-    """Refuse what the chain does not differentiate."""
-    if isinstance(scene.target.lens, PrescriptionLens):
-        return
-    sensor, light = scene.target.sensor, scene.illumination
-    scattering = [one for one in (sensor.diffuse, *(layer.diffuse for layer in sensor.layers)) if one is not None]
-    fixed = [name for name in names if name not in ("gaze_x", "gaze_y", "power")]
-    if fixed and any(one.albedo > 0 for one in scattering):
-        raise InputError(
-            f"how scattered light changes with {', '.join(fixed)} is not differentiated",
-            where="parameters",
-            remedy="ask for gaze_x, gaze_y and power, or leave diffuse out of the scene",
-        )
-    if "distance" in names and light.mode == "diverging" and beam_radius(scene) < scene.target.lens.aperture_radius:
-        raise InputError(
-            "the beam does not fill the target, and how its edge moves with the distance is not differentiated",
-            where="parameters",
-            remedy="leave distance out, or widen illumination.divergence",
-        )
-    if "distance" in names and sensor.mask is not None and light.mode != "collimated" and light.vergence is None:
-        raise InputError(
-            "how light off a mask changes with the distance of its source is not differentiated",
-            where="parameters",
-            remedy="leave distance out, or give illumination.vergence",
-        )
-
-
 def _jacobian(outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
-    """∂outputs/∂inputs, [P, N]: one backward pass more than there are inputs, for the outputs are many."""
+    """∂outputs/∂inputs, [P, N], by one backward pass more than there are inputs: outputs are many."""
     # Jᵀu is linear in u: its own derivative along each input is a row of J.
     u = torch.zeros_like(outputs, requires_grad=True)
     (pulled,) = torch.autograd.grad(outputs, inputs, u, create_graph=True)

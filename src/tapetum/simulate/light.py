@@ -20,23 +20,12 @@ _MOST_WAVELENGTHS, _MOST_DIRECTIONS = 65, 4096
 
 
 def wavelengths(light: Illumination, detail: float = 10.0, path: float = 0.0) -> list[tuple[float, float]]:
-    """Wavelengths in metres that stand for the source's spectrum, each with its power in watts.
+    """Wavelengths in metres that sample the source's spectrum, each with its power in watts.
 
-    Parameters
-    ----------
-    light
-        Its lines, each a Gaussian of its bandwidth.
-    detail
-        Rings of the RR: the pattern grows with the wavelength, so the outermost ring decides how finely a line is
-        divided.
-    path
-        The largest difference of paths between planes that are summed as fields at each wavelength, in metres.
-
-    Notes
-    -----
-    The samples lie at equal distances, a quarter of the outermost ring or less, out to 2.5 standard deviations. What
-    equally spaced samples make of interference repeats itself with the path: the first repetition lies so far that it
-    has faded at `path`.
+    The RR grows with the wavelength, so its outermost ring, number `detail`, sets the spacing: equal steps of a quarter
+    of that ring or less, out to 2.5 standard deviations of each Gaussian line. Equally spaced samples make interference
+    repeat with the path difference; the spacing is so fine that it has faded at `path`, the largest difference in
+    metres between planes that interfere, before it repeats.
     """
     lines = [(light.wavelength, light.power), *((line.wavelength, line.power) for line in light.lines)]
     if light.bandwidth == 0:
@@ -55,43 +44,34 @@ def wavelengths(light: Illumination, detail: float = 10.0, path: float = 0.0) ->
 
 
 def reach_of_interference(light: Illumination) -> float:
-    """Difference of paths, in metres, beyond which two reflections add as irradiance; infinite for a laser line.
+    """Path difference in metres beyond which two reflections add as irradiance; infinite for a laser line.
 
-    It is the `coherence_length`; and 1.61 λ²/Δλ of a line with a bandwidth, where its degree of coherence is 1e-4.
+    It is the `coherence_length`, or 1.61 λ²/Δλ of a line with a bandwidth, where the degree of coherence is 1e-4.
     """
     given = math.inf if light.coherence_length is None else light.coherence_length
     return given if light.bandwidth == 0 else min(given, _FADED * light.wavelength**2 / light.bandwidth)
 
 
 def degree_of_coherence(light: Illumination, path: float) -> float:
-    """|γ| of light of one wavelength after a difference of paths in metres: 1 - path/L for a `coherence_length` L.
+    """|γ| of light of one wavelength after a path difference in metres: 1 - path/L for a `coherence_length` L.
 
-    That is a line of the shape sinc², 0.89 λ²/L wide at half its height. Without a coherence length it is 1: what a
-    bandwidth takes away shows in the sum over `wavelengths`.
+    This belongs to a line of shape sinc², 0.89 λ²/L wide at half its height. Without a coherence length it is 1: the
+    sum over `wavelengths` then includes the effect of the bandwidth.
     """
     return 1.0 if light.coherence_length is None else max(0.0, 1 - abs(path) / light.coherence_length)
 
 
 def directions(light: Illumination, airy_angle: float) -> list[tuple[float, float, float]]:
-    """Directions from which the source's light comes, as angles in radians against its middle, each with its share.
+    """Directions of an extended source's light, in radians from its middle, each with its share of the power.
 
-    Parameters
-    ----------
-    light
-        Its `source_size`.
-    airy_angle
-        λ/2r of the target, which the picture's finest fringes are wide.
-
-    Raises
-    ------
-    InputError
-        For a source so wide that its directions are too many.
+    `airy_angle` is λ/2r of the target, the width of the picture's finest fringes. Raises InputError for a source so
+    wide that it needs too many directions.
     """
     if light.source_size == 0:
         return [(0.0, 0.0, 1.0)]
     radius = light.source_size / 2
-    # The finest fringes of a picture, those between two ends of the pupil, turn by so much from the source's middle to
-    # its rim. A few circles of directions, at Gauss's nodes of the area, hold such a turn.
+    # The phase of the finest fringes, those between two ends of the pupil, changes by this from the source's middle to
+    # its rim. A few circles of directions, at Gaussian nodes of the area, resolve it.
     turn = 2 * math.pi * radius / airy_angle
     circles, around = math.ceil(turn / math.pi) + 1, math.ceil(turn) + 5
     if circles * around > _MOST_DIRECTIONS:
@@ -106,7 +86,7 @@ def directions(light: Illumination, airy_angle: float) -> list[tuple[float, floa
     for circle, (node, weight) in enumerate(zip(nodes, weights, strict=True)):
         away = radius * math.sqrt((node + 1) / 2)
         for i in range(around):
-            # Every second circle turned by half a step.
+            # Rotate every second circle by half a step.
             angle = 2 * math.pi * (i + circle % 2 / 2) / around
             found.append((away * math.cos(angle), away * math.sin(angle), float(weight) / 2 / around))
     return found

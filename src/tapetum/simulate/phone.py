@@ -25,9 +25,9 @@ class Unit:
     scene
         Of this camera alone.
     place
-        (x, y) on the plate against the one that gazes, in metres.
+        (x, y) on the plate from the camera whose gaze is meant, in metres.
     axis
-        Where it looks against the one that gazes, (x, y) in radians.
+        Direction it looks in against that camera's, (x, y) in radians.
     """
 
     scene: Scene
@@ -35,7 +35,7 @@ class Unit:
     axis: tuple[float, float] = (0.0, 0.0)
 
     def sines(self, gazing: torch.Tensor) -> torch.Tensor:
-        """Sines [..., 2] of its tilts where the one that gazes has these."""
+        """Sines [..., 2] of its tilts where the camera that gazes has these."""
         if self.axis == (0.0, 0.0):
             return gazing
         return torch.sin(torch.asin(gazing) + torch.tensor(self.axis).to(gazing))
@@ -61,19 +61,15 @@ def seen_from_probe(places: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
 class PhoneCamera:
     """All cameras of a phone, for any number of gazes. Their irradiances add.
 
+    Overlapping returns of two cameras would interfere in fringes of λ f_p over their distance, a few pixels wide. The
+    slightest motion averages them out, so they are left out.
+
     Parameters
     ----------
     scene
         With a `PhoneTarget`.
-    steepest, output
-        As for `Camera`.
-    options
-        Further arguments of `Camera`.
-
-    Notes
-    -----
-    Where the returns of two cameras overlap they would interfere in fringes of λ f_p over their distance, a few pixels
-    wide, that the least motion washes out: they are left out.
+    steepest, output, options
+        As for `Camera`; `options` are its further arguments.
     """
 
     def __init__(self, scene: Scene, steepest: float, *, output: Grid | None = None, **options: Any) -> None:
@@ -98,7 +94,7 @@ class PhoneCamera:
 
     @property
     def plan(self) -> Any:
-        """That of the camera whose plan claims the largest error."""
+        """The plan of the camera with the largest claimed error."""
         return max((camera.plan for camera, _ in self.units), key=lambda plan: plan.expected_error)
 
     @property
@@ -108,8 +104,8 @@ class PhoneCamera:
 
     def metadata(self) -> dict[str, Any]:
         """Of the first camera, with the places of all."""
-        told = self.units[0][0].metadata()
-        return {**told, "expected_error": self.plan.expected_error, "cameras": [unit.place for _, unit in self.units]}
+        first = self.units[0][0].metadata()
+        return {**first, "expected_error": self.plan.expected_error, "cameras": [unit.place for _, unit in self.units]}
 
 
 def open_camera(scene: Scene, steepest: float, **options: Any) -> Camera | PhoneCamera:

@@ -1,4 +1,4 @@
-"""The parts of a bench's plan, and how each is said: geometry, sampling, eye safety."""
+"""The parts of a bench's plan, with their descriptions: geometry, sampling, eye safety."""
 
 from __future__ import annotations
 
@@ -20,31 +20,14 @@ Rows = list[tuple[str, str]]
 
 @dataclass(frozen=True)
 class Geometry:
-    """Where things stand, and the wave that meets the target. SI units, angles in degrees where the name says so.
+    """Positions, and the wave that meets the target. SI units, angles in degrees where the name says so.
 
-    Parameters
-    ----------
-    mode, wavelengths, powers
-        Of the illumination; its first line, then its further ones, in metres and watts.
-    wave_curvature
-        1/R of the wave at the target, in 1/m: 0 for a plane wave, positive from a source at R.
-    second_beam_ratio, second_beam_angle
-        Power over the first beam's and direction against it in radians; None without one.
-    distance, object_distance
-        From probe to target, and where the target is focused.
-    camera
-        What the target is where it is more than a thin lens: a prescription's name, or a phone and its camera.
-    focal_length, f_number, image_distance
-        Of the target's lens, and from it to its sensor: a thin lens's distance, for a traced lens an approximation.
-    field_deg
-        Full angles of the target's field of view, across and down; by real rays for a traced lens, None where its
-        field does not reach the sensor's edges.
-    rotation_deg, gaze
-        About y and about x; and where the laser falls in the target's picture, in fractions of the field.
-    probe_focal_length, probe_aperture
-        Its aperture's diameter.
-    probe_pixels, probe_pitch, exposure
-        Columns and rows, their distance, and seconds a frame.
+    `wavelengths` and `powers` list the illumination's lines, `wave_curvature` is 1/R at the target (0 for a plane wave,
+    positive from a source at R), `second_beam_angle` is in radians against the first beam. `camera` names the
+    prescription or the phone's camera; `image_distance` is approximate for a traced lens. `field_deg` holds full angles
+    across and down, by real rays for a traced lens, None where its field does not reach the sensor's edges.
+    `rotation_deg` is about y and about x, `gaze` in fractions of the field. `probe_aperture` is a diameter,
+    `probe_pixels` columns and rows, `exposure` seconds a frame.
     """
 
     mode: str
@@ -109,23 +92,11 @@ class Geometry:
 class SamplingChoice:
     """How the simulator would compute the scene.
 
-    Parameters
-    ----------
-    plan
-        The planner's own numbers by name, its method among them.
-    expected_error
-        Largest error of the irradiance, in fractions of the peak; infinite where no claim is made.
-    claim
-        That error in words.
-    memory_bytes
-        For one image at a time, as the planner counts it.
-    wavelengths, planes
-        That are computed for themselves and summed: samples of the light's spectrum in metres, and how many reflecting
-        or scattering planes, or groups of them that interfere.
-    propagation, reason
-        From target to probe, as images' metadata say it, and why.
-    return_radius_at_probe, probe_aperture_radius
-        What decides it, in metres.
+    `plan` holds the planner's numbers by name, `expected_error` the largest error of the irradiance in fractions of the
+    peak (infinite where no claim is made), `claim` that error in words. `memory_bytes` is for one image at a time.
+    `wavelengths` and `planes` count what is computed separately and summed: spectral samples (metres), and reflecting
+    or scattering planes or groups of planes that interfere. `propagation` from target to probe follows, for the stated
+    `reason`, from the two radii, in metres.
     """
 
     plan: dict[str, Any]
@@ -155,7 +126,7 @@ class SamplingChoice:
 
 @dataclass(frozen=True)
 class EyeCheck:
-    """What eye safety finds, or in `refused` why it says nothing: one of the two is None."""
+    """The eye safety, or in `refused` why it is not evaluated: one of the two is None."""
 
     found: EyeSafety | None
     refused: str | None
@@ -165,7 +136,7 @@ class EyeCheck:
         found = self.found
         if found is None:
             return [("not computed", self.refused or "")]
-        # The wording of a class is eye safety's own.
+        # Eye safety words the class itself.
         meaning = next(line for line in found.lines() if line.startswith(f"Class {found.laser_class} by calc"))
         naked, aided = (in_si(found.emission[condition], "W") for condition in ("3", "1"))
         return [
@@ -177,7 +148,7 @@ class EyeCheck:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """All numbers by name; the same names, with None, where nothing was computed."""
+        """All numbers by name; the same names with None where nothing was computed."""
         found = self.found
         places = [] if found is None else list(dict.fromkeys((found.nearest, *found.at)))
         return {
@@ -211,7 +182,7 @@ def _reach(distance: float) -> str:
 def in_si(value: float, unit: str) -> str:
     """A number with four digits and a prefix, 509.3 mW/m² for 0.5093 W/m²."""
     for factor, prefix in _PREFIXES:
-        # What rounds up to the next prefix takes it.
+        # A number that rounds up to the next prefix takes that prefix.
         if abs(value) >= 0.99995 * factor:
             return f"{value / factor:.4g} {prefix}{unit}"
     return f"{value:.4g} {unit}"
@@ -223,5 +194,5 @@ def row(label: str, text: str) -> list[str]:
 
 
 def wrapped(line: str) -> list[str]:
-    """A line that has its label already, indented and no wider than 100 columns."""
+    """A line with its label, indented and no wider than 100 columns."""
     return textwrap.wrap(line, _WIDTH, initial_indent="  ", subsequent_indent=" " * (LABEL + 2), break_on_hyphens=False)

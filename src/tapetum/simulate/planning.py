@@ -1,4 +1,4 @@
-"""Everything worth knowing of a bench before the first image: geometry, link budget, sampling, limits, eye safety."""
+"""The plan of a bench before the first image: geometry, link budget, sampling, limits, eye safety."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _PREFIXED_UNITS = ("m", "W")
 
 @dataclass(frozen=True)
 class Plan:
-    """What [`plan_bench`][tapetum.simulate.planning.plan_bench] finds.
+    """Result of [`plan_bench`][tapetum.simulate.planning.plan_bench].
 
     Parameters
     ----------
@@ -54,7 +54,7 @@ class Plan:
     eye: EyeCheck
 
     def as_dict(self) -> dict[str, Any]:
-        """Everything as plain values that JSON knows, in SI units; None for what is not finite or not there."""
+        """Everything as plain JSON values in SI units; None for what is absent or not finite."""
         limit = self.limit
         return _finite(
             {
@@ -74,7 +74,7 @@ class Plan:
         )
 
     def lines(self) -> list[str]:
-        """The plan to read in a terminal 100 columns wide; the last line says what eye safety is not."""
+        """The plan as text of 100 columns; the last line states that eye safety is no certificate."""
         first, *further = self.budgets
         budget = [part for line in first.lines() for part in wrapped(line)]
         for one in further:
@@ -115,17 +115,16 @@ _FOCUS = ("object_distance", "focal_length")
 
 
 def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] | None = None) -> Plan:
-    """Plan a bench: what a scene would give, before it is simulated or built.
+    """Plan a bench: the results to expect of a scene, before it is simulated or built.
 
     Parameters
     ----------
     scene
-        What stands on the bench; its own rotation counts.
+        A scene, its name or its path; its own rotation counts.
     parameters
-        Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them; the limit of
-        each is that of estimating all of them from one frame. Where left out: those of `PARAMETERS` that have a limit
-        in this scene, but for the focus of a traced lens, which takes four more of it; the plan says why the others
-        have none.
+        Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them, all estimated
+        from one frame. Default: those of `PARAMETERS` that have a limit in this scene, but for the focus of a traced
+        lens, which takes four more of it; the plan says why the others have none.
 
     Raises
     ------
@@ -140,17 +139,17 @@ def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] 
         left_out = {name: why for name, why in reasons.items() if why is not None}
         parameters = [name for name in PARAMETERS if name not in left_out]
     else:
-        # A real lens takes long to plan: a name that is refused is refused before.
+        # A real lens takes long to plan: refuse bad names first.
         parameters = checked_parameters(scene, parameters)
     light = scene.illumination
     wavelengths = (light.wavelength, *(line.wavelength for line in light.lines))
     budgets = tuple(link_budget(scene, wavelength) for wavelength in wavelengths)
-    # Keyword arguments are evaluated in their order: the planner refuses before derivatives of every pixel are taken.
+    # Keyword arguments are evaluated in order: the planner refuses before the costly derivatives.
     return Plan(
         geometry=_geometry(scene),
         budgets=budgets,
         sampling=_sampling(scene, budgets[0]),
-        # A person's own choice is refused rather than left out.
+        # Parameters named by the user are refused, not left out.
         limit=fisher(scene, parameters) if parameters or not left_out else None,
         left_out=left_out,
         eye=_eye(scene),
@@ -216,7 +215,7 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
     error, returning = float(known["expected_error"]), float(known["return_radius_at_probe"])
     claim = f"within {error:.1e} of the peak"
     if not math.isfinite(error):
-        # Not known, or without meaning, for three reasons.
+        # Three reasons: unknown, or without meaning.
         claim = "no claim: some of the light is past the cut-off"
         if not any(one.returning for one in budget.reflections):
             claim = "no light returns past the cut-off"

@@ -1,113 +1,204 @@
-"""From the target's lens to the probe's pixels: straight to the far field, or over the distance and through a round
-aperture.
+"""From the target's pupil to the probe's pixels: to the far field, or over the distance and through a round aperture.
 
-The paper's last step (equation 6) is a propagation over d, the probe's lens, and one over its focal length. In the
-probe's focal plane the distance shows only by what the aperture cuts off: a beam that fits needs one transform, one
-that does not needs two.
+The paper's last step (equation 6) propagates over d, through the probe's lens, and over its focal length. In the focal
+plane the distance matters only through what the aperture cuts off: a beam that fits needs one transform, any other
+needs two. All passes end here. In those of a thin lens all gazes share columns and rows; in those of a traced lens each
+gaze has its own.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
+
 import torch
 
-from tapetum.optics.fourier import BandLimitedFourier, phasor
+from tapetum.optics.fourier import BandLimitedFourier, chebyshev_lift, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
-from tapetum.optics.sampling import DoublePassGeometry, RoundPlan, aperture_samples
-from tapetum.simulate.foreshortening import foreshortening
+from tapetum.optics.sampling import DoublePassGeometry, aperture_samples
+from tapetum.simulate.foreshortening import cosines, foreshortening
 
-__all__ = ["ProbePath"]
+__all__ = ["ProbeAperture", "ProbePath", "missed_path"]
+
+# Largest phase step between two samples of the probe's aperture behind a traced lens, in radians.
+_APERTURE_RADIANS = 2.0
+
+
+@dataclass(frozen=True)
+class ProbeAperture:
+    """The probe's round aperture: its distance (a tensor carries gradients) and radius in metres, and its samples."""
+
+    distance: torch.Tensor | float
+    radius: float
+    columns: int
+    rows: int
+
+    @classmethod
+    def behind_thin(cls, geometry: DoublePassGeometry, distance: torch.Tensor | float, radius: float) -> ProbeAperture:
+        """The aperture with the samples that a thin lens's scene needs."""
+        away = float(torch.as_tensor(distance).detach())
+        return cls(distance, radius, *aperture_samples(geometry, away, radius))
+
+    @classmethod
+    def behind_traced(cls, distance: float, radius: float, wavelength: float, window: float) -> ProbeAperture:
+        """The aperture with the samples for a picture of half-diagonal `window` (radians), behind a traced lens."""
+        turn = 2 * math.pi / wavelength * radius * (radius / distance + window)
+        samples = max(64, math.ceil(2 * turn / _APERTURE_RADIANS))
+        return cls(distance, radius, samples, samples)
+
+
+def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float, wavelength: float) -> float:
+    """Largest path, in metres, that Fresnel's chirps miss between the pupil and the probe's aperture.
+
+    `reach` is the pupil's half width in metres, `angle` the largest angle of the light that leaves it, `sine` that of
+    the tilt. Light that spreads less than the aperture counts only as far as it spreads.
+    """
+    d = float(aperture.distance)
+    wide = reach + min(aperture.radius, reach + angle * d + math.sqrt(wavelength * d))
+    return sine * reach * wide**2 / (2 * d**2) + wide**4 / (8 * d**3)
 
 
 class ProbePath:
-    """Carries pupil fields to the probe's focal plane.
+    """Carries pupil fields to the probe's focal plane, on the pixels of `output`.
 
-    Parameters
-    ----------
-    geometry, plan, output
-        As for `RoundPass`.
-    x, y
-        The pupil's columns and rows, in metres.
-    wavelength, probe_focal_length
-        As tensors.
-    distance, probe_radius
-        From the target to the probe and the radius of its aperture, in metres; None for the far field.
-    dtype, device
-        Of the fields.
+    `x` and `y` are the pupil's columns and rows in metres; for pupils with their own, two ends that enclose all of
+    them. `wavelength` and `probe_focal_length` (metres) may be tensors that carry gradients. Without an `aperture` all
+    light reaches the probe's sensor.
     """
 
     def __init__(
         self,
-        geometry: DoublePassGeometry,
-        plan: RoundPlan,
         output: Grid,
         x: torch.Tensor,
         y: torch.Tensor,
         *,
-        wavelength: torch.Tensor,
-        probe_focal_length: torch.Tensor,
-        distance: torch.Tensor | float | None = None,
-        probe_radius: float | None = None,
+        wavelength: torch.Tensor | float,
+        probe_focal_length: torch.Tensor | float,
+        aperture: ProbeAperture | None = None,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
     ) -> None:
-        self._x, self._y, self.dtype = x, y, dtype
-        self._k = 2 * torch.pi / wavelength
-        self._to_pixels = self._k / probe_focal_length
-        qx, qy = output.x(device=device), output.y(device=device)
-        # Every constant of the way, to be multiplied in once.
+        self.dtype, self.device, self.aperture = dtype, torch.device(device), aperture
+        self.shape = output.rows, output.columns
+        self._x, self._y = x, y
+        k = 2 * math.pi / wavelength
+        self._to_pixels = k / probe_focal_length
+        pixels = output.x(device=device), output.y(device=device)
+        # All constants of the path, multiplied in once.
         self.constant = 1 / (1j * wavelength * probe_focal_length)
-        # What the way adds to the pupil's phase, in radians per m²: the Fresnel chirp of a finite distance.
+        # Phase added to the pupil, in radians per m²: the Fresnel chirp of a finite distance.
         self.chirp = torch.zeros((), dtype=torch.float64, device=device)
-        self._aperture: torch.Tensor | None = None
-        if distance is None or probe_radius is None:
-            self._kappa = self._to_pixels
-            self._first = BandLimitedFourier(x, y, qx, qy, self._kappa, dtype)
-            return
-        way = torch.as_tensor(distance, dtype=torch.float64, device=device)
-        columns, rows = aperture_samples(geometry, float(way.detach()), probe_radius)
-        disc = disc_quadrature(probe_radius, columns, rows)
-        self._far_x, self._far_y = disc.x.to(device), disc.y.to(device)
-        self._kappa = self._k / way
-        self.chirp = self._kappa / 2
-        self._first = BandLimitedFourier(x, y, self._far_x, self._far_y, self._kappa, dtype)
-        bend = self.chirp * disc.rho_squared().to(device)
-        self._aperture = (disc.weights.to(device) * phasor(bend)).to(dtype)
-        self._second = BandLimitedFourier(self._far_x, self._far_y, qx, qy, self._to_pixels, dtype)
-        self.constant = self.constant / (1j * wavelength * way)
+        self._seen, self._kappa = pixels, self._to_pixels
+        if aperture is not None:
+            way = torch.as_tensor(aperture.distance, dtype=torch.float64, device=device)
+            disc = disc_quadrature(aperture.radius, aperture.columns, aperture.rows)
+            self._seen, self._kappa = (disc.x.to(device), disc.y.to(device)), k / way
+            self.chirp = self._kappa / 2
+            bend = self.chirp * disc.rho_squared().to(device)
+            self._passed = (disc.weights.to(device) * phasor(bend)).to(dtype)
+            self._second = BandLimitedFourier(*self._seen, *pixels, self._to_pixels, dtype)
+            self.constant = self.constant / (1j * wavelength * way)
+        self._first = BandLimitedFourier(x, y, *self._seen, self._kappa, dtype)
 
     def gather(
         self, pupil: torch.Tensor, rows: slice, tilts: torch.Tensor | None, centres: torch.Tensor | None
     ) -> torch.Tensor:
-        """What rows of the pupil [B, rows, columns] add to the field at the first transform's nodes.
+        """Contribution of some rows of the shared pupil [B, rows, columns] to the field at the first transform's nodes.
 
-        `tilts` [B, 2] foreshorten the picture where they are given; `centres` [B, 2] move it, in metres.
+        `tilts` [B, 2], where given, foreshorten the picture; `centres` [B, 2] move it, in metres.
         """
-        if centres is not None and self._aperture is None:
+        if centres is not None and self.aperture is None:
             pupil = pupil * self._ramp(centres, self._x, self._y[rows])
         if tilts is None:
             return self._first.at_nodes(pupil, rows.start)
-        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation goes
-        # to the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
+        # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation acts
+        # on the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
         _, t = foreshortening(tilts)
-        qx, qy, y = self._first.ux, self._first.uy, self._y[rows]
-        # x t00 qx + y (t10 qx + t11 qy): columns first, for qx stands beside both x and y.
-        mix = phasor(-self._kappa * t[:, 1, 0, None, None] * y[None, :, None] * qx[None, None, :])
-        row = phasor(-self._kappa * t[:, 1, 1, None, None] * qy[None, :, None] * y[None, None, :])
-        return row.to(self.dtype) @ (self._first.across(pupil, t[:, 0, 0]) * mix.to(self.dtype))
+        mix, down = self._rest(t, self._y[rows])
+        return down @ (self._first.across(pupil, t[:, 0, 0]) * mix)
+
+    def gather_unturned(self, pupil: torch.Tensor, tilts: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+        """As `gather`, of all rows of a pupil whose coordinates are not turned by the rotation R: behind a mask."""
+        if centres is not None and self.aperture is None:
+            pupil = pupil * self._ramp(centres, self._x, self._y)
+        # M unchanged: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Three of its four phases fit into the products. The
+        # one of y and qx changes slowly, by the square of the tilt: a few Chebyshev nodes in qx suffice.
+        rotation, t = foreshortening(tilts)
+        m = self._kappa * (rotation @ t)
+        qx, qy = self._first.ux, self._first.uy
+        turn = float(m[:, 1, 0].detach().abs().max() * self._y.detach().abs().max() * (qx.max() - qx.min()) / 2)
+        nodes, lift = chebyshev_lift(qx, turn, self.dtype)
+        column = self._kernel(-m[:, 0, 0, None] * self._x, qx)
+        mix = self._kernel(-m[:, 0, 1, None] * qy, self._x)
+        total: torch.Tensor | None = None
+        for node, share in zip(nodes, lift.T, strict=True):
+            along = m[:, 1, 1, None] * qy + m[:, 1, 0, None] * node
+            part = ((self._kernel(-along, self._y) @ pupil * mix) @ column) * share.to(self.dtype)
+            total = part if total is None else total + part
+        assert total is not None
+        return total
 
     def to_image(self, gathered: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         """From the first transform's nodes, all rows gathered, to the field on the pixels: [B, H, W]."""
-        first = self._first.lift(gathered)
-        if self._aperture is None:
+        return self._through(self._first.lift(gathered), centres)
+
+    def carry(
+        self,
+        pupil: torch.Tensor,
+        x: torch.Tensor,
+        y: torch.Tensor,
+        sines: torch.Tensor,
+        centres: torch.Tensor | None,
+    ) -> torch.Tensor:
+        """Field on the pixels, [B, H, W], of pupils [B, n, n] with their own columns x and rows y [B, n].
+
+        `pupil` is the field that leaves per unit area, tilt removed; x and y are in coordinates turned by the rotation
+        R of `foreshortening`.
+        """
+        rotation, t = foreshortening(sines)
+        middle_x, middle_y = (x[:, :1] + x[:, -1:]) / 2, (y[:, :1] + y[:, -1:]) / 2
+        step = (x[:, 1] - x[:, 0]) * (y[:, 1] - y[:, 0])
+        # A tilted pupil's light spreads over a foreshortened picture.
+        strength = step * torch.sqrt(cosines(sines)) * self.constant
+        pupil = pupil * strength[:, None, None].to(self.dtype)
+        if self.aperture is not None:
+            # Fresnel chirp of the distance: for the probe the pupil is foreshortened along the tilt.
+            tilt = (rotation.mT @ sines[..., None])[..., 0]
+            along = tilt[:, 0, None, None] * x[:, None, :] + tilt[:, 1, None, None] * y[:, :, None]
+            square = x[:, None, :] ** 2 + y[:, :, None] ** 2 - along**2
+            pupil = pupil * phasor(self.chirp * square, self.dtype)
+        elif centres is not None:
+            pupil = pupil * self._ramp(centres, x, y)
+        # A pupil off its middle adds a linear phase to the picture: apply it after the sum over nodes.
+        columns = self._kernel(-self._kappa * t[:, 0, 0, None] * (x - middle_x), self._first.ux)
+        mix, down = self._rest(t, y - middle_y)
+        wide, high = self._seen
+        sideways = phasor(-self._kappa * (t[:, 0, 0, None] * middle_x + t[:, 1, 0, None] * middle_y) * wide, self.dtype)
+        upwards = phasor(-self._kappa * t[:, 1, 1, None] * middle_y * high, self.dtype)
+        return self._through(self._first.lift(down @ ((pupil @ columns) * mix), upwards, sideways), centres)
+
+    def _rest(self, t: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """The phase between the two products and the second product's kernel: y (t10 qx + t11 qy)."""
+        mix = self._kernel(-self._kappa * t[:, 1, 0, None] * y, self._first.ux)
+        down = self._kernel(-self._kappa * t[:, 1, 1, None] * y, self._first.uy).mT
+        return mix, down
+
+    def _kernel(self, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
+        """exp(i row·column) [B, rows, columns], of rows [B, rows] in radians per metre and columns in metres."""
+        return phasor(rows[:, :, None] * columns, self.dtype)
+
+    def _through(self, first: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+        if self.aperture is None:
             return first
-        passed = first * self._aperture
+        passed = first * self._passed
         if centres is not None:
-            # The beam comes back to the probe's middle, under an angle.
-            passed = passed * self._ramp(centres, self._far_x, self._far_y)
+            # The beam returns to the probe's middle, under an angle.
+            passed = passed * self._ramp(centres, *self._seen)
         return self._second(passed)
 
     def _ramp(self, centres: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        shift = self._to_pixels * centres
-        column = phasor(shift[:, 0, None, None] * x[None, None, :]).to(self.dtype)
-        return column * phasor(shift[:, 1, None, None] * y[None, :, None]).to(self.dtype)
+        """Moves the picture by centres [B, 2], for columns and rows [n] or [B, n]."""
+        shift = self._to_pixels * centres.to(self.device, torch.float64)
+        column, row = phasor(shift[:, :1] * x, self.dtype), phasor(shift[:, 1:] * y, self.dtype)
+        return column[:, None, :] * row[:, :, None]

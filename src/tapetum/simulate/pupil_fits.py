@@ -1,8 +1,8 @@
-"""The pupil of a real lens as smooth functions, fitted to traced bundles: of the place in it and of the field angle.
+"""The pupil of a real lens as smooth functions of the place in it and of the field angle, fitted to traced bundles.
 
-Along the tilt (y of the traced bundles) a lens is not symmetric, across it is: functions are even or odd there. They
-are polynomials in a box about the pupil, least squares over its rays; between the field angles that were traced, all
-their coefficients are Chebyshev polynomials of the tilt.
+A lens under tilt is not symmetric along the tilt (y of the bundles) but is across it, so functions are even or odd
+across. They are polynomials in a box about the pupil, fitted to its rays by least squares; between traced field angles
+all their coefficients are Chebyshev polynomials of the tilt.
 """
 
 from __future__ import annotations
@@ -31,15 +31,15 @@ __all__ = [
     "values_at",
 ]
 
-# Degrees of the polynomials: a phase needs many, an edge must not swing between its rays.
+# Degrees of the polynomials: a phase needs many, an edge must not oscillate between its rays.
 PHASE_DEGREE, MAP_DEGREE, SMOOTH_DEGREE = 12, 10, 8
-# Degree in the tilt of the box about a pupil, and how much larger it is.
+# Degree in the tilt of the box about a pupil, and its enlargement.
 _BOX_DEGREE, _BOX_MARGIN = 6, 1.03
 # Rays farther out than this are not fitted, in half widths of the box.
 _FITTED = 1.15
-# Fields a radian of tilt: the interpolation between them is then far better than the fits (tests).
+# Fields a radian of tilt: the interpolation between them is far better than the fits (tests).
 _FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS = 33, 5, 21
-# Places evaluated at a time: what they take stays in the processor's caches.
+# Places evaluated at a time: their memory fits the processor's caches.
 _PLACES_AT_ONCE = 1 << 15
 
 
@@ -79,16 +79,11 @@ class TiltNodes:
 
 @dataclass(frozen=True)
 class Fit:
-    """Functions of a place in the pupil and of the tilt.
+    """Functions of the tilt and of a place in the pupil, scaled to a box.
 
-    Parameters
-    ----------
-    centre, half
-        [T, 2] coefficients in the tilt of the box's middle and half widths, across and along the tilt.
-    even, odd
-        [K, T, M] coefficients of the functions even and odd across the tilt.
-    degrees
-        The largest degree of the even and of the odd ones.
+    `centre` and `half` [T, 2] are coefficients in the tilt of the box's middle and half widths, across and along the
+    tilt; `even` and `odd` [K, T, M] those of the functions even and odd across the tilt; `degrees` their largest
+    degrees.
     """
 
     centre: torch.Tensor
@@ -105,26 +100,13 @@ class Fit:
 
 @dataclass(frozen=True)
 class PupilFits:
-    """What the double pass needs of a lens at one wavelength.
+    """The pupils of a lens at one wavelength, for tilts on `nodes`. Lengths are in metres.
 
-    Parameters
-    ----------
-    nodes
-        The tilts that they hold for.
-    entering
-        Functions of s: Ψ, |∂e/∂s|, then the height at each surface that stops rays.
-    leaving
-        Functions of e: Ψ, s along the tilt, |∂s/∂e|, heights; and the odd one, s across.
-    middle, radius
-        Coefficients [T] in the tilt of y0 and R.
-    spread
-        The largest distance of a ray's landing from y0, in metres.
-    defocus, aberration
-        Landings about y0 are `defocus` times s about its middle, in metres a sine, but for so many metres.
-    misfit
-        Worst RMS of Ψ against its rays that pass, over all fields, in metres.
-    aperture
-        Largest half width of the pupil in s, and reach in e, in metres.
+    `entering` holds functions of s: Ψ, |∂e/∂s|, and the height at each surface that stops rays; `leaving` functions of
+    e: Ψ, s along the tilt, |∂s/∂e|, heights, and the odd s across. `middle` and `radius` [T] are coefficients of y0 and
+    R. `spread` is the largest distance of a ray's landing from y0. Landings about y0 are linear in s, with slope
+    `defocus` about the middle of s, and depart from it by at most `aberration`. `misfit` is the worst RMS of Ψ against
+    the rays that pass; `aperture` the pupil's largest half width in s and reach in e.
     """
 
     nodes: TiltNodes
@@ -139,7 +121,7 @@ class PupilFits:
     aperture: tuple[float, float]
 
     def to(self, device: torch.device) -> PupilFits:
-        """The same on another device: lenses are traced on the CPU, fields are computed where one likes."""
+        """The same on another device: lenses are traced on the CPU, fields computed anywhere."""
         middle = self.middle.to(device)
         if middle is self.middle:
             return self
@@ -152,21 +134,8 @@ def fit_pupils(
 ) -> PupilFits:
     """Trace bundles at tilts from 0 to `steepest` (a sine), and fit them.
 
-    Parameters
-    ----------
-    focused
-        The lens.
-    steepest
-        Sine of the steepest tilt.
-    curvature
-        Of the light that enters, in 1/m; what leaves is seen by a probe focused at infinity.
-    nodes
-        Tilts to trace, in place of a number that suits the range.
-
-    Raises
-    ------
-    InputError
-        Where no ray gets through the lens.
+    `curvature`, in 1/m, is that of the light that enters; light that leaves is seen by a probe focused at infinity.
+    Raises InputError where no ray gets through the lens.
     """
     nodes = nodes or TiltNodes.up_to(steepest)
     entering = trace_bundle(focused, nodes.sines, curvature=curvature)
@@ -199,9 +168,9 @@ def fit_pupils(
 
 
 def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = None) -> tuple[Fit, float]:
-    """Fit what light leaves by, `PupilFits.leaving`, to a bundle; with the RMS misfit of the paths.
+    """Fit `PupilFits.leaving`, the functions of the light that leaves, to a bundle; also return the paths' RMS misfit.
 
-    `more` [T, 1 + rims, N] is added to the bundle's paths, and to its heights at `limiting_surfaces`.
+    `more` [T, 1 + rims, N] is added to the bundle's paths and to its heights at `limiting_surfaces`.
     """
     rims = limiting_surfaces(leaving)
     if more is None:
@@ -221,7 +190,7 @@ def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = N
 
 
 def _landings(bundle: Bundle) -> tuple[float, float, float]:
-    """How far rays land from y0, how that grows with s, and what is left of it, in metres."""
+    """Largest distance of rays' landings from y0, their slope with s, and the rest, in metres."""
     passing = bundle.passing[..., None]
     some = passing.sum(1, keepdim=True)
     s = torch.where(passing, bundle.s, torch.zeros_like(bundle.s))
@@ -241,8 +210,8 @@ def fit_functions(
     even: Sequence[tuple[torch.Tensor, int]],
     odd: Sequence[tuple[torch.Tensor, int]] = (),
 ) -> tuple[Fit, float]:
-    """Fit functions of places [T, N, 2], each given as values [T, N] and a degree; with the RMS misfit of the first."""
-    # Rays that went astray may be anywhere, or nowhere.
+    """Fit functions of places [T, N, 2], given by values [T, N] and a degree; also return the first's RMS misfit."""
+    # Stray rays may be anywhere, or not finite.
     places = torch.where(bundle.near[..., None], places, torch.zeros_like(places))
     centre, half = _boxes(nodes, places, bundle.passing)
     u = (places - centre[:, None]) / half[:, None]
@@ -281,25 +250,14 @@ def values_at(fit: Fit, tilt: torch.Tensor, places: torch.Tensor) -> tuple[torch
 def on_grid(
     fit: Fit, tilt: torch.Tensor, toward: torch.Tensor, count: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """A fit's functions on columns and rows about its pupil, whatever the azimuth of the tilt.
+    """A fit's functions on `count` columns and rows about its pupil, for any azimuth of the tilt.
 
-    Parameters
-    ----------
-    fit
-        The functions.
-    tilt, toward
-        [B, T] as of `TiltNodes.terms`, and [B, 2] the unit vectors of the tilts.
-    count
-        Columns and rows.
-
-    Returns
-    -------
-    tuple
-        x and y [B, n]; even and odd functions [B, K, n, n]; where the places lie inside the fit's box [B, n, n].
+    `tilt` [B, T] are `TiltNodes.terms`, `toward` [B, 2] unit vectors of the tilts. Returns x and y [B, n], even and odd
+    functions [B, K, n, n], and where places lie inside the fit's box [B, n, n].
     """
     unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
     centre, half = tilt @ fit.centre, tilt @ fit.half
-    # Columns and rows that hold the box turned to the tilt; its corners hold no pupil.
+    # Columns and rows that hold the rotated box; its corners hold no pupil.
     c, s = toward[:, 0].abs(), toward[:, 1].abs()
     x_wide = torch.hypot(half[:, 0] * s, half[:, 1] * c)
     y_wide = torch.hypot(half[:, 0] * c, half[:, 1] * s)
@@ -315,7 +273,7 @@ def on_grid(
             [across / half[:, 0, None, None], (along - centre[:, 1, None, None]) / half[:, 1, None, None]], -1
         )
 
-    # Turned or not, a polynomial of this degree is known from as many columns and rows: so few places are evaluated.
+    # Rotated or not, this many columns and rows determine a polynomial of the degree, so few places are evaluated.
     order = max(fit.degrees) + 1
     nodes = torch.cos(torch.pi * (torch.arange(order, dtype=torch.float64, device=tilt.device) + 0.5) / order)
     few = scaled(at[:, 0:1] + wide[:, 0:1] * nodes, at[:, 1:2] + wide[:, 1:2] * nodes).flatten(1, 2)
@@ -331,7 +289,7 @@ def on_grid(
 def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
     """A fit's even functions on columns across the tilt and rows along it: [B, n], [B, n] and [B, K, n, n].
 
-    Its whole box; two small products a function.
+    It covers the whole box, at the cost of two small matrix products a function.
     """
     unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
     centre, half = tilt @ fit.centre, tilt @ fit.half
@@ -343,9 +301,9 @@ def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor
 
 
 def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
-    """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]: a rim is straight there."""
-    # A lens may have no rim that covers anything: then there are no heights to take a shape from.
-    total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(torch.float64)
+    """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]; rims count as straight there."""
+    # Where no rim covers anything there are no heights.
+    total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(heights.dtype)
     for height in heights.unbind(1):
         gx, gy = torch.gradient(height, dim=(2, 1))
         total = torch.minimum(total, _covered(1 - height, gx.abs(), gy.abs()))
@@ -383,7 +341,7 @@ def _odd(fit: Fit, tilt: torch.Tensor, u: torch.Tensor) -> torch.Tensor:
 def _of_terms(
     coefficients: torch.Tensor, degree: int, parity: int, tilt: torch.Tensor, u: torch.Tensor
 ) -> torch.Tensor:
-    """[B, K, N] at scaled places u [B, N, 2]: summed along first, then across, never term by term."""
+    """[B, K, N] at scaled places u [B, N, 2], summed along first, then across."""
     table = _table(coefficients, degree, parity, tilt)
     parts: list[torch.Tensor] = []
     for start in range(0, u.shape[1], _PLACES_AT_ONCE):
@@ -406,11 +364,11 @@ def _table(coefficients: torch.Tensor, degree: int, parity: int, tilt: torch.Ten
 
 
 def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Middle and half widths [T, 2] of boxes about what passes: low polynomials of the tilt that hold all of it."""
+    """Middle and half widths [T, 2] of boxes about all that passes, as low polynomials of the tilt."""
     far = torch.full_like(places, math.inf)
     lower = torch.where(passing[..., None], places, far).amin(1)
     upper = torch.where(passing[..., None], places, -far).amax(1)
-    # Left and right are alike.
+    # Left and right are symmetric.
     wide = torch.maximum(upper[:, 0], -lower[:, 0])
     lower, upper = torch.stack([-wide, lower[:, 1]], -1), torch.stack([wide, upper[:, 1]], -1)
     step = (upper - lower) / math.sqrt(places.shape[1])
@@ -418,7 +376,7 @@ def _boxes(nodes: TiltNodes, places: torch.Tensor, passing: torch.Tensor) -> tup
     terms = chebyshev(nodes.places, nodes.count)[:, :degree]
     low = terms @ nodes.coefficients(lower - step)[:degree]
     high = terms @ nodes.coefficients(upper + step)[:degree]
-    # What smoothing cuts off anywhere is added everywhere.
+    # Enlarge everywhere by the most that smoothing cuts off anywhere.
     low = low - (low - lower).clamp_min(0).amax(0)
     high = high + (upper - high).clamp_min(0).amax(0)
     return (low + high) / 2, (high - low) / 2 * _BOX_MARGIN
@@ -429,7 +387,7 @@ def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tenso
     weights = used[..., None].to(torch.float64)
     a = matrix * weights
     b = torch.where(used[..., None], values, torch.zeros_like(values))
-    # A touch of damping: where a field's pupil is small its rays do not separate the highest terms.
+    # Slight damping: the rays of a small pupil do not determine the highest terms.
     scale = 1e-9 * torch.sqrt((a**2).sum((-2, -1), keepdim=True) / a.shape[-1])
     eye = torch.eye(a.shape[-1], dtype=torch.float64).expand(len(a), -1, -1) * scale
     none = torch.zeros(len(b), a.shape[-1], b.shape[-1], dtype=torch.float64)
@@ -440,12 +398,17 @@ def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tenso
 
 def _covered(value: torch.Tensor, gx: torch.Tensor, gy: torch.Tensor) -> torch.Tensor:
     """Share of a unit square where value + gx u + gy w > 0 for u, w in -½ … ½: exact for a straight edge."""
+    share = (value > 0).to(value.dtype)
+    # An edge crosses few squares.
+    some = (2 * value.abs() < gx + gy).nonzero(as_tuple=True)
+    value, gx, gy = value[some], gx[some], gy[some]
     a, b = torch.maximum(gx, gy).clamp_min(1e-12), torch.minimum(gx, gy)
-    # An edge along the samples has no second slope: a tiny one takes its place.
+    # An edge along the samples has no second slope: use a tiny one.
     b = torch.maximum(b, 1e-5 * a)
 
     def ramp(t: torch.Tensor) -> torch.Tensor:
         return 0.5 * t.clamp_min(0) ** 2
 
     near, far = (a + b) / 2, (a - b) / 2
-    return ((ramp(value + near) - ramp(value + far) - ramp(value - far) + ramp(value - near)) / (a * b)).clamp(0, 1)
+    crossed = (ramp(value + near) - ramp(value + far) - ramp(value - far) + ramp(value - near)) / (a * b)
+    return share.index_put(some, crossed.clamp(0, 1))

@@ -14,7 +14,6 @@ from scipy.special import j0, j1
 
 from tapetum.bench import Layer, ProbeSensor, Scene, TargetSensor, at_wavelength
 from tapetum.errors import InputError
-from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.sensor_plane import orders_of
 
 __all__ = [
@@ -28,7 +27,6 @@ __all__ = [
     "line_of",
     "photoelectrons",
     "photon_energy",
-    "return_radius_at_probe",
     "return_radius_by_rays",
     "share_in_disc",
     "specular_reflectance",
@@ -36,21 +34,17 @@ __all__ = [
 
 _PLANCK = 6.62607015e-34  # J s, exact (SI)
 _LIGHT = 299792458.0  # m/s, exact (SI)
-# Up to here a beam's phase is integrated, at 0.8 nodes a radian (a factor of 1.6 above Nyquist's).
+# Largest phase that is integrated, at 0.8 nodes a radian (a factor of 1.6 above Nyquist's).
 _MOST_RADIANS = 400.0
 
 
 def beam_radius(scene: Scene) -> float:
     """Radius of the lit disc at the target, in metres (paper, figure 3).
 
-    Collimated: half the diameter, the probe's own aperture where none is given. Diverging: from a point at the probe.
+    Collimated light: half the diameter, by default the probe's own aperture. Diverging light: from a point at the
+    probe.
     """
-    light = scene.illumination
-    if light.divergence is not None:
-        return scene.distance * math.tan(light.divergence / 2)
-    if light.diameter is not None:
-        return light.diameter / 2
-    return scene.probe.lens.aperture_radius
+    return scene.illumination.radius(scene.distance, scene.probe.lens.aperture_radius)
 
 
 def irradiance_at_target(scene: Scene) -> float:
@@ -59,52 +53,30 @@ def irradiance_at_target(scene: Scene) -> float:
 
 
 def illumination_curvature(scene: Scene) -> float:
-    """1/R of the wave that reaches the target, in 1/m: the illumination's vergence where it has one.
+    """1/R of the wave at the target, in 1/m: the illumination's `vergence` where it has one.
 
-    Else 0 for collimated light and 1/distance from a source at the probe.
+    Otherwise 0 for collimated light and 1/distance for a source at the probe.
     """
-    light = scene.illumination
-    if light.vergence is not None:
-        return light.vergence
-    return 0.0 if light.mode == "collimated" else 1 / scene.distance
+    return scene.illumination.curvature(scene.distance)
 
 
 def return_radius_by_rays(
     radius: float, focal_length: float, image_distance: float, curvature: float, distance: float
 ) -> float:
-    """Geometric radius of a thin-lens target's returning beam at a distance from it, in metres.
+    """Geometric radius of a thin-lens target's returning beam at `distance` from it, in metres.
 
-    Parameters
-    ----------
-    radius, focal_length, image_distance
-        Of the target: its aperture, its lens, and how far behind the lens the light is reflected, in metres.
-    curvature
-        1/R of the wave that arrives, in 1/m, positive from a source at R.
-    distance
-        In metres.
+    `image_distance` is from the lens to the reflecting plane; `curvature`, in 1/m, is positive from a source at R.
     """
-    # Collimated light leaves with curvature 2/(x_d + f), converging; other light arrives with a slope of its own.
+    # Collimated light leaves with curvature 2/(x_d + f), converging; other light enters with a slope of its own.
     slope_in = 1 / focal_length - curvature
-    # A ray that entered at x leaves at gain·x with the slope slope_out·x, if that is inside of the aperture.
+    # A ray that entered at x leaves at gain·x with the slope slope_out·x, if that is inside the aperture.
     gain = 1 - 2 * image_distance * slope_in
     slope_out = slope_in + gain / focal_length
     return radius / max(1.0, abs(gain)) * abs(gain - distance * slope_out)
 
 
-def return_radius_at_probe(scene: Scene) -> float:
-    """Radius of the returning beam at the probe, by rays and diffraction, in metres.
-
-    Above the probe's aperture radius part of the return misses the probe.
-    """
-    lens = scene.target.lens
-    z, _ = lens_numbers(lens.focal_length, scene.target.object_distance)
-    curvature = illumination_curvature(scene)
-    rays = return_radius_by_rays(lens.aperture_radius, lens.focal_length, z, curvature, scene.distance)
-    return rays + 1.22 * scene.illumination.wavelength * scene.distance / (2 * lens.aperture_radius)
-
-
 def encircled_energy(disc: float, radius: float, wavelength: float, distance: float) -> float:
-    """Share of the light of a uniform, round, plane wave that a disc far away holds.
+    """Share of a uniform, round, plane wave that falls on a disc far away.
 
     1 - J0²(v) - J1²(v), v = 2π r R/(λ d) for an aperture of radius r and a disc of radius R, in metres, at a distance d
     (Lord Rayleigh, Phil. Mag. 11, 214 (1881); M. Born and E. Wolf, Principles of Optics, section 8.5.2).
@@ -114,23 +86,12 @@ def encircled_energy(disc: float, radius: float, wavelength: float, distance: fl
 
 
 def share_in_disc(disc: float, radius: float, spread: float, wavelength: float, distance: float) -> float:
-    """Share of a uniform, round, spherical wave that a disc at a distance holds.
+    """Share of a uniform, round, spherical wave that falls on a disc of radius `disc` on its axis. All in metres.
 
-    Parameters
-    ----------
-    disc
-        Its radius, in metres, on the beam's axis.
-    radius, spread
-        Of the beam where it begins, and by rays at the disc, in metres. Whether it converges or diverges decides
-        nothing else.
-    wavelength, distance
-        In metres.
-
-    Notes
-    -----
-    Fresnel's integral by Gauss-Legendre quadrature, in the plane of the disc and over the disc. Where the beam turns
-    too often for that, rays and diffraction hardly meet: the ratio of the areas, times `encircled_energy`, within 3 %
-    of the light.
+    `radius` is the beam's where it begins, `spread` its geometric one at the disc; whether it converges or diverges has
+    no further effect. Fresnel's integral is taken by Gauss-Legendre quadrature in the plane of the disc and over the
+    disc. Where the phase turns too often for that, the result is the ratio of the areas times `encircled_energy`,
+    within 3 % of the light.
     """
     v = 2 * math.pi * radius * disc / (wavelength * distance)
     turns = math.pi * radius * spread / (wavelength * distance)
@@ -144,12 +105,9 @@ def share_in_disc(disc: float, radius: float, spread: float, wavelength: float, 
 
 
 def line_of(scene: Scene, wavelength: float | None = None) -> tuple[float, float]:
-    """Wavelength and power, in metres and watts, of the illumination's line at a wavelength; its first one for None.
+    """Wavelength in metres and power in watts of the illumination's line at a wavelength, by default its first.
 
-    Raises
-    ------
-    InputError
-        When the scene has no such line.
+    Raises InputError when the scene has no such line.
     """
     light = scene.illumination
     known = [(light.wavelength, light.power), *((line.wavelength, line.power) for line in light.lines)]
@@ -164,10 +122,7 @@ def line_of(scene: Scene, wavelength: float | None = None) -> tuple[float, float
 
 
 def specular_reflectance(sensor: TargetSensor, wavelength: float) -> float:
-    """Power reflectance of a target's sensor in the mirror's direction: of its order 0, on the axis.
-
-    A mask is not looked at.
-    """
+    """Power reflectance of a target's sensor in the mirror's direction (order 0, on the axis); masks are ignored."""
     if sensor.mask is not None:
         return sensor.reflectance
     orders = orders_of(sensor, wavelength, 0.0)
@@ -175,7 +130,7 @@ def specular_reflectance(sensor: TargetSensor, wavelength: float) -> float:
 
 
 def layer_transmittance(layer: Layer, wavelength: float) -> float:
-    """Power transmittance of one passage; where the layer gives none, what it neither reflects nor scatters."""
+    """Power transmittance of one passage; by default 1 less reflection and scattering."""
     if layer.transmittance is not None:
         return at_wavelength(layer.transmittance, wavelength)
     scattered = layer.diffuse.albedo if layer.diffuse is not None else 0.0
@@ -188,18 +143,9 @@ def photon_energy(wavelength: float) -> float:
 
 
 def photoelectrons(irradiance: torch.Tensor, sensor: ProbeSensor, wavelength: float) -> torch.Tensor:
-    """Mean electrons a pixel and frame that light of one wavelength makes; differentiable.
+    """Mean electrons a pixel and frame from irradiance (W/m², any shape) of one wavelength; differentiable.
 
-    Those of several wavelengths add: sum them, and `dark_electrons` once.
-
-    Parameters
-    ----------
-    irradiance
-        On the sensor, in W/m², any shape.
-    sensor
-        Its pitch, exposure and quantum efficiency.
-    wavelength
-        In metres.
+    For several wavelengths sum them, and add `dark_electrons` once.
     """
     gain = sensor.pitch**2 * sensor.exposure * sensor.quantum_efficiency / photon_energy(wavelength)
     return irradiance * gain

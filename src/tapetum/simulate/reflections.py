@@ -1,8 +1,10 @@
-"""What of the target reflects, how strongly, and which of its planes interfere."""
+"""Which planes of the target reflect, how strongly, and which of them interfere."""
 
 from __future__ import annotations
 
+import itertools
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -27,13 +29,13 @@ __all__ = [
 ]
 
 
-# Share of a plane's power that is not followed.
+# Share of a plane's power that is neglected.
 _DARK = 1e-6
 
 
 @dataclass(frozen=True)
 class Scatterer:
-    """A plane that scatters: its reduced distance from the lens in metres, what reaches it and leaves it, and how."""
+    """A scattering plane: its reduced distance from the lens in metres, the power on both ways, and how it scatters."""
 
     image_distance: float
     transmittance: float
@@ -59,26 +61,19 @@ def specular_groups(
 ) -> list[tuple[Surface, ...]]:
     """Sets of reflecting planes: within a set fields add, between sets irradiances.
 
-    Parameters
-    ----------
-    scene
-        Its sensor, layers and light.
-    wavelength
-        In metres.
-    image_distance
-        Of the sensor, in metres.
-    widest
-        Largest direction sine of a diffraction order that can come back through the lens.
+    `image_distance` is the sensor's, in metres; `widest` is the largest direction sine of an order that can return
+    through the lens. A plane at the depth t, index n, acts as if it lay t/n before the sensor, on a path shorter by
+    2nt.
 
-    Notes
-    -----
-    A plane at the depth t, index n, is reached as if it lay t/n before the sensor, by a path shorter by 2nt. Partially
-    coherent light gives I = Σ_ij γ_ij U_i U_j* with the degree of coherence γ_ij of the two paths. γ = L Lᵀ (Cholesky)
-    turns that into Σ_k |Σ_i L_ik U_i|²: a set for each column k, its planes weighed by L_ik. A plane may stand in
-    several sets. In fully coherent light there is one; planes that do not interfere with any other have their own.
+    Partially coherent light gives I = Σ_ij γ_ij U_i U_j* with the degree of coherence γ_ij of the two paths. The
+    Cholesky factor, γ = L Lᵀ, turns that into Σ_k |Σ_i L_ik U_i|²: one set for each column k, its planes weighted by
+    L_ik. A plane may be in several sets. Fully coherent light has one set; planes that interfere with no other have
+    their own.
     """
     planes = sorted(_planes(scene, wavelength, image_distance, widest), key=lambda plane: plane.nearer)
     planes = [plane for plane in planes if plane.orders]
+    parts = _chains([plane.nearer for plane in planes], reach_of_interference(scene.illumination))
+    chains = [planes[part] for part in parts]
     k = 2 * math.pi / wavelength
     return [
         tuple(
@@ -93,36 +88,30 @@ def specular_groups(
             for plane, share in zip(chain, column, strict=True)
             if share != 0
         )
-        for chain in _chains(planes, reach_of_interference(scene.illumination))
+        for chain in chains
         for column in _coherent_sets(chain, scene)
     ]
 
 
 def longest_path(scene: Scene) -> float:
     """The largest difference of paths between planes that are summed as fields, in metres."""
-    depths = sorted(layer.index * layer.depth for layer in scene.target.sensor.layers)
-    places = [_Plane(torch.zeros(()), nearer, 1.0, (), None) for nearer in (0.0, *depths)]
-    chains = _chains(places, reach_of_interference(scene.illumination))
-    return max(2 * (chain[-1].nearer - chain[0].nearer) for chain in chains)
+    nearer = [0.0, *sorted(layer.index * layer.depth for layer in scene.target.sensor.layers)]
+    chains = [nearer[part] for part in _chains(nearer, reach_of_interference(scene.illumination))]
+    return max(2 * (chain[-1] - chain[0]) for chain in chains)
 
 
-def _chains(planes: list[_Plane], reach: float) -> list[list[_Plane]]:
-    """Planes, by their paths, in chains whose neighbours are nearer to each other than the reach of interference.
+def _chains(nearer: Sequence[float], reach: float) -> list[slice]:
+    """Runs of planes, by ascending path, in which neighbours lie within the reach of interference.
 
-    The ends of a chain may be farther apart: their degree of coherence, or the sum over the line's wavelengths, says
-    that they do not interfere.
+    The ends of a run may be farther apart: their degree of coherence, or the sum over the line's wavelengths, then
+    removes their interference.
     """
-    chains: list[list[_Plane]] = []
-    for plane in planes:
-        if chains and 2 * (plane.nearer - chains[-1][-1].nearer) < reach:
-            chains[-1].append(plane)
-        else:
-            chains.append([plane])
-    return chains
+    apart = {i for i in range(1, len(nearer)) if 2 * (nearer[i] - nearer[i - 1]) >= reach}
+    return [slice(first, end) for first, end in itertools.pairwise(sorted({0, *apart, len(nearer)}))]
 
 
 def _coherent_sets(chain: list[_Plane], scene: Scene) -> list[list[float]]:
-    """Columns of the Cholesky factor of the planes' mutual coherence; what carries less than 1e-6 is left out."""
+    """Columns of the Cholesky factor of the planes' mutual coherence; shares below 1e-6 are left out."""
     paths = [2 * plane.nearer for plane in chain]
     gamma = [[degree_of_coherence(scene.illumination, one - other) for other in paths] for one in paths]
     rest: npt.NDArray[np.float64] = np.array(gamma)
@@ -146,7 +135,7 @@ def scatterers(scene: Scene, wavelength: float, image_distance: float) -> list[S
 
 
 def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[float]:
-    """Reduced distances from the lens, in metres, of the planes that mirror; the sensor's own where none does."""
+    """Reduced distances from the lens, in metres, of mirroring planes; the sensor's own where there is none."""
     sensor = scene.target.sensor
     found = [
         image_distance - layer.depth / layer.index
@@ -157,7 +146,7 @@ def mirrors(scene: Scene, wavelength: float, image_distance: float) -> list[floa
 
 
 def glinting(scene: Scene, wavelength: float | None = None) -> float:
-    """Power reflectance of the lens's surfaces, the largest of the scene's light without a wavelength; 0 for none."""
+    """Largest power reflectance of the lens's surfaces over the given wavelength or all of the scene's; 0 for none."""
     lens, light = scene.target.lens, scene.illumination
     if not isinstance(lens, PrescriptionLens):
         return 0.0
@@ -166,20 +155,20 @@ def glinting(scene: Scene, wavelength: float | None = None) -> float:
 
 
 def only_sensor(scene: Scene) -> bool:
-    """Whether nothing answers but the sensor's mirror: no layer, nothing that scatters, no glint."""
+    """Whether only the sensor's mirror returns light: no layer, no scattering, no glint."""
     sensor = scene.target.sensor
     return not sensor.layers and sensor.diffuse is None and not glinting(scene)
 
 
 def reaching_sensor(scene: Scene, wavelength: float) -> float:
-    """Power that reaches the sensor through its layers and comes back through them, in fractions."""
+    """Share of the power that passes the layers to the sensor and back."""
     return math.prod(layer_transmittance(layer, wavelength) ** 2 for layer in scene.target.sensor.layers)
 
 
 def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, widest: float) -> list[_Plane]:
     sensor = scene.target.sensor
     through, planes = 1.0, list[_Plane]()
-    # From the lens inwards: each layer dims what lies behind it, there and back.
+    # From the lens inwards: each layer attenuates the light behind it twice.
     for layer in sorted(sensor.layers, key=lambda layer: -layer.depth):
         reflectance = at_wavelength(layer.reflectance, wavelength)
         orders = (_turned(Order(amplitude=math.sqrt(reflectance)), layer.tilt),) if reflectance > 0 else ()
@@ -189,7 +178,7 @@ def _planes(scene: Scene, wavelength: float, image_distance: torch.Tensor, wides
         through *= layer_transmittance(layer, wavelength) ** 2
     orders: tuple[Order, ...] = ()
     if sensor.array is not None or sensor.microlens is not None:
-        # A tilted plane turns orders towards the aperture that a straight one sends past it.
+        # A tilted plane turns orders into the aperture that an untilted one sends past it.
         orders = orders_of(sensor, wavelength, widest + 2 * math.hypot(*sensor.tilt))
     elif sensor.reflectance > 0 and sensor.mask is None:
         orders = (Order(amplitude=math.sqrt(sensor.reflectance)),)

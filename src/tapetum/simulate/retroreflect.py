@@ -17,9 +17,7 @@ from tapetum.simulate.image import Image
 from tapetum.simulate.phone import open_camera
 
 if TYPE_CHECKING:
-    from tapetum.optics.grid_sampling import SamplingPlan
-    from tapetum.optics.sampling import RoundPlan
-    from tapetum.simulate.traced_plan import TracedPlan
+    from tapetum.optics.sampling import Plan
 
 __all__ = ["plan_scene", "retroreflect"]
 
@@ -37,15 +35,15 @@ def retroreflect(
     dtype: torch.dtype = torch.complex64,
     device: torch.device | str = "auto",
 ) -> Image:
-    """Simulate what the probe's sensor receives.
+    """Simulate the light on the probe's sensor.
 
     Parameters
     ----------
     scene
-        What stands on the bench; or its name or path, as for `tapetum.bench.load_scene`.
+        A scene, or its name or path, as for `tapetum.bench.load_scene`.
     rotation
-        In degrees. One number or [B]: about x, as the paper turns its target. [B, 2]: about y and about x. The scene's
-        own rotation when left out.
+        In degrees. One number or [B]: about x, as the paper turns its target. [B, 2]: about y and about x. Default: the
+        scene's own.
     object_distance, focal_length
         Of the target, in metres, in place of the scene's.
     accuracy
@@ -95,7 +93,7 @@ def retroreflect(
     return Image(irradiance, scene.probe.sensor.pitch, metadata, equivalent)
 
 
-def plan_scene(scene: Scene, steepest: float, accuracy: float | None = None) -> RoundPlan | SamplingPlan | TracedPlan:
+def plan_scene(scene: Scene, steepest: float, accuracy: float | None = None) -> Plan:
     """The sampling that `retroreflect` would use for this scene."""
     return open_camera(scene, steepest, accuracy=accuracy).plan
 

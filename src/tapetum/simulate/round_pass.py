@@ -1,14 +1,14 @@
-"""The double pass of a round lens before plane mirrors, gratings included: the fast way.
+"""The double pass of a round lens before plane mirrors, gratings included: the fast engine.
 
-Light that enters a round aperture, meets a plane mirror and comes back to the lens is a round field F about a point
-that the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sines s and its tangents t = s/cosθ:
+Light that enters a round aperture, meets a plane mirror and returns to the lens is a round field F about a point that
+the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sines s and its tangents t = s/cosθ:
 
     U3'(x) = √cosθ P(x) exp(ik x²(1/z - 1/f)/2) exp(ikz t²) F(|x - 2z t|)
     U5(q)  = √cosθ/(iλf_p) ∫ U3'(x) exp(-ik x·Mq/f_p) d²x
 
-F is tabulated once for all gazes; a gaze costs a look-up for each sample of the pupil and one transform onto the
-probe's pixels. A grating's order m of direction τ = mλ/p returns what the mirror would return from the tangents
-t + τ/2, and every plane has its own z, so pixel arrays and layers are sums of such terms.
+F is tabulated once for all gazes; a gaze costs one look-up for each sample of the pupil and one transform onto the
+probe's pixels. A grating's order m of direction τ = mλ/p returns what a mirror would from the tangents t + τ/2. Every
+plane has its own z, so pixel arrays and layers are sums of such terms.
 """
 
 from __future__ import annotations
@@ -17,8 +17,6 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-import numpy.typing as npt
 import torch
 
 from tapetum.errors import InputError
@@ -28,109 +26,28 @@ from tapetum.optics.pupil import DiscRows
 from tapetum.optics.radial import FocusTables, RadialTable, focus_tables, returning_field
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.foreshortening import cosines, foreshortens, tangents, twisted
-from tapetum.simulate.probe_path import ProbePath
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath
+from tapetum.simulate.surfaces import Order, PlaceSeries, Surface
 from tapetum.simulate.true_paths import Leg, TruePaths, neglected_path
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
-# Samples of pupils looked up at a time: what they take stays in the processor's caches.
+# Samples of pupils looked up at a time: their memory fits the processor's caches.
 _SAMPLES_AT_ONCE = 1 << 18
-# Samples up to which the lens's phase and weights are kept: those of larger pupils are recomputed for each band.
+# Samples up to which the lens's phase and weights are kept; larger pupils recompute them for each band.
 _SAMPLES_KEPT = 1 << 24
-# Degree of the pupil's end correction: at these few samples a higher one amplifies the faint steep light.
+# Degree of the pupil's end correction: with these few samples a higher one amplifies the faint steep light.
 _END_ORDER = 3
-# Share of the expected error, in radians, below which a path that the table does not hold is left out.
+# Share of the expected error, in radians, below which a path beyond the table is neglected.
 _SHARE_MISSED = 0.25
-# What automatic differentiation keeps for each sample of the pupil (some forty numbers), and may keep in all.
+# Bytes that automatic differentiation keeps for each pupil sample (some forty numbers), and may keep in all.
 _BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
 
 
-@dataclass(frozen=True, eq=False)
-class PlaceSeries:
-    """An amplitude that depends on the place of the spot: Σ c_b exp(iκ b·u), c [rows, columns] of b = -n to n.
-
-    Parameters
-    ----------
-    coefficients
-        [2n + 1, 2n + 1].
-    wavenumber
-        κ, in 1/m.
-    """
-
-    coefficients: npt.NDArray[np.complex128]
-    wavenumber: float
-
-    def __call__(self, places: torch.Tensor) -> torch.Tensor:
-        """Amplitudes [B] at places [B, 2] from the optical axis, in metres."""
-        most = len(self.coefficients) // 2
-        turns = self.wavenumber * torch.arange(-most, most + 1, dtype=torch.float64, device=places.device)
-        down, across = phasor(places[:, 1:2] * turns), phasor(places[:, 0:1] * turns)
-        return ((down @ torch.as_tensor(self.coefficients, device=places.device)) * across).sum(-1)
-
-
-@dataclass(frozen=True)
-class Order:
-    """A diffraction order of a sensor plane.
-
-    Parameters
-    ----------
-    direction
-        Its sines (τ_x, τ_y), (m_x, m_y) λ/p for a grating; a plane tilted by a adds 2a.
-    amplitude
-        Complex; on the optical axis where it depends on the place.
-    series
-        Its amplitude by the place of the spot, where it depends on it.
-    """
-
-    direction: tuple[float, float] = (0.0, 0.0)
-    amplitude: complex = 1.0
-    series: PlaceSeries | None = None
-
-    def scaled(self, factor: float) -> Order:
-        """The same order of a plane reached by so much of the amplitude."""
-        if factor == 1:
-            return self
-        series = self.series and replace(self.series, coefficients=self.series.coefficients * factor)
-        return replace(self, amplitude=self.amplitude * factor, series=series)
-
-    def at(self, places: torch.Tensor) -> torch.Tensor | complex:
-        """Its amplitude, [B] where it depends on the places [B, 2] of the spot."""
-        return self.amplitude if self.series is None else self.series(places)
-
-
-@dataclass(frozen=True)
-class Surface:
-    """A plane that reflects.
-
-    Parameters
-    ----------
-    image_distance
-        z, its distance from the lens in metres, reduced by the index of what lies between. A tensor carries gradients.
-    orders
-        What it returns; a mirror has one order of direction 0.
-    phase
-        Of its reflection against the others', in radians: twice the optical path by which it is nearer, times -k.
-    depth, index
-        Where it lies before the sensor, in metres, and the refractive index between: image_distance and phase follow
-        from them for a thin lens, a traced one takes them as they are.
-    tilt
-        Of its plane, a in radians, which the orders' directions already hold (2a). The plane lies a·u0 farther at the
-        spot u0, and each gaze is computed with that change of focus. For a tilt of half a degree and a spot 2 mm from
-        the axis that is 17 um.
-    """
-
-    image_distance: torch.Tensor | float
-    orders: tuple[Order, ...] = (Order(),)
-    phase: float = 0.0
-    depth: float = 0.0
-    index: float = 1.0
-    tilt: tuple[float, float] = (0.0, 0.0)
-
-
 @dataclass(frozen=True)
 class _Prepared:
-    """What a surface needs at every gaze."""
+    """Data of a surface for every gaze."""
 
     z: torch.Tensor
     tables: FocusTables
@@ -148,7 +65,7 @@ class _Prepared:
 
 
 class RoundPass:
-    """The retro-reflection of a thin lens, for any number of gazes. Holding the instance is the cache.
+    """The retro-reflection of a thin lens, for any number of gazes; its tables are computed once, with the instance.
 
     Parameters
     ----------
@@ -159,16 +76,16 @@ class RoundPass:
     output
         Pixels of the probe's sensor.
     surfaces
-        Planes that reflect, summed coherently. One mirror at the geometry's image distance when left out.
+        Planes that reflect, summed coherently. Default: one mirror at the geometry's image distance.
     distance, probe_radius
-        Both given, the light travels the distance and through the probe's round aperture, in metres; the plan must
-        have been made for it (`optics.sampling.through_aperture`). Left out, all of it reaches the probe's sensor.
+        Both given, the light travels the distance and through the probe's round aperture, in metres; the plan must be
+        made for it (`optics.sampling.through_aperture`). Default: all light reaches the probe's sensor.
     lit_radius
-        Of the light that enters, in metres, where the beam is narrower than the aperture.
+        Of a beam narrower than the aperture, in metres.
     interferes
-        Whether the field meets others', so that it needs the phases of its planes even for a single one.
+        Whether the field meets others', so that even a single plane needs its phase.
     parameters
-        Tensors in place of the geometry's numbers where gradients shall flow: `focal_length`, `radius`, `wavelength`,
+        Tensors that carry gradients, in place of the geometry's numbers: `focal_length`, `radius`, `wavelength`,
         `curvature`, `probe_focal_length`; a surface carries its own image distance.
     dtype
         complex64 or complex128.
@@ -205,22 +122,22 @@ class RoundPass:
         self._k = 2 * math.pi / values["wavelength"]
         self._disc = DiscRows(1.0, plan.columns, plan.rows, _END_ORDER, self.device)
         self._x, self._y = self._disc.x * values["radius"], self._disc.y * values["radius"]
+        aperture = None
+        if distance is not None and probe_radius is not None:
+            aperture = ProbeAperture.behind_thin(geometry, distance, probe_radius)
         self._path = ProbePath(
-            geometry,
-            plan,
             output,
             self._x,
             self._y,
             wavelength=values["wavelength"],
             probe_focal_length=values["probe_focal_length"],
-            distance=distance,
-            probe_radius=probe_radius,
+            aperture=aperture,
             dtype=dtype,
             device=self.device,
         )
         directions = [math.hypot(*order.direction) for one in surfaces for order in one.orders]
         self._steepest = geometry.tangent + max(directions, default=0.0) / 2
-        # One plane mirror needs no phase of its own: nothing interferes with it.
+        # A single plane needs no phase: nothing interferes with it.
         self._interferes = interferes or sum(len(one.orders) for one in surfaces) > 1
         self._lit: torch.Tensor | None = None
         if lit_radius is not None and lit_radius < geometry.radius:
@@ -248,14 +165,14 @@ class RoundPass:
         tilt = torch.tensor(surface.tilt, dtype=torch.float64, device=self.device)
 
         def table(image_distance: float) -> RadialTable:
-            # The ray that comes along the tilt is read where a round lens's would be: a little farther out.
+            # Light along the tilt is read where a round lens's would be: slightly farther out.
             moved = 1 + 1.5 * abs(self.geometry.curvature) * self.geometry.sine**2 * 2 * self.geometry.focal_length
             return returning_field(
                 wavelength,
                 float(lit.detach()),
                 image_distance,
                 float(vergence.detach()),
-                # Beyond the pupil's edge only the end correction reads: a few samples.
+                # Only the end correction reads beyond the pupil's edge: a few samples.
                 moved * (1.05 * radius + 2 * image_distance * self._steepest * (1 + 1e-6)),
                 (self.plan.flat_slope, self.plan.end_slope),
                 partials=self.differentiable,
@@ -266,7 +183,7 @@ class RoundPass:
         tables = focus_tables(table, z_now, reach, float(self._k.detach()) * float(lit.detach()) ** 2, error)
         moving = {"image_distance": z, "vergence": vergence, "radius": lit, "wavenumber": self._k}
         if len(tables.nodes) > 1:
-            # Each table stays at its own distance: the weights between them follow the gaze's.
+            # Each table keeps its own distance; the weights between tables follow the gaze's.
             del moving["image_distance"]
         moves = {name: value - value.detach() for name, value in moving.items() if value.requires_grad}
         bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) + self._path.chirp
@@ -276,7 +193,7 @@ class RoundPass:
         return prepared
 
     def _leaving(self, one: _Prepared, rows: slice) -> torch.Tensor:
-        """What the lens makes of light that passes it on its way out: weight, phase and constants, [rows, columns]."""
+        """Factor of the lens on the way out: weight, phase and constants, [rows, columns]."""
         if one.exit is not None:
             return one.exit[rows]
         across = phasor(one.bend * self._x**2).to(self.dtype)
@@ -285,19 +202,10 @@ class RoundPass:
         return (weights * self._values["radius"] ** 2).to(self._real) * down[:, None] * across[None, :]
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
-        """Irradiance on the probe's pixels for an illumination of 1 W/m² and surfaces of the amplitudes given.
+        """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target and the surfaces' amplitudes.
 
-        Parameters
-        ----------
-        sines
-            [B, 2] sines of the tilt along x and y.
-        centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
-
-        Returns
-        -------
-        torch.Tensor
-            [B, H, W], W/m².
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
         """
         u = self.field(sines, centres)
         return u.real**2 + u.imag**2
@@ -319,7 +227,7 @@ class RoundPass:
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights.
 
-        Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the light that comes.
+        Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the incoming light.
         """
         sines = sines.to(self.device, torch.float64)
         weights = self._disc.weights(slice(0, self.plan.rows)) * self._values["radius"] ** 2
@@ -332,7 +240,7 @@ class RoundPass:
 
     def _field(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         twist = foreshortens(self, sines)
-        # A pupil too large for the caches is taken in bands of rows.
+        # Pupils too large for the caches are computed in bands of rows.
         whole = self.differentiable or sines.requires_grad
         if whole:
             self._check_graph(len(sines))
@@ -343,12 +251,12 @@ class RoundPass:
             part = self._path.gather(self._pupil(sines, rows, twist), rows, sines if twist else None, centres)
             gathered = part if gathered is None else gathered + part
         assert gathered is not None
-        # The tilted lens takes in cosθ of what falls on it, and what it sends spreads over a foreshortened picture.
+        # The tilted lens receives cosθ of the light, and its return spreads over a foreshortened picture.
         gathered = gathered * cosines(sines)[:, None, None].to(self._real)
         return self._path.to_image(gathered, centres)
 
     def _check_graph(self, batch: int) -> None:
-        """Refuse gradients that would not fit: they keep every step of every sample."""
+        """Refuse gradients that exceed the memory: they keep every step of every sample."""
         needed = _BYTES_OF_GRAPH * batch * self.plan.columns * self.plan.rows
         if needed > _MOST_GRAPH:
             raise InputError(
@@ -376,7 +284,7 @@ class RoundPass:
                     value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
                 amplitude = order.at(z[:, None] * slopes)
                 if self._interferes:
-                    # The mirror's own phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
+                    # The mirror's phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
                     phase = self._k * z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
                     value = value * (phasor(phase) * amplitude).to(self.dtype)[:, None, None]
                 elif isinstance(amplitude, torch.Tensor):
@@ -393,7 +301,7 @@ class RoundPass:
         return total
 
     def _follows(self, one: _Prepared, sines: torch.Tensor) -> bool:
-        """Whether these gazes need paths that the table does not hold."""
+        """Whether these gazes need paths beyond the table."""
         if one.tilted:
             return True
         if sines.requires_grad and (self.geometry.curvature or self._distance is not None):
@@ -416,7 +324,7 @@ class RoundPass:
     ) -> torch.Tensor:
         """As `_looked_up`, along the light's true paths."""
         tilt = one.tilt.expand(len(sines), -1)
-        # Along a tilted plane the ways to it grow by less than the plane's own a·v.
+        # Along a tilted plane the path to it grows by less than the plane's own a·v.
         turn = tau - (slopes**2).sum(-1, keepdim=True) * tilt
         vectors = (sines, slopes, turn, tilt)
         if twist:
@@ -433,7 +341,7 @@ class RoundPass:
         across = ((self._x[None, :] - offset[:, 0:1]) / table.step) ** 2
         down = ((self._y[None, rows] - offset[:, 1:2]) / table.step) ** 2
         if self.differentiable or seen.requires_grad or self.dtype == torch.complex128:
-            # The root has no gradient at zero: a distance of nothing counts as a billionth of a step.
+            # The root has no gradient at zero: a zero distance counts as a billionth of a step.
             steps = torch.sqrt((down[:, :, None] + across[:, None, :]).clamp_min(1e-18))
             return table.smooth(steps, **one.moves).to(self.dtype)
         steps = (down.to(self._real)[:, :, None] + across.to(self._real)[:, None, :]).sqrt_()

@@ -1,4 +1,4 @@
-"""A plane of the target that scatters: what lights it, and how coherent the light is that it sends back."""
+"""Scattering planes of the target: how they are lit, and how coherent the light is that they return."""
 
 # SciPy and NumPy type these functions in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Required, TypedDict
 
 import numpy as np
 import numpy.typing as npt
@@ -17,18 +18,18 @@ from scipy.special import j0
 from tapetum.errors import InputError
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["AT_ONCE", "NOTHING", "Real", "ScatteringPlane", "autocorrelation", "legendre", "radiance"]
-__all__ += ["scattering_plane", "transformed"]
+__all__ = ["AT_ONCE", "NOTHING", "PlaneOptions", "Real", "ScatteringPlane", "autocorrelation", "legendre"]
+__all__ += ["radiance", "scattering_plane", "transformed"]
 
 Real = npt.NDArray[np.floating]
 
 NOTHING = 14.0
-"""Exponent at which a Gaussian counts as nothing."""
+"""Exponent beyond which a Gaussian is neglected: exp(-14) is 8e-7."""
 
 AT_ONCE = 1 << 21
-"""Numbers of a block of work."""
+"""Numbers that are computed at once, to bound the memory."""
 
-# Nodes of one panel of a Gauss-Legendre rule, and radians that its integrand may turn: π a sample is the limit.
+# Nodes of one panel of a Gauss-Legendre rule, and its largest phase in radians: the limit is π a sample.
 _NODES, _RADIANS = 32, 36.0
 
 
@@ -43,6 +44,7 @@ class ScatteringPlane:
     inward: float
     outward: float
     spread: float
+    albedo: float
 
     @property
     def wavenumber(self) -> float:
@@ -66,21 +68,31 @@ class ScatteringPlane:
         return self.radius * abs(1 + self.outward * distance) + distance * angle
 
     def coherence(self, apart: Real) -> Real:
-        """Transform of the scattering irradiance: what the spot's pupil and the spread leave at these distances."""
+        """Transform of the scattering irradiance at these distances, by the spot's pupil and the spread."""
         spot = autocorrelation(apart, self.lit, self.inward * self.wavenumber)
         return spot * np.exp(-((self.wavenumber * self.spread * apart / self.z) ** 2) / 2)
+
+
+class PlaneOptions(TypedDict, total=False):
+    """How a plane scatters: parameters of `diffuse_return`."""
+
+    albedo: Required[float]
+    spread: float
+    image_distance: float | None
+    lit_radius: float | None
 
 
 def scattering_plane(
     geometry: DoublePassGeometry,
     distance: float,
     probe_radius: float,
+    *,
     albedo: float,
-    spread: float,
-    image_distance: float | None,
-    lit_radius: float | None,
+    spread: float = 0.0,
+    image_distance: float | None = None,
+    lit_radius: float | None = None,
 ) -> ScatteringPlane:
-    """Check what is known of a plane: parameters and errors of `diffuse_return`."""
+    """Check the data of a plane: parameters and errors of `diffuse_return`."""
     z = geometry.image_distance if image_distance is None else image_distance
     for name, value in (("distance", distance), ("image_distance", z)):
         if not (math.isfinite(value) and value > 0):
@@ -97,7 +109,8 @@ def scattering_plane(
         raise InputError(what, where="lit_radius", remedy="give a length in metres, or None for the whole aperture")
     lit = geometry.radius if lit_radius is None else min(lit_radius, geometry.radius)
     outward = 1 / z - 1 / geometry.focal_length
-    return ScatteringPlane(geometry.wavelength, geometry.radius, lit, z, outward + geometry.curvature, outward, spread)
+    inward = outward + geometry.curvature
+    return ScatteringPlane(geometry.wavelength, geometry.radius, lit, z, inward, outward, spread, albedo)
 
 
 def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
@@ -109,7 +122,7 @@ def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
     block = max(1, AT_ONCE // len(nodes))
     for i in range(0, len(share), block):
         s = share[i : i + block, None]
-        # a + Δ/2 = r cosθ: the chord's root is gone.
+        # a + Δ/2 = r cosθ removes the chord's root.
         angle = np.arccos(s) * nodes
         wave = np.cos(2 * bend * radius**2 * s * (np.cos(angle) - s))
         out[i : i + block] = 4 * radius**2 * ((np.sin(angle) ** 2 * wave) @ weights) * np.arccos(s[:, 0])
@@ -117,7 +130,7 @@ def autocorrelation(apart: Real, radius: float, bend: float) -> Real:
 
 
 def legendre(low: float, high: float, turns: float) -> tuple[Real, Real]:
-    """Composite Gauss-Legendre nodes and weights for an integrand that turns by so many radians."""
+    """Composite Gauss-Legendre nodes and weights for an integrand whose phase covers so many radians."""
     panels = max(1, math.ceil(turns / _RADIANS))
     nodes, weights = np.polynomial.legendre.leggauss(_NODES)
     width = (high - low) / panels
@@ -133,11 +146,11 @@ def transformed(values: Real, apart: Real, weights: Real, slopes: Real, wavenumb
     return np.concatenate(parts)
 
 
-def radiance(plane: ScatteringPlane, albedo: float, reach: float) -> CubicSpline:
+def radiance(plane: ScatteringPlane, reach: float) -> CubicSpline:
     """L(v) up to v = reach, in W/m²."""
     k, z = plane.wavenumber, plane.z
     apart, weights = legendre(0.0, plane.limit, k * plane.limit * (reach / z + plane.lit * abs(plane.inward)))
     step = plane.wavelength * z / (12 * plane.limit)
     v = np.arange(math.ceil(reach / step) + 3) * step
     spot = transformed(plane.coherence(apart), apart, weights, v / z, k) / (plane.wavelength * z) ** 2
-    return CubicSpline(v, spot * albedo / math.pi)
+    return CubicSpline(v, spot * plane.albedo / math.pi)

@@ -1,4 +1,4 @@
-"""Where the target's sensor ends: nothing comes back from beside it."""
+"""The edge of the target's sensor: nothing returns from beside it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ __all__ = ["EdgeRule", "SensorEdge", "Spots"]
 
 EdgeRule = Literal["exact", "dimmed"]
 
-# Share of the returning amplitude that an edge takes from a focused spot N rings λz/2r away, times N: the light of an
-# Airy pattern beyond a straight line, 2/(π³N). The irradiance changes by twice that at the most.
+# Share of the returning amplitude that an edge N rings λz/2r away removes from a focused spot, times N: the light of an
+# Airy pattern beyond a straight line, 2/(π³N). The irradiance changes by at most twice that.
 _MISSED = 4 / math.pi**3
-# Rings from an edge up to which a spot on the sensor counts as cut, and one beside it: from there on less than 2e-3 of
-# the amplitude, 4e-6 of the irradiance, that a spot on the sensor returns comes back.
+# Rings from an edge within which a spot counts as cut, on the sensor and beside it: farther beside it less than 2e-3 of
+# the amplitude, 4e-6 of the irradiance, returns.
 _FEWEST_RINGS, _FAR_BESIDE = 2.0, 30.0
 
 
@@ -26,14 +26,9 @@ _FEWEST_RINGS, _FAR_BESIDE = 2.0, 30.0
 class SpotLight:
     """The light of a spot on a sensor.
 
-    Parameters
-    ----------
-    spot, ring
-        Its geometric radius and the width λz/2r of its rings, in metres.
-    wavenumber, image_distance, radius
-        k, z and the lens's radius.
-    orders
-        [M, 3] size of the amplitude and direction sines of each of the sensor's orders.
+    `spot` is its geometric radius and `ring` the width λz/2r of its rings, in metres; `wavenumber`, `image_distance`
+    and `radius` are k, z and the lens's radius; `orders` [M, 3] hold each order's amplitude (modulus) and direction
+    sines.
     """
 
     spot: float
@@ -55,28 +50,28 @@ class SensorEdge:
 
     @classmethod
     def of(cls, sensor: TargetSensor) -> SensorEdge:
-        """That of a target's sensor, which the lens's axis meets off its middle where it is decentred."""
+        """The rectangle of a target's sensor, off the lens's axis where it is decentred."""
         (columns, rows), (x, y) = sensor.pixels, sensor.decentre
         across, down = columns * sensor.pitch / 2, rows * sensor.pitch / 2
         return cls(-across - x, across - x, -down - y, down - y)
 
     def depths(self, places: torch.Tensor) -> torch.Tensor:
-        """How far inside of each of the four edges places [B, 2] lie, negative outside: [B, 4], in metres."""
+        """Distances [B, 4] of places [B, 2] inside the four edges, negative outside, in metres."""
         x, y = places[:, 0], places[:, 1]
         return torch.stack([x - self.left, self.right - x, y - self.top, self.bottom - y], -1)
 
     def missed(self, places: torch.Tensor, light: SpotLight) -> torch.Tensor:
-        """What edges beside a spot at most change of the picture, over its peak: [B], for places [B, 2] of its middle.
+        """Largest change [B] of the picture, over its peak, by edges beside a spot, for places [B, 2] of its middle.
 
-        The faint light at an edge comes from the pupil's rim on either side, goes back to it on either side, and turns
-        quickly along the sensor: then it adds up to little. It does not where an order sends it back to where it came
-        from, or to the opposite rim.
+        The faint light at an edge comes from the pupil's rim on either side, returns to the rim, and its phase varies
+        quickly along the sensor, so that it mostly cancels. It does not cancel where an order sends it back to its
+        origin on the rim, or to the opposite rim.
         """
         beyond = (self.depths(places) - light.spot).clamp_min(light.ring)
         sides = torch.tensor([self.left, self.right, self.top, self.bottom], dtype=places.dtype, device=places.device)
         z, r, k = light.image_distance, light.radius, light.wavenumber
         sizes, directions = light.orders.to(places)[:, 0], light.orders.to(places)[:, 1:]
-        # What the orders make of the spot itself: those that meet the lens again.
+        # Orders that meet the lens again.
         away = ((2 * places[:, None, :] / z + directions) ** 2).sum(-1).sqrt()
         brightest = (sizes * (1 - away * z / (2 * r)).clamp_min(1e-3)).amax(-1)
         slopes = 2 * sides / z + directions[:, [0, 0, 1, 1]]
@@ -88,7 +83,7 @@ class SensorEdge:
 
     def share(self, places: torch.Tensor, spot: float) -> torch.Tensor:
         """Share of an even round spot that the sensor holds, by rays: [B]."""
-        # A corner counts as if both of its edges cut by themselves.
+        # A corner counts as both of its edges separately.
         along = (self.depths(places) / max(spot, 1e-9)).clamp(-1, 1)
         held = 0.5 + (along * torch.sqrt(1 - along**2) + torch.asin(along)) / math.pi
         return held.prod(-1)
@@ -103,14 +98,9 @@ class SensorEdge:
 class Spots:
     """How the sensor holds the spots of some gazes.
 
-    Parameters
-    ----------
-    whole, beside
-        [B] bool: on the sensor as a whole, and wholly beside it. Those that are neither are cut.
-    share
-        [B] of each spot that the sensor holds, by rays; differentiable.
-    missed
-        The most that edges change of the pictures of whole spots, over their peaks.
+    `whole` and `beside` [B] mark spots wholly on the sensor and wholly off it; all others are cut. `share` [B] is the
+    part of each spot on the sensor, by rays; differentiable. `missed` is the largest change by edges of the pictures of
+    whole spots, over their peaks.
     """
 
     whole: torch.Tensor
@@ -120,9 +110,9 @@ class Spots:
 
     @classmethod
     def of(cls, edge: SensorEdge, places: torch.Tensor, light: SpotLight, most: float) -> Spots:
-        """Sort places [B, 2] by how their spots lie to the edge.
+        """Sort spots at places [B, 2] by their position against the edge.
 
-        A whole spot may miss up to `most` of the picture's peak: infinite where it can be had no better.
+        A whole spot may miss up to `most` of the picture's peak; infinite where no better method is available.
         """
         nearest = edge.depths(places.detach()).amin(-1)
         lost, spot, ring = edge.missed(places.detach(), light), light.spot, light.ring

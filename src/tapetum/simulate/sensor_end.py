@@ -1,4 +1,4 @@
-"""What planes return where the sensor among them does not hold the whole spot."""
+"""Returns of planes whose sensor does not hold the whole spot."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
 from tapetum.simulate.cut_sensor import CutSensor
 from tapetum.simulate.faint import FaintPass, Pass
-from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.sensor_edge import EdgeRule, Spots
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_plan import TracedGroup
 
 __all__ = ["SensorEnd", "thin_end", "traced_end"]
@@ -26,16 +26,10 @@ _REMEDY = "turn the target until its spot lies on the sensor or beside it, or fi
 
 @dataclass(frozen=True)
 class SensorEnd:
-    """The rest of a group of planes once its sensor ends.
+    """What a group of planes returns beyond its sensor's edge, on the pixels of `output`.
 
-    Parameters
-    ----------
-    open_beside
-        Makes the pass of the layers alone; None where there are none.
-    open_across
-        Makes the pass of a spot that the edge cuts; None where there is no way to have it.
-    output
-        Pixels of the probe's sensor.
+    `open_beside` makes the pass of the layers alone, None where there are none; `open_across` that of a spot which the
+    edge cuts, None where it cannot be computed.
     """
 
     open_beside: Callable[[], Pass] | None
@@ -44,7 +38,7 @@ class SensorEnd:
 
     @property
     def missed(self) -> float:
-        """What the error of pictures of cut spots has had above the planned one so far, over their peaks."""
+        """Largest error of cut spots' pictures above the planned one so far, over their peaks."""
         across = vars(self).get("_across")
         return 0.0 if across is None else across.missed
 
@@ -90,7 +84,7 @@ class SensorEnd:
     def _layers(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         if self._beside is not None:
             return self._beside(sines, centres)
-        # Nothing, but with a gradient where one is asked for.
+        # Zero, with a gradient where one is asked for.
         return 0 * sines.sum(-1)[:, None, None] * torch.ones(self.output.rows, self.output.columns).to(sines)
 
 
@@ -103,7 +97,7 @@ def thin_end(
     sensor: TargetSensor,
     **options: Any,
 ) -> SensorEnd | None:
-    """That of planes behind a thin lens, with the arguments of `CutSensor`; None without a sensor among them."""
+    """The end for planes behind a thin lens, with the arguments of `CutSensor`; None without a sensor among them."""
     if all(one.depth != 0 for one in surfaces):
         return None
 
@@ -123,7 +117,7 @@ def thin_end(
             except InputError as error:
                 what = f"the spot lies across the edge of the target's sensor, and there {error.what}"
                 raise InputError(what, where="rotation", remedy=_REMEDY) from error
-            # The sampled plane's error may be larger than that of a spot that the sensor holds.
+            # The sampled plane's error may exceed that of a spot wholly on the sensor.
             passed.missed = max(passed.missed, made.expected_error - plan.expected_error)
             return image
 
@@ -137,7 +131,7 @@ def thin_end(
 def traced_end(
     surfaces: Sequence[Surface], opened: Callable[[Sequence[Surface]], TracedGroup], output: Grid
 ) -> SensorEnd | None:
-    """That of planes behind a traced lens, `opened` making a group's pass; None without a sensor among them."""
+    """The end for planes behind a traced lens, `opened` making a group's pass; None without a sensor among them."""
     layers = [one for one in surfaces if one.depth != 0]
     if len(layers) == len(surfaces):
         return None

@@ -1,17 +1,17 @@
 """The sensor plane Arr(x, y): photosites, microlenses, colour filters, or any mask from a file.
 
 A periodic plane is a grating. Its Fourier coefficients c_m, Arr(u) = Σ c_m exp(2πi m·u/P), are the amplitudes of the
-diffraction orders of directions m λ/P (docs/conventions.md, "The sensor plane"); a mask from a file is sampled where
-the light is. Both forms of an array are here, so that one can check the other.
+diffraction orders of directions m λ/P (docs/conventions.md, "The sensor plane"); a mask from a file is sampled within
+the spot. Both forms of an array are here, so that one can check the other.
 
-Microlenses that stand off their photosites by more and more towards the field's edge make the coefficients depend on
-the place w on the sensor. Over the spot that is a constant: with the photosites' coefficients s and the lenses' l,
-c_m(w) = Σ s_(m-b) l_b exp(2πi shift b·w/p), a series that an order carries with it.
+Microlenses whose offset from their photosites grows towards the field's edge make the coefficients depend on the place
+w on the sensor. Over the spot they are constant: with the photosites' coefficients s and the lenses' l, c_m(w) = Σ
+s_(m-b) l_b exp(2πi shift b·w/p), a series that an order carries with it.
 
-The cell is one pitch square: a photosite in its middle, what surrounds it, and over both a microlens. With a Bayer
-filter each cell is dimmed by its own colour, photosite and surround alike, and the period P is two pitches. Rows and
-columns begin at the sensor's upper left corner, so that a photosite's centre lies on the optical axis for odd counts of
-pixels, a corner of four for even ones. The orders are those of an array without an end; `sensor_edge` says where it is.
+A cell is one pitch square: a photosite in its middle, its surround, and a microlens over both. With a Bayer filter each
+cell, photosite and surround alike, is dimmed by its own colour, and the period P is two pitches. Rows and columns begin
+at the sensor's upper left corner, so that a photosite's centre lies on the optical axis for odd counts of pixels, a
+corner of four for even ones. The orders are those of an infinite array; `sensor_edge` treats its end.
 """
 
 # SciPy and NumPy type these functions in part only.
@@ -22,10 +22,8 @@ from __future__ import annotations
 
 import cmath
 import math
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -36,7 +34,7 @@ from scipy.special import fresnel
 from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
 from tapetum.optics.photosites import SHAPES, Photosite, Round, Square, covered
-from tapetum.simulate.round_pass import Order, PlaceSeries
+from tapetum.simulate.surfaces import Order, PlaceSeries
 
 __all__ = ["Reflectance", "orders_of", "reflectance_at", "second_derivative", "widened"]
 
@@ -44,22 +42,22 @@ Reflectance = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Complex = npt.NDArray[np.complex128]
 Real = npt.NDArray[np.float64]
 
-# Samples a pitch of a cell without a closed form. At 512 the amplitudes of the orders are within 2e-5 of
-# those at 2048 (tests/simulate/test_sensor_plane.py).
+# Samples a pitch of a cell without a closed form: amplitudes of orders are within 2e-5 of those at 2048
+# (tests/simulate/test_sensor_plane.py).
 _FINE, _FINEST = 512, 1024
 # Power below which an order is left out, over the largest one's.
 _FAINT = 1e-8
 _MOST_ORDERS = 20_000
 _MOST_SHIFTED = 2000
-# Fourier coefficients of a microlens to either side that a shift is carried out with: amplitudes then are within 1e-3
-# of the shifted cell's (tests/simulate/test_tolerances.py).
+# Fourier coefficients of a microlens to either side that represent a shift: amplitudes are within 1e-3 of the shifted
+# cell's (tests/simulate/test_tolerances.py).
 _HARMONICS = 24
 # Second derivative from seven equally spaced values, exact to the sixth order (Fornberg, Math. Comp. 51, 699 (1988)).
 _SECOND_DERIVATIVE = (1 / 90, -3 / 20, 3 / 2, -49 / 18, 3 / 2, -3 / 20, 1 / 90)
 
 
 def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[Order, ...]:
-    """Diffraction orders of a sensor's photosites and microlenses.
+    """Diffraction orders of a sensor's photosites and microlenses, from the axis outwards.
 
     Parameters
     ----------
@@ -68,16 +66,16 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     wavelength
         In metres.
     widest
-        Largest direction wanted, as a slope. The rays of orders within (r_out + r)/z + 2 tanθ find the aperture again,
+        Largest direction wanted, as a slope. The rays of orders within (r_out + r)/z + 2 tanθ return to the aperture,
         r_out being the returning light's radius at the lens; orders beyond it still diffract into it, a few 1e-3 of the
         peak where many overlap. Take a third more, or twice the first term.
 
     Returns
     -------
     tuple of Order
-        From the axis outwards, amplitudes of the reflected field: sqrt(reflectance) times the cell's Fourier
-        coefficient, phases with respect to the optical axis. Orders of less than 1e-8 of the strongest one's power are
-        left out: thousands of them add up where a pitch is many rings wide.
+        Amplitudes of the reflected field: sqrt(reflectance) times the cell's Fourier coefficient, phases with respect
+        to the optical axis. Orders below 1e-8 of the strongest one's power are left out, for thousands of them add up
+        where a pitch is many rings wide.
 
     Raises
     ------
@@ -89,8 +87,8 @@ def orders_of(sensor: TargetSensor, wavelength: float, widest: float) -> tuple[O
     -----
     Scalar diffraction at one plane: a photosite of side w = p sqrt(fill) has c_m = fill sinc(m_x w/p) sinc(m_y w/p), a
     round one of radius a has c_m = (a/p) J1(2π a m/p)/m (Goodman, Introduction to Fourier Optics, chapters 2 and 4);
-    other shapes stand in `tapetum.optics.photosites`.
-    A microlens is a thin lens passed twice, exp(-ik ρ²/f_m) inside its diameter; outside the flat continues its rim.
+    other shapes are in `tapetum.optics.photosites`. A microlens is a thin lens passed twice, exp(-ik ρ²/f_m) inside its
+    diameter; outside it the phase of its rim continues.
     """
     if sensor.mask is not None:
         what, remedy = "has no diffraction orders", "sample it, or describe the sensor by an array"
@@ -140,8 +138,7 @@ def reflectance_at(
     wavelength
         In metres.
     window
-        Left, right, upper and lower edge in metres from the axis, beyond which nothing is reflected; none when left
-        out.
+        Left, right, upper and lower edge in metres from the axis, beyond which nothing is reflected; default: none.
 
     Returns
     -------
@@ -157,14 +154,13 @@ def reflectance_at(
 
     Notes
     -----
-    Arr has edges between the samples. A sample is the second derivative, by differences, of the reflectance integrated
-    twice: a mean by a hat two steps wide, sharpened so that a frequency f comes out right to (2π f dx)⁶/560, while what
-    is faster than the samples can tell is damped like 1/f². Files are interpolated bilinearly; outside of them nothing
-    is reflected.
+    Arr has edges between the samples. A sample is the second difference of the twice integrated reflectance: a mean
+    over a hat two steps wide, sharpened so that a frequency f is right to (2π f dx)⁶/560, while frequencies beyond the
+    samples' limit fall as 1/f². Files are interpolated bilinearly and reflect nothing outside.
     """
     amplitude = math.sqrt(sensor.reflectance)
     if sensor.mask is not None:
-        plane = _Sampled(_read(Path(sensor.mask.file), sensor.reflectance) * amplitude, sensor.mask.pitch)
+        plane = _Sampled(sensor.mask.amplitudes(sensor.reflectance) * amplitude, sensor.mask.pitch)
         bounds = _bounds(window)
         across, down = sensor.decentre
         moved = bounds[0] + across, bounds[1] + across, bounds[2] + down, bounds[3] + down
@@ -180,7 +176,7 @@ def reflectance_at(
     return lambda x, y: periodic(x, y, bounds)
 
 
-# Left, right, upper and lower end of what reflects, in metres.
+# Left, right, upper and lower end of the reflecting area, in metres.
 _Bounds = tuple[float, float, float, float]
 
 
@@ -206,7 +202,7 @@ class _Cell:
         count = len(self.tiles)
         plain = self.transform(columns / count, rows / count)
         place = np.arange(count) + 0.5
-        # Centres of the photosites from the axis, in periods: turns too many are taken away while that is exact.
+        # Photosites' centres from the axis, in periods: removing whole turns here is exact.
         across = np.exp(-2j * np.pi * np.outer(columns, (place + self.corner[0] / self.pitch) / count % 1.0))
         down = np.exp(-2j * np.pi * np.outer(rows, (place + self.corner[1] / self.pitch) / count % 1.0))
         return math.sqrt(self.reflectance) * plain * (down @ self.tiles @ across.T) / count**2
@@ -220,8 +216,7 @@ class _Cell:
         return (1 - self.surround) * self.site.transform(across, down) + self.surround * all_of_it
 
     def steps(self) -> tuple[Real, Complex]:
-        """Edges from one pitch's left to its right, and the cell's values between them, [rows, columns]: exact for
-        square photosites without a lens."""
+        """Edges over one pitch and values between them, [rows, columns]: exact for square photosites without a lens."""
         if self.lens is not None or self.site.breaks is None:
             return self.fine()
         edges = self.pitch * np.array([-0.5, *self.site.breaks, 0.5])
@@ -230,7 +225,7 @@ class _Cell:
         return edges, values
 
     def fine(self, count: int | None = None) -> tuple[Real, Complex]:
-        """Means over small squares, edges by the area that they cover."""
+        """Means over small squares, edges weighted by the covered area."""
         p = self.pitch
         if count is None:
             turns = 0.0 if self.lens is None else p**2 / (self.wavelength * self.lens[0])
@@ -276,7 +271,7 @@ def _shifted_orders(
     decentre: tuple[float, float],
     strongest: float,
 ) -> tuple[Order, ...]:
-    """Orders whose amplitudes follow the place of the spot, and those that are faint everywhere left out."""
+    """Orders whose amplitudes follow the place of the spot, without those that are faint everywhere."""
     if len(found) > _MOST_SHIFTED:
         raise InputError(
             f"{len(found)} orders are too many to follow over the field",
@@ -288,7 +283,7 @@ def _shifted_orders(
     b = np.arange(-_HARMONICS, _HARMONICS + 1).astype(np.float64)
     # The lenses alone, over photosites that fill the plane.
     lenses = replace(cell, surround=1.0).transform(b, b)
-    # The places of the lenses count from the sensor's middle, those of the spot from the lens's axis.
+    # The lenses' places count from the sensor's middle, the spot's from the lens's axis.
     turn = 2 * np.pi * shift / cell.pitch
     to_axis = np.outer(np.exp(1j * turn * b * decentre[1]), np.exp(1j * turn * b * decentre[0]))
     count, step = len(cell.tiles), cell.wavelength / cell.period
@@ -320,7 +315,7 @@ def _chirp_means(edges: Real, bend: float) -> Complex:
 
 
 class _Periodic:
-    """An array at any place."""
+    """An infinite array, as a function of place."""
 
     def __init__(self, cell: _Cell) -> None:
         edges, values = cell.steps()
@@ -339,14 +334,14 @@ class _Periodic:
         return _woven(down, self._values.to(x.device), across)
 
     def _seen(self, u: torch.Tensor, low: float, high: float) -> torch.Tensor:
-        """How much of each step every sample sees between two places, [..., n, steps]."""
+        """Weight of each step in every sample between two places, [..., n, steps]."""
         padded, step = widened(u)
         p, start, h = self._period, self._low.to(u.device), self._wide.to(u.device)
-        # Beyond the ends what was integrated goes on in a straight line.
+        # Beyond the ends the integral continues linearly.
         at = padded.clamp(low, high)
         within = torch.remainder(at, p)[..., None]
-        # Integrated once a step is a ramp up to its width h, twice h a parabola and a line. Its mean, h/p, is left out
-        # of the integral and added at the end: what remains is periodic, and loses no digits far from the origin.
+        # A step integrated once is a ramp up to its width h, twice a parabola and a line. Its mean, h/p, is added only
+        # at the end: the rest is periodic, so nothing cancels far from the origin.
         end = p - start - h
         ramp = (within - start).clamp_min(0).minimum(h)
         parabola = 0.5 * ramp**2 + h * (within - start - h).clamp_min(0)
@@ -357,7 +352,7 @@ class _Periodic:
 
 
 class _Sampled:
-    """A mask from a file, interpolated bilinearly, its middle on the axis; nothing a pitch beyond its outer samples."""
+    """A mask from a file, interpolated bilinearly, centred on the axis; zero a pitch beyond its outer samples."""
 
     def __init__(self, values: Complex, pitch: float) -> None:
         self._values = torch.from_numpy(values)
@@ -370,7 +365,7 @@ class _Sampled:
         return _woven(down, self._values[some_rows, some_columns].to(x.device), across)
 
     def _seen(self, u: torch.Tensor, count: int, low: float, high: float) -> tuple[torch.Tensor, slice]:
-        """How much of each of the file's columns every sample sees, [..., n, columns], and which columns these are."""
+        """Weight of each of the file's columns in every sample, [..., n, columns], and which columns these are."""
         padded, step = widened(u)
         h, middle = self._pitch, (count - 1) / 2
         first = math.floor(float(padded.detach().min()) / h + middle)
@@ -379,12 +374,12 @@ class _Sampled:
         places = (torch.arange(some.start, some.stop, dtype=u.dtype, device=u.device) - middle) * h
         at = padded.clamp(low, high)
         apart = (at[..., None] - places) / h
-        # Linear interpolation is a hat about each column; integrated twice it is made of cubes, and far on a line,
-        # which is written as such to lose no digits.
+        # Linear interpolation is a hat about each column; integrated twice it is cubic, and a line far out, written as
+        # such against cancellation.
         near = apart.clamp(-2, 2)
         left, top, right = (near + 1).clamp_min(0), near.clamp_min(0), (near - 1).clamp_min(0)
         twice = h**2 * ((left**3 - 2 * top**3 + right**3) / 6 + (apart - near).clamp_min(0))
-        # Beyond the ends what was integrated goes on in a straight line.
+        # Beyond the ends the integral continues linearly.
         twice = twice + h * (left**2 - 2 * top**2 + right**2) / 2 * (padded - at)[..., None]
         return second_derivative(twice, step), some
 
@@ -394,7 +389,7 @@ def _bounds(window: tuple[float, float, float, float] | None) -> _Bounds:
 
 
 def _held(u: torch.Tensor, low: float, high: float) -> torch.Tensor:
-    """How much of a plane between two places every sample sees, [..., n, 1]."""
+    """Share of every sample that lies between two places, [..., n, 1]."""
     if math.isinf(low) and math.isinf(high):
         return torch.ones_like(u.double())[..., None]
     padded, step = widened(u.double())
@@ -403,7 +398,7 @@ def _held(u: torch.Tensor, low: float, high: float) -> torch.Tensor:
 
 
 def widened(u: torch.Tensor) -> tuple[torch.Tensor, float]:
-    """Equally spaced places with those that the second derivative needs on both sides, and their distance."""
+    """Equally spaced places, extended on both sides for the second derivative, and their spacing."""
     if u.shape[-1] < 2:
         raise InputError("needs two columns and rows or more", where="reflectance", remedy="give places in equal steps")
     step = float((u[..., -1] - u[..., 0]).detach().flatten()[0]) / (u.shape[-1] - 1)
@@ -423,29 +418,3 @@ def second_derivative(values: torch.Tensor, step: float) -> torch.Tensor:
 
 def _woven(down: torch.Tensor, values: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
     return (down.to(values.dtype) @ values) @ across.to(values.dtype).mT
-
-
-def _read(path: Path, reflectance: float) -> Complex:
-    where = "target.sensor.mask.file"
-    try:
-        values = np.load(path, allow_pickle=False)
-    except FileNotFoundError as error:
-        raise InputError(f"there is no file {path}", where=where, remedy="give the path of a .npy file") from error
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
-        remedy = "write it with numpy.save, as complex numbers"
-        raise InputError(f"{path} is no .npy of plain numbers", where=where, remedy=remedy) from error
-    if not isinstance(values, np.ndarray):
-        raise InputError(f"{path} holds several arrays", where=where, remedy="write one with numpy.save")
-    if values.dtype.kind not in "fciu" or values.ndim != 2 or values.size == 0:
-        what = f"{path} holds {values.dtype} of shape {values.shape}"
-        raise InputError(what, where=where, remedy="give complex amplitudes [rows, columns]")
-    values = values.astype(np.complex128)
-    if not np.isfinite(values).all():
-        raise InputError(
-            f"{path} holds values that are not finite", where=where, remedy="replace them, by 0 for example"
-        )
-    largest = float(np.abs(values).max())
-    if reflectance * largest**2 > 1 + 1e-6:
-        what = f"{path} reflects {reflectance * largest**2:.3g} of the light at its brightest"
-        raise InputError(what, where=where, remedy="scale its amplitudes, or lower the sensor's reflectance")
-    return values

@@ -1,4 +1,4 @@
-"""What a thin lens's passes leave out by their making, whatever their sampling: it is added to the stated error."""
+"""Errors of a thin lens's passes that no sampling removes; they are added to the stated error."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from tapetum.simulate.true_paths import neglected_path
 
 __all__ = ["of_narrow_beam", "of_tilted_planes"]
 
-# Share of what a tilted plane changes of the paths that rays, which end at the pupil's edge, do not tell: up to 0.093
-# against the judge's sums (spots of no to 10 dark rings).
+# Share of a tilted plane's path changes that rays, which end at the pupil's edge, miss: up to 0.093 against the
+# reference sums (spots of 0 to 10 dark rings).
 _EDGE_WAVES = 0.12
 
 
 def of_narrow_beam(geometries: Sequence[DoublePassGeometry], lit: float, sine: float) -> float:
-    """Error, over the peak, of a beam of the radius `lit` that is taken for a disc on a lens tilted by a sine.
+    """Error, over the peak, of treating a beam of radius `lit` as a disc on a lens tilted by `sine`.
 
-    It is an ellipse, and its rings are narrower along the tilt. The phase at its rim, π/2 for each ring in the spot's
-    radius, moves by the square of the sine (measured against sums by exact distances: up to twice that square in focus,
-    and somewhat less than the phase's change out of it). Nothing for a beam as wide as the lens.
+    It is an ellipse whose rings are narrower along the tilt. The phase at its rim, π/2 for each ring in the spot's
+    radius, changes by the square of the sine (measured against sums over exact distances: up to twice that square in
+    focus, somewhat less than the phase's change out of focus). Zero for a beam as wide as the lens.
     """
     narrow = [one for one in geometries if lit < one.radius]
     rings = [one.spot_radius / one.airy_step * (lit / one.radius) ** 2 for one in narrow]
@@ -28,9 +28,9 @@ def of_narrow_beam(geometries: Sequence[DoublePassGeometry], lit: float, sine: f
 
 
 def of_tilted_planes(geometries: Sequence[DoublePassGeometry], tilt: float, sine: float) -> float:
-    """Error, over the peak, of following rays to a plane tilted by `tilt` at gazes up to a sine.
+    """Error, over the peak, of following rays to a plane tilted by `tilt` at gazes up to `sine`.
 
-    Light that the pupil's edge diffracts goes another way than the rays.
+    Light diffracted by the pupil's edge does not follow those rays.
     """
     paths = ((neglected_path(one, sine, tilt=tilt) - neglected_path(one, sine)) / one.wavelength for one in geometries)
     return _EDGE_WAVES * 2 * math.pi * max(paths)

@@ -1,8 +1,8 @@
-"""How a frame of a traced lens changes with what is unknown, by differences of pictures on the very same samples.
+"""How a frame of a traced lens changes with its unknowns, by differences of pictures on the same samples.
 
-A traced lens is not differentiated: its picture has no azimuth to differentiate by in the middle, its focus is found by
-iteration. What a sampling misses is much the same on either side of a difference, so long as both are sampled alike:
-lenses that are focused or zoomed a little differently get the samples that were planned for the scene's own.
+A traced lens is not differentiated automatically: on the axis the tilt has no azimuth to differentiate by, and focus is
+found by iteration. Errors of sampling nearly cancel in a difference of two pictures on the same samples, so lenses with
+a slightly changed focus or zoom use the samples planned for the scene's own.
 """
 
 # Torch types argmax and stack in part only.
@@ -23,58 +23,44 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
-from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
+from tapetum.simulate.gaze import field_size, largest_sine, tilt_of_gaze
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import dark_electrons, illumination_curvature, photoelectrons
-from tapetum.simulate.reflections import only_sensor
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.traced_return import corrected
+from tapetum.simulate.unknowns import NUISANCES, PHOTOSITES, TRACED, checked_parameters, has_photosites
 
-__all__ = ["NUISANCES", "TRACED", "TracedSlopes"]
+__all__ = ["NUISANCES", "TRACED", "TracedSlopes", "sensor_part"]
 
-TRACED = ("gaze_x", "gaze_y", "object_distance", "focal_length", "power", "place_x", "place_y")
-"""What a traced lens's frame is differentiated by."""
-
-NUISANCES = {
-    "roll": "rad",
-    "photosite_x": "m on the target's sensor",
-    "photosite_y": "m on the target's sensor",
-}
-"""What else may be unknown: the turn of the target about the line of sight, from x to y, and where among the photosites
-its sensor's spot falls, the gaze left as it is."""
-
-_SITES = {"photosite_x", "photosite_y"}
-# Share of the finest thing on a traced lens's sensor, spot or photosite, and of the probe's fringes, by which gaze and
-# place are stepped. Smaller steps take the picture's own sampling for change, larger ones miss the change.
+# Steps of gaze and place, as shares of the finest detail: spot or photosite on the sensor, fringe at the probe. Smaller
+# steps show the picture's sampling, larger ones average the change.
 _SHARE = 1 / 25
-# What a step of focus or focal length turns the light at the pupil's edge by, in radians.
+# Phase change, in radians, at the pupil's edge by a step of focus or focal length.
 _TURN = 0.1
-# Turns of the light at the pupil's edge, in radians, that a picture shows even in focus: ten of its rings.
+# Phase change, in radians, at the pupil's edge that even a focused picture shows: ten of its rings.
 _IN_FOCUS = 60.0
-# No step of a length is longer than this share of it.
+# Largest step of a length, as a share of it.
 _LONGEST = 0.03
-# Tilts beyond those asked for that a step may need, in parts of them.
+# Extra tilt that a step may need, as a share of the steepest one asked for.
 _MARGIN = 0.01
 _SECANTS = 3
 
 
 class TracedSlopes:
-    """How the mean electrons of a traced target's frame change, at any number of gazes. Holding it is the cache.
+    """Derivatives of the mean electrons of a traced target's frame, at any number of gazes. Build it once.
 
     Parameters
     ----------
     scene
-        What stands on the bench, its lens a prescription; its own rotation is not used.
+        With a prescription as lens; its own rotation is not used.
     names
         Of `TRACED` and `NUISANCES`: what to differentiate by.
     gazes
         [G, 2] in fractions of the field.
-    window
-        Whether to compute no more pixels than hold both beams' RR but for its faintest rings.
     step
-        Factor on all steps, to see how much the differences hang on them.
+        Factor on all steps, to check that the differences do not depend on them.
     accuracy, dtype, device
         As for `Camera`.
 
@@ -86,16 +72,16 @@ class TracedSlopes:
 
     Notes
     -----
-    Central differences. The gaze stays, as the spot's place on the sensor, where focus and focal length change. With
-    the focal length a prime is scaled as a whole; a zoom's groups and its stop move as its states say, or, with an
-    `f_number`, its stop so that this one stays. Either is focused on the same object distance again. Steps are a 25th
-    of the finest thing on the sensor (gaze), of the finest fringe of the picture (place), or turn the light at the
-    pupil's edge by 0.1 rad (focus, focal length, and the gaze of a bare mirror, by half a spot at the most), which
-    leaves some 0.2 % to the third derivative.
+    Central differences. The gaze, as the spot's place on the sensor, stays where focus and focal length change. With
+    the focal length a prime is scaled as a whole; a zoom's groups and stop follow its states, or with an `f_number` the
+    stop keeps that one. Either is focused on the same object distance again. Steps are a 25th of the finest detail on
+    the sensor (gaze), of the finest fringe of the picture (place), or turn the light at the pupil's edge by 0.1 rad
+    (focus, focal length, and the gaze of a bare mirror, by half a spot at the most), which leaves an error of some 0.2
+    % from the third derivative.
 
-    With `photosite_x` or `photosite_y` the gaze is stepped by a whole photosite, and what the array makes of its move
-    is put back from the slope of the array's own: the two are alike to 1 part in some 300, which small steps of each
-    would not separate.
+    With `photosite_x` or `photosite_y` the gaze is stepped by a whole photosite, and the effect of the array's
+    displacement is added back from the derivative by the array's own place: the two agree to 1 part in some 300, which
+    small steps of each would not separate.
     """
 
     def __init__(
@@ -104,25 +90,29 @@ class TracedSlopes:
         names: Sequence[str],
         gazes: torch.Tensor,
         *,
-        window: bool = True,
         step: float = 1.0,
         accuracy: float | None = None,
         dtype: torch.dtype = torch.complex128,
         device: torch.device | str = "auto",
     ) -> None:
-        _check(scene, names)
+        if not isinstance(scene.target, PhoneTarget) and not isinstance(scene.target.lens, PrescriptionLens):
+            what = f"a lens of kind {scene.target.lens.kind!r} is differentiated, not traced"
+            raise InputError(what, where="target.lens", remedy="use fisher, or a lens by prescription")
+        checked_parameters(scene, names, (*TRACED, *NUISANCES))
         self.scene, self.names, self._gazes = scene, tuple(names), gazes.to(torch.float64)
         self._steps = _Steps.of(scene, step)
-        self._by_sites = bool(_SITES & set(self.names))
+        self._by_sites = bool(PHOTOSITES & set(self.names))
         if self._by_sites:
-            # From one photosite to the next, where the spot falls as it fell: what is left is not theirs.
-            wide, high = _field(scene)
+            # A whole photosite's step, so the spot falls alike on the next one: the difference is not due to the
+            # photosites.
+            wide, high = field_size(scene).tolist()
             self._steps = replace(self._steps, gaze=(_period(scene) / wide, _period(scene) / high))
         around = torch.tensor([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=torch.float64)
         self._tilts = tilt_of_gaze(scene, self._gazes[:, None] + around * torch.tensor(self._steps.gaze))
         steepest = largest_sine(self._tilts.reshape(-1, 2)) * (1 + _MARGIN)
         camera = _Camera(scene, steepest, accuracy=accuracy, dtype=dtype, device=device)
-        seen = _inside(camera.window(), scene) if window else None
+        # Only the pixels that hold both beams' RR without the faintest rings.
+        seen = _inside(camera.window(), scene)
         if seen is not None:
             camera = _Camera(scene, steepest, output=seen, accuracy=accuracy, dtype=dtype, device=device)
         self._camera = camera
@@ -142,7 +132,7 @@ class TracedSlopes:
 
     @property
     def expected_error(self) -> float:
-        """Of the pictures, in fractions of the peak; the differences' is smaller, for most of it cancels."""
+        """Of the pictures, in fractions of the peak; in differences most of it cancels."""
         return self._camera.plan.expected_error
 
     def __len__(self) -> int:
@@ -152,8 +142,8 @@ class TracedSlopes:
     def __call__(self, number: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Mean electrons [H, W] without those of hot pixels, and their slopes [P, H W], at the gaze of this number."""
         own = self._tilts[number]
-        # One batch: no gaze, then two steps of each kind.
-        tilts = own if (_SITES | {"gaze_x", "gaze_y"}) & set(self.names) else own[:1]
+        # One batch: the unchanged gaze, then two steps of each kind.
+        tilts = own if (PHOTOSITES | {"gaze_x", "gaze_y"}) & set(self.names) else own[:1]
         made = self._electrons(self._camera, tilts)
         slopes: dict[str, torch.Tensor] = {"power": made[0] / self.scene.illumination.power}
         if len(tilts) > 1:
@@ -164,10 +154,10 @@ class TracedSlopes:
         steps = vars(self._steps)
         for name, (more, less) in self._others.items():
             light = [self._electrons(one, one.tilts_like(self._camera, own[:1]))[0] for one in (more, less)]
-            slopes[name] = (light[0] - light[1]) / (2 * (self._steps.photosite if name in _SITES else steps[name]))
+            slopes[name] = (light[0] - light[1]) / (2 * (self._steps.photosite if name in PHOTOSITES else steps[name]))
         if self._by_sites:
-            # The array moves under a spot that stands still as the spot moves over the array.
-            for axis, side in zip("xy", _field(self.scene), strict=True):
+            # Moving the array under a fixed spot replaces moving the spot over the array.
+            for axis, side in zip("xy", field_size(self.scene).tolist(), strict=True):
                 slopes[f"gaze_{axis}"] = slopes[f"gaze_{axis}"] - side * slopes[f"photosite_{axis}"]
         jacobian = torch.stack([slopes[name].flatten() for name in self.names])
         return made[0] + dark_electrons(self.scene.probe.sensor), jacobian
@@ -215,12 +205,12 @@ class _Steps:
         lens = target.lens
         r, k = lens.aperture_radius, 2 * math.pi / light.wavelength
         spot = light.wavelength * lens.focal_length / (2 * r)
-        # There and back the light at the edge is turned by k r²/x_d, and by what it comes with.
+        # On both passes the phase at the edge is k r²/x_d, plus that of the incoming wave.
         away = k * r**2 * abs(1 / target.object_distance - illumination_curvature(scene))
-        # A mirror's picture shears with the pupil only, by two steps of the spot: slowly.
+        # A mirror's picture shears only slowly with the pupil, by two steps of the spot.
         shear = min(spot / 2, _TURN * r / (4 * away)) if away > 0 else spot / 2
-        finest = _SHARE * min(spot, _period(scene)) if _has_sites(scene) else shear
-        x, y = (factor * finest / side for side in _field(scene))
+        finest = _SHARE * min(spot, _period(scene)) if has_photosites(scene) else shear
+        x, y = (factor * finest / side for side in field_size(scene).tolist())
         far = target.object_distance
         focus = min(_TURN * far / (k * r**2), _LONGEST) * far if math.isfinite(far) else 0.0
         return cls(
@@ -236,7 +226,7 @@ _Again = Callable[[TracedPass, float, bool], TracedPass]
 
 
 class _Camera(Camera):
-    """A camera whose lens can be set to neighbouring values on the very same samples."""
+    """A camera whose lens can be set to neighbouring values on the same samples."""
 
     @property
     def device(self) -> torch.device:
@@ -256,7 +246,7 @@ class _Camera(Camera):
         return self._changed(again)
 
     def with_sites_moved(self, axis: int, by: float) -> _Camera:
-        """The same, its pixel array moved under the spot by so much, in metres: the phases of its orders turn."""
+        """The same with its pixel array moved under the spot, in metres: the phases of its orders change."""
 
         def again(one: TracedPass, wavelength: float, by_rays: bool) -> TracedPass:
             del by_rays
@@ -296,20 +286,10 @@ class _Camera(Camera):
         return other
 
 
-def _has_sites(scene: Scene) -> bool:
-    return scene.target.sensor.array is not None or scene.target.sensor.microlens is not None
-
-
 def _period(scene: Scene) -> float:
-    """Of the photosites, in metres; the lenses over them repeat alike."""
+    """Of the photosites, in metres, and of the lenses over them."""
     sensor = scene.target.sensor
     return sensor.pitch if sensor.array is None or sensor.array.pitch is None else sensor.array.pitch
-
-
-def _field(scene: Scene) -> tuple[float, float]:
-    """Width and height of the target's sensor, in metres."""
-    sensor = scene.target.sensor
-    return sensor.pixels[0] * sensor.pitch, sensor.pixels[1] * sensor.pitch
 
 
 def _group(one: object) -> TracedGroup:
@@ -318,7 +298,7 @@ def _group(one: object) -> TracedGroup:
 
 
 def _with(one: TracedPass, fits: PupilFits, surface: Surface, wavelength: float) -> TracedPass:
-    """The same samples of another lens or plane."""
+    """The same samples with another lens or plane."""
     return TracedPass(
         fits,
         one.grids,
@@ -344,7 +324,7 @@ def _fits(focused: FocusedLens, one: TracedPass, curvature: float, by_rays: bool
 
 
 def _moved_sites(surface: Surface, axis: int, by: float, wavelength: float) -> Surface:
-    """An array moved by d: its order of direction τ turns by -kτd."""
+    """An array moved by d: the phase of its order of direction τ changes by -kτd."""
     orders = []
     for order in surface.orders:
         tau = order.direction[axis] - 2 * surface.tilt[axis]
@@ -355,38 +335,16 @@ def _moved_sites(surface: Surface, axis: int, by: float, wavelength: float) -> S
 
 
 def _inside(window: Grid, scene: Scene) -> Grid | None:
-    """The sensor's own pixels that hold a beam's window, the second one's too; None where it has not as many."""
-    columns, rows = scene.probe.sensor.pixels
+    """The sensor's own pixels that hold a beam's window, the second one's too; None where they are too few."""
     second, lens = scene.illumination.second_beam, scene.probe.lens
     apart = lens.focal_length * max(math.tan(abs(one)) for one in second.angle) if second is not None else 0.0
-    side = window.rows + 2 * math.ceil(apart / window.pitch)
+    return sensor_part(scene, window.rows + 2 * math.ceil(apart / window.pitch), window.pitch)
+
+
+def sensor_part(scene: Scene, side: int, pitch: float) -> Grid | None:
+    """The middle of the probe's sensor, `side` of its own pixels or one less; None where they are too few."""
+    columns, rows = scene.probe.sensor.pixels
     if side >= min(rows, columns):
         return None
     # An even number of pixels has a border in the middle, an odd one a pixel.
-    return Grid(side - (side + rows) % 2, side - (side + columns) % 2, window.pitch)
-
-
-def _check(scene: Scene, names: Sequence[str]) -> None:
-    if isinstance(scene.target, PhoneTarget):
-        what = "several cameras of a phone may answer, and one alone is differentiated"
-        raise InputError(what, where="target", remedy="take one of its cameras for the target")
-    if not isinstance(scene.target.lens, PrescriptionLens):
-        what = f"a lens of kind {scene.target.lens.kind!r} is differentiated, not traced"
-        raise InputError(what, where="target.lens", remedy="use fisher, or a lens by prescription")
-    for name in names:
-        if name not in TRACED and name not in NUISANCES:
-            known = ", ".join((*TRACED, *NUISANCES))
-            raise InputError(f"unknown parameter {name!r}", where="parameters", remedy=f"use {known}")
-    if _SITES & set(names) and not _has_sites(scene):
-        what = "photosite_x, photosite_y: the target's sensor is a mirror without photosites"
-        raise InputError(what, where="parameters", remedy="leave them out, or give the sensor an array")
-    lengths = [name for name in names if name in ("object_distance", "focal_length")]
-    if lengths and not only_sensor(scene):
-        raise InputError(
-            f"how light off layers, off lens surfaces or scattered changes with {', '.join(lengths)} is not followed",
-            where="parameters",
-            remedy=f"leave {', '.join(lengths)} out, or take layers, diffuse and coating out of the scene",
-        )
-    if "object_distance" in names and math.isinf(scene.target.object_distance):
-        what = "object_distance: the target is focused at infinity"
-        raise InputError(what, where="parameters", remedy="leave it out, or focus where it is not infinite")
+    return Grid(side - (side + rows) % 2, side - (side + columns) % 2, pitch)

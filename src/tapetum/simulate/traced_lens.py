@@ -1,4 +1,4 @@
-"""A scene's traced lens: its pupils at each wavelength, and the passes of what reflects behind it."""
+"""A scene's traced lens: its pupils at each wavelength, and the passes of the planes behind it."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens, best_focus
 from tapetum.optics.grid import Grid
 from tapetum.simulate.glints import Glints, GlintTable, glint_tables
+from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
-from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_bundle import trace_bundle
-from tapetum.simulate.traced_plan import TracedGroup, aperture_of, return_angle, traced_group
+from tapetum.simulate.traced_plan import TracedGroup, return_angle, traced_group
 
 __all__ = ["TracedLens"]
 
@@ -26,7 +27,7 @@ _COUNT, _BISECTIONS = 21, 9
 
 
 class TracedLens:
-    """The target's lens of a scene, traced. Holding it is the cache.
+    """The target's lens of a scene, traced once for all wavelengths and passes.
 
     Parameters
     ----------
@@ -40,7 +41,8 @@ class TracedLens:
     Raises
     ------
     InputError
-        For a lens that lets nothing through, and what a traced lens does not do: masks, beams narrower than the lens.
+        For a lens that lets nothing through, and for what a traced lens does not support: masks, beams narrower than
+        the lens.
     """
 
     def __init__(self, scene: Scene, object_distance: float, steepest: float) -> None:
@@ -60,34 +62,31 @@ class TracedLens:
         second = math.hypot(*light.second_beam.angle) if light.second_beam is not None else 0.0
         self._steepest = min(1.0, steepest + second + light.source_size / 2)
         self._curvature = illumination_curvature(scene)
-        self._known: dict[float, tuple[FocusedLens, PupilFits]] = {}
-        focused, fits = self._at(light.wavelength)
         depths = [0.0] if scene.target.sensor.reflectance > 0 else []
         depths += [
             layer.depth / layer.index
             for layer in scene.target.sensor.layers
             if at_wavelength(layer.reflectance, light.wavelength) > 0
         ]
-        self.exit_angle = return_angle(focused, fits, depths or [0.0], self._curvature)
+        self.exit_angle = _return_angle(*self._asked(light.wavelength), tuple(depths or [0.0]))
         """Largest angle of a returning ray against its field's direction, in radians."""
         self.return_radius = lens.aperture_radius + self.exit_angle * scene.distance
         """Radius of the widest return at the probe, by rays, in metres."""
 
     def _at(self, wavelength: float) -> tuple[FocusedLens, PupilFits]:
-        if wavelength not in self._known:
-            asked = self._lens, wavelength, self._object_distance, self._steepest, self._curvature
-            self._known[wavelength] = _fitted(*asked)
-        return self._known[wavelength]
+        return _fitted(*self._asked(wavelength))
+
+    def _asked(self, wavelength: float) -> tuple[PrescriptionLens, float, float, float, float]:
+        return self._lens, wavelength, self._object_distance, self._steepest, self._curvature
 
     def aperture_sine(self, wavelength: float) -> float:
         """Largest half width of the pupil in direction sines."""
         return self._at(wavelength)[1].aperture[0]
 
     def thin_focal_length(self, wavelength: float) -> float:
-        """Focal length, in metres, of the thin lens that is as much out of focus at a wavelength as this one.
+        """Focal length, in metres, of the thin lens with the same defocus at a wavelength.
 
-        Its sensor stands where a thin lens of the focal length at the design wavelength is sharp: what is scattered
-        goes by it.
+        The sensor stands where a thin lens of the design wavelength's focal length is sharp. Scattered light uses it.
         """
         focused, _ = self._at(wavelength)
         sensor = 1 / (1 / self._lens.focal_length - 1 / self._object_distance)
@@ -111,7 +110,7 @@ class TracedLens:
         aperture = None
         if distance is not None:
             window = math.hypot(output.width, output.height) / 2 / probe.focal_length
-            aperture = aperture_of(distance, probe.aperture_radius, wavelength, window)
+            aperture = ProbeAperture.behind_traced(distance, probe.aperture_radius, wavelength, window)
         return traced_group(
             focused,
             fits,
@@ -126,8 +125,10 @@ class TracedLens:
             device=device,
         )
 
-    def glints(self, output: Grid, wavelength: float, distance: float | None) -> Glints | None:
-        """What its surfaces themselves send back; None where they are not said to reflect.
+    def glints(
+        self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype = torch.float64
+    ) -> Glints | None:
+        """The glints of its surfaces; None where these are not said to reflect.
 
         Raises
         ------
@@ -151,6 +152,7 @@ class TracedLens:
             distance=distance,
             probe_radius=probe.aperture_radius,
             probe_focal_length=probe.focal_length,
+            dtype=dtype,
         )
 
 
@@ -167,12 +169,26 @@ def _fitted(
     return focused, fit_pupils(focused, _covered(focused, steepest, curvature), curvature=curvature)
 
 
+@functools.lru_cache(maxsize=16)
+def _return_angle(
+    lens: PrescriptionLens,
+    wavelength: float,
+    object_distance: float,
+    steepest: float,
+    curvature: float,
+    depths: tuple[float, ...],
+) -> float:
+    focused, fits = _fitted(lens, wavelength, object_distance, steepest, curvature)
+    return return_angle(focused, fits, depths, curvature)
+
+
 def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
-    """Sine of the steepest tilt, up to `steepest`, that a lens lets any light through at: none returns beyond."""
+    """Sine of the steepest tilt, up to `steepest`, at which a lens lets light through; beyond it nothing returns."""
 
     def passes(sine: float) -> bool:
         try:
-            trace_bundle(focused, torch.tensor([sine], dtype=torch.float64), curvature=curvature, count=_COUNT)
+            at = torch.tensor([sine], dtype=torch.float64)
+            trace_bundle(focused, at, curvature=curvature, count=_COUNT, sloped=False)
         except InputError:
             return False
         return True
@@ -184,7 +200,7 @@ def _covered(focused: FocusedLens, steepest: float, curvature: float) -> float:
         middle = (low + high) / 2
         low, high = (middle, high) if passes(middle) else (low, middle)
     if low == 0:
-        # Says what is wrong with it.
+        # This raises with the reason.
         trace_bundle(focused, torch.zeros(1, dtype=torch.float64), curvature=curvature, count=_COUNT)
-    # At the very edge of the field a pupil is a sliver.
+    # At the very edge of the field the pupil is narrow.
     return 0.97 * low

@@ -1,35 +1,44 @@
 """The double pass of a ray-traced lens before a plane mirror or grating, as waves.
 
     G(v)   = 1/(iλ) ∫ A(s) exp(ikΨ(s)) exp(ik s·v) d²s               the spot, about y0
-    U3(s') = 1/(iλ) ∫ M(v) G(v) exp(ik vᵀCv) exp(ik s'·v) d²v        what comes back to the exit pupil
+    U3(s') = 1/(iλ) ∫ M(v) G(v) exp(ik vᵀCv) exp(ik s'·v) d²v        what returns to the exit pupil
     U3'(e) = A(e) exp(ikΨ(s(e))) U3(s(e))                            and leaves the entrance pupil
 
 A flat mirror takes s to -s, an order of direction τ to -s - τ. A(s) is the share of the pupil that no rim covers times
-the root of |∂e/∂s|, so that energy is kept; A(e) likewise with |∂s/∂e|. The wave that leaves lives in object space: it
-goes on from the entrance pupil (exit_path.py; docs/conventions.md, "Real lenses").
+the root of |∂e/∂s|, which conserves energy; A(e) likewise with |∂s/∂e|. The wave that leaves is in object space and
+propagates on from the entrance pupil (probe_path.py; docs/conventions.md, "Real lenses").
 
 A plane tilted by a takes s to -s - 2a cosθ, to first order in a, and lies a·y0 farther at the spot.
 """
+
+# SciPy and NumPy type these functions in part only.
+# pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from scipy.special import fresnel
 
 from tapetum.optics.fourier import phasor
-from tapetum.simulate.exit_path import ExitPath
 from tapetum.simulate.foreshortening import foreshortening
-from tapetum.simulate.pupil_fits import PupilFits, on_grid, on_tilt_grid, open_share
-from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.probe_path import ProbePath
+from tapetum.simulate.pupil_fits import PupilFits, chebyshev, on_grid, on_tilt_grid, open_share
+from tapetum.simulate.surfaces import Surface
 
 __all__ = ["TracedGrids", "TracedPass", "tilt_and_azimuth"]
 
 # Gazes computed together.
-_AT_ONCE = 4
+_AT_ONCE = 8
 _NO_TILT = 1e-11
-# A root of nothing has no slope, and its gradient would be no number.
+# Latest start of the fade, over the window's end, at which rim light still counts as centred.
+_LATEST_FADE = 0.75
+# Places at which the fade of the sensor's window is summed.
+_FADE_SAMPLES = 2000
+# The root of zero has no finite gradient.
 _DARK = 1e-30
 
 
@@ -44,9 +53,9 @@ class TracedGrids:
     sensor
         Columns and rows about the spot.
     half_width, flat
-        Of the sensor's window, and of what is kept whole of it before the light is faded out, in metres.
+        Of the sensor's window, and of its part before the light is faded out, in metres.
     returning
-        Columns and rows of the field that comes back, which is interpolated.
+        Columns and rows of the returning field, which is interpolated.
     leaving
         Columns and rows of the pupil on the way out; those of `pupil` when 0.
     """
@@ -60,7 +69,7 @@ class TracedGrids:
 
 
 class TracedPass:
-    """The retro-reflection of a traced lens off one plane, for any number of gazes. Holding the instance is the cache.
+    """The retro-reflection of a traced lens off one plane, for any number of gazes; kernels are computed once.
 
     Parameters
     ----------
@@ -75,7 +84,7 @@ class TracedPass:
     wavelength
         In metres.
     accepted
-        Largest angle under which light still reaches the picture, for fits that were `corrected` for it.
+        Largest angle, in radians, under which light still reaches the picture, for `corrected` fits made for it.
     dtype, device
         Of the fields.
     """
@@ -85,7 +94,7 @@ class TracedPass:
         fits: PupilFits,
         grids: TracedGrids,
         surface: Surface,
-        path: ExitPath,
+        path: ProbePath,
         *,
         wavelength: float,
         accepted: float | None = None,
@@ -99,30 +108,28 @@ class TracedPass:
         n, step = grids.sensor, 2 * grids.half_width / grids.sensor
         self._v = (torch.arange(n, dtype=torch.float64, device=self.device) - (n - 1) / 2) * step
         self._square = self._v[None, :] ** 2 + self._v[:, None] ** 2
-        fade = ((self._square.sqrt() - grids.flat) / (grids.half_width - grids.flat)).clamp(0, 1)
-        self._window = torch.cos(fade * (math.pi / 2)) ** 2
-        self._unit = step**2 / (1j * wavelength) ** 2
+        at = chebyshev(self.fits.nodes.places, self.fits.nodes.count).to(self.device)
+        radius = float((at @ self.fits.radius).min())
+        self._window = (_window(self._square.sqrt(), grids, self._k / radius) * (step / (1j * wavelength)) ** 2).to(
+            dtype
+        )
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude on the probe's pixels for 1 W/m² at the target, [B, H, W], in W^½/m.
 
-        Parameters
-        ----------
-        sines
-            [B, 2] sines of the tilt along x and y.
-        centres
-            [B, 2] place of the RR's own centre on the probe's sensor, in metres; the middle when left out.
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
         """
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
-        # Most gazes of a phone lie where nothing returns: they are not computed.
+        # Most gazes of a phone return nothing: they are not computed.
         lit = self._returns(tilt_and_azimuth(sines)[0]).nonzero()[:, 0]
         parts: list[torch.Tensor] = []
         for i in range(0, len(lit), _AT_ONCE):
             some = lit[i : i + _AT_ONCE]
             pupil, x, y = self.exit_pupil(sines[some])
-            parts.append(self.path(pupil, x, y, sines[some], None if centres is None else centres[some]))
+            parts.append(self.path.carry(pupil, x, y, sines[some], None if centres is None else centres[some]))
         found = torch.cat(parts) if parts else torch.zeros(0, *self.path.shape, dtype=self.dtype, device=self.device)
         if len(lit) == len(sines):
             return found
@@ -130,10 +137,9 @@ class TracedPass:
         return dark.index_copy(0, lit, found)
 
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Field that leaves the lens, tilt removed, [B, n, n].
+        """Field that leaves the lens, tilt removed, [B, n, n], at columns x [B, n] and rows y [B, n].
 
-        At columns x [B, n] and rows y [B, n] of the entrance pupil, in coordinates turned by the rotation of
-        `foreshortening`: so `ExitPath` wants them.
+        They lie in the entrance pupil, turned by the rotation of `foreshortening`, as `ProbePath` wants them.
         """
         k, fits, sines = self._k, self.fits, sines.to(self.device, torch.float64)
         size, toward = tilt_and_azimuth(sines)
@@ -142,7 +148,7 @@ class TracedPass:
         tilt = fits.nodes.terms(size)
         middle, radius = tilt @ fits.middle, tilt @ fits.radius
         chief = middle / radius
-        # A plane that is tilted away is so much farther at the spot.
+        # A plane tilted away is farther at the spot by this.
         nearer = -self._along(self.surface.tilt, toward) * middle
 
         # The way in, across and along the tilt.
@@ -152,9 +158,11 @@ class TracedPass:
         wave = self._wave(amplitude * (cell * returns)[:, None, None], psi)
 
         v = self._v
-        spot = self._kernel(v, along) @ wave @ self._kernel(v, across).mT
-        bend = (self._square - (chief[:, None, None] * v[None, :, None]) ** 2) / radius[:, None, None]
-        spot = spot * (phasor(k * bend) * self._window * self._unit).to(self.dtype)
+        # A sphere about the exit pupil's middle, seen under the chief ray's angle.
+        bend = k * v**2 / radius[:, None]
+        rows, columns = phasor(bend * (1 - chief[:, None] ** 2), self.dtype), phasor(bend, self.dtype)
+        spot = (self._kernel(v, along) * rows[..., None]) @ wave @ (self._kernel(v, across) * columns[..., None]).mT
+        spot = spot * self._window
         spot = spot * self._reflectance(middle, chief, toward, nearer)
 
         # The way out, on columns and rows of the probe's picture.
@@ -163,21 +171,21 @@ class TracedPass:
         x, y, even, odd, inside = on_grid(fits.leaving, tilt, turned, self.grids.leaving or self.grids.pupil)
         out = torch.sqrt(even[:, 2].clamp_min(_DARK))
         if odd.shape[1] > 1:
-            out = out * open_share(even[:, 4:], inside) * self._accept(even[:, 3], odd[:, 1])
+            out = out * open_share(even[:, 4:].to(self._real), inside) * self._accept(even[:, 3], odd[:, 1])
         else:
-            out = out * open_share(even[:, 3:], inside)
+            out = out * open_share(even[:, 3:].to(self._real), inside)
         s_along, s_across = even[:, 1], odd[:, 0]
         psi = even[:, 0] + self._taken(s_along**2 + s_across**2, s_along, chief, nearer)
 
-        # Where the pupil sees it, then at each sample's own direction.
+        # Seen from the pupil, then at each sample's own direction.
         columns, low_x, wide_x = self._line(s_across, inside)
         rows, low_y, wide_y = self._line(s_along, inside)
-        back = self._kernel(rows, v[None]) @ spot @ self._kernel(columns, v[None]).mT
-        # Out of focus the field turns with the square of s': taken out before, put back after the interpolation.
+        # Defocus adds a phase by the square of s': remove it before the interpolation, restore it after.
         bend = k / 2 * fits.defocus
-        centre = chief[:, None, None]
-        back = back * phasor(bend * ((rows[:, :, None] + centre) ** 2 + columns[:, None, :] ** 2)).to(self.dtype)
-        psi = psi - bend / k * ((s_along + centre) ** 2 + s_across**2)
+        down = self._kernel(rows, v[None]) * phasor(bend * (rows + chief[:, None]) ** 2, self.dtype)[..., None]
+        right = self._kernel(columns, v[None]) * phasor(bend * columns**2, self.dtype)[..., None]
+        back = down @ spot @ right.mT
+        psi = psi - bend / k * ((s_along + chief[:, None, None]) ** 2 + s_across**2)
         at = torch.stack(
             [
                 2 * (s_across - low_x[:, None, None]) / wide_x[:, None, None] - 1,
@@ -190,7 +198,7 @@ class TracedPass:
         return torch.complex(seen[:, 0], seen[:, 1]) * self._wave(out, psi + self.surface.phase / k), x, y
 
     def _returns(self, size: torch.Tensor) -> torch.Tensor:
-        """Whether anything returns from tilts of these sizes [B]: past the last one the polynomials mean nothing."""
+        """Whether anything returns from tilts of these sizes [B]: beyond the last node the polynomials are invalid."""
         return size <= self.fits.nodes.steepest * (1 + 1e-9)
 
     def entering_power(self, sines: torch.Tensor) -> torch.Tensor:
@@ -205,24 +213,24 @@ class TracedPass:
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Columns across and rows along the tilt, path and amplitude there, and the area of a sample."""
         across, along, values = on_tilt_grid(self.fits.entering, tilt, self.grids.pupil)
-        share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:])
+        share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:].to(self._real))
         cell = (across[:, 1] - across[:, 0]) * (along[:, 1] - along[:, 0])
-        # A tilted pupil catches less.
+        # A tilted pupil receives less light.
         return across, along, values[:, 0], share * ((1 - size**2) ** 0.25)[:, None, None], cell
 
     def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
-        """Fades out what leaves under angles that the picture never sees."""
+        """Fades out light under angles outside the picture."""
         if self.accepted is None:
             return torch.ones_like(along)
         fade = (torch.hypot(along, across) / self.accepted - 2) / 2
         return torch.cos(fade.clamp(0, 1) * (math.pi / 2)) ** 2
 
     def _wave(self, amplitude: torch.Tensor, psi: torch.Tensor) -> torch.Tensor:
-        return (amplitude * phasor(self._k * psi)).to(self.dtype)
+        return amplitude.to(self._real) * phasor(self._k * psi, self.dtype)
 
     def _kernel(self, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
         """exp(ik row·column), [B, rows, columns]."""
-        return phasor(self._k * rows[..., :, None] * columns[..., None, :]).to(self.dtype)
+        return phasor(self._k * rows[..., :, None] * columns[..., None, :], self.dtype)
 
     def _line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Equal steps over the places inside, [B, m], with their first one and the whole length."""
@@ -239,7 +247,7 @@ class TracedPass:
     def _taken(
         self, square: torch.Tensor, along: torch.Tensor, chief: torch.Tensor, nearer: torch.Tensor
     ) -> torch.Tensor:
-        """What a plane nearer by so much at the spot takes off a path, about the place where the chief ray meets it."""
+        """Path difference of a plane nearer by this much at the spot, about the place where the chief ray meets it."""
         if self.surface.tilt == (0.0, 0.0):
             return torch.zeros((), dtype=torch.float64, device=self.device)
         shift = nearer * chief / torch.sqrt(1 - chief**2)
@@ -248,10 +256,10 @@ class TracedPass:
     def _reflectance(
         self, middle: torch.Tensor, chief: torch.Tensor, toward: torch.Tensor, nearer: torch.Tensor
     ) -> torch.Tensor:
-        """What the orders make of the light at y0 + v: phases that turn slowly, the mask itself is never sampled."""
+        """The orders' sum at y0 + v: phases that change slowly; the mask itself is never sampled."""
         total = torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device)
         tilt = self.surface.tilt
-        # What a tilt turns light by, 2a cosθ along the gaze and across it. Its phase at y0 is already in the path.
+        # Direction change by the plane's tilt, 2a cosθ along and across the gaze; the path holds its phase at y0.
         turn = 2 * torch.sqrt(1 - chief**2)
         tilted = turn * self._along(tilt, toward), turn * self._along((tilt[1], -tilt[0]), toward)
         # Where the chief ray meets the plane.
@@ -262,7 +270,7 @@ class TracedPass:
             at_spot = self._along(tau, toward)
             along = (at_spot + tilted[0])[:, None]
             across = (self._along((tau[1], -tau[0]), toward) + tilted[1])[:, None]
-            # What misses the pupil altogether would only come back as an alias.
+            # Light that misses the pupil altogether would only return as an alias.
             meets = torch.hypot(along + 2 * chief[:, None], across) < 2.05 * self.fits.aperture[0]
             if not bool(meets.any()):
                 continue
@@ -270,14 +278,40 @@ class TracedPass:
             along = torch.where(meets, along, torch.zeros_like(along))
             phase = phasor(self._k * at_spot * spot) * order.at(places)
             amplitude = (phase[:, None] * meets).to(self.dtype)
-            columns = phasor(self._k * across * self._v).to(self.dtype)
-            rows = phasor(self._k * along * self._v).to(self.dtype)
+            columns = phasor(self._k * across * self._v, self.dtype)
+            rows = phasor(self._k * along * self._v, self.dtype)
             total = total + (amplitude * rows)[:, :, None] * columns[:, None, :]
         return total
 
 
+def _window(distance: torch.Tensor, grids: TracedGrids, chirp: float) -> torch.Tensor:
+    """Window that fades the light out at its end and adds back what the light beyond contributes to the rim's image.
+
+    The pupil's edge spreads light over the sensor as 1/v, and the mirror returns it to its origin, at zero tilt the
+    same edge: as 1/v² again. The light faded out or beyond the window would add ∫ (1 - W) exp(i chirp v²)/v² dv to the
+    light at the edge. A bump on the fade adds exactly this; without it the picture's error falls only as one over the
+    rings kept.
+    """
+    low, high = grids.flat, grids.half_width
+    place = math.pi * ((distance - low) / (high - low)).clamp(0, 1)
+    # Nothing at all beyond the end: cos² of a rounded right angle would leave numbers so small that the processor
+    # multiplies them a hundred times slower than others.
+    fade = torch.where(distance < high, torch.cos(place / 2) ** 2, 0.0)
+    if low > _LATEST_FADE * high:
+        return fade
+    v = np.linspace(low, high, _FADE_SAMPLES + 2)[1:-1]
+    turned = np.exp(1j * chirp * v**2) / v**2 * (v[1] - v[0])
+    share = math.pi * (v - low) / (high - low)
+    # ∫ exp(i chirp v²)/v² dv from the window's end on, by parts.
+    sine, cosine = fresnel(high * math.sqrt(2 * chirp / math.pi))
+    rest = 0.5 - cosine + 1j * (0.5 - sine)
+    beyond = np.exp(1j * chirp * high**2) / high + 2j * chirp * math.sqrt(math.pi / (2 * chirp)) * rest
+    bump = complex((np.sin(share / 2) ** 2 * turned).sum() + beyond) / complex((np.sin(share) ** 2 * turned).sum())
+    return fade + bump * torch.where(distance < high, torch.sin(place) ** 2, 0.0)
+
+
 def tilt_and_azimuth(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Sizes [B] and unit vectors [B, 2] of tilts [B, 2]; none counts as along y, and keeps its gradient finite."""
+    """Sizes [B] and unit vectors [B, 2] of tilts [B, 2]; zero counts as along y, with a finite gradient."""
     size = torch.sqrt((sines**2).sum(-1).clamp_min(_NO_TILT**2))
     along_y = torch.zeros_like(sines)
     along_y[:, 1] = 1

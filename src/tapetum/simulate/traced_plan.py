@@ -1,7 +1,7 @@
-"""Choose the samples of a traced lens's passes, measure the error that they leave, and refuse what they cannot hold.
+"""Choose the samples of a traced lens's passes, measure their error, and refuse what they cannot represent.
 
-Unlike a thin lens, a real one has no closed form to plan by. A ladder of efforts is climbed instead: at each the image
-is computed at some tilts and compared with the next one's. What is left of the error the rays say (traced_return).
+Unlike a thin lens, a real one has no closed form to plan by. Efforts are tried from coarse to fine: each computes the
+image at some tilts and is compared with the next. Rays give the error that remains (traced_return).
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import math
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import torch
@@ -17,18 +17,19 @@ import torch
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
-from tapetum.simulate.exit_path import ExitPath, ProbeAperture, missed_path
+from tapetum.optics.sampling import Plan
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
-from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
-__all__ = ["TracedGroup", "TracedPlan", "aperture_of", "return_angle", "traced_group"]
+__all__ = ["TracedGroup", "TracedPlan", "return_angle", "traced_group"]
 
 
 @dataclass(frozen=True)
 class _Effort:
-    """Airy rings of the spot kept, samples over the pupil at the least, and over what the spot needs."""
+    """Airy rings of the spot kept, fewest samples over the pupil, and samples over the spot's need."""
 
     rings: float
     pupil: int
@@ -48,17 +49,17 @@ _LADDER = (
     _Effort(226, 520, 2.1),
     _Effort(320, 640, 2.2),
 )
-# The error measured between an effort and the second next, times this, is claimed of the lesser one: the rings that it
-# leaves out count for half or less in the other, which keeps twice as many.
+# Claimed error over the difference between an effort and the second next, which keeps twice as many rings, so those
+# left out count there for half or less.
 _SAFETY = 2.0
-# Tilts tried, in fractions of the steepest one. Head on a mirror's return is at its most sensitive: the edges of the
-# pupil that light comes by and of the one it leaves by coincide.
+# Tilts tried, in fractions of the steepest. At zero tilt a mirror's return is most sensitive: the edges of the entering
+# and the leaving pupil coincide.
 _TRIED = ((0.0, 0.0), (0.08, 0.1), (0.65, 0.65))
-# Times the accuracy asked for from which on planes that cancel each other are not planned again.
+# Error over the accuracy asked for above which planes that cancel each other are not planned again.
 _HOPELESS = 5.0
-# Fresnel zones of the cone of light on the plane from which on every place of the pupil is left by one ray.
+# Fresnel zones of the cone of light on the plane above which each place of the pupil has one leaving ray.
 _GEOMETRIC = 2.5
-# More light cannot come back than went in: aliasing shows as that.
+# No more light can return than entered: an excess is aliasing.
 _MOST_POWER = 1.03
 # Share of the most light that a tilt must return for the claim to hold.
 _FADING = 0.3
@@ -66,13 +67,11 @@ _MOST_PUPIL, _MOST_SENSOR = 2048, 4096
 _LARGEST_MISFIT = 0.02
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
 _LARGEST_DEPARTURE = 0.05
-# How far light may turn between two samples of the probe's aperture, in radians.
-_APERTURE_RADIANS = 2.0
 
 
 @dataclass(frozen=True)
-class TracedPlan:
-    """Samples of a traced pass, and the error that they should leave.
+class TracedPlan(Plan):
+    """Samples of a traced pass, and their expected error.
 
     Parameters
     ----------
@@ -87,8 +86,7 @@ class TracedPlan:
     expected_error
         Largest error of the irradiance, in fractions of the image's own peak, measured against the second next finer
         sampling and doubled. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the
-        most light the error there is stated, and may be larger than the accuracy asked for, which is that of brighter
-        tilts.
+        most light, its error is stated and may exceed the accuracy asked for, which is that of brighter tilts.
     """
 
     method: ClassVar[str] = "traced lens"
@@ -100,13 +98,8 @@ class TracedPlan:
     expected_error: float
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
-        """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
         samples = 3 * self.columns * self.rows + self.sensor**2
         return complex_size // 8 * (48 * min(batch, 4) * samples + 24 * batch * pixels)
-
-    def as_dict(self) -> dict[str, float | int | str]:
-        """The plan's numbers by name, for metadata."""
-        return {"method": self.method, **asdict(self)}
 
 
 class TracedGroup:
@@ -128,21 +121,15 @@ class TracedGroup:
         return total
 
 
-def aperture_of(distance: float, radius: float, wavelength: float, window: float) -> ProbeAperture:
-    """The probe's aperture with the samples that a picture of half-diagonal `window` (an angle, in radians) needs."""
-    turn = 2 * math.pi / wavelength * radius * (radius / distance + window)
-    return ProbeAperture(distance, radius, max(64, math.ceil(2 * turn / _APERTURE_RADIANS)))
-
-
 def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
-    """Largest angle of a ray that returns from the sensor , or a mirror at one of the depths, reduced to air."""
+    """Largest angle of a ray that returns from the sensor, or from a mirror at one of the depths, reduced to air."""
     sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
     found = [trace_return(_nearer(focused, depth), sines, curvature=curvature).angle for depth in depths]
     return max(float(one.max()) for one in found)
 
 
 def _nearer(focused: FocusedLens, depth: float) -> FocusedLens:
-    """A mirror before the sensor is a sensor that stands nearer."""
+    """The lens with its sensor moved to a mirror before it."""
     return replace(focused, image=focused.image - depth)
 
 
@@ -184,7 +171,7 @@ def traced_group(
     Raises
     ------
     InputError
-        For a lens that its polynomials do not hold, light too far out of focus to be followed, and scenes too large.
+        For a lens that its polynomials do not fit, light too far out of focus to be followed, and scenes too large.
     """
     if fits.misfit > _LARGEST_MISFIT * wavelength:
         raise InputError(
@@ -192,11 +179,14 @@ def traced_group(
             where="target.lens",
             remedy="stop it down with f_number, or stay nearer to the middle of its field",
         )
-    path = ExitPath(
+    # A few places of a pupil of this width determine its effect on the picture.
+    ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64, device=device)
+    path = ProbePath(
         output,
+        ends,
+        ends,
         wavelength=wavelength,
         probe_focal_length=probe_focal_length,
-        reach=1.3 * fits.aperture[1],
         aperture=aperture,
         dtype=dtype,
         device=device,
@@ -204,8 +194,8 @@ def traced_group(
     seen = math.hypot(output.width, output.height) / 2 / probe_focal_length
     accepted = None
     if aperture is not None:
-        # Light under larger angles misses the probe's aperture, whatever the picture.
-        accepted = seen = (aperture.radius + fits.aperture[1]) / aperture.distance
+        # Light under larger angles misses the probe's aperture, at any place in the picture.
+        accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
 
     def made(wanted: float) -> TracedGroup:
         found = [
@@ -220,15 +210,15 @@ def traced_group(
 
     group = made(accuracy)
     if accuracy < (error := group.plan.expected_error) < _HOPELESS * accuracy and len(surfaces) > 1:
-        # What each plane of several may take of it; steps of the ladder are coarse. Where planes cancel each other
-        # that may be more than can be had: then the error is stated as it is.
+        # Each plane's share of the accuracy; steps of the ladder are coarse. Where planes cancel each other it may be
+        # out of reach: then the error is stated as it is.
         with contextlib.suppress(InputError):
             group = made(0.7 * accuracy * accuracy / error)
     return group
 
 
 def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> float:
-    """The error of planes that interfere, over the peak of their sum: each one's amplitude is off by half its own."""
+    """Error of planes that interfere, over the peak of their sum: each amplitude errs by half its plane's own."""
     head_on = torch.zeros(1, 2, dtype=torch.float64)
     fields = [one.field(head_on) for one in passes]
     peak = float((sum(fields[1:], fields[0]).abs() ** 2).max())
@@ -240,7 +230,7 @@ def _planned(
     focused: FocusedLens,
     fits: PupilFits,
     surface: Surface,
-    path: ExitPath,
+    path: ProbePath,
     wavelength: float,
     accuracy: float,
     curvature: float,
@@ -258,21 +248,21 @@ def _planned(
     told = check_return(focused, fits, sines, curvature=curvature)
     departure = float(torch.nan_to_num(told.opd).max())
     angle = float(told.angle.max())
-    # A phase that is off by so much changes a picture by as much at the most.
+    # A phase error changes a picture by at most as much.
     unsure = 2 * math.pi * departure / wavelength
     zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
     if accepted is not None:
-        # However small the aperture, waves reach it from some Fresnel zones about the ray that leaves straight back.
-        # Of a return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where
-        # rays turn by √(λ/L): light is faded out from twice that, the fourth zone, to four times, the sixteenth.
+        # Even through a small aperture waves come from some Fresnel zones about the ray that returns straight. For a
+        # return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where rays
+        # turn by √(λ/L): light fades out from twice that, the fourth zone, to four times, the sixteenth.
         accepted = max(accepted, math.sqrt(wavelength * angle / fits.aperture[1]))
         if angle <= 2 * accepted:
-            # No ray leaves under an angle that is faded out: the whole pupil is followed, and waves beyond its rays.
+            # No ray leaves under an angle that is faded out: follow the whole pupil, and waves beyond its rays.
             accepted = None
     pupils, by_rays = fits, False
     if zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted)):
         found = corrected(focused, fits, curvature=curvature, accepted=accepted)
-        # Rays that cross on their way out have several paths at a place: then the fit misses them.
+        # Crossing rays have several paths at a place, which the fit misses.
         if found is not None and found.misfit < departure:
             pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
     if not by_rays:
@@ -311,8 +301,8 @@ def _planned(
             device=path.device,
         )
 
-    # Near the cut-off the peak fades with the light that still returns, the error with the light that entered: what is
-    # claimed is claimed of tilts that return enough.
+    # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
+    # tilts that return enough.
     lit = sines[told.overlap >= _FADING * told.overlap.max()].max()
     bright = min(float(lit), pupils.nodes.steepest)
     tried = bright * torch.tensor(_TRIED, dtype=torch.float64)
@@ -348,7 +338,7 @@ def _apart(image: torch.Tensor, better: torch.Tensor) -> float:
 
 
 def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float, angle: float) -> TracedGrids:
-    """The samples that an effort makes of a lens and a plane."""
+    """The samples of an effort for a lens and a plane."""
     nodes = fits.nodes
     sine, reach = fits.aperture
     at = chebyshev(nodes.places, nodes.count)
@@ -357,14 +347,14 @@ def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float
     ring = wavelength / (2 * sine)
     blur = abs(fits.defocus) * sine + fits.aberration
     half = blur + effort.rings * ring
-    # What returns lies about -s, or -s - τ, and is looked at about s.
+    # The return lies about -s, or -s - τ, and is evaluated about s.
     apart = 2 * sine if len(surface.orders) > 1 else 2 * chief + 2 * math.hypot(*surface.tilt)
     step = 0.8 * wavelength / (2 * sine + 2 * half / radius + apart)
     sensor = math.ceil(2 * half / step)
     turns = 2 * sine * 2 * half / wavelength
-    # The edges of the pupil make the faint light far from the spot: they want more samples than its rays do.
+    # Faint light far from the spot comes from the pupil's edges: they need more samples than the rays.
     pupil = max(effort.pupil, math.ceil(effort.finer * (turns + 2 * effort.rings)))
-    # Copies of the picture must lie beside it: seen and sent angles together.
+    # Copies of the picture must lie beside it: the sum of the angles seen and sent.
     leaving = max(effort.pupil, math.ceil(1.2 * effort.finer * 2 * reach * angle / wavelength))
     if pupil > _MOST_PUPIL or sensor > _MOST_SENSOR or leaving > _MOST_PUPIL:
         raise InputError(
@@ -373,7 +363,7 @@ def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float
             where="target",
             remedy="focus nearer to the probe, stop the lens down with f_number, or ask for less accuracy",
         )
-    # What is left to interpolate once the defocus is taken out.
+    # The part to interpolate once the defocus is removed.
     left = effort.rings * ring + fits.aberration
     returning = max(2 * effort.pupil, math.ceil(3 * effort.finer * 2 * sine * 2 * left / wavelength))
     return TracedGrids(pupil, sensor, half, half - effort.rings * ring / 2, returning, leaving)

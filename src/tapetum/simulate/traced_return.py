@@ -1,13 +1,14 @@
-"""Rays into a lens, off a mirror, and out again through the lens reversed: a check of the waves, and their correction.
+"""Rays into a lens, off a mirror, and out again through the reversed lens: a check and a correction of the waves.
 
-The double pass of waves (traced_pass.py) takes the way out for the way in, reversed. That is exact for light that comes
-from y0, by reciprocity, and less so for light from far beside it, where the lens has other aberrations: `check_return`
-tells by how much. Light so far out of focus leaves each place of the pupil on one ray: what the wave's phase lacks
-there is what that ray's path has more (`corrected`).
+The double pass of waves (traced_pass.py) takes the way out as the reverse of the way in. By reciprocity that is exact
+for light from y0, and less so for light from far beside it, where the lens has other aberrations; `check_return`
+measures the difference. Light far out of focus leaves each place of the pupil on one ray; `corrected` adds that ray's
+optical path difference (OPD) to the wave's phase.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import torch
@@ -26,33 +27,43 @@ from tapetum.simulate.pupil_fits import (
     fit_pupils,
     values_at,
 )
-from tapetum.simulate.traced_bundle import BEYOND, Bundle, length, limiting_surfaces, trace_bundle
+from tapetum.simulate.traced_bundle import (
+    BEYOND,
+    Bundle,
+    length,
+    limiting_surfaces,
+    mirrored,
+    right_half,
+    trace_bundle,
+)
 
 __all__ = ["Returned", "TracedReturn", "check_return", "corrected", "trace_return"]
 
-# Share of a bundle below which a return is not worth fitting: its few rays say little of it, and it is faint.
-_LEAST_SHARE, _BISECTIONS = 0.03, 7
+# Share of a bundle below which a return is not fitted: it is faint, and has too few rays.
+_LEAST_SHARE = 0.03
+# Bisections of the range of tilts that return light: those traced together, then the rest.
+_HALVINGS = (4, 3)
 # Rays that a fit needs, and how far beyond the accepted angles light is kept.
 _FEWEST_RAYS, _KEPT = 60, 4.0
 _COARSE, _NARROWINGS = 25, 2
-# Squared height over a rim beyond which a ray says nothing of the light inside.
+# Squared height over a rim's beyond which rays do not represent the light inside.
 _STRAY = 1.15
 
 
 @dataclass(frozen=True)
 class Returned:
-    """Rays that came back, F fields of N each.
+    """Rays that returned, F fields of N each. Lengths in metres.
 
     Parameters
     ----------
     bundle
         The way in.
     mirror
-        [F, N, 2] where they met the mirror, in metres.
+        [F, N, 2] where they met the mirror.
     e
         [F, N, 2] where they cross the plane of the entrance pupil again.
     path
-        [F, N] the whole path there, the tilt taken out, in metres.
+        [F, N] the whole path there, the tilt removed.
     turned
         [F, N, 2] direction cosines at the end, less those of exact retro-reflection.
     height
@@ -87,7 +98,7 @@ class TracedReturn:
     Parameters
     ----------
     opd
-        [F] RMS of real path less model's over the rays that return, piston apart, in metres; NaN where none returns.
+        [F] RMS of real path less model's over the rays that return, piston removed, in metres; NaN where none returns.
     overlap
         [F] share of the light on the sensor that leaves the lens again.
     angle
@@ -122,15 +133,15 @@ def trace_return(
     count
         Rays a side.
     """
-    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, count=count, sloped=False)
     return _sent_back(focused, bundle, sines)
 
 
 def _sent_back(focused: FocusedLens, bundle: Bundle, sines: torch.Tensor) -> Returned:
     rays = bundle.rays
     at, way = to_plane(rays.position, rays.direction, focused.image)
-    mirrored = torch.stack([rays.direction[..., 0], rays.direction[..., 1], -rays.direction[..., 2]], -1)
-    back = trace_out(focused.lens, at, mirrored)
+    reflected = rays.direction * rays.direction.new_tensor([1.0, 1.0, -1.0])
+    back = mirrored(trace_out(focused.lens, right_half(at), right_half(reflected)), math.isqrt(at.shape[1]))
     out, more = to_plane(back.position, back.direction, focused.entrance_pupil)
     path = bundle.before + rays.path + way + back.path + more + sines[:, None] * out[..., 1]
     turned = back.direction[..., :2] + torch.stack([torch.zeros_like(sines), sines], -1)[:, None, :]
@@ -145,14 +156,9 @@ def check_return(
     *,
     curvature: float = 0.0,
 ) -> TracedReturn:
-    """Compare the paths of real rays with those that the double pass of waves takes for them.
+    """Compare the paths of real rays with those that the double pass of waves assumes by the lens's `fits`.
 
-    Parameters
-    ----------
-    focused, fits
-        The lens, and the pupils that the model takes.
-    sines, curvature
-        As for `trace_return`.
+    `sines` [F] and `curvature` as for `trace_return`.
     """
     tilt = fits.nodes.terms(sines)
     back = trace_return(focused, sines, curvature=curvature, middle=tilt @ fits.middle)
@@ -176,7 +182,7 @@ def corrected(
     curvature: float = 0.0,
     accepted: float | None = None,
 ) -> PupilFits | None:
-    """Pupils whose light leaves with the paths of its real rays.
+    """Pupils whose outgoing light has the paths of its real rays; None where too few rays return.
 
     Parameters
     ----------
@@ -185,31 +191,31 @@ def corrected(
     curvature
         As for `trace_return`.
     accepted
-        Largest angle under which light still reaches the picture, in radians: places that send all of theirs under
-        angles beyond `_KEPT` times this are left out. None keeps all.
+        Largest angle under which light still reaches the picture, in radians; places whose light all leaves beyond
+        `_KEPT` times this are dropped. None keeps all.
 
     Returns
     -------
     PupilFits or None
-        Given `accepted`, `leaving` is a part of the pupil and holds two more functions, the direction cosines at the
-        end less those of retro-reflection (along the tilt before the heights, across as the last odd one). Its tilts
-        end where hardly any light returns. Its misfit is large where rays cross on their way out, so that a place has
-        no one path. None where too few rays return.
+        Given `accepted`, `leaving` covers a part of the pupil and holds two more functions, the direction cosines at
+        the end less those of retro-reflection (along the tilt before the heights, across as the last odd one); the
+        tilts end where hardly any light returns. The misfit is large where rays cross on their way out, so that a place
+        has several paths.
     """
     nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
     middle = tilt @ fits.middle
-    box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, middle, accepted)
-    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box)
+    box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, accepted)
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=middle, box=box, sloped=False)
     back = _sent_back(focused, bundle, nodes.sines)
-    # Of a part of the pupil all rays near it are fitted, whether a rim stops them or not: it may end within.
+    # For a part of the pupil fit all rays near it, stopped or not: its limit may lie inside the rims.
     passing, near = back.passing, back.good & (back.height <= BEYOND**2).all(-1)
     if accepted is not None:
         near = back.good & (back.height <= _STRAY).all(-1)
         passing = near & (length(back.turned) <= _KEPT * accepted)
     if not bool((passing.sum(-1) >= _FEWEST_RAYS).all()):
         return None
-    # The way in is fitted again at the tilts that are left.
+    # Fit the way in again at the remaining tilts.
     inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
     more = back.path - _model_path(fits, tilt, back)
     rays = _Rays(passing, near)
@@ -226,9 +232,9 @@ def corrected(
 def _whole_pupil(
     focused: FocusedLens, nodes: TiltNodes, middle: torch.Tensor, back: Returned, rays: _Rays, more: torch.Tensor
 ) -> tuple[Fit, float]:
-    """The pupil that light leaves by, with what real rays' paths [T, N] and heights have more than the model's.
+    """Fit the pupil that light leaves by, with the excess `more` of real rays' paths [T, N] and heights.
 
-    Waves reach beyond the rays: where none returns, the nearest ones stand for them.
+    Waves reach beyond the rays: where no ray returns, the nearest ones replace it.
     """
     leaving, tilt = trace_bundle(focused, nodes.sines, middle=middle), nodes.terms(nodes.sines)
     usual, _ = fit_leaving(nodes, leaving)
@@ -243,7 +249,7 @@ def _whole_pupil(
 
 
 def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor) -> tuple[Fit, float]:
-    """The part of the pupil whose light reaches the picture, and the angles that it leaves under."""
+    """The part of the pupil whose light reaches the picture, and the angles under which it leaves."""
     even, odd = values_at(fits.leaving, fits.nodes.terms(nodes.sines), back.e)
     surfaces = back.bundle.height.shape[-1]
     return fit_functions(
@@ -266,21 +272,22 @@ def _between(
 ) -> float:
     """Worst RMS of the corrected paths against rays of tilts between the nodes, in metres.
 
-    Where few rays return, at the steepest nodes, they may be fitted by coefficients that no neighbour shares: right at
-    every node, and nonsense between them.
+    At the steepest nodes, where few rays return, each node may be fitted by coefficients unlike its neighbours': right
+    at every node, wrong between them.
     """
-    # In every second gap: tracing is most of what a correction costs.
+    # Every second gap only: tracing is most of a correction's cost.
     sines = ((nodes.sines[1:] + nodes.sines[:-1]) / 2)[1::2]
     tilt = fits.nodes.terms(sines)
     middle = tilt @ fits.middle
-    box = None if accepted is None else _accepted_box(focused, sines, curvature, middle, accepted)
-    back = _sent_back(focused, trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box), sines)
+    box = None if accepted is None else _accepted_box(focused, sines, curvature, accepted)
+    bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, sloped=False)
+    back = _sent_back(focused, bundle, sines)
     passing = back.passing
     if accepted is not None:
         passing = back.good & (back.height <= 1).all(-1) & (length(back.turned) <= accepted)
     wanted = values_at(fits.leaving, tilt, back.e)[0][:, 0] + back.path - _model_path(fits, tilt, back)
     error = values_at(leaving, nodes.terms(sines), back.e)[0][:, 0] - wanted
-    # Where no ray passes there is nothing to be wrong about.
+    # Where no ray passes there is no error.
     return float(torch.nan_to_num(_spread(error, passing)).max())
 
 
@@ -288,18 +295,17 @@ def _accepted_box(
     focused: FocusedLens,
     sines: torch.Tensor,
     curvature: float,
-    middle: torch.Tensor,
     accepted: float,
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Corners [F, 2] of where light enters that leaves under accepted angles, found by narrowing down."""
+    """Corners [F, 2] of the entrance region of light that leaves under accepted angles, by successive narrowing."""
     box = None
     for _ in range(_NARROWINGS):
-        bundle = trace_bundle(focused, sines, curvature=curvature, middle=middle, box=box, count=_COARSE)
+        bundle = trace_bundle(focused, sines, curvature=curvature, box=box, count=_COARSE, sloped=False)
         back = _sent_back(focused, bundle, sines)
-        # Far outside its rims a lens may send light back as well, by surfaces that are not there.
+        # Far outside its rims a lens may also return light, by surfaces that do not exist there.
         good = back.good & (back.height <= _STRAY).all(-1)
         near = good & (length(back.turned) <= _KEPT * accepted)
-        # Where no ray falls within, the nearest ones stand for it.
+        # Where no ray falls inside, use the nearest ones.
         angle = torch.where(good, length(back.turned), torch.inf)
         near = near | (angle <= angle.amin(-1, keepdim=True))
         far = torch.full_like(bundle.e, torch.inf)
@@ -313,7 +319,7 @@ def _accepted_box(
 
 
 def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Tensor:
-    """Path [F, N] that the double pass of waves takes for rays: stationary there, so small departures do not count."""
+    """Path [F, N] of rays in the double pass of waves: it is stationary, so small departures do not count."""
     middle, radius = tilt @ fits.middle, tilt @ fits.radius
     chief = middle / radius
     v = back.mirror - torch.stack([torch.zeros_like(middle), middle], -1)[:, None, :]
@@ -324,33 +330,42 @@ def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Te
 
 
 def _last_return(focused: FocusedLens, steepest: float, curvature: float, accepted: float | None) -> float:
-    """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns."""
+    """Sine of the steepest tilt, up to `steepest`, from which a worthwhile share of the light returns, by bisection.
+
+    Hundreds of rays cost little more than one, so four halvings are traced together, then the rest.
+    """
     low, high = 0.0, steepest
-    for tried in (steepest, *[None] * _BISECTIONS):
-        sine = (low + high) / 2 if tried is None else tried
-        at = torch.tensor([sine], dtype=torch.float64)
-        if accepted is None:
-            back = trace_return(focused, at, curvature=curvature, count=_COARSE)
-            share = int(back.passing.sum()) / int(back.bundle.passing.sum())
-        else:
-            middle = trace_bundle(focused, at, curvature=curvature, count=_COARSE).middle
-            box = _accepted_box(focused, at, curvature, middle, accepted)
-            bundle = trace_bundle(focused, at, curvature=curvature, middle=middle, box=box, count=_COARSE)
-            back = _sent_back(focused, bundle, at)
-            near = back.good & (length(back.turned) <= _KEPT * accepted)
-            share = int((near & back.passing).sum()) / max(1, int(near.sum()))
-        if share > _LEAST_SHARE:
-            low = sine
-            if tried is not None:
-                break
-        else:
-            high = sine
+    if _returns(focused, torch.tensor([steepest], dtype=torch.float64), curvature, accepted)[0]:
+        return steepest
+    for halvings in _HALVINGS:
+        tried = [low + (high - low) * i / 2**halvings for i in range(1, 2**halvings)]
+        returns = _returns(focused, torch.tensor(tried, dtype=torch.float64), curvature, accepted)
+        first, behind = 0, 2**halvings
+        while behind - first > 1:
+            middle = (first + behind) // 2
+            first, behind = (middle, behind) if returns[middle - 1] else (first, middle)
+        ends = [low, *tried, high]
+        low, high = ends[first], ends[behind]
     return low
+
+
+def _returns(focused: FocusedLens, sines: torch.Tensor, curvature: float, accepted: float | None) -> list[bool]:
+    """Whether enough light returns from each of these tilts [F]."""
+    if accepted is None:
+        back = trace_return(focused, sines, curvature=curvature, count=_COARSE)
+        share = back.passing.sum(-1) / back.bundle.passing.sum(-1)
+    else:
+        box = _accepted_box(focused, sines, curvature, accepted)
+        bundle = trace_bundle(focused, sines, curvature=curvature, box=box, count=_COARSE, sloped=False)
+        back = _sent_back(focused, bundle, sines)
+        near = back.good & (length(back.turned) <= _KEPT * accepted)
+        share = (near & back.passing).sum(-1) / near.sum(-1).clamp_min(1)
+    return [bool(one) for one in share > _LEAST_SHARE]
 
 
 @dataclass(frozen=True)
 class _Rays:
-    """What `fit_functions` asks of a bundle."""
+    """The part of a bundle that `fit_functions` reads."""
 
     passing: torch.Tensor
     near: torch.Tensor

@@ -1,11 +1,11 @@
-"""What a thin lens's light has of path beyond the terms that a round table holds, followed along its rays.
+"""Paths of a thin lens's light beyond the terms that a round table holds, followed along its rays.
 
-A table of one radius knows the parabola ρ²/2R of the light that comes and the transform over the distance knows that
-of the light that leaves. Seen from the probe the tilted lens is foreshortened, waves are spheres, and a tilted sensor
-changes its distance along itself. Each of these is a small path that changes slowly over the pupil, so it is taken
-where the ray runs: from x0, where it enters, over u on the sensor to x, where it leaves, and on to X in the probe's
-aperture. What is largest, the foreshortened parabola of the light that comes, moves the ray as well: the table is read
-where the moved ray would be without it (docs/conventions.md, "What a table does not hold").
+A table by one radius includes the parabola ρ²/2R of the incoming light, and the transform over the distance that of the
+light that leaves. It leaves out that the tilted lens is foreshortened, that waves are spheres, and that a tilted
+sensor's distance changes along it. Each of these is a small path that varies slowly over the pupil, so it is taken
+along the ray: from x0, where it enters, over u on the sensor to x, where it leaves, and on to X in the probe's
+aperture. The largest one, the foreshortened parabola of the incoming light, also moves the ray: the table is read where
+the ray would be without it (docs/conventions.md, "What a table does not hold").
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from tapetum.optics.sampling import DoublePassGeometry
 
 __all__ = ["Leg", "TruePaths", "check_squash", "neglected_path"]
 
-# Rings of a spot in focus that its own tilt is estimated with.
+# Rings of a focused spot used in the estimate for its own tilt.
 _RINGS = 3
-# β z of a returning light that comes to a point in the lens.
+# β z of returning light focused in the lens.
 _STRAIGHT = 1e-6
-# Largest s²/(Rβ) that rays of the round lens are a start for.
+# Largest s²/(Rβ) at which the round lens's rays are a valid start.
 _MOST_SQUASHED = 0.1
 
 
@@ -33,16 +33,8 @@ _MOST_SQUASHED = 0.1
 class Leg:
     """One order of one plane for a batch of gazes, all vectors [B, 2] in the pupil's coordinates.
 
-    Parameters
-    ----------
-    sines, slopes
-        s and t of the tilt.
-    turn
-        τ, the order's direction.
-    image_distance
-        z [B], where the gaze meets the plane.
-    tilt
-        a of the plane; None for a straight one.
+    `sines` and `slopes` are s and t of the tilt, `turn` is τ, the order's direction; `image_distance` [B] is z where
+    the gaze meets the plane; `tilt` is the plane's a, None for an untilted one.
     """
 
     sines: torch.Tensor
@@ -60,7 +52,7 @@ def neglected_path(
     probe_radius: float = 0.0,
     tilt: float = 0.0,
 ) -> float:
-    """The most, in metres, that the table and the transform miss of any path, up to the tilt whose sine is given."""
+    """Largest error, in metres, of any path by table and transform, up to the tilt of this sine."""
     r, v = g.radius, abs(g.curvature)
     missed = v * (r * sine) ** 2 / 2 + v**2 * sine * r**3 / 2 + v**3 * r**4 / 8
     if distance is not None:
@@ -74,12 +66,9 @@ def neglected_path(
 
 
 def check_squash(g: DoublePassGeometry) -> None:
-    """Refuse light of a near source that a tilted lens brings back too far from round.
+    """Refuse light of a near source that a tilted lens returns too far from round.
 
-    Raises
-    ------
-    InputError
-        Where s²/(Rβ) is not small, β being the bend of the light that returns.
+    Raises InputError where s²/(Rβ) is not small, β being the bend of the light that returns.
     """
     beta = g.curvature - 1 / g.focal_length + 1 / (2 * g.image_distance)
     if g.curvature == 0 or g.sine == 0:
@@ -97,12 +86,8 @@ def check_squash(g: DoublePassGeometry) -> None:
 class TruePaths:
     """The paths of one scene's light.
 
-    Parameters
-    ----------
-    wavenumber, radius, focal_length, curvature
-        k, r, f and 1/R as scalars; tensors carry gradients.
-    distance, probe_radius
-        To the probe's aperture and its radius, in metres; None where the light goes to the far field.
+    `wavenumber`, `radius`, `focal_length` and `curvature` are k, r, f and 1/R as scalars; tensors carry gradients.
+    `distance` and `probe_radius` are those of the probe's aperture, in metres, None where light goes to the far field.
     """
 
     def __init__(
@@ -120,16 +105,10 @@ class TruePaths:
     def __call__(
         self, x: torch.Tensor, y: torch.Tensor, leg: Leg, straight: torch.Tensor
     ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Where to read the table, ξ and η [B, rows, columns] in metres, and the factor for what is read there.
+        """Where to read the table, ξ and η [B, rows, columns] in metres, and the factor for the value read there.
 
-        Parameters
-        ----------
-        x, y
-            Columns [columns] and rows [rows] of the pupil.
-        leg
-            The light followed.
-        straight
-            z of the plane that the pupil's own bend was made for.
+        `x` and `y` are the pupil's columns and rows; `straight` is z of the plane for which the pupil's own bend was
+        made.
         """
         z = leg.image_distance[:, None, None]
         x, y = x[None, None, :], y[None, :, None]
@@ -137,15 +116,15 @@ class TruePaths:
         tx, ty = _both(leg.slopes)
         ox, oy = _both(leg.turn)
         wx, wy = x - z * (2 * tx + ox), y - z * (2 * ty + oy)
-        # Of the entering wave's bend the part along the tilt is smaller: β becomes the matrix β - s sᵀ/R.
+        # Along the tilt the entering wave bends less: β becomes the matrix β - s sᵀ/R.
         beta = self._v - 1 / self._f + 1 / (2 * z)
-        # Light that all returns to one point has no ray of its own there: any small bend does.
+        # Light that all returns to one point has no ray of its own: any small bend serves.
         beta = torch.where(beta.abs() * z < _STRAIGHT, _STRAIGHT / z, beta)
         squash = 1 - (sx**2 + sy**2) * self._v / beta
         along = (sx * wx + sy * wy) * (self._v / beta / squash)
         read_x, read_y = wx + sx * along, wy + sy * along
         x0, y0 = read_x / (2 * z * beta), read_y / (2 * z * beta)
-        # Light that no ray explains comes from the pupil's edge.
+        # Light without a ray comes from the pupil's edge.
         inside = (self._r / torch.sqrt(x0**2 + y0**2 + 1e-30)).clamp(max=1)
         x0, y0 = x0 * inside, y0 * inside
         path = ((read_x - wx) * x0 + (read_y - wy) * y0) / (2 * z)
@@ -154,7 +133,7 @@ class TruePaths:
         square = x0**2 + y0**2
         sphere = (2 * came + self._v * square) / (torch.sqrt(1 + 2 * self._v * came + self._v**2 * square) + 1)
         path = path + sphere - came - self._v * square / 2
-        # Both the wave's strength and the width of the lens that it sees change along the tilt.
+        # The wave's strength and the lens's visible width both change along the tilt.
         size = (1 - 1.5 * self._v * came) / torch.sqrt(squash)
         if leg.tilt is not None:
             path = path + self._tilted(x, y, x0, y0, leg)
@@ -176,7 +155,7 @@ class TruePaths:
         ux, uy = (x0 + x - z * ox) / 2, (y0 + y - z * oy) / 2
         farther = ax * (ux - z * tx) + ay * (uy - z * ty)
         ways = (ux - x0) ** 2 + (uy - y0) ** 2 + (ux - x) ** 2 + (uy - y) ** 2
-        # Of that the order's direction holds the part that is the same all over the spot.
+        # The order's direction already includes the part that is constant over the spot.
         return farther * (tx**2 + ty**2) - ways * farther / (2 * z * (z + farther))
 
     def _leaving(
@@ -188,20 +167,20 @@ class TruePaths:
         sx: torch.Tensor,
         sy: torch.Tensor,
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """The way to the probe, by the exact distance, without what the transform over it holds; and its strength."""
+        """The path to the probe, by the exact distance, less that of the transform over it; and its strength."""
         d = self._distance
         assert d is not None and self._probe is not None
         out, square = sx * x + sy * y, x**2 + y**2
         cosine_squared = 1 - sx**2 - sy**2
         seen = square - out**2
-        # The ray meets the aperture's plane at X = M x + d M⁻¹ p; light that misses it comes by way of its edge.
+        # The ray meets the aperture's plane at X = M x + d M⁻¹ p; light that misses it diffracts at its edge.
         across = x * px + y * py
         cross = seen + d * across
         far = seen + 2 * d * across + d**2 * (px**2 + py**2 + (sx * px + sy * py) ** 2 / cosine_squared)
         inside = (self._probe / torch.sqrt(far.clamp_min(1e-30))).clamp(max=1)
         cross, far = cross * inside, far * inside**2
         beside = far - 2 * cross + seen
-        # √((d + out)² + beside) - d - out, without the difference of long ways.
+        # √((d + out)² + beside) - d - out, without cancellation.
         length = beside / (torch.sqrt((d + out) ** 2 + beside) + d + out)
         return length - (beside + out**2) / (2 * d), 1 - 1.5 * out / d
 

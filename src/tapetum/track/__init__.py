@@ -47,6 +47,6 @@ class _Room(ModuleType):
 
 
 sys.modules[__name__].__class__ = _Room
-# `help(tapetum.track)` and a notebook's `tapetum.track?` tell of the function first.
+# `help(tapetum.track)` and a notebook's `tapetum.track?` then describe the function first.
 __signature__ = inspect.signature(track)
 __doc__ = f"{track.__doc__}\nThe room of this name: {__doc__}"

@@ -1,41 +1,44 @@
 """Finding retro-reflections in a whole frame of the probe.
 
-A spot may be an Airy pattern five pixels wide or a saturated, ringed beam of several hundred; it may have
-lobes and fringes, and reflections of reflections beside it. Each comes out as one detection: the light is
-sought at two scales, the brightest place first, and everything within the reach of a spot's second moments
-belongs to it.
+A spot may be an Airy pattern five pixels wide or a saturated, ringed beam of several hundred; it may have lobes and
+fringes, and reflections of reflections beside it. Each becomes one detection: light is sought at two scales, the
+brightest place first, and everything within the reach of a spot's second moments belongs to it.
+
+`Detector` is the interface that tracking uses; `SpotDetector` is its one implementation.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Callable
+from inspect import signature
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.data.crop import find_centre
 from tapetum.errors import InputError
+from tapetum.record.source import Frame
 from tapetum.track.detections import Detections
 from tapetum.track.spots import make_maps, search
 
-__all__ = ["LARGEST_FRAME", "detect"]
+__all__ = ["DETECTORS", "LARGEST_FRAME", "Detector", "SpotDetector", "detect"]
 
 LARGEST_FRAME = 2**27
 """Most pixels of a frame: the search keeps some forty bytes for each, here 5 GB."""
 
 
-def _ghosts(
-    x: NDArray, y: NDArray, peak: NDArray, bright: NDArray, ratio: float, radius: float, floor: float
-) -> NDArray:
+def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: float) -> NDArray[np.bool_]:
     """Return which spots accompany a brighter one. Spots come brightest first."""
+    x, y, peak = spots["x"], spots["y"], spots["peak"]
+    # A saturated spot's true height is unknown: its ghost may be twice as bright.
+    limit = ratio * peak * np.where(spots["saturated"] > 0, 2.0, 1.0)
     ghost = np.zeros(len(x), dtype=bool)
     for n in range(1, len(x)):
         others = np.flatnonzero(~ghost[:n])
         near = np.hypot(x[others] - x[n], y[others] - y[n]) <= radius
-        # How bright a saturated spot really is nobody knows: it may have twice the ghost.
-        limit = ratio * peak[others] * np.where(bright[others], 2.0, 1.0)
-        ghost[n] = bool((near & (peak[n] < limit)).any() or peak[n] < floor * peak[0])
+        ghost[n] = bool((near & (peak[n] < limit[others])).any() or peak[n] < floor * peak[0])
     return ghost
 
 
@@ -53,23 +56,23 @@ def detect(
 ) -> Detections:
     """Find the retro-reflections in a frame.
 
-    The background is a surface of the fourth order fitted from below, the noise comes from differences of
-    neighbours, single hot pixels are replaced. What stands out of the noise at 1.5 or 6 px of smoothing is
-    a spot; its centroid and its size come from the second moments within 1.5 times its own diameter (ISO
-    11146-1 with a narrower aperture), and whatever lies in there, lobes, fringes, inner rings, is part of it.
+    The background is a surface of the fourth order fitted from below, the noise comes from differences of neighbours,
+    and single hot pixels are replaced. Light above the noise at 1.5 or 6 px of smoothing is a spot; its centroid and
+    size come from the second moments within 1.5 times its own diameter (ISO 11146-1 with a narrower aperture), and
+    everything within it, lobes, fringes, inner rings, is part of it.
 
-    A probe's beam splitter gives every retro-reflection a dim companion at a fixed offset, and lenses give
-    bright light stray reflections. A spot is called a *ghost* when a brighter one within `ghost_radius`
-    outshines it by more than 1/`ghost_ratio` (half as much where the brighter one is saturated), or when it
-    has less than `stray` of the height of the brightest spot of the frame. The price: a second camera that
-    near and that much dimmer goes as a ghost; set ``ghosts="mark"`` to see them all.
+    A probe's beam splitter gives every retro-reflection a dim companion at a fixed offset, and bright light causes
+    stray reflections in lenses. A spot is a *ghost* when a brighter one within `ghost_radius` outshines it by more than
+    1/`ghost_ratio` (half as much where the brighter one is saturated), or when it has less than `stray` of the height
+    of the brightest spot of the frame. A second camera that near and that much dimmer is therefore taken for a ghost;
+    set ``ghosts="mark"`` to see them all.
 
     Parameters
     ----------
     image
         [H, W], uint8, uint16 or float, grey.
     full_scale
-        Value at which a pixel is saturated; the type's largest where not given (none for float).
+        Value at which a pixel is saturated; default: the type's largest (none for float).
     min_snr
         Smallest height of a spot over the noise, after smoothing.
     max_count
@@ -79,12 +82,12 @@ def detect(
     ghost_ratio
         Largest height of a ghost, as a fraction of the spot it belongs to. 0: there are no ghosts nearby.
     ghost_radius
-        Largest distance of a ghost in pixels; 0.35 of the frame's diagonal where not given.
+        Largest distance of a ghost in pixels; default: 0.35 of the frame's diagonal.
     stray
         Height, as a fraction of the brightest spot's, below which light anywhere is stray. 0: never.
     largest
-        Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are left out before ghosts
-        are looked for, and outshine nothing. None: no limit.
+        Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are removed before ghosts are
+        sought. None: no limit.
 
     Returns
     -------
@@ -113,40 +116,27 @@ def detect(
         raise InputError(f"unknown value {ghosts!r}", where="ghosts", remedy="use one of drop, mark")
     if not (0 <= ghost_ratio <= 1 and 0 <= stray <= 1):
         raise InputError(f"must lie in 0...1, are {ghost_ratio}, {stray}", where="ghost_ratio, stray")
+    if largest is not None and not largest > 0:
+        raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
     whole = array.dtype.kind in "iu"
     if full_scale is None:
         full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
     maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30))
-    if largest is not None and not largest > 0:
-        raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
     limit = math.inf if largest is None else largest
     found = [one for one in search(maps, array >= full_scale, min_snr, max_count, limit) if one.diameter <= limit]
     if not found:
         return Detections.empty()
 
-    x, y, peak, diameter = (
-        np.array([getattr(spot, name) for spot in found]) for name in ("x", "y", "peak", "diameter")
-    )
-    saturated = np.array([spot.saturated for spot in found], dtype=np.int64)
+    measured = ("x", "y", "peak", "diameter", "snr", "area", "saturated", "edge")
+    spots = {name: np.array([getattr(spot, name) for spot in found]) for name in measured}
     radius = 0.35 * math.hypot(*array.shape) if ghost_radius is None else ghost_radius
-    ghost = _ghosts(x, y, peak, saturated > 0, ghost_ratio, radius, stray)
-    kept = np.flatnonzero(~ghost) if ghosts == "drop" else np.arange(len(found))
-    centres = [find_centre(array, near=(float(x[n]), float(y[n]), max(4.0, 0.75 * float(diameter[n])))) for n in kept]
-    own = {name: np.array([getattr(found[n], name) for n in kept]) for name in ("snr", "area", "edge")}
-    places = np.array(centres).reshape(-1, 2)
-    return Detections.of(
-        {
-            "x": x[kept],
-            "y": y[kept],
-            "peak_x": places[:, 0],
-            "peak_y": places[:, 1],
-            "peak": peak[kept],
-            "diameter": diameter[kept],
-            "saturated": saturated[kept],
-            "ghost": ghost[kept],
-            **own,
-        }
-    )
+    spots["ghost"] = _ghosts(spots, ghost_ratio, radius, stray)
+    if ghosts == "drop":
+        spots = {name: values[~spots["ghost"]] for name, values in spots.items()}
+    reach = np.maximum(4.0, 0.75 * spots["diameter"])
+    near = zip(spots["x"].tolist(), spots["y"].tolist(), reach.tolist(), strict=True)
+    centres = np.array([find_centre(array, near=one) for one in near]).reshape(-1, 2)
+    return Detections.of({**spots, "peak_x": centres[:, 0], "peak_y": centres[:, 1]})
 
 
 def _checked(image: NDArray[np.generic]) -> NDArray[Any]:
@@ -160,15 +150,39 @@ def _checked(image: NDArray[np.generic]) -> NDArray[Any]:
     if array.dtype in (np.uint8, np.uint16):
         return array
     if array.dtype.kind not in "iuf":
-        raise InputError(
-            f"images of type {array.dtype} are not grey levels",
-            where="image",
-            remedy="give uint8, uint16 or float",
-        )
+        what = f"images of type {array.dtype} are not grey levels"
+        raise InputError(what, where="image", remedy="give uint8, uint16 or float")
     if not np.isfinite(array).all():
-        raise InputError(
-            "the image holds values that are not finite",
-            where="image",
-            remedy="replace NaN and infinite pixels",
-        )
+        what = "the image holds values that are not finite"
+        raise InputError(what, where="image", remedy="replace NaN and infinite pixels")
     return array.astype(np.float32)
+
+
+class Detector(Protocol):
+    """What tracking asks of a detector: the spots of each frame. It gets the frames of a source in order, each once."""
+
+    def __call__(self, frame: Frame, /) -> Detections: ...
+
+
+class SpotDetector:
+    """Applies `detect` to every frame separately; InputError for options that `detect` does not have.
+
+    A frame's own full scale applies where none is given.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        known = sorted(set(signature(detect).parameters) - {"image"})
+        if unknown := sorted(set(options) - set(known)):
+            remedy = f"use {', '.join(known)}"
+            raise InputError(f"unknown option {', '.join(unknown)}", where="detect_options", remedy=remedy)
+        self.options = options
+
+    def __call__(self, frame: Frame, /) -> Detections:
+        return detect(frame.image, **{"full_scale": frame.full_scale, **self.options})
+
+
+DETECTORS: dict[str, Callable[..., Detector]] = {"spots": SpotDetector}
+"""Detectors by name, made with `largest` and the options that a person gives.
+
+To add one, write a class that is a `Detector` in a file of its own, and name it here.
+"""

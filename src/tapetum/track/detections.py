@@ -1,4 +1,4 @@
-"""What was seen in one frame: a small table of spots that every step of tracking takes and returns."""
+"""The spots of one frame: a small table that every step of tracking takes and returns."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tapetum.files import atomic_file
 
 __all__ = ["Detections"]
 
-_TYPES = {"area": np.int64, "saturated": np.int64, "edge": np.bool_, "ghost": np.bool_}
+_OTHERS = {"area": np.int64, "saturated": np.int64, "edge": np.bool_, "ghost": np.bool_}
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,18 +28,18 @@ class Detections:
     Parameters
     ----------
     x, y
-        Centroid of the light above the background, as ISO 11146-1 defines a beam's position: pixels,
-        sub-pixel, (0, 0) at the centre of the first pixel, x right, y down.
+        Centroid of the light above the background, as ISO 11146-1 defines a beam's position: pixels, (0, 0) at the
+        centre of the first pixel, x right, y down.
     peak_x, peak_y
-        Brightest point of the smoothed frame within the spot (`tapetum.data.crop.find_centre`), pixels:
-        where the paper centres its crops. In a fringed or two-lobed spot it may be far from the centroid.
+        Brightest point of the smoothed frame within the spot (`tapetum.data.crop.find_centre`), pixels: where the paper
+        centres its crops. With fringes or two lobes it may be far from the centroid.
     snr
         Height of the smoothed spot over the noise of the smoothed background, the better of two scales.
     peak
         Height of the slightly smoothed spot (1.5 px) above the background, in the frame's own units.
     diameter
-        Diameter from the second moments, ``2 sqrt(2) (var_x + var_y)^(1/2)``: four standard deviations of a
-        round spot (D4 sigma of ISO 11146-1), pixels.
+        From the second moments, ``2 sqrt(2) (var_x + var_y)^(1/2)``, pixels: four standard deviations of a round spot
+        (D4 sigma of ISO 11146-1).
     area
         Pixels significantly above the background, within the spot.
     saturated
@@ -47,8 +47,7 @@ class Detections:
     edge
         True where the spot touches the frame's edge, so that part of it may lie outside.
     ghost
-        True where the spot looks like a reflection that accompanies a brighter one (see
-        `tapetum.track.detect`).
+        True where the spot looks like a reflection that accompanies a brighter one (see `tapetum.track.detect`).
     """
 
     x: NDArray[np.float64]
@@ -64,33 +63,34 @@ class Detections:
     ghost: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            array = np.asarray(getattr(self, field.name), dtype=_TYPES.get(field.name, np.float64))
+        for name, kind in self.types().items():
+            array = np.asarray(getattr(self, name), dtype=kind)
             if array.ndim != 1 or len(array) != len(np.atleast_1d(self.x)):
-                raise InputError(
-                    f"has the shape {array.shape}, x has {np.shape(self.x)}",
-                    where=f"Detections.{field.name}",
-                    remedy="give one value a spot",
-                )
+                what = f"has the shape {array.shape}, x has {np.shape(self.x)}"
+                raise InputError(what, where=f"Detections.{name}", remedy="give one value a spot")
             if not np.isfinite(array).all():
-                raise InputError("holds a value that is not finite", where=f"Detections.{field.name}")
-            object.__setattr__(self, field.name, array)
+                raise InputError("holds a value that is not finite", where=f"Detections.{name}")
+            object.__setattr__(self, name, array)
 
     @classmethod
     def empty(cls) -> Detections:
         """Return a table without spots."""
-        return cls.of({name: np.empty(0) for name in cls.names()})
+        return cls.of(dict.fromkeys(cls.names(), np.empty(0)))
 
     @classmethod
     def of(cls, columns: Mapping[str, Any]) -> Detections:
         """Return the spots of columns by name: arrays or lists, [N] each."""
-        arrays: list[Any] = [np.asarray(columns[name]) for name in cls.names()]
-        return cls(*arrays)
+        return cls(**{name: np.asarray(columns[name]) for name in cls.names()})
 
     @classmethod
     def names(cls) -> tuple[str, ...]:
         """Return the names of the columns."""
-        return tuple(f.name for f in fields(cls))
+        return tuple(field.name for field in fields(cls))
+
+    @classmethod
+    def types(cls) -> dict[str, type[np.generic]]:
+        """Return the type of each column, by name."""
+        return {name: _OTHERS.get(name, np.float64) for name in cls.names()}
 
     def __len__(self) -> int:
         return len(self.x)
@@ -100,7 +100,7 @@ class Detections:
         chosen = slice(index, index + 1 or None) if isinstance(index, (int, np.integer)) else index
         if isinstance(index, (int, np.integer)) and not -len(self) <= index < len(self):
             raise IndexError(f"spot {index} of {len(self)}")
-        return Detections(*(getattr(self, f.name)[chosen] for f in fields(self)))
+        return Detections(*(getattr(self, name)[chosen] for name in self.names()))
 
     def __iter__(self) -> Iterator[Detections]:
         return (self[n] for n in range(len(self)))
@@ -112,24 +112,20 @@ class Detections:
 
     def to_table(self) -> pa.Table:
         """Return the spots as an Arrow table, a row a spot."""
-        return pa.table({f.name: pa.array(getattr(self, f.name)) for f in fields(self)})
+        return pa.table({name: pa.array(getattr(self, name)) for name in self.names()})
 
     @classmethod
     def from_table(cls, table: pa.Table) -> Detections:
-        """Return the spots of an Arrow table; columns that are not ours are passed over.
+        """The spots of an Arrow table; other columns are ignored.
 
         Raises
         ------
         InputError
             When a column is missing or holds a null.
         """
-        missing = [name for name in cls.names() if name not in table.column_names]
-        if missing:
-            raise InputError(
-                f"no column {', '.join(missing)}",
-                where="detections",
-                remedy="give a table that Tapetum wrote",
-            )
+        if missing := [name for name in cls.names() if name not in table.column_names]:
+            remedy = "give a table that Tapetum wrote"
+            raise InputError(f"no column {', '.join(missing)}", where="detections", remedy=remedy)
         for name in cls.names():
             if table[name].null_count:
                 raise InputError("holds an empty cell", where=f"detections, column {name}")
@@ -142,7 +138,7 @@ class Detections:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Detections:
-        """Read what `save` wrote.
+        """Read a file that `save` wrote.
 
         Raises
         ------

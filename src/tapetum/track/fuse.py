@@ -1,4 +1,4 @@
-"""One target read by several probes: their estimates brought to one place and one clock, and made one."""
+"""Fusion of several probes' estimates of one target, converted to one place and one clock."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from scipy.stats import chi2
 from tapetum.errors import InputError
 from tapetum.track.kalman import NORMAL, Series
 from tapetum.track.places import Places
-from tapetum.track.smooth import quantities_in, series_of
-from tapetum.track.tables import MOMENT, finite, track_schema
+from tapetum.track.smooth import quantities_in
+from tapetum.track.tables import ENDS, MOMENT, plain, track_schema
 
 __all__ = ["Fused", "Fusion", "Places", "at_times", "combine", "fuse", "fuse_tracks"]
 
@@ -26,14 +26,14 @@ GAZE = ("gaze_x", "gaze_y")
 
 @dataclass(frozen=True)
 class Fused:
-    """What several probes say together of N moments.
+    """Joint estimates of several probes at N moments.
 
     Parameters
     ----------
     value, lower, upper
         [N, K] estimates and 90 % intervals; NaN where no probe measures.
     used
-        [N, M] which of the M probes went into a row.
+        [N, M] which of the M probes contribute to a row.
     consistency
         [N] probability of so large a disagreement by chance (χ² over all quantities); NaN where a row has one probe.
     disagree
@@ -50,19 +50,19 @@ class Fused:
 
 @dataclass(frozen=True)
 class Fusion:
-    """A table of fused tracks, and in how many of its rows which probe had a part.
+    """A table of fused tracks, with the number of rows that each probe contributed to.
 
     Parameters
     ----------
     table
-        A table of tracks: `read_tracks` reads it. Two columns more: `probes`, how many went into the row, and
-        `consistency`, as of `Fused`.
+        A table of tracks, readable by `read_tracks`, with two more columns: `probes`, the number of probes in the row,
+        and `consistency`, as of `Fused`.
     used
-        Rows that each probe went into.
+        Rows that each probe contributed to.
     dropped
         Rows in which a probe was left out because the others contradict it.
     disagree
-        Rows in which probes contradict each other with nothing to decide.
+        Rows in which probes contradict each other and nothing decides between them.
     """
 
     table: pa.Table
@@ -72,7 +72,7 @@ class Fusion:
 
 
 def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[Array, Array]:
-    """Weigh estimates so that the variance of their mean is least.
+    """Weight estimates so that the variance of their mean is least.
 
     Parameters
     ----------
@@ -94,26 +94,24 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
 
     Notes
     -----
-    Best linear unbiased (Bar-Shalom and Campo, IEEE Trans. Aerosp. Electron. Syst. 22, 803 (1986)), with weights that
-    must not be negative: a correlation that is only a guess may not turn a bad estimate against a good one.
+    Best linear unbiased (Bar-Shalom and Campo, IEEE Trans. Aerosp. Electron. Syst. 22, 803 (1986)), with non-negative
+    weights: a guessed correlation must not subtract a poor estimate from a good one.
     """
     if not 0 <= correlation <= 1:
         raise InputError(f"must lie from 0 to 1, is {correlation}", where="correlation", remedy="1 is always safe")
     # Just below 1, so that equally wide intervals share the weight.
     rho = min(correlation, 1 - 1e-9)
     kept = np.isfinite(value) & np.isfinite(deviation) & (deviation > 0)
-    inverse = np.zeros_like(deviation)
     weight = np.zeros_like(deviation)
     for _ in range(len(value)):
-        inverse[:] = 0.0
-        np.divide(1.0, deviation, out=inverse, where=kept)
+        inverse = np.divide(1.0, deviation, out=np.zeros_like(deviation), where=kept)
         count = kept.sum(axis=0)
         shared = rho * inverse.sum(axis=0) / (1 - rho + rho * count)
         weight = inverse * (inverse - shared)
         negative = kept & (weight < 0)
         if not negative.any():
             break
-        # The widest of them goes; then all are weighed again.
+        # Drop the most uncertain estimate of negative weight, then weight the others again.
         worst = np.where(negative, deviation, -np.inf).argmax(axis=0)
         rows = np.flatnonzero(negative.any(axis=0))
         kept[worst[rows], rows] = False
@@ -127,7 +125,7 @@ def combine(value: Array, deviation: Array, correlation: float = 0.5) -> tuple[A
 
 def _disagreement(value: Array, deviation: Array) -> tuple[Array, NDArray[np.int64]]:
     """Return χ² and its degrees of freedom, [N] each, of estimates [M, N, K] that should be the same for all M."""
-    # Of errors that go together the differences are smaller: without correlation the test is the cautious one.
+    # Correlated errors differ less: ignoring the correlation makes the test cautious.
     mean = combine(value.reshape(len(value), -1), deviation.reshape(len(value), -1), 0.0)[0].reshape(value.shape[1:])
     squared = np.nansum(((value - mean) / deviation) ** 2, axis=(0, 2))
     return squared, np.maximum(np.isfinite(value).sum(axis=0) - 1, 0).sum(axis=1)
@@ -136,7 +134,7 @@ def _disagreement(value: Array, deviation: Array) -> tuple[Array, NDArray[np.int
 def fuse(
     value: ArrayLike, lower: ArrayLike, upper: ArrayLike, *, correlation: float = 0.5, alpha: float = 1e-3
 ) -> Fused:
-    """Make one estimate of those of several probes, moment by moment.
+    """Fuse the estimates of several probes, moment by moment.
 
     Parameters
     ----------
@@ -146,12 +144,8 @@ def fuse(
     correlation
         As of `combine`.
     alpha
-        Probability below which a disagreement is no chance. Then, of three probes or more, the one that the others
-        contradict most is left out, and so on; of two the interval spans both.
-
-    Returns
-    -------
-    Fused
+        Probability below which a disagreement is not chance. Of three probes or more, the one that the others
+        contradict most is then left out, and so on; of two the interval spans both.
 
     Raises
     ------
@@ -160,8 +154,8 @@ def fuse(
     """
     x, low, high = (np.array(one, dtype=np.float64) for one in (value, lower, upper))
     if x.ndim != 3 or not x.shape == low.shape == high.shape:
-        what = f"value, lower and upper must be [M, N, K] alike, are {x.shape}, {low.shape} and {high.shape}"
-        raise InputError(what, where="fuse")
+        shapes = f"{x.shape}, {low.shape} and {high.shape}"
+        raise InputError(f"value, lower and upper must be [M, N, K] alike, are {shapes}", where="fuse")
     if len(x) < 2:
         raise InputError(f"{len(x)} probe alone cannot be fused", where="fuse", remedy="give two or more")
     deviation = (high - low) / 2 / NORMAL
@@ -199,44 +193,35 @@ def _without(value: Array, deviation: Array, probe: int) -> float:
 
 
 def at_times(series: Series, times: Array, max_gap: float | None = None) -> tuple[Array, Array, Array]:
-    """Return a quantity at other times, [N] each of value, lower and upper, by straight lines between rows.
+    """A quantity at other times [N], in seconds: value, lower and upper, by linear interpolation between rows.
 
-    Parameters
-    ----------
-    series
-        The quantity.
-    times
-        [N] seconds.
-    max_gap
-        Seconds. Farther apart two rows do not speak for the time between them; three times the usual step where left
-        out. NaN there, and outside the series.
+    They are NaN outside the series and between rows more than `max_gap` seconds apart, by default three times the usual
+    step.
     """
     rows = series.measured
     known = series.times[rows]
+    if not len(known):
+        unknown = np.full(len(times), np.nan)
+        return unknown, unknown, unknown
     if max_gap is None:
         max_gap = 3 * float(np.median(np.diff(known))) if len(known) > 1 else 0.0
-    if not len(known):
-        none = np.full(len(times), np.nan)
-        return none, none, none
     after = np.clip(np.searchsorted(known, times), 0, len(known) - 1)
-    before = np.maximum(after - 1, 0)
-    exact = known[after] == times
-    inside = (times >= known[0]) & (times <= known[-1]) & (known[after] - known[before] <= max_gap)
-    # Between two rows the mean of their errors is narrower than either; that is not claimed.
-    told = [np.interp(times, known, one[rows]) for one in (series.value, series.half_width)]
-    value, half = (np.where(exact | inside, one, np.nan) for one in told)
+    near = known[after] - known[np.maximum(after - 1, 0)] <= max_gap
+    there = (known[after] == times) | ((times >= known[0]) & (times <= known[-1]) & near)
+    # The mean of two rows' errors is narrower than either; the interval does not claim that.
+    told = (np.interp(times, known, one[rows]) for one in (series.value, series.half_width))
+    value, half = (np.where(there, one, np.nan) for one in told)
     return value, value - half, value + half
 
 
 def _timeline(clocks: Sequence[Array]) -> Array:
-    """Return the first probe's times, and of every other those at which nobody before it has one."""
+    """The first probe's times, and of every other those at which no earlier probe has one."""
     line = np.unique(clocks[0])
     for clock in clocks[1:]:
         apart = float(np.median(np.diff(clock))) / 2 if len(clock) > 1 else 0.0
-        near = line[np.clip(np.searchsorted(line, clock), 0, len(line) - 1)]
-        left = line[np.clip(np.searchsorted(line, clock) - 1, 0, len(line) - 1)]
-        alone = np.minimum(np.abs(clock - near), np.abs(clock - left)) > apart
-        line = np.union1d(line, clock[alone])
+        right = np.searchsorted(line, clock)
+        near = line[np.clip([right - 1, right], 0, len(line) - 1)]
+        line = np.union1d(line, clock[np.abs(clock - near).min(axis=0) > apart])
     return line
 
 
@@ -253,7 +238,7 @@ def _one_track(table: pa.Table, number: int | None, where: str) -> pa.Table:
         seen = table["seen"].fill_null(False).to_numpy(zero_copy_only=False)
     if len(np.unique(times[seen])) < seen.sum():
         raise InputError("holds several tracks at once", where=where, remedy="name the target's track of each table")
-    # A target that went and came again elsewhere is a new track, beside which the old one coasts for a while.
+    # A target that left and returned elsewhere is a new track, while the old one coasts beside it.
     order = np.lexsort((tracks, seen, times))
     last = np.append(np.diff(times[order]) > 0, True)
     return table.take(np.sort(order[last]))
@@ -270,33 +255,28 @@ def fuse_tracks(
     quantities: Sequence[str] | None = None,
     names: Sequence[str] | None = None,
 ) -> Fusion:
-    """Fuse the tables of tracks of several probes that watch the same target.
+    """Fuse tables of tracks of probes that watch the same target, with the first one's gaze and clock.
 
     Parameters
     ----------
     tables
         One of each probe.
     places
-        Where the probes stand; or of each probe what must be added to its gaze to make it the first one's, in
-        fractions of the field, which holds for small fields and probes near each other.
+        Where the probes stand; or the offset to add to each probe's gaze to make it the first one's, in fractions of
+        the field, for small fields and probes near each other.
     tracks
         Which track of each table is the target. Not needed where no table has two at once.
     starts
-        When each table's time is 0, in seconds of one clock. Where left out, as the tables' UTC says; all the same
-        where one of them has none.
+        When each table's time is 0, in seconds of one clock. Default: by the tables' UTC, or all equal where one has
+        none.
     correlation
         As of `combine`.
     max_gap
-        Seconds between two rows of a probe beyond which it counts as lost; three times its usual step where left out.
+        Seconds between two rows of a probe beyond which it counts as lost; default: three times its usual step.
     quantities
-        What to fuse; all that every table has where left out.
+        What to fuse; default: all that every table has.
     names
-        What to call the tables in a message.
-
-    Returns
-    -------
-    Fusion
-        Gaze as the first probe sees it, times by the first one's clock.
+        Of the tables, for messages.
 
     Raises
     ------
@@ -309,14 +289,17 @@ def fuse_tracks(
         remedy = "give the tables of two probes or more"
         raise InputError("a single probe cannot be fused", where=called[0] if called else "fuse", remedy=remedy)
     standing = _checked(places, len(tables))
-    begun = _each(starts, _starts(tables), "starts")
-    chosen = _each(tracks, [None] * len(tables), "tracks")
+    for where, given in (("starts", starts), ("tracks", tracks)):
+        if given is not None and len(given) != len(tables):
+            raise InputError(f"{len(given)} for {len(tables)} probes", where=where, remedy="give one for each probe")
+    begun = _starts(tables) if starts is None else starts
     told = [set(quantities_in(one, quantities, where=name)) for one, name in zip(tables, called, strict=True)]
     common = [name for name in quantities_in(tables[0], quantities, where=called[0]) if name in set.intersection(*told)]
     if not common:
         raise InputError("no quantity is in every table", where=", ".join(called), remedy="track with the same model")
     if ("gaze_x" in common) != ("gaze_y" in common):
         raise InputError("gaze needs both gaze_x and gaze_y", where="quantities", remedy="name both, or neither")
+    chosen = tracks or [None] * len(tables)
     rows = [_one_track(t, number, name) for t, number, name in zip(tables, chosen, called, strict=True)]
     clocks = [t["time"].to_numpy() + (start - begun[0]) for t, start in zip(rows, begun, strict=True)]
     first, last = max(float(one[0]) for one in clocks), min(float(one[-1]) for one in clocks)
@@ -328,12 +311,8 @@ def fuse_tracks(
     moved = [_moved(one, common, standing, m) for m, one in enumerate(at)]
     fused = fuse(*np.stack(moved, axis=1), correlation=correlation)
     before = np.stack([np.isfinite(one[0]).any(axis=1) for one in moved], axis=1)
-    return Fusion(
-        _table(fused, common, times, rows, clocks),
-        tuple(int(n) for n in fused.used.sum(axis=0)),
-        int((before & ~fused.used).any(axis=1).sum()),
-        int(fused.disagree.sum()),
-    )
+    used, dropped = tuple(fused.used.sum(axis=0).tolist()), int((before & ~fused.used).any(axis=1).sum())
+    return Fusion(_table(fused, common, times, rows, clocks), used, dropped, int(fused.disagree.sum()))
 
 
 def _starts(tables: Sequence[pa.Table]) -> list[float]:
@@ -344,7 +323,7 @@ def _starts(tables: Sequence[pa.Table]) -> list[float]:
         if not len(dated):
             return [0.0] * len(tables)
         known.append((dated["utc_ns"][0].as_py(), dated["time"][0].as_py()))
-    # Nanoseconds since 1970 are whole numbers: as one float they would lose some hundreds.
+    # Nanoseconds since 1970 are integers: a float would lose some hundreds.
     utc, time = known[0]
     return [(other - utc) / 1e9 - (later - time) for other, later in known]
 
@@ -353,28 +332,16 @@ def _checked(places: Places | Sequence[tuple[float, float]], count: int) -> Plac
     number = len(places.places) if isinstance(places, Places) else len(places)
     if number != count:
         raise InputError(f"{number} places for {count} probes", where="places", remedy="give one for each probe")
-    if isinstance(places, Places):
-        return places
-    offsets = np.asarray(places, dtype=np.float64)
+    offsets = np.zeros((count, 2)) if isinstance(places, Places) else np.asarray(places, dtype=np.float64)
     if offsets.shape != (count, 2) or not np.isfinite(offsets).all():
         raise InputError("offsets must be pairs of finite numbers", where="places", remedy="give x and y")
-    return offsets
-
-
-def _each(given: Sequence[Any] | None, default: list[Any], where: str) -> list[Any]:
-    if given is not None and len(given) != len(default):
-        raise InputError(f"{len(given)} for {len(default)} probes", where=where, remedy="give one for each probe")
-    return default if given is None else list(given)
+    return places if isinstance(places, Places) else offsets
 
 
 def _estimates(table: pa.Table, clock: Array, names: Sequence[str], times: Array, max_gap: float | None) -> Array:
     """Return value, lower and upper [3, N, K] of one probe at the common times."""
-    one = table.set_column(table.column_names.index("track"), "track", pa.array(np.zeros(len(table), np.int64)))
-    found = np.empty((3, len(times), len(names)))
-    for k, name in enumerate(names):
-        series = series_of(one, name)[0]
-        found[:, :, k] = at_times(Series(clock, series.value, series.lower, series.upper), times, max_gap)
-    return found
+    found = [[table[name + end].cast(pa.float64()).to_numpy(zero_copy_only=False) for end in ENDS] for name in names]
+    return np.stack([at_times(Series(clock, *ends), times, max_gap) for ends in found], axis=-1)
 
 
 def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int) -> Array:
@@ -386,7 +353,7 @@ def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int
     if isinstance(places, Places):
         new = places.to_first(probe, gaze)
         half = np.abs(new[2] - new[1]) / 2
-        # A roll turns the offset: its error is across it.
+        # A roll turns the offset: its error is perpendicular to it.
         shape = places.field[1] / places.field[0]
         across = np.abs(new[0] - gaze[0])[:, ::-1] * np.array([shape, 1 / shape])
         half = np.hypot(half, NORMAL * places.roll_spread * across)
@@ -401,21 +368,24 @@ def _moved(told: Array, names: Sequence[str], places: Places | Array, probe: int
 def _table(
     fused: Fused, names: Sequence[str], times: Array, rows: Sequence[pa.Table], clocks: Sequence[Array]
 ) -> pa.Table:
-    """Return the fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
+    """Fused rows as a table of tracks; the place in the picture is that of the first probe that has one."""
     schema = track_schema(names)
     schema = schema.append(pa.field("probes", pa.float64())).append(pa.field("consistency", pa.float64()))
-    records: list[Mapping[str, Any]] = []
-    spots = [
-        ({float(t): n for n, t in enumerate(clock)}, table.to_pylist())
-        for clock, table in zip(clocks, rows, strict=True)
-    ]
     kept = ("x", "y", "snr", "peak_x", "peak_y", "diameter", "active", "name", *MOMENT)
-    for n, time in enumerate(times):
-        seen = next((table[index[float(time)]] for index, table in spots if float(time) in index), {})
-        ends = {"": fused.value, "_low": fused.lower, "_high": fused.upper}
-        estimates = {name + end: values[n, k] for k, name in enumerate(names) for end, values in ends.items()}
-        record = {name: seen.get(name) for name in kept} | estimates
-        record |= {"frame": n, "time": float(time), "track": 1, "seen": bool(fused.used[n].any())}
-        record |= {"probes": float(fused.used[n].sum()), "consistency": float(fused.consistency[n])}
-        records.append({name: finite(record.get(name)) for name in schema.names})
+    spots: dict[float, Mapping[str, Any]] = {}
+    for table, clock in zip(reversed(rows), reversed(clocks), strict=True):
+        shown = table.select([name for name in kept if name in table.column_names]).to_pylist()
+        spots.update(zip(clock.tolist(), shown, strict=True))
+    columns: dict[str, Any] = {
+        "frame": range(len(times)),
+        "time": times,
+        "track": [1] * len(times),
+        "seen": fused.used.any(axis=1),
+        "probes": fused.used.sum(axis=1, dtype=float),
+        "consistency": fused.consistency,
+    }
+    for end, values in zip(ENDS, (fused.value, fused.lower, fused.upper), strict=True):
+        columns |= {name + end: values[:, k] for k, name in enumerate(names)}
+    told = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
+    records = [plain({**spots.get(row["time"], {}), **row}, schema.names) for row in told]
     return pa.Table.from_pylist(records, schema=schema)

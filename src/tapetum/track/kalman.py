@@ -1,8 +1,7 @@
-"""The Kalman filter of one quantity of a track: a value and its rate, which white noise accelerates.
+"""The Kalman filter of one quantity of a track: a value and its rate, driven by white-noise acceleration.
 
-A row measures the value with the variance that its interval speaks of; a row without an interval measures nothing.
-Written out for two states this is shorter than the set-up of a general library would be, and quicker than its small
-matrices.
+A row measures the value with the variance of its interval; a row without an interval measures nothing. The forward
+filter is written out for two states, which is faster than small matrices: a fit runs it a hundred times.
 """
 
 from __future__ import annotations
@@ -16,34 +15,27 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["NORMAL", "Motion", "Series", "State", "backward", "begin", "correct", "forward", "judged", "predict"]
-__all__ += ["trust_in", "variance_of"]
+__all__ = ["NORMAL", "Filter", "Motion", "Series", "backward", "forward", "judged", "variance_of"]
 
 Array = NDArray[np.float64]
 
 NORMAL = 1.6448536269514722
 """Half-width of an interval that holds 90 % of a normal distribution, in standard deviations."""
 
-# Of the unknown rate at the start: so many times the quantity's own spread in a second.
+# Initial standard deviation of the rate: so many of the quantity's own spread a second.
 _FASTEST = 4.0
 _TINY = 1e-300
+# Places of the covariance in a state.
+_MATRIX = np.array([[2, 3], [3, 4]])
 
 
 @dataclass(frozen=True)
 class Series:
-    """One quantity of one track.
+    """One quantity of one track, as N rows.
 
-    Parameters
-    ----------
-    times
-        [N] seconds, never falling.
-    value, lower, upper
-        [N] estimates and the ends of their 90 % intervals, in the quantity's unit. NaN where there is none.
-
-    Raises
-    ------
-    InputError
-        When shapes differ, or times are not finite or run backwards.
+    `times` [N] are in seconds, never falling; `value`, `lower` and `upper` [N] are estimates and the ends of their 90 %
+    intervals, in the quantity's unit, NaN where there is none. InputError when shapes differ, or times are not finite
+    or run backwards.
     """
 
     times: Array
@@ -63,6 +55,10 @@ class Series:
     def __len__(self) -> int:
         return len(self.times)
 
+    def at(self, rows: NDArray[np.intp] | slice) -> Series:
+        """Return some of the rows."""
+        return Series(self.times[rows], self.value[rows], self.lower[rows], self.upper[rows])
+
     @property
     def half_width(self) -> Array:
         """Half the intervals' widths [N]; infinite or NaN where a row measures nothing."""
@@ -77,22 +73,22 @@ class Series:
 
 @dataclass(frozen=True)
 class Motion:
-    """How a quantity changes, and what its errors are like.
+    """How a quantity changes, and the statistics of its errors.
 
     Parameters
     ----------
     acceleration
-        Spectral density of the white noise that accelerates it, in its unit² / s³.
+        Spectral density of the white-noise acceleration, in its unit² / s³.
     spread
         Standard deviation of the quantity itself: an outlier may lie anywhere within.
     noise
         Share of the intervals' variance that is new in every row. Only this averages out.
     systematic
-        Share of the raw interval's half-width that stays however many rows are averaged, for the errors of
-        neighbouring frames resemble each other. 1, the default, keeps every interval at least as wide as it was;
-        `calibrate` finds less where less is true.
+        Share of the raw interval's half-width that stays however many rows are averaged, because errors of neighbouring
+        frames are correlated. 1, the default, keeps every interval at least as wide as it was; `calibrate` finds a
+        smaller value where the truth allows it.
     outliers
-        Share of rows that say nothing of the truth (a gaze of the wrong sign).
+        Share of rows without information on the truth (a gaze of the wrong sign).
 
     Raises
     ------
@@ -156,7 +152,7 @@ def _log_normal(off: float, variance: float) -> float:
 
 def correct(s: State, y: float, r: float, trust: float) -> State:
     """Take a measurement that is good with a probability: mean and covariance of the two cases' mixture."""
-    # The probabilistic data association filter's update, with no rival (Bar-Shalom and Tse, Automatica 11 (1975)).
+    # Update of the probabilistic data association filter without rivals (Bar-Shalom and Tse, Automatica 11 (1975)).
     variance, off = s.a + r, y - s.x
     k0, k1 = s.a / variance, s.b / variance
     gain = trust * (variance - (1 - trust) * off * off)
@@ -177,77 +173,86 @@ class Forward(NamedTuple):
 
 
 def variance_of(half: Array, motion: Motion) -> Array:
-    """Return the variances of measurement that half-widths speak of."""
+    """Variances of measurement that correspond to half-widths."""
     # An interval without width would divide by zero.
     return np.maximum(motion.noise * (half / NORMAL) ** 2, (1e-6 * motion.spread) ** 2)
 
 
 def _variances(series: Series, motion: Motion) -> list[float]:
-    """Return those of every row; NaN where it measures nothing."""
+    """Variance of every row; NaN where it measures nothing."""
     return np.where(series.measured, variance_of(series.half_width, motion), np.nan).tolist()
+
+
+class Filter:
+    """The filter forward, a row at a time."""
+
+    def __init__(self, motion: Motion) -> None:
+        self.motion = motion
+        self.state: State | None = None
+        self.time = 0.0
+
+    def update(
+        self, time: float, y: float, r: float, trusted: float | None = None
+    ) -> tuple[State, State, float, float]:
+        """Take a row that measures `y` with the variance `r`, NaN for nothing; the first row measures.
+
+        Returns the states before and after, the trust in the measurement and the logarithm of its density. `trusted`,
+        where given, divides the variance; else the row is judged by the state before it.
+        """
+        motion, trust, density = self.motion, math.nan, 0.0
+        if self.state is None:
+            trust = 1.0 if trusted is None else trusted
+            # A wrong first row leaves only the quantity's own spread.
+            ahead = after = begin(y, min(r / max(trust, 1e-9), r + motion.spread**2), motion)
+        else:
+            ahead = after = predict(self.state, time - self.time, motion.acceleration)
+            if math.isnan(r):
+                pass
+            elif trusted is None:
+                trust, density = trust_in(y - ahead.x, ahead.a + r, motion)
+                after = correct(ahead, y, r, trust)
+            else:
+                trust, after = trusted, correct(ahead, y, r / max(trusted, 1e-9), 1.0)
+        self.state, self.time = after, time
+        return ahead, after, trust, density
 
 
 def forward(series: Series, motion: Motion, trusted: Array | None = None) -> Forward:
     """Filter from the first measurement on. Where `trusted` is given it divides the variances, else each is judged."""
-    times, values, variances = series.times.tolist(), series.value.tolist(), _variances(series, motion)
-    trust = np.full(len(times), np.nan)
-    predicted: list[State] = []
-    filtered: list[State] = []
-    state, likelihood, before = None, 0.0, 0.0
-    for n, (time, y, r) in enumerate(zip(times, values, variances, strict=True)):
-        if state is None:
-            trust[n] = 1.0 if trusted is None else trusted[n]
-            # Of a first row that is wrong nothing is left but that the quantity is somewhere.
-            state = ahead = begin(y, min(r / max(float(trust[n]), 1e-9), r + motion.spread**2), motion)
-        else:
-            state = ahead = predict(state, time - before, motion.acceleration)
-            if r == r:
-                if trusted is None:
-                    trust[n], density = trust_in(y - state.x, state.a + r, motion)
-                    likelihood += density
-                    state = correct(state, y, r, float(trust[n]))
-                else:
-                    trust[n] = trusted[n]
-                    state = correct(state, y, r / max(float(trusted[n]), 1e-9), 1.0)
-        before = time
-        predicted.append(ahead)
-        filtered.append(state)
-    return Forward(predicted, filtered, trust, likelihood)
+    step = Filter(motion).update
+    given = [None] * len(series) if trusted is None else trusted.tolist()
+    rows = zip(series.times.tolist(), series.value.tolist(), _variances(series, motion), given, strict=True)
+    told = [step(*row) for row in rows]
+    predicted, filtered = [row[0] for row in told], [row[1] for row in told]
+    return Forward(predicted, filtered, np.array([row[2] for row in told]), sum(row[3] for row in told))
 
 
-def backward(times: list[float], passed: Forward) -> list[State]:
+def backward(times: Array, passed: Forward) -> list[State]:
     """Smooth (Rauch, Tung and Striebel, AIAA J. 3, 1445 (1965))."""
-    after = passed.filtered[-1]
-    smoothed = [after]
-    for n in range(len(times) - 2, -1, -1):
-        s, p, dt = passed.filtered[n], passed.predicted[n + 1], times[n + 1] - times[n]
-        det = max(p.a * p.c - p.b * p.b, _TINY)
-        f00, f01, f10, f11 = s.a + s.b * dt, s.b, s.b + s.c * dt, s.c
-        g00, g01 = (f00 * p.c - f01 * p.b) / det, (f01 * p.a - f00 * p.b) / det
-        g10, g11 = (f10 * p.c - f11 * p.b) / det, (f11 * p.a - f10 * p.b) / det
-        dx, dv, da, db, dc = (one - other for one, other in zip(after, p, strict=True))
-        after = State(
-            s.x + g00 * dx + g01 * dv,
-            s.v + g10 * dx + g11 * dv,
-            max(s.a + g00 * g00 * da + 2 * g00 * g01 * db + g01 * g01 * dc, 0.0),
-            s.b + g00 * g10 * da + (g00 * g11 + g01 * g10) * db + g01 * g11 * dc,
-            max(s.c + g10 * g10 * da + 2 * g10 * g11 * db + g11 * g11 * dc, 0.0),
-        )
-        smoothed.append(after)
-    return smoothed[::-1]
+    filtered, predicted = np.array(passed.filtered), np.array(passed.predicted)[1:]
+    mean, covariance = filtered[:, :2], filtered[:, _MATRIX]
+    ahead, wide = predicted[:, :2], predicted[:, _MATRIX]
+    step = np.tile(np.eye(2), (len(ahead), 1, 1))
+    step[:, 0, 1] = np.diff(times)
+    gain = np.linalg.solve(wide, step @ covariance[:-1]).transpose(0, 2, 1)
+    for n in range(len(ahead) - 1, -1, -1):
+        mean[n] += gain[n] @ (mean[n + 1] - ahead[n])
+        covariance[n] += gain[n] @ (covariance[n + 1] - wide[n]) @ gain[n].T
+    a, b, c = np.maximum(covariance[:, 0, 0], 0.0), covariance[:, 0, 1], np.maximum(covariance[:, 1, 1], 0.0)
+    return [State(*row) for row in np.column_stack([mean, a, b, c]).tolist()]
 
 
 def judged(series: Series, motion: Motion, smoothed: list[State], trust: Array) -> Array:
-    """Return each measurement's trust by what all others say of it, before and after."""
+    """Each measurement's trust, from all other rows before and after."""
     found = np.full(len(series), np.nan)
     for n, (s, y, r) in enumerate(zip(smoothed, series.value.tolist(), _variances(series, motion), strict=True)):
-        if r == r:
+        if not math.isnan(r):
             own, all_told = float(trust[n]) / r, 1 / max(s.a, _TINY)
-            # Of what is known, take away what the row itself has told.
+            # Subtract the row's own contribution from the estimate.
             left = all_told - own
             if left > 1e-6 * all_told:
                 found[n], _ = trust_in(y - (s.x * all_told - own * y) / left, r + 1 / left, motion)
             else:
-                # It stands alone: nobody can judge it.
+                # An isolated row: no other can judge it.
                 found[n] = 1.0
     return found

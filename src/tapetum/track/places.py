@@ -1,4 +1,4 @@
-"""Where several probes stand, and what the gaze that one of them sees means for another."""
+"""The probes' places, and conversion of one probe's gaze to another's."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Places:
-    """Where the probes stand, as the target sees them.
+    """The probes' places, as the target sees them.
 
     Parameters
     ----------
     places
-        Of each probe from the first one, in metres: x to the right and y down in the target's own picture, were the
-        target upright. The first is (0, 0).
+        Of each probe from the first one, in metres: x to the right and y down in the upright target's own picture. The
+        first is (0, 0).
     distance
         Of the target from the probes' plane, in metres.
     field
         The target's field of view, whole width and height, in radians.
     roll
-        Turn of the target about its optical axis, in radians from x to y: its picture then shows the probes' places
-        turned back by as much. Unknown as a rule.
+        Roll of the target about its optical axis, in radians from x to y: its picture then shows the probes' places
+        turned back by as much. Usually unknown.
     roll_spread
-        Standard deviation of that roll. It widens the intervals of probes that stand off the first one.
+        Standard deviation of that roll. It widens the intervals of all probes but the first.
 
     Raises
     ------
@@ -59,14 +59,9 @@ class Places:
             )
 
     def to_first(self, probe: int, gaze: ArrayLike) -> Array:
-        """Return the gaze that the first probe would see where `probe` sees `gaze`, both [..., 2].
+        """The gaze that the first probe sees where probe number `probe`, from 0, sees `gaze`.
 
-        Parameters
-        ----------
-        probe
-            Its number, from 0.
-        gaze
-            In fractions of the field. NaN stays NaN.
+        Both are [..., 2], in fractions of the field; NaN stays NaN.
         """
         return self._between(self.places[probe], (0.0, 0.0), np.asarray(gaze, dtype=np.float64))
 
@@ -75,16 +70,16 @@ class Places:
         return self._between((0.0, 0.0), self.places[probe], np.asarray(gaze, dtype=np.float64))
 
     def _between(self, source: tuple[float, float], goal: tuple[float, float], gaze: Array) -> Array:
-        """Turn the target until it sees `source` at `gaze`; return where it then sees `goal`."""
+        """Rotate the target until it sees `source` at `gaze`; return where it then sees `goal`."""
         scale = 2 * np.tan(np.array(self.field) / 2)
         seen = np.concatenate([gaze * scale, np.ones((*gaze.shape[:-1], 1))], axis=-1)
         seen /= np.linalg.norm(seen, axis=-1, keepdims=True)
         cos, sin = math.cos(self.roll), math.sin(self.roll)
-        # Of the upright camera: pan about y, then tilt about x. What is left is to find both.
+        # Of the upright camera: pan about y, then tilt about x. Both are to be found.
         upright = np.stack([cos * seen[..., 0] - sin * seen[..., 1], sin * seen[..., 0] + cos * seen[..., 1]], axis=-1)
         ux, uy, uz = upright[..., 0], upright[..., 1], seen[..., 2]
         (sx, sy, sz), (gx, gy, gz) = (_direction(place, self.distance) for place in (source, goal))
-        # A tilt leaves x alone, and a pan y.
+        # A tilt keeps x, and a pan y.
         pan = np.arcsin(np.clip(ux / math.hypot(sx, sz), -1, 1)) - math.atan2(sx, sz)
         depth = np.sqrt(np.maximum(1 - ux**2 - sy**2, 0.0))
         tilt = np.arctan2(uy, uz) - np.arctan2(sy, depth)

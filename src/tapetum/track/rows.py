@@ -1,4 +1,4 @@
-"""Rows of tracks: what a frame says of each track, and tracks made again from detections that were kept."""
+"""Rows of tracks: the tracks of each frame, and tracks recomputed from stored detections."""
 
 from __future__ import annotations
 
@@ -11,10 +11,19 @@ from typing import Any
 
 import pyarrow as pa
 
-from tapetum.errors import InputError
 from tapetum.record.source import Frame
 from tapetum.track.detections import Detections
-from tapetum.track.tables import MOMENT, detections_schema, estimate_columns, finite, read_table, track_schema
+from tapetum.track.tables import (
+    MOMENT,
+    check_columns,
+    detections_schema,
+    estimate_columns,
+    estimated,
+    plain,
+    read_table,
+    rows_of_table,
+    track_schema,
+)
 from tapetum.track.tracker import Tracker
 
 __all__ = ["TrackRow", "TrackedFrame", "retrack"]
@@ -29,21 +38,21 @@ class TrackRow:
     Parameters
     ----------
     frame, time, name
-        The frame's number, its time in seconds and what it is called.
+        The frame's number, its time in seconds and its name.
     track
         Number of the track.
     x, y
-        Pixels: the spot's centroid; where the track is expected while it coasts.
+        Pixels: the spot's centroid; the predicted place while the track coasts.
     snr, peak_x, peak_y, diameter
         Of the spot (see `Detections`); None while the track coasts.
     seen
         Whether the spot was detected in this frame.
     moment
-        What else is known of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
+        Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
-        What the models say: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`; NaN or
-        "none of these" where the model does not apply; `applies` (None where nobody knows) and `reason`. Empty while
-        the track coasts.
+        Of the models: NAME, NAME_low and NAME_high for each quantity, `device` and `device_probability`; NaN or "none
+        of these" where the model does not apply; `applies` (None where unknown) and `reason`. Empty while the track
+        coasts.
     """
 
     frame: int
@@ -61,29 +70,29 @@ class TrackRow:
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
-        """Return the row as the columns of the table.
+        """The row as the columns of the table.
 
-        `active` is left out, which makes it empty: whether a camera is recording shows in how its return changes with
-        time, which nothing looks at yet. So are `device` and `device_probability` where no model tells devices.
+        `active` stays empty: whether a camera records shows in how its return changes with time, which is not evaluated
+        yet. `device` and `device_probability` are absent where no model recognises devices.
         """
-        own = {name: getattr(self, name) for name in self.__dataclass_fields__ if name not in ("moment", "estimates")}
+        own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates")}
         return {**own, **self.moment, **self.estimates}
 
 
 @dataclass(frozen=True)
 class TrackedFrame:
-    """What tracking makes of a frame.
+    """The result of tracking one frame.
 
     Parameters
     ----------
     frame, time, name
-        The frame's number, its time in seconds and what it is called.
+        The frame's number, its time in seconds and its name.
     rows
-        The tracks that live in it, those that coast included.
+        Its live tracks, those that coast included.
     detections
         The spots found in it.
     estimates
-        What the models say of each spot; nothing of ghosts.
+        Of the models for each spot; empty for ghosts.
     moment
         As of `TrackRow`.
     """
@@ -96,61 +105,46 @@ class TrackedFrame:
     estimates: tuple[Mapping[str, Any], ...]
     moment: Mapping[str, Any] = field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls, about: Mapping[str, Any], found: Detections, answers: Sequence[Mapping[str, Any]], tracker: Tracker
+    ) -> TrackedFrame:
+        """Follow the spots of a frame; `about` holds its frame, time, name and moment."""
+        rows: list[TrackRow] = []
+        for point in tracker.update(found, about["time"]):
+            n = point.detection
+            spot: dict[str, Any] = {
+                name: None if n is None else float(getattr(found, name)[n])
+                for name in ("snr", "peak_x", "peak_y", "diameter")
+            }
+            place: dict[str, Any] = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
+            rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
+        return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers))
 
-def moment_of(frame: Frame) -> dict[str, Any]:
-    """Return what tables keep of a frame beside its number, time and name."""
-    return {name: getattr(frame, name) for name in MOMENT}
-
-
-def rows_of(
-    tracker: Tracker,
-    found: Detections,
-    answers: Sequence[Mapping[str, Any]],
-    frame: int,
-    time: float,
-    name: str,
-    moment: Mapping[str, Any],
-) -> tuple[TrackRow, ...]:
-    rows: list[TrackRow] = []
-    for point in tracker.update(found, time):
-        spot = None if point.detection is None else found[point.detection]
-        rows.append(
-            TrackRow(
-                frame=frame,
-                time=time,
-                name=name,
-                track=point.track,
-                x=point.x,
-                y=point.y,
-                snr=None if spot is None else float(spot.snr[0]),
-                peak_x=None if spot is None else float(spot.peak_x[0]),
-                peak_y=None if spot is None else float(spot.peak_y[0]),
-                diameter=None if spot is None else float(spot.diameter[0]),
-                seen=spot is not None,
-                moment=moment,
-                estimates={} if point.detection is None else answers[point.detection],
-            )
-        )
-    return tuple(rows)
+    def detection_records(self) -> Iterator[dict[str, Any]]:
+        """Yield the rows of a table of detections; one without a spot where nothing was found."""
+        where = {"frame": self.frame, "time": self.time, "name": self.name, **self.moment}
+        if not len(self.detections):
+            yield where
+        for n, answers in enumerate(self.estimates):
+            yield {**where, **{name: getattr(self.detections, name)[n] for name in Detections.names()}, **answers}
 
 
-def detection_records(one: TrackedFrame) -> Iterator[dict[str, Any]]:
-    where = {"frame": one.frame, "time": one.time, "name": one.name, **one.moment}
-    if not len(one.detections):
-        yield where
-    for n, answers in enumerate(one.estimates):
-        yield {**where, **{name: getattr(one.detections, name)[n] for name in Detections.names()}, **answers}
+def about(frame: Frame) -> dict[str, Any]:
+    """The frame's data that tables keep."""
+    moment = {name: getattr(frame, name) for name in MOMENT}
+    return {"frame": frame.index, "time": frame.time, "name": frame.name, "moment": moment}
 
 
 def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker | None = None) -> pa.Table:
-    """Make tracks again from what was detected before, without the video: to try other options of the tracker.
+    """Recompute tracks from stored detections, without the video, to try other options of the tracker.
 
     Parameters
     ----------
     detections
         The table that `track_to_file` kept, or its path.
     tracker
-        How to follow; with its usual options where not given. It forgets its earlier tracks.
+        Default: one with its usual options. Its earlier tracks are dropped.
 
     Returns
     -------
@@ -160,51 +154,37 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
     Raises
     ------
     InputError
-        When the table cannot be read or is none of detections.
+        When the table cannot be read or does not hold detections.
     """
     schema = detections_schema()
-    if isinstance(detections, (str, os.PathLike)):
-        table = read_table(detections, schema)
-    else:
-        table = detections
-        if missing := [name for name in schema.names if name not in table.column_names and name not in MOMENT]:
-            raise InputError(
-                f"no column {', '.join(missing)}", where="detections", remedy="give a table of track_to_file"
-            )
+    table = read_table(detections, schema) if isinstance(detections, (str, os.PathLike)) else detections
+    check_columns(table, schema.names, "detections", "give a table of track_to_file")
     extra = [name for name in table.column_names if name not in schema.names]
-    names = [name for name in extra if {f"{name}_low", f"{name}_high"} <= set(extra)]
-    names += ["device"] if {"device", "device_probability"} <= set(extra) else []
+    names = estimated(extra) + (["device"] if {"device", "device_probability"} <= set(extra) else [])
+    columns, whole = estimate_columns(names), track_schema(names)
     follower = Tracker() if tracker is None else tracker
     follower.reset()
-    whole = track_schema(names)
     kept: list[pa.RecordBatch] = []
     records: list[dict[str, Any]] = []
-    # Rows as Python objects take a hundred times what they take in a table: only some thousands at a time.
-    for _, group in groupby(_rows(table), key=lambda row: row["frame"]):
+
+    def keep() -> None:
+        kept.append(pa.RecordBatch.from_pylist(records, schema=whole))
+        records.clear()
+
+    for _, group in groupby(rows_of_table(table), key=lambda row: row["frame"]):
         rows = list(group)
-        first = rows[0]
         spots = [row for row in rows if row["x"] is not None]
         found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
-        # Tables of older versions do not say whether the models apply.
-        answers = [{c: _kept(row.get(c), kind) for c, kind in estimate_columns(names).items()} for row in spots]
-        moment = {name: first.get(name) for name in MOMENT}
-        new = rows_of(follower, found, answers, first["frame"], first["time"], first["name"] or "", moment)
-        records += [row.record() for row in new]
+        # Tables of older versions lack whether the models apply.
+        answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
+        moment = {name: rows[0].get(name) for name in MOMENT}
+        frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}
+        records += [plain(row.record(), whole.names) for row in TrackedFrame.of(frame, found, answers, follower).rows]
         if len(records) >= _BATCH:
-            kept.append(_batch(records, whole))
-            records.clear()
-    return pa.Table.from_batches([*kept, _batch(records, whole)], schema=whole)
+            keep()
+    keep()
+    return pa.Table.from_batches(kept, schema=whole)
 
 
-def _rows(table: pa.Table) -> Iterator[dict[str, Any]]:
-    for batch in table.to_batches(max_chunksize=_BATCH):
-        yield from batch.to_pylist()
-
-
-def _batch(records: Sequence[Mapping[str, Any]], schema: pa.Schema) -> pa.RecordBatch:
-    clean = [{c: finite(row.get(c)) for c in schema.names} for row in records]
-    return pa.RecordBatch.from_pylist(clean, schema=schema)
-
-
-def _kept(value: Any, kind: pa.DataType) -> Any:
+def _given(value: Any, kind: pa.DataType) -> Any:
     return math.nan if value is None and pa.types.is_floating(kind) else value

@@ -1,4 +1,4 @@
-"""A track's estimates over time: a Kalman filter forward, a Rauch-Tung-Striebel smoother there and back."""
+"""A track's estimates over time: a Kalman filter forwards, or a Rauch-Tung-Striebel smoother in both directions."""
 
 from __future__ import annotations
 
@@ -12,43 +12,32 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import minimize
 
 from tapetum.errors import InputError
-from tapetum.track.kalman import (
-    NORMAL,
-    Motion,
-    Series,
-    State,
-    backward,
-    begin,
-    correct,
-    forward,
-    judged,
-    predict,
-    trust_in,
-    variance_of,
-)
+from tapetum.track.kalman import NORMAL, Filter, Motion, Series, backward, forward, judged, variance_of
+from tapetum.track.tables import ENDS, check_columns, estimated
 
 __all__ = ["LiveFilter", "Motion", "Series", "Smoothed", "calibrate", "fit_motion", "quantities_in", "series_of"]
 __all__ += ["smooth", "smooth_tracks"]
 
 Array = NDArray[np.float64]
 
-# Rows that the likelihood looks at: enough for two numbers, and a second's work.
+# Rows in the likelihood: enough for two numbers, and a second's work.
 _MOST_ROWS = 1200
+_REMEDY = "give a table of tracks"
 
 
 @dataclass(frozen=True)
 class Smoothed(Series):
-    """What filter or smoother say of each row.
+    """Filtered or smoothed rows.
 
     Parameters
     ----------
     times, value, lower, upper
-        As of `Series`. Rows without a measurement have values too, with wider intervals; not so before the first
-        measurement, nor where the value would be less certain than the quantity's own spread.
+        As of `Series`. Rows without a measurement have values too, with wider intervals, except before the first
+        measurement, and where the value would be less certain than the quantity's own spread.
     rate
         [N] change of the value a second.
     deviation
-        [N] standard deviation of the value, without what is systematic.
+        [N] standard deviation of the value, without the systematic part.
     trust
         [N] probability that the row's measurement is no outlier; NaN where there is none.
     """
@@ -68,11 +57,7 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
     motion
         How it moves: see `fit_motion`.
     causal
-        Use no row after the one that is estimated: what a live view can show. Else all rows, before and after.
-
-    Returns
-    -------
-    Smoothed
+        Use no row after the estimated one, as a live view must. Else all rows, before and after.
 
     Raises
     ------
@@ -81,53 +66,43 @@ def smooth(series: Series, motion: Motion, *, causal: bool = False) -> Smoothed:
 
     Notes
     -----
-    The half-width of the interval is √(NORMAL² P + (systematic h)²) with the variance P that filter or smoother gives
-    and the raw half-width h, between measurements that of the neighbours.
+    The half-width of the interval is √(NORMAL² P + (systematic h)²) with the variance P of filter or smoother and the
+    raw half-width h, between measurements that of the neighbours.
     """
     rows = np.flatnonzero(series.measured)
     if not len(rows):
         raise InputError("no row has an estimate with an interval", where="series", remedy="track with a model")
     first, times = int(rows[0]), series.times
-    part = Series(times[first:], series.value[first:], series.lower[first:], series.upper[first:])
+    part = series.at(slice(first, None))
     passed = forward(part, motion)
     states, trust = passed.filtered, passed.trust
     if not causal:
-        states = backward(part.times.tolist(), passed)
-        # Twice more, each row judged by its neighbours on both sides: a filter alone may doubt the truth after a turn.
+        states = backward(part.times, passed)
+        # Two more rounds, each row judged by both neighbours: a filter alone may reject the truth after a turn.
         for _ in range(2):
             trust = judged(part, motion, states, trust)
-            states = backward(part.times.tolist(), forward(part, motion, trust))
+            states = backward(part.times, forward(part, motion, trust))
     known = np.array(states)
     deviation = np.sqrt(np.maximum(known[:, 2], 0.0))
     raw = np.interp(part.times, times[rows], series.half_width[rows])
-    half = np.sqrt((NORMAL * deviation) ** 2 + (motion.systematic * raw) ** 2)
-    # A guess wider than the quantity itself ever is: after a track's end, or a gap too long.
+    half = np.hypot(NORMAL * deviation, motion.systematic * raw)
+    # Wider than the quantity's own range: after a track's end, or in too long a gap.
     known[~part.measured & (deviation > motion.spread)] = np.nan
-
-    def whole(values: Array) -> Array:
-        return np.concatenate([np.full(first, np.nan), values])
-
-    x = known[:, 0]
-    columns = (x, x - half, x + half, known[:, 1], deviation, trust)
-    return Smoothed(times, *(whole(one) for one in columns))
+    x, rate = known[:, :2].T
+    columns = (x, x - half, x + half, rate, deviation, trust)
+    return Smoothed(times, *(np.concatenate([np.full(first, np.nan), one]) for one in columns))
 
 
 class LiveFilter:
-    """The causal filter of one quantity of one track, a row at a time.
-
-    Parameters
-    ----------
-    motion
-        How it moves.
-    """
+    """The causal filter of one quantity of one track, a row at a time."""
 
     def __init__(self, motion: Motion) -> None:
         self.motion = motion
-        self._state: State | None = None
-        self._time, self._raw = 0.0, math.nan
+        self._filter = Filter(motion)
+        self._raw = math.nan
 
     def update(self, time: float, value: float, lower: float, upper: float) -> tuple[float, float, float]:
-        """Take a row; return value, lower and upper as they are now known, NaN where `smooth` gives none.
+        """Take a row; return value, lower and upper as now known, NaN where `smooth` gives none.
 
         Parameters
         ----------
@@ -141,40 +116,31 @@ class LiveFilter:
         InputError
             When time runs backwards or is not finite.
         """
-        half = (upper - lower) / 2
-        if (self._state is not None and not time >= self._time) or not math.isfinite(time):
-            raise InputError(f"{time} s follows {self._time} s", where="time", remedy="give the rows in order")
+        half, begun = (upper - lower) / 2, self._filter.state is not None
+        if (begun and not time >= self._filter.time) or not math.isfinite(time):
+            what = f"{time} s follows {self._filter.time} s"
+            raise InputError(what, where="time", remedy="give the rows in order")
         measures = math.isfinite(value) and math.isfinite(half) and half >= 0
-        r = float(variance_of(np.array(half), self.motion)) if measures else math.nan
-        if self._state is None:
-            if not measures:
-                return math.nan, math.nan, math.nan
-            self._state = begin(value, r, self.motion)
-        else:
-            self._state = predict(self._state, time - self._time, self.motion.acceleration)
-            if measures:
-                trust, _ = trust_in(value - self._state.x, self._state.a + r, self.motion)
-                self._state = correct(self._state, value, r, trust)
-        self._time, self._raw = time, half if measures else self._raw
-        if not measures and self._state.a > self.motion.spread**2:
+        if not begun and not measures:
             return math.nan, math.nan, math.nan
-        wide = math.sqrt(NORMAL**2 * max(self._state.a, 0.0) + (self.motion.systematic * self._raw) ** 2)
-        return self._state.x, self._state.x - wide, self._state.x + wide
+        r = float(variance_of(np.array(half), self.motion)) if measures else math.nan
+        _, state, _, _ = self._filter.update(time, value, r)
+        self._raw = half if measures else self._raw
+        if not measures and state.a > self.motion.spread**2:
+            return math.nan, math.nan, math.nan
+        wide = math.sqrt(NORMAL**2 * max(state.a, 0.0) + (self.motion.systematic * self._raw) ** 2)
+        return state.x, state.x - wide, state.x + wide
 
 
 def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: float = 0.02) -> Motion:
-    """Find how a quantity moves, and how much of its errors is new in every row, by maximum likelihood.
+    """Fit a quantity's motion, and the share of its errors that is new in every row, by maximum likelihood.
 
     Parameters
     ----------
     runs
-        Tracks of the same quantity. No truth is needed. Of long ones the first rows are enough.
+        Tracks of the same quantity, without truth. Of long ones the first rows are enough.
     systematic, outliers
         As of `Motion`.
-
-    Returns
-    -------
-    Motion
 
     Raises
     ------
@@ -187,7 +153,7 @@ def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: flo
         rows = np.flatnonzero(run.measured)[:left]
         left -= len(rows)
         if len(rows) > 1:
-            used.append(Series(run.times[rows], run.value[rows], run.lower[rows], run.upper[rows]))
+            used.append(run.at(rows))
     if sum(map(len, used)) < 3:
         raise InputError("fewer than 3 rows have an estimate with an interval", where="series", remedy="track longer")
     values, halves = np.concatenate([run.value for run in used]), np.concatenate([run.half_width for run in used])
@@ -200,7 +166,7 @@ def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: flo
     def cost(free: ArrayLike) -> float:
         return -sum(forward(run, motion(free)).likelihood for run in used)
 
-    # The likelihood may have a second hill, all noise and no motion: begin on the higher one.
+    # The likelihood may have a second maximum, all noise and no motion: start at the higher one.
     start = min(((q, noise) for q in (-9.0, -4.0, 0.0, 4.0) for noise in (-6.0, -3.0, 0.0)), key=cost)
     corners = np.array([start, (start[0] + 1.5, start[1]), (start[0], start[1] - 1.0)])
     options = {"xatol": 0.05, "fatol": 0.05, "maxfev": 90, "initial_simplex": corners}
@@ -211,7 +177,7 @@ def fit_motion(runs: Sequence[Series], *, systematic: float = 1.0, outliers: flo
 def calibrate(
     motion: Motion, runs: Sequence[tuple[Series, ArrayLike]], *, causal: bool = False, coverage: float = 0.9
 ) -> Motion:
-    """Find how much of the raw intervals has to stay, on recordings whose truth is known.
+    """Find the share of the raw intervals that must stay, on recordings with known truth.
 
     Parameters
     ----------
@@ -236,9 +202,9 @@ def calibrate(
 
     Notes
     -----
-    Split-conformal: intervals grow with `systematic`, so each row has the least value that makes its interval hold the
-    truth, √(e² − NORMAL² P)/h, and the ``ceil((n + 1) coverage)``-th smallest of n is taken. Rows of a video resemble
-    each other: the guarantee for exchangeable rows is a guide here, as for the raw intervals.
+    Split-conformal: intervals grow with `systematic`, so each row has the least value at which its interval holds the
+    truth, √(e² − NORMAL² P)/h, and the ``ceil((n + 1) coverage)``-th smallest of n is taken. The guarantee is for
+    exchangeable rows; rows of a video are correlated, so here, as for the raw intervals, it is a guide only.
     """
     needed: list[Array] = []
     for series, given in runs:
@@ -260,35 +226,30 @@ def calibrate(
 
 
 def quantities_in(table: pa.Table, wanted: Sequence[str] | None = None, *, where: object = "tracks") -> tuple[str, ...]:
-    """Return the quantities of a table of tracks that have estimates with intervals.
+    """The quantities of a table of tracks that have estimates with intervals.
 
     Parameters
     ----------
     table
         Of tracks.
     wanted
-        Those that must be among them; all there are where left out.
+        Those that must be among them; default: all there are.
     where
-        What to call the table in a message.
+        Name of the table in messages.
 
     Raises
     ------
     InputError
         When there are none, or a wanted one is missing or has no interval.
     """
-    columns = set(table.column_names)
-    if missing := [name for name in ("time", "track") if name not in columns]:
-        raise InputError(f"no column {', '.join(missing)}", where=where, remedy="give a table of tracks")
-    found = [name for name in table.column_names if {f"{name}_low", f"{name}_high"} <= columns]
+    check_columns(table, ("time", "track"), where, _REMEDY)
+    found = estimated(table.column_names)
     for name in wanted or ():
         if name not in found:
             has = ", ".join(found) or "none"
             raise InputError(f"no column {name} with {name}_low and {name}_high", where=where, remedy=f"it has {has}")
-    told = [
-        name
-        for name in found
-        if (wanted is None or name in wanted) and any(one.measured.any() for one in series_of(table, name).values())
-    ]
+    asked = [name for name in found if wanted is None or name in wanted]
+    told = [name for name in asked if any(one.measured.any() for one in series_of(table, name).values())]
     if lacking := [name for name in wanted or () if name not in told]:
         raise InputError(f"{', '.join(lacking)} has no intervals", where=where, remedy="track with a calibrated model")
     if not told:
@@ -298,19 +259,17 @@ def quantities_in(table: pa.Table, wanted: Sequence[str] | None = None, *, where
 
 
 def series_of(table: pa.Table, name: str) -> dict[int, Series]:
-    """Return one quantity of every track in a table, by the track's number.
+    """One quantity of every track in a table, by the track's number.
 
     Raises
     ------
     InputError
         When a column is missing, or times run backwards.
     """
-    ends = (name, f"{name}_low", f"{name}_high")
-    if missing := [one for one in ("time", "track", *ends) if one not in table.column_names]:
-        raise InputError(f"no column {', '.join(missing)}", where="tracks", remedy="give a table of tracks")
-    times, value, lower, upper = (_floats(table, one) for one in ("time", *ends))
-    rows = _rows_of(table)
-    return {number: Series(times[at], value[at], lower[at], upper[at]) for number, at in rows.items()}
+    columns = ("time", *(name + end for end in ENDS))
+    check_columns(table, ("track", *columns), "tracks", _REMEDY)
+    values = [_floats(table, one) for one in columns]
+    return {number: Series(*(one[at] for one in values)) for number, at in _rows_of(table).items()}
 
 
 def _rows_of(table: pa.Table) -> dict[int, NDArray[np.intp]]:
@@ -326,7 +285,7 @@ def _floats(table: pa.Table, name: str) -> Array:
     try:
         return table[name].cast(pa.float64()).to_numpy(zero_copy_only=False)
     except pa.ArrowException as error:
-        raise InputError(f"column {name} holds no numbers", where="tracks", remedy="give a table of tracks") from error
+        raise InputError(f"column {name} holds no numbers", where="tracks", remedy=_REMEDY) from error
 
 
 def smooth_tracks(
@@ -344,13 +303,13 @@ def smooth_tracks(
     table
         Of tracks.
     motions
-        By quantity, calibrated ones for instance. Found from the table itself where not given.
+        By quantity, calibrated ones for instance. Default: fitted to the table itself.
     causal
         Use no later row: see `smooth`.
     systematic
-        As of `Motion`, for those that are found here.
+        As of `Motion`, for fitted ones.
     quantities
-        What to smooth; all that have intervals where left out. Others stay as they are.
+        What to smooth; default: all that have intervals. Others stay as they are.
 
     Returns
     -------
@@ -366,11 +325,11 @@ def smooth_tracks(
         runs = series_of(table, name)
         motion = (motions or {}).get(name) or fit_motion(list(runs.values()), systematic=systematic)
         rows = _rows_of(table)
-        columns = {end: np.full(len(table), np.nan) for end in ("", "_low", "_high")}
+        columns = {end: np.full(len(table), np.nan) for end in ENDS}
         for number, series in runs.items():
             if series.measured.any():
                 told = smooth(series, motion, causal=causal)
-                for end, values in (("", told.value), ("_low", told.lower), ("_high", told.upper)):
+                for end, values in zip(ENDS, (told.value, told.lower, told.upper), strict=True):
                     columns[end][rows[number]] = values
         for end, values in columns.items():
             place = table.column_names.index(name + end)

@@ -1,4 +1,4 @@
-"""Light that stands out of a frame: maps of it at two scales, and the spots it makes."""
+"""Light above the background of a frame: maps of it at two scales, and the spots in them."""
 
 from __future__ import annotations
 
@@ -14,22 +14,24 @@ from tapetum.track.background import clean
 
 __all__ = ["Maps", "Spot", "make_maps", "search"]
 
-# Standard deviations of the two smoothings: matched to the smallest spot a lens draws, and to a spot with
-# fringes.
+Picture = NDArray[np.float32]
+Window = tuple[slice, slice]
+
+# Standard deviations of the two smoothings: matched to the smallest imaged spot, and to one with fringes.
 _FINE, _WIDE = 1.5, 6.0
 _REDUCE = 4
-# How many standard deviations of a spot still belong to it. 3: an aperture of 1.5 times the D4 sigma
-# diameter. ISO 11146-1 takes 3 times, which would hold the second beam of a beam splitter as well.
+# Standard deviations that belong to a spot. 3: an aperture of 1.5 times the D4 sigma diameter. ISO 11146-1 takes 3
+# times, which would include the second beam of a beam splitter.
 _REACH = 3.0
-# How much of a pixel's noise smoothing may take away: no background is evener than a twelfth of its noise,
-# so that wide and faint light must stand out by half of the noise to be seen at an SNR of 6.
+# Largest factor by which smoothing reduces noise: no background is more even than a twelfth of its noise, so wide and
+# faint light must exceed half of the noise for an SNR of 6.
 _EVEN = 12.0
-# Where many pixels read the lowest number, black is cut off: the noise that is left leans upwards, and its
-# tail is longer than its standard deviation says.
+# Where many pixels read the lowest number, black is clipped: the noise is skewed upwards, and its tail is longer than
+# its standard deviation implies.
 _TAIL = 1.25
-# A spot's own ground, in standard deviations (its own and the smoothing's): nothing else is sought there.
+# A spot's own area, in standard deviations (its own and the smoothing's), where no other spot is sought.
 _CLAIM = 3.75
-# Fringes of one spot have like heights, down to this ratio; what is dimmer is a ghost or another spot.
+# Smallest ratio of heights between fringes of one spot; dimmer light is a ghost or another spot.
 _LIKE = 0.2
 _MAD = 1.4826
 
@@ -38,11 +40,11 @@ _MAD = 1.4826
 class Maps:
     """A frame as the search sees it, all [H, W] float32."""
 
-    excess: NDArray[np.float32]
-    fine: NDArray[np.float32]
-    fine_snr: NDArray[np.float32]
-    wide: NDArray[np.float32]
-    snr: NDArray[np.float32]
+    excess: Picture
+    fine: Picture
+    fine_snr: Picture
+    wide: Picture
+    snr: Picture
 
 
 @dataclass(frozen=True)
@@ -62,16 +64,14 @@ class Spot:
         return 2 * math.sqrt(2) * math.sqrt(self.covariance[0] + self.covariance[2])
 
 
-def _blur(image: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
-    # Beyond the frame there is nothing: a mirrored border would count the noise at the edge twice.
+def _blur(image: Picture, sigma: float) -> Picture:
+    # Zero beyond the frame: a mirrored border would count the noise at the edge twice.
     size = 2 * math.ceil(3 * sigma) + 1
     return np.asarray(cv2.GaussianBlur(image, (size, size), sigma, borderType=cv2.BORDER_CONSTANT), dtype=np.float32)
 
 
-def _in_noise(
-    smooth: NDArray[np.float32], noise: NDArray[np.float32], sigma: float, tail: float
-) -> NDArray[np.float32]:
-    """Divide a smoothed frame by its noise: what white noise keeps after a Gaussian, or more if it is not."""
+def _in_noise(smooth: Picture, noise: Picture, sigma: float, tail: float) -> Picture:
+    """Divide a smoothed frame by its noise: that of smoothed white noise, or more where it is not white."""
     gain = min(2 * math.sqrt(math.pi) * sigma, _EVEN) / tail
     thin = max(1, math.isqrt(smooth.size // 20000))
     sample = gain * smooth[::thin, ::thin] / noise[::thin, ::thin]
@@ -80,30 +80,29 @@ def _in_noise(
 
 
 def make_maps(image: NDArray[np.generic], quantum: float) -> Maps:
-    cleaned = clean(image, quantum)
+    excess, noise = clean(image, quantum)
     sparse = image[::4, ::4]
     tail = _TAIL if np.count_nonzero(sparse == sparse.min()) > 0.2 * sparse.size else 1.0
-    excess, noise = cleaned.excess, cleaned.noise
     height, width = excess.shape
     fine = _blur(excess, _FINE)
     fine_snr = _in_noise(fine, noise, _FINE, tail)
     small = (max(1, width // _REDUCE), max(1, height // _REDUCE))
 
-    def reduced(full: NDArray[np.float32]) -> NDArray[np.float32]:
+    def reduced(full: Picture) -> Picture:
         return np.asarray(cv2.resize(full, small, interpolation=cv2.INTER_AREA), dtype=np.float32)
 
-    def grown(reduced: NDArray[np.float32]) -> NDArray[np.float32]:
+    def grown(reduced: Picture) -> Picture:
         return np.asarray(cv2.resize(reduced, (width, height), interpolation=cv2.INTER_LINEAR), dtype=np.float32)
 
     sigma = _WIDE / _REDUCE
     wide = grown(_blur(reduced(excess), sigma))
-    # Clipped, so that the wide map finds what is faint and wide, not the halo of what is bright and small.
+    # Clipped, so that the wide map finds faint wide light, not the halo of bright small light.
     clipped = reduced(np.asarray(cv2.min(excess, 3 * noise), dtype=np.float32))
     wide_snr = grown(_in_noise(_blur(clipped, sigma), reduced(noise / np.float32(_REDUCE)), sigma, tail))
     return Maps(excess, fine, fine_snr, wide, np.asarray(cv2.max(fine_snr, wide_snr), dtype=np.float32))
 
 
-def _window(maps: Maps, x: float, y: float, reach_x: float, reach_y: float) -> tuple[slice, slice]:
+def _window(maps: Maps, x: float, y: float, reach_x: float, reach_y: float) -> Window:
     height, width = maps.excess.shape
     return (
         slice(max(0, math.floor(y - reach_y)), min(height, math.ceil(y + reach_y) + 1)),
@@ -112,9 +111,9 @@ def _window(maps: Maps, x: float, y: float, reach_x: float, reach_y: float) -> t
 
 
 def _moments(
-    weight: NDArray[np.float32], rows: NDArray[np.float64], columns: NDArray[np.float64]
+    weight: Picture, rows: NDArray[np.float64], columns: NDArray[np.float64]
 ) -> tuple[float, float, float, float, float, float] | None:
-    """Return centroid, covariance and total of a weight, x, y, xx, xy, yy, total; None where it is dark."""
+    """Centroid, covariance and total of a weight as x, y, xx, xy, yy, total; None where it is dark."""
     total = float(weight.sum(dtype=np.float64))
     if total <= 0:
         return None
@@ -123,7 +122,7 @@ def _moments(
     dx, dy = columns - x, rows - y
     xx, yy = float(along_x @ dx**2) / total, float(along_y @ dy**2) / total
     xy = float(dy @ weight.astype(np.float64) @ dx) / total
-    # A pixel has a width of its own; it also keeps a spot of one pixel from having none.
+    # Add a pixel's own width, so that a spot of one pixel has one.
     # Noise below the background can make them negative.
     return x, y, max(xx, 0) + 1 / 12, xy, max(yy, 0) + 1 / 12, total
 
@@ -143,22 +142,25 @@ def _inside(
     return yy * dx * dx - 2 * xy * dx * dy + xx * dy * dy <= reach**2 * determinant
 
 
-def _touches(lit: NDArray[np.bool_], window: tuple[slice, ...], height: int, width: int, stride: int) -> bool:
-    """Tell whether light reaches the outermost pixels of the frame."""
-    return bool(
-        (window[0].start < stride and lit[0].any())
-        or (window[1].start < stride and lit[:, 0].any())
-        or (window[0].stop > height - stride and lit[-1].any())
-        or (window[1].stop > width - stride and lit[:, -1].any())
+def _borders(lit: NDArray[np.bool_], window: Window, shape: tuple[int, int], stride: int = 1) -> tuple[bool, bool]:
+    """Tell whether light reaches a window's border inside the frame, and whether it reaches the frame's own border."""
+    rows, columns = window
+    sides = (
+        (lit[0], rows.start < stride),
+        (lit[-1], rows.stop > shape[0] - stride),
+        (lit[:, 0], columns.start < stride),
+        (lit[:, -1], columns.stop > shape[1] - stride),
     )
+    reached = {at_frame for side, at_frame in sides if side.any()}
+    return False in reached, True in reached
 
 
 def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_snr: float) -> Spot | None:
     """Measure the spot around a bright pixel: its moments, in an aperture that follows them."""
     height, width = maps.excess.shape
-    # Where the light of fringes and lobes runs together, a quarter of the height bounds the spot.
+    # Where fringes and lobes merge, a quarter of the height bounds the spot.
     level = np.float32(0.25 * maps.wide[row, column])
-    # A small spot is bounded by the fine map: the wide one surrounds it with a halo of noise.
+    # A small spot is bounded by the fine map: the wide one adds a halo of noise.
     gate, least = (maps.fine_snr if maps.fine_snr[row, column] >= min_snr else maps.snr), 0.5 * min_snr
     reach = 32.0
     while True:
@@ -168,13 +170,7 @@ def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_
         above[row - window[0].start, column - window[1].start] = 1
         _, labels = cv2.connectedComponents(above, connectivity=4)
         region = labels == labels[row - window[0].start, column - window[1].start]
-        cut = (
-            (window[0].start > 0 and region[0].any())
-            or (window[0].stop < height and region[-1].any())
-            or (window[1].start > 0 and region[:, 0].any())
-            or (window[1].stop < width and region[:, -1].any())
-        )
-        if not cut:
+        if not _borders(region, window, maps.excess.shape)[0]:
             break
         reach *= 2
     rows, columns = np.arange(height, dtype=np.float64), np.arange(width, dtype=np.float64)
@@ -188,14 +184,14 @@ def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_
         window = _window(maps, x, y, _REACH * math.sqrt(xx), _REACH * math.sqrt(yy))
         if window[0].start >= window[0].stop or window[1].start >= window[1].stop:
             return None
-        # Wide spots are sampled: 160 points across give the moments to far better than a pixel.
+        # Wide spots are subsampled: 160 points across give the moments far better than to a pixel.
         stride = max(1, int(max(window[0].stop - window[0].start, window[1].stop - window[1].start) // 160))
-        part = tuple(slice(s.start, s.stop, stride) for s in window)
+        part = slice(window[0].start, window[0].stop, stride), slice(window[1].start, window[1].stop, stride)
         where = rows[part[0]], columns[part[1]]
         lit = _inside(*where, x, y, (xx, xy, yy)) & (gate[part] > least) & (claimed[part] == 0)
         area = int(lit.sum()) * stride**2
         after = _moments(np.where(lit, maps.excess[part], 0), *where)
-        touches = _touches(lit, part, height, width, stride)
+        touches = _borders(lit, part, maps.excess.shape, stride)[1]
         if after is None:
             break
         step = max(abs(a - b) for a, b in zip(after[:2], found[:2], strict=True))
@@ -210,10 +206,10 @@ def _measure(maps: Maps, row: int, column: int, claimed: NDArray[np.uint8], min_
 def search(
     maps: Maps, full: NDArray[np.bool_], min_snr: float, max_count: int, largest: float = math.inf
 ) -> list[Spot]:
-    """Return the spots, brightest first, but for those wider than `largest` pixels."""
+    """The spots, brightest first, without those wider than `largest` pixels."""
     height, width = maps.excess.shape
     mask = (maps.snr > min_snr).astype(np.uint8)
-    # Labelling costs more than all the rest; most of a frame holds nothing to label.
+    # Labelling is the main cost; most of a frame holds nothing to label.
     first_x, first_y, w, h = cv2.boundingRect(mask)
     if w == 0:
         return []
@@ -222,22 +218,24 @@ def search(
     claimed = np.zeros((height, width), np.uint8)
     queue: list[tuple[float, int, int, int]] = []
 
-    def enqueue(label: int) -> None:
+    def ground(label: int) -> tuple[Window, NDArray[np.bool_]]:
+        """Return the window around a labelled region, and its pixels in there."""
         left, top, w, h, _ = (int(v) for v in stats[label])
-        mine = labels[top : top + h, left : left + w] == label
-        left, top = left + first_x, top + first_y
-        window = slice(top, top + h), slice(left, left + w)
+        window = slice(top + first_y, top + first_y + h), slice(left + first_x, left + first_x + w)
+        return window, labels[top : top + h, left : left + w] == label
+
+    def enqueue(label: int) -> None:
+        window, mine = ground(label)
         free = mine & (claimed[window] == 0)
         if free.any():
             heights = np.where(free, maps.fine[window], -np.inf)
-            row, column = np.unravel_index(int(heights.argmax()), heights.shape)
-            peak = float(heights[row, column])
-            heapq.heappush(queue, (-peak, label, top + int(row), left + int(column)))
+            row, column = (int(n) for n in np.unravel_index(int(heights.argmax()), heights.shape))
+            heapq.heappush(queue, (-float(heights.max()), label, window[0].start + row, window[1].start + column))
 
     for label in range(1, len(stats)):
         enqueue(label)
     found: list[Spot] = []
-    # A smear or a halo breaks into pieces; they are dim and come last, and nobody needs them all.
+    # A smear or a halo breaks into pieces; they are dim and come last, so their number is limited.
     for _ in range(4 * max_count):
         if not queue or len(found) >= max_count:
             break
@@ -247,10 +245,9 @@ def search(
             continue
         spot = _measure(maps, row, column, claimed, min_snr)
         if spot is not None and spot.diameter > largest:
-            # Nothing of a wall's surroundings belongs to it.
-            left, top, w, h, _ = (int(v) for v in stats[label])
-            mine = labels[top : top + h, left : left + w] == label
-            claimed[top + first_y : top + first_y + h, left + first_x : left + first_x + w][mine] = 1
+            # A wall's surroundings belong to no spot.
+            window, mine = ground(label)
+            claimed[window][mine] = 1
             continue
         if spot is not None and 0 <= round(spot.x) < width and 0 <= round(spot.y) < height:
             xx, xy, yy = spot.covariance
@@ -277,16 +274,19 @@ def _joined(spots: list[Spot]) -> list[Spot]:
     done: list[Spot] = []
     while rest:
         one = rest.pop(0)
-        for other in rest:
-            near = math.hypot(one.x - other.x, one.y - other.y) < 0.5 * (one.diameter + other.diameter)
-            if near and other.peak > _LIKE * one.peak:
-                rest.remove(other)
-                # The sum may reach others that its parts did not.
-                rest.insert(0, _sum(one, other))
-                break
-        else:
+        other = next((other for other in rest if _belongs(other, one)), None)
+        if other is None:
             done.append(one)
+        else:
+            rest.remove(other)
+            # The sum may reach others that its parts did not reach.
+            rest.insert(0, _sum(one, other))
     return done
+
+
+def _belongs(other: Spot, one: Spot) -> bool:
+    near = math.hypot(one.x - other.x, one.y - other.y) < 0.5 * (one.diameter + other.diameter)
+    return near and other.peak > _LIKE * one.peak
 
 
 def _sum(one: Spot, other: Spot) -> Spot:

@@ -1,12 +1,9 @@
-"""Tables on disk: tracks and detections, as Parquet, CSV or lines of JSON, row by row."""
+"""Tables of tracks and detections: their columns, writing them row by row, and reading them."""
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import io
-import itertools
-import json
 import math
 import os
 import time
@@ -17,13 +14,12 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.csv as pacsv
-import pyarrow.parquet as pq
 
 from tapetum.durable import sync
 from tapetum.errors import InputError
-from tapetum.files import atomic_file, free_name, told_when_full
+from tapetum.files import free_name, told_when_full
 from tapetum.track.detections import Detections
+from tapetum.track.formats import FORMATS, to_parquet
 
 __all__ = [
     "TableWriter",
@@ -35,56 +31,49 @@ __all__ = [
     "write_tracks",
 ]
 
-SUFFIXES = (".parquet", ".csv", ".jsonl")
+ENDS = ("", "_low", "_high")
+"""Of the columns of an estimated quantity: its value and the ends of its 90 % interval."""
 _FLUSH = 2000
 _SECONDS = 1.0
 
+_FRAME = {"frame": pa.int64(), "time": pa.float64()}
+_NAME = {"name": pa.string()}
+# Further data of a frame. Tables of older versions lack them.
+MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
-# What is known of a frame beside its time. Tables of older versions lack it.
-MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
+_SPOT = {name: pa.from_numpy_dtype(kind) for name, kind in Detections.types().items()}
+_GAZE = {f"gaze_{axis}{end}": pa.float64() for axis in "xy" for end in ENDS}
 _TRACK = {
-    "frame": pa.int64(),
-    "time": pa.float64(),
+    **_FRAME,
     "track": pa.int64(),
-    "x": pa.float64(),
-    "y": pa.float64(),
-    "snr": pa.float64(),
+    **{name: _SPOT[name] for name in ("x", "y", "snr")},
     "active": pa.bool_(),
-    **{f"gaze_{axis}{end}": pa.float64() for axis in "xy" for end in ("", "_low", "_high")},
+    **_GAZE,
     **_DEVICE,
     "seen": pa.bool_(),
-    "peak_x": pa.float64(),
-    "peak_y": pa.float64(),
-    "diameter": pa.float64(),
-    "name": pa.string(),
+    **{name: _SPOT[name] for name in ("peak_x", "peak_y", "diameter")},
+    **_NAME,
     **MOMENT,
-}
-_DETECTION = {
-    "frame": pa.int64(),
-    "time": pa.float64(),
-    "name": pa.string(),
-    **MOMENT,
-    **{
-        name: {"area": pa.int64(), "saturated": pa.int64(), "edge": pa.bool_(), "ghost": pa.bool_()}.get(
-            name, pa.float64()
-        )
-        for name in Detections.names()
-    },
 }
 
 
 def estimate_columns(names: Iterable[str]) -> dict[str, pa.DataType]:
-    """Return the columns of what models estimate.
+    """The columns of the models' estimates.
 
-    NAME, NAME_low, NAME_high for each quantity, two for the device, and, where there is any, whether the models apply
-    and why not.
+    NAME, NAME_low and NAME_high for each quantity, two for the device, and, where there is any, whether the models
+    apply and why not.
     """
     columns: dict[str, pa.DataType] = {}
     for name in names:
-        own = _DEVICE if name == "device" else {name + end: pa.float64() for end in ("", "_low", "_high")}
-        columns |= own
+        columns |= _DEVICE if name == "device" else {name + end: pa.float64() for end in ENDS}
     return {**columns, **_JUDGED} if columns else columns
+
+
+def estimated(columns: Iterable[str]) -> list[str]:
+    """Return the quantities that have estimates with intervals among some columns."""
+    there = list(columns)
+    return [name for name in there if {name + end for end in ENDS} <= set(there)]
 
 
 def track_schema(estimates: Sequence[str] = ()) -> pa.Schema:
@@ -94,54 +83,56 @@ def track_schema(estimates: Sequence[str] = ()) -> pa.Schema:
 
 def detections_schema(estimates: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of detections, with three for each estimated quantity."""
-    return pa.schema({**_DETECTION, **estimate_columns(estimates)})
+    return pa.schema({**_FRAME, **_NAME, **MOMENT, **_SPOT, **estimate_columns(estimates)})
 
 
 def checked_suffix(path: str | os.PathLike[str]) -> str:
-    """Return the kind of table that a path names by its suffix.
-
-    Raises
-    ------
-    InputError
-        When it names none.
-    """
+    """The kind of table of a path, by its suffix, or an InputError."""
     suffix = Path(path).suffix.lower()
-    if suffix not in SUFFIXES:
-        raise InputError(f"unknown kind of table {suffix!r}", where=path, remedy=f"use one of {', '.join(SUFFIXES)}")
+    if suffix not in FORMATS:
+        raise InputError(f"unknown kind of table {suffix!r}", where=path, remedy=f"use one of {', '.join(FORMATS)}")
     return suffix
 
 
-def finite(value: Any) -> Any:
-    """Return a value as tables hold it: what is not finite (an interval without an end) is left empty."""
-    if isinstance(value, np.generic):
-        value = value.item()
-    return None if isinstance(value, float) and not math.isfinite(value) else value
+def check_columns(table: pa.Table, names: Iterable[str], where: object, remedy: str | None = None) -> None:
+    """Raise an InputError where a table lacks columns, except those of `MOMENT`, which older tables lack."""
+    if missing := [name for name in names if name not in table.column_names and name not in MOMENT]:
+        raise InputError(f"no column {', '.join(missing)}", where=where, remedy=remedy)
+
+
+def plain(values: Mapping[str, Any], names: Iterable[str]) -> dict[str, Any]:
+    """A row as tables hold it: missing and infinite values are empty."""
+    row: dict[str, Any] = {}
+    for name in names:
+        value = values.get(name)
+        value = value.item() if isinstance(value, np.generic) else value
+        row[name] = None if isinstance(value, float) and not math.isfinite(value) else value
+    return row
 
 
 class TableWriter:
-    """Writes rows as they come, so that an hour of tracks needs no memory. Made by `table_writer`.
+    """Writes rows as they come, so memory does not grow with the length of a track. Made by `table_writer`.
 
-    Rows grow in a file of their own, `NAME.unfinished` with the table's suffix (`.arrow` for a table in Parquet, which
-    can only be read when it is whole). Every second they are handed to the system: that much a kill may cost.
+    Rows grow in a separate file, `NAME.unfinished` with the table's suffix (`.arrow` for Parquet, which can only be
+    read when complete). It is flushed every second, so a killed process loses no more than that.
     """
 
     def __init__(self, target: Path, schema: pa.Schema) -> None:
-        self.schema, self.rows, self._target = schema, 0, target
-        self._suffix = checked_suffix(target)
+        self.schema, self._target = schema, target
+        self._format = FORMATS[checked_suffix(target)]
         self._pending: list[dict[str, Any]] = []
         self._handed, self._whole, self._since = 0, 0, time.monotonic()
-        growing = target.with_suffix(".arrow") if self._suffix == ".parquet" else target
-        self.place, self._file = _opened(growing)
-        self._arrow = None
-        if self._suffix == ".parquet":
-            self._arrow = pa.ipc.new_stream(self._file, schema)
-        elif self._suffix == ".csv":
-            self._arrow = pacsv.CSVWriter(self._file, schema)
+        growing = target.with_suffix(self._format.grows_as or target.suffix)
+        while True:
+            self.place = free_name(growing, "unfinished")
+            with contextlib.suppress(FileExistsError):
+                self._file = self.place.open("xb")
+                break
+        self._sink = self._format.sink(self._file, schema)
 
     def write(self, row: Mapping[str, Any]) -> None:
         """Add a row; columns that it lacks stay empty."""
-        self._pending.append({name: finite(row.get(name)) for name in self.schema.names})
-        self.rows += 1
+        self._pending.append(plain(row, self.schema.names))
         if len(self._pending) >= _FLUSH or time.monotonic() - self._since > _SECONDS:
             self.flush()
 
@@ -150,11 +141,7 @@ class TableWriter:
         self._since = time.monotonic()
         if not self._pending:
             return
-        if self._arrow is None:
-            lines = (json.dumps(row, allow_nan=False) + "\n" for row in self._pending)
-            self._file.write("".join(lines).encode())
-        else:
-            self._arrow.write_table(pa.Table.from_pylist(self._pending, schema=self.schema))
+        self._sink.write_table(pa.Table.from_pylist(self._pending, schema=self.schema))
         self._file.flush()
         self._whole, self._handed = self._file.tell(), self._handed + len(self._pending)
         self._pending.clear()
@@ -162,11 +149,10 @@ class TableWriter:
     def finish(self) -> None:
         """Write what is left; the table, on the disk and whole, takes its name."""
         self.flush()
-        if self._arrow is not None:
-            self._arrow.close()
+        self._sink.close()
         self._file.close()
-        if self._suffix == ".parquet":
-            _to_parquet(self.place, self._target)
+        if self._format.grows_as is not None:
+            to_parquet(self.place, self._target)
             self.place.unlink()
             return
         sync(self.place)
@@ -174,7 +160,7 @@ class TableWriter:
         sync(self._target.absolute().parent)
 
     def abandon(self) -> str:
-        """Close the file after work that failed; return what of it is kept, and where."""
+        """Close the file after a failure; return what is kept, and where."""
         with contextlib.suppress(OSError, pa.ArrowException):
             self.flush()
         with contextlib.suppress(OSError, pa.ArrowException, ValueError):
@@ -183,64 +169,23 @@ class TableWriter:
             self.place.unlink(missing_ok=True)
             return ""
         with contextlib.suppress(OSError):
-            # A full disk may have taken a part of the last rows.
+            # On a full disk the last rows may be truncated.
             os.truncate(self.place, self._whole)
-        if self._suffix == ".parquet":
+        if self._format.grows_as is not None:
             with contextlib.suppress(OSError, pa.ArrowException, InputError):
                 whole = free_name(self._target, "unfinished")
-                _to_parquet(self.place, whole)
+                to_parquet(self.place, whole)
                 self.place.unlink()
                 self.place = whole
         return f"{self._handed} rows are kept in {self.place}"
 
 
-def _opened(target: Path) -> tuple[Path, Any]:
-    """Open a file `NAME.unfinished.SUFFIX` that was not there before."""
-    while True:
-        place = free_name(target, "unfinished")
-        with contextlib.suppress(FileExistsError):
-            return place, place.open("xb")
-
-
-def _to_parquet(stream: Path, target: Path) -> None:
-    """Write the rows of an Arrow stream as Parquet, some thousands at a time."""
-    with atomic_file(target) as part:
-        batches = _batches(stream)
-        first = next(batches)
-        with pq.ParquetWriter(part, first.schema) as writer:
-            waiting: list[pa.RecordBatch] = []
-            for batch in itertools.chain([first], batches):
-                waiting.append(batch)
-                if sum(one.num_rows for one in waiting) >= _FLUSH:
-                    writer.write_table(pa.Table.from_batches(waiting))
-                    waiting.clear()
-            if waiting:
-                writer.write_table(pa.Table.from_batches(waiting))
-
-
-def _batches(stream: Path) -> Iterator[pa.RecordBatch]:
-    """Yield the batches of an Arrow stream, an empty one first, as far as it is whole."""
-    with stream.open("rb") as file, pa.ipc.open_stream(file) as reader:
-        yield pa.RecordBatch.from_pylist([], schema=reader.schema)
-        while True:
-            try:
-                batch = reader.read_next_batch()
-            except (StopIteration, OSError, pa.ArrowException):
-                return
-            yield batch
-
-
 @contextmanager
 def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[TableWriter]:
-    """Open a table for writing; it takes its name only when all went well.
+    """Open a table for writing; `path` is replaced only when all rows are written.
 
-    Where the work fails or is interrupted, its rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note
-    on the error says so (`__notes__`). A file that stood at `path` then still stands.
-
-    Raises
-    ------
-    InputError
-        When the suffix is none of .parquet, .csv, .jsonl, or the file cannot be written.
+    After a failure or an interruption the rows so far are kept as `NAME.unfinished.SUFFIX` beside it, and a note on the
+    error says so (`__notes__`). InputError when the suffix is none of `FORMATS`, or the file cannot be written.
     """
     checked_suffix(path)
     writer = None
@@ -259,54 +204,23 @@ def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[Ta
         raise
 
 
-def _read(path: Path, suffix: str, known: Mapping[str, pa.DataType]) -> pa.Table:
-    if suffix == ".parquet":
-        return pq.read_table(path)
-    if suffix == ".arrow":
-        return pa.Table.from_batches(list(_batches(path)))
-    # A kill may tear the last line of what was being written.
-    text = path.read_bytes()
-    torn = ".unfinished" in path.name and not text.endswith(b"\n")
-    text = text[: text.rfind(b"\n") + 1] if torn else text
-    if suffix == ".csv":
-        header = [name.strip().strip('"') for name in text.split(b"\n", 1)[0].decode().split(",")]
-        types = {name: known.get(name, pa.float64()) for name in header}
-        options = pacsv.ConvertOptions(column_types=types, strings_can_be_null=True)
-        return pacsv.read_csv(io.BytesIO(text), convert_options=options)
-    rows = [json.loads(line) for line in text.decode().splitlines() if line.strip()]
-    if not all(isinstance(row, dict) for row in rows):
-        raise ValueError("a line is no JSON object")
-    names = list(rows[0]) if rows else list(known)
-    return pa.Table.from_pylist(rows, schema=pa.schema({name: known.get(name, pa.float64()) for name in names}))
-
-
 def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
-    """Read a table that `table_writer` wrote.
+    """Read a table that `table_writer` wrote, in one of `FORMATS`, or the `NAME.unfinished.SUFFIX` of a killed run.
 
-    Parameters
-    ----------
-    path
-        .parquet, .csv or .jsonl; or what a killed run left, `NAME.unfinished.arrow` among them.
-    schema
-        Columns that must be there, but for those of `MOMENT`, which are empty then. Others are kept, behind them.
-
-    Raises
-    ------
-    InputError
-        When the file is missing or damaged, or lacks a column.
+    The columns of `schema` must be there, except those of `MOMENT`, which are empty if absent. Others are kept, behind
+    them. InputError when the file is missing or damaged, or lacks a column.
     """
     place = Path(path)
-    suffix = ".arrow" if place.suffix == ".arrow" else checked_suffix(place)
+    suffix = checked_suffix(place)
     if not place.is_file():
         raise InputError("no such file", where=place, remedy="check the path")
     try:
-        table = _read(place, suffix, {**_DEVICE, **_JUDGED, **{field.name: field.type for field in schema}})
+        known = {**_DEVICE, **_JUDGED, **{field.name: field.type for field in schema}}
+        table = FORMATS[suffix].read(place, known)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it again") from error
-    missing = [name for name in schema.names if name not in table.column_names and name not in MOMENT]
-    if missing:
-        raise InputError(f"no column {', '.join(missing)}", where=place, remedy="give a table that Tapetum wrote")
-    for name in set(MOMENT) & set(schema.names) - set(table.column_names):
+    check_columns(table, schema.names, place, "give a table that Tapetum wrote")
+    for name in set(schema.names) - set(table.column_names):
         table = table.append_column(name, pa.nulls(len(table), MOMENT[name]))
     extra = [name for name in table.column_names if name not in schema.names]
     try:
@@ -335,10 +249,13 @@ def write_tracks(table: pa.Table, path: str | os.PathLike[str]) -> None:
     InputError
         When the suffix is another one, or the table lacks a column of tracks.
     """
-    missing = [name for name in _TRACK if name not in table.column_names and name not in MOMENT]
-    if missing:
-        raise InputError(f"no column {', '.join(missing)}", where="tracks")
+    check_columns(table, _TRACK, "tracks")
     with table_writer(path, table.schema) as writer:
-        for batch in table.to_batches(max_chunksize=_FLUSH):
-            for row in batch.to_pylist():
-                writer.write(row)
+        for row in rows_of_table(table):
+            writer.write(row)
+
+
+def rows_of_table(table: pa.Table) -> Iterator[dict[str, Any]]:
+    """Yield the rows of a table, some thousands at a time: as Python objects they take a hundred times the memory."""
+    for batch in table.to_batches(max_chunksize=_FLUSH):
+        yield from batch.to_pylist()

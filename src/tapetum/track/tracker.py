@@ -14,9 +14,11 @@ from tapetum.track.detections import Detections
 
 __all__ = ["TrackPoint", "Tracker"]
 
-# Stands for "may not be paired"; far above any cost within the gates.
+Array = NDArray[np.float64]
+
+# Cost of a forbidden pair, far above any cost within the gates.
 _NEVER = 1e9
-# Seconds in which a track forgets how bright its spot was, to 1/e.
+# Time constant, in seconds, of the remembered brightness of a track's spot.
 _MEMORY = 4.0
 
 
@@ -29,11 +31,11 @@ class TrackPoint:
     track
         Number of the track, from 1, never used twice by a tracker.
     x, y
-        Pixels: the detection's centroid where there is one, else where the track is expected to be.
+        Pixels: the detection's centroid where there is one, else the predicted place.
     vx, vy
         Estimated velocity, pixels per second.
     detection
-        Which detection of the frame it is; None while the track coasts.
+        Index of its detection in the frame; None while the track coasts.
     """
 
     track: int
@@ -50,49 +52,46 @@ class TrackPoint:
 
 
 class _Track:
-    """State (x, y, vx, vy) with its covariance, and what is known of the spot's looks."""
+    """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size."""
 
-    def __init__(self, number: int, spot: Detections, noise: float, speed: float, time: float) -> None:
+    def __init__(
+        self, number: int, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float
+    ) -> None:
         self.number = number
-        self.state = np.array([spot.x[0], spot.y[0], 0.0, 0.0])
-        self.covariance = np.diag([noise**2, noise**2, speed**2, speed**2])
-        self.peak, self.diameter = float(spot.peak[0]), float(spot.diameter[0])
+        self.state = np.stack([place, np.zeros(2)])
+        self.covariance = np.diag([noise**2, speed**2])
+        self.peak, self.diameter = peak, diameter
         self.hits, self.misses, self.seen_at = 1, 0, time
 
     def predict(self, dt: float, acceleration: float) -> None:
-        step = np.eye(4)
-        step[0, 2] = step[1, 3] = dt
-        push = np.array([[dt * dt / 2, 0], [0, dt * dt / 2], [dt, 0], [0, dt]])
+        step, push = np.array([[1.0, dt], [0.0, 1.0]]), np.array([dt * dt / 2, dt])
         self.state = step @ self.state
+        self.covariance = step @ self.covariance @ step.T + acceleration**2 * np.outer(push, push)
         self.peak *= math.exp(-dt / _MEMORY)
-        self.covariance = step @ self.covariance @ step.T + acceleration**2 * (push @ push.T)
 
-    def correct(self, spot: Detections, noise: float, time: float) -> None:
-        spread = self.covariance[:2, :2] + noise**2 * np.eye(2)
-        gain = np.linalg.solve(spread, self.covariance[:2]).T
-        self.state = self.state + gain @ (np.array([spot.x[0], spot.y[0]]) - self.state[:2])
-        # Joseph's form stays positive whatever the rounding.
-        rest = np.eye(4)
-        rest[:, :2] -= gain
-        self.covariance = rest @ self.covariance @ rest.T + noise**2 * gain @ gain.T
-        # The brightness of the last seconds: while a spot fades, its ghost must not catch up with it.
-        self.peak = max(self.peak, float(spot.peak[0]))
-        self.diameter += 0.5 * (float(spot.diameter[0]) - self.diameter)
+    def correct(self, place: Array, peak: float, diameter: float, noise: float, time: float) -> None:
+        gain = self.covariance[0] / (self.covariance[0, 0] + noise**2)
+        self.state = self.state + np.outer(gain, place - self.state[0])
+        # Joseph's form stays positive despite rounding.
+        rest = np.eye(2) - np.outer(gain, [1.0, 0.0])
+        self.covariance = rest @ self.covariance @ rest.T + noise**2 * np.outer(gain, gain)
+        # Brightness of the last seconds: while a spot fades, its ghost must not take over the track.
+        self.peak = max(self.peak, peak)
+        self.diameter += 0.5 * (diameter - self.diameter)
         self.hits, self.misses, self.seen_at = self.hits + 1, 0, time
 
 
+@dataclass(kw_only=True, eq=False)
 class Tracker:
-    """Gives the spots of successive frames the numbers of tracks.
+    """Assigns the spots of successive frames to numbered tracks.
 
-    A spot moves with constant velocity, disturbed by random accelerations; time stamps are taken as they
-    are, so gaps and jitter are no matter. Spots and tracks are paired so that the sum of squared distances,
-    in standard deviations, is least (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track
-    begins one. A track that was seen in `confirm` frames coasts through frames without its spot; a younger
-    one ends at the first.
+    A spot moves with constant velocity, disturbed by random accelerations; the filter uses the actual time stamps, so
+    gaps and jitter do no harm. The assignment of spots to tracks minimises the sum of squared distances, in standard
+    deviations (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track seen in
+    `confirm` frames coasts through frames without its spot; a younger one ends at the first.
 
-    When a spot fades, its ghost (see `tapetum.track.detect`) may be left for some frames. A spot much
-    dimmer than a track remembers, and away from where the track is expected, therefore neither continues
-    that track nor begins one near it.
+    When a spot fades, its ghost (see `tapetum.track.detect`) may remain for some frames. A spot much dimmer than a
+    track was, and away from the track's predicted place, therefore neither continues that track nor begins one near it.
 
     Parameters
     ----------
@@ -104,11 +103,11 @@ class Tracker:
         Standard deviation of a centroid, pixels, to which 2 % of the spot's diameter are added.
     gate
         Largest distance between a spot and its track, in standard deviations; spots that overlap their track's
-        expected place always fit.
+        predicted place always fit.
     max_distance
         The same in pixels, however uncertain the track has become.
     max_coast
-        Seconds for which a track goes on unseen. A track always survives two frames without its spot.
+        Seconds for which a track continues unseen. A track always survives two frames without its spot.
     confirm
         Frames in which a spot must be seen before its track may coast.
     ghost_ratio
@@ -122,39 +121,23 @@ class Tracker:
         When an option is out of range.
     """
 
-    def __init__(
-        self,
-        *,
-        acceleration: float = 300.0,
-        speed: float = 300.0,
-        noise: float = 0.5,
-        gate: float = 4.0,
-        max_distance: float = 150.0,
-        max_coast: float = 1.5,
-        confirm: int = 3,
-        ghost_ratio: float = 0.25,
-        ghost_radius: float = 280.0,
-    ) -> None:
-        for name, value in {
-            "acceleration": acceleration,
-            "speed": speed,
-            "noise": noise,
-            "gate": gate,
-            "max_distance": max_distance,
-            "confirm": confirm,
-        }.items():
-            if not (value > 0 and math.isfinite(value)):
-                raise InputError(f"must be positive, is {value}", where=f"Tracker.{name}")
-        for name, value in {
-            "max_coast": max_coast,
-            "ghost_ratio": ghost_ratio,
-            "ghost_radius": ghost_radius,
-        }.items():
-            if not value >= 0:
-                raise InputError(f"must not be negative, is {value}", where=f"Tracker.{name}")
-        self.acceleration, self.speed, self.noise = acceleration, speed, noise
-        self.gate, self.max_distance, self.max_coast, self.confirm = gate, max_distance, max_coast, confirm
-        self.ghost_ratio, self.ghost_radius = ghost_ratio, ghost_radius
+    acceleration: float = 300.0
+    speed: float = 300.0
+    noise: float = 0.5
+    gate: float = 4.0
+    max_distance: float = 150.0
+    max_coast: float = 1.5
+    confirm: int = 3
+    ghost_ratio: float = 0.25
+    ghost_radius: float = 280.0
+
+    def __post_init__(self) -> None:
+        for name in ("acceleration", "speed", "noise", "gate", "max_distance", "confirm"):
+            if not (getattr(self, name) > 0 and math.isfinite(getattr(self, name))):
+                raise InputError(f"must be positive, is {getattr(self, name)}", where=f"Tracker.{name}")
+        for name in ("max_coast", "ghost_ratio", "ghost_radius"):
+            if not getattr(self, name) >= 0:
+                raise InputError(f"must not be negative, is {getattr(self, name)}", where=f"Tracker.{name}")
         self.reset()
 
     def reset(self) -> None:
@@ -163,36 +146,22 @@ class Tracker:
         self._time: float | None = None
         self._next = 1
 
-    def _noise_of(self, spot: Detections) -> float:
-        return self.noise + 0.02 * float(spot.diameter[0])
-
-    def _costs(self, spots: Detections) -> NDArray[np.float64]:
-        """Return what each pairing [tracks, spots] costs: squared distance in standard deviations."""
-        costs = np.full((len(self._tracks), len(spots)), _NEVER)
-        for row, track in enumerate(self._tracks):
-            for column, spot in enumerate(spots):
-                off = np.array([spot.x[0], spot.y[0]]) - track.state[:2]
-                distance = float(np.hypot(*off))
-                spread = track.covariance[:2, :2] + self._noise_of(spot) ** 2 * np.eye(2)
-                squared = float(off @ np.linalg.solve(spread, off))
-                apart = distance > 0.5 * max(track.diameter, float(spot.diameter[0]))
-                # However sharp the turn: a spot that overlaps the place where it was expected is no other.
-                overlaps = distance <= 0.5 * min(track.diameter, float(spot.diameter[0]))
-                ghostly = apart and float(spot.peak[0]) < self.ghost_ratio * track.peak
-                if (squared <= self.gate**2 or overlaps) and distance <= self.max_distance and not ghostly:
-                    # Brightness decides between spots that fit equally well.
-                    likeness = math.log(max(float(spot.peak[0]), 1e-12) / max(track.peak, 1e-12))
-                    costs[row, column] = squared + min(likeness**2, 4.0)
-        return costs
-
-    def _may_begin(self, spot: Detections) -> bool:
-        """Tell whether a spot that fits no track may begin one, or looks like the ghost of one."""
-        x, y, peak = float(spot.x[0]), float(spot.y[0]), float(spot.peak[0])
-        return not any(
-            math.hypot(x - track.state[0], y - track.state[1]) <= self.ghost_radius
-            and peak < self.ghost_ratio * track.peak
-            for track in self._tracks
-        )
+    def _fit(self, place: Array, peak: Array, diameter: Array, noise: Array) -> tuple[Array, NDArray[np.bool_]]:
+        """Compare tracks and spots [tracks, spots]: the cost of each pair, and whether the spot may be a ghost."""
+        expected = np.array([track.state[0] for track in self._tracks]).reshape(-1, 1, 2)
+        known = [(track.covariance[0, 0], track.peak, track.diameter) for track in self._tracks]
+        variance, bright, wide = np.array(known).reshape(-1, 3).T[:, :, None]
+        distance = np.linalg.norm(place - expected, axis=2)
+        squared = distance**2 / (variance + noise**2)
+        dim = peak < self.ghost_ratio * bright
+        apart = distance > 0.5 * np.maximum(wide, diameter)
+        # However sharp the turn, a spot that overlaps the predicted place is the same.
+        overlaps = distance <= 0.5 * np.minimum(wide, diameter)
+        fits = ((squared <= self.gate**2) | overlaps) & (distance <= self.max_distance) & ~(apart & dim)
+        # Brightness decides between spots that fit equally well.
+        likeness = np.log(np.maximum(peak, 1e-12) / np.maximum(bright, 1e-12))
+        costs = np.where(fits, squared + np.minimum(likeness**2, 4.0), _NEVER)
+        return costs, dim & (distance <= self.ghost_radius)
 
     def update(self, detections: Detections, time: float) -> list[TrackPoint]:
         """Take the spots of the next frame.
@@ -200,14 +169,14 @@ class Tracker:
         Parameters
         ----------
         detections
-            Spots of the frame. Those marked as ghosts are passed over.
+            Spots of the frame. Those marked as ghosts are ignored.
         time
             Of the frame, in seconds; not before that of the frame before.
 
         Returns
         -------
         list of TrackPoint
-            The tracks that live in this frame, by number: those seen, and those that coast.
+            The live tracks of this frame, seen or coasting, by number.
 
         Raises
         ------
@@ -219,36 +188,36 @@ class Tracker:
         dt = 0.0 if self._time is None else time - self._time
         self._time = time
         numbers = np.flatnonzero(~detections.ghost)
-        spots = detections[numbers]
+        place = np.stack([detections.x, detections.y], axis=1)[numbers]
+        peak, diameter = detections.peak[numbers], detections.diameter[numbers]
+        noise = self.noise + 0.02 * diameter
         for track in self._tracks:
             track.predict(dt, self.acceleration)
 
-        costs = self._costs(spots)
+        costs, _ = self._fit(place, peak, diameter, noise)
         pairs = {int(r): int(c) for r, c in zip(*linear_sum_assignment(costs), strict=True) if costs[r, c] < _NEVER}
+        looks = list(zip(place, peak.tolist(), diameter.tolist(), noise.tolist(), strict=True))
         seen: dict[int, int] = {}
         for row, track in enumerate(self._tracks):
             if row in pairs:
-                spot = spots[pairs[row]]
-                track.correct(spot, self._noise_of(spot), time)
+                track.correct(*looks[pairs[row]], time)
                 seen[track.number] = pairs[row]
             else:
                 track.misses += 1
         self._tracks = [track for track in self._tracks if self._lives(track, time)]
-        for column, spot in enumerate(spots):
-            if column not in pairs.values() and self._may_begin(spot):
-                seen[self._next] = column
-                self._tracks.append(_Track(self._next, spot, self._noise_of(spot), self.speed, time))
+        for n in sorted(set(range(len(looks))) - set(pairs.values())):
+            # A spot like the ghost of a track, even of a new one, begins no track.
+            if not self._fit(*(one[n : n + 1] for one in (place, peak, diameter, noise)))[1].any():
+                seen[self._next] = n
+                self._tracks.append(_Track(self._next, *looks[n], time, self.speed))
                 self._next += 1
-        points = []
+        points: list[TrackPoint] = []
         for track in self._tracks:
-            column = seen.get(track.number)
-            x, y, vx, vy = (float(v) for v in track.state)
-            if column is not None:
-                x, y = float(spots.x[column]), float(spots.y[column])
-            points.append(TrackPoint(track.number, x, y, vx, vy, None if column is None else int(numbers[column])))
+            n = seen.get(track.number)
+            (x, y), (vx, vy) = track.state.tolist() if n is None else (place[n].tolist(), track.state[1].tolist())
+            points.append(TrackPoint(track.number, x, y, vx, vy, None if n is None else int(numbers[n])))
         return points
 
     def _lives(self, track: _Track, time: float) -> bool:
-        if track.misses == 0:
-            return True
-        return track.hits >= self.confirm and (track.misses <= 2 or time - track.seen_at <= self.max_coast)
+        few = track.misses <= 2 or time - track.seen_at <= self.max_coast
+        return track.misses == 0 or (track.hits >= self.confirm and few)

@@ -1,4 +1,4 @@
-"""Data that others took: what lies in a folder, what it probably means, and a dataset made of it."""
+"""Import of foreign data: what a folder holds, what it probably means, and a dataset made of it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,7 @@ from pathlib import Path
 
 from tapetum.data.importing.inventory import Inventory, common_root, look_into
 from tapetum.data.importing.mapping import ImportMapping, load_mapping
-from tapetum.data.importing.proposal import Proposal
-from tapetum.data.importing.propose import propose
+from tapetum.data.importing.propose import Proposal, propose
 from tapetum.data.importing.videos import write_videos
 from tapetum.data.importing.write import write_stacks
 from tapetum.progress import Progress, quiet
@@ -33,9 +32,9 @@ def import_dataset(
     progress: Progress = quiet,
     overwrite: bool = False,
 ) -> list[str]:
-    """Make a dataset of what a mapping describes.
+    """Make a dataset from what a mapping describes.
 
-    Pictures with labels go straight into the dataset. Pairs of videos become recordings first, in the folder
+    Images with labels go straight into the dataset. Pairs of videos first become recordings, in the folder
     `NAME-recordings` beside `NAME.zarr`, labelled by the laser in the target's video.
 
     Parameters
@@ -45,24 +44,24 @@ def import_dataset(
     root
         The folder that the mapping's paths start from.
     out
-        The store to write, by custom NAME.zarr.
+        The store to write, by convention NAME.zarr.
     progress
-        Shown over the pictures.
+        Shown over the images.
     overwrite
-        Whether what stands at `out` may be replaced.
+        Whether an existing `out` may be replaced.
 
     Returns
     -------
     list of str
-        What to tell of each recording that was made: how its clocks were aligned, and how many frames are labelled.
+        One line per recording: how its clocks were aligned, and how many frames are labelled.
 
     Raises
     ------
     InputError
-        When a file is missing or damaged, labels do not fit their pictures, or two clocks cannot be aligned. Nothing
-        is written then.
+        When a file is missing or damaged, labels do not fit their images, or two clocks cannot be aligned. Nothing is
+        written then.
     """
-    if mapping.stacks:
-        write_stacks(mapping, Path(root), out, progress, overwrite)
-        return []
-    return write_videos(mapping, Path(root), Path(out), progress, overwrite)[1]
+    if mapping.videos:
+        return write_videos(mapping, Path(root), Path(out), progress, overwrite)
+    write_stacks(mapping, Path(root), out, progress, overwrite)
+    return []

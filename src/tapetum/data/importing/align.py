@@ -1,4 +1,4 @@
-"""Two videos of one blinking laser: how far one clock lies behind the other, and how sure that is."""
+"""Alignment of two videos of one blinking laser: the offset between their clocks, and its reliability."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
 from scipy.signal import correlate
 
+from tapetum.data.crop import vertex
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 from tapetum.record.source import Source
@@ -16,34 +18,26 @@ from tapetum.record.source import Source
 __all__ = ["Alignment", "align_blink", "brightness"]
 
 SPOT = 1.5
-"""Standard deviation in pixels of the smoothing under which a laser's spot stands out."""
+"""Standard deviation in pixels of the smoothing that detects a laser spot."""
 
-_SLOW = 4.0  # s, changes slower than this are the hand's and the lamps', not the code's
+_SLOW = 4.0  # s, slower changes come from the hand and the lamps, not from the code
 _LEAST_OVERLAP = 0.3  # of the shorter video
-_CODE = 12.0  # s, a code at a video's beginning is looked for in stretches of this length
+_CODE = 12.0  # s, length of the stretch in which a single code is searched
 _SURE, _RIVAL = 0.6, 0.75
+
+Levels = NDArray[np.float64]
+Series = tuple[Levels, Levels]
+"""Times in seconds, [N], and levels, [N] or [N, 2]."""
 
 
 @dataclass(frozen=True)
 class Alignment:
-    """How a target's clock relates to the probe's.
+    """How a target's clock relates to the probe's."""
 
-    Attributes
-    ----------
-    offset
-        Seconds to add to the target's times.
-    correlation
-        Of the two brightnesses at that offset, over the part that both filmed: 1 is perfect.
-    rival
-        The best other offset's score over this one's: near 1 the code repeats itself.
-    overlap
-        Seconds that both filmed.
-    """
-
-    offset: float
-    correlation: float
-    rival: float
-    overlap: float
+    offset: float  # seconds to add to the target's times
+    correlation: float  # of the two brightnesses during the overlap: 1 is perfect
+    rival: float  # score of the best other offset relative to this one: near 1 the code repeats itself
+    overlap: float  # seconds in both videos
 
     @property
     def text(self) -> str:
@@ -52,18 +46,8 @@ class Alignment:
         return f"target {self.offset:+.4f} s ({told})"
 
 
-def brightness(
-    source: Source, progress: Progress = quiet, what: str = "looking for the blinking"
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Measure how bright each frame is, in two ways.
-
-    Returns
-    -------
-    times
-        Seconds, [N].
-    levels
-        [N, 2]: the frame's mean, and its brightest small spot above its median.
-    """
+def brightness(source: Source, progress: Progress = quiet, what: str = "looking for the blinking") -> Series:
+    """Return the frames' times and brightness: the mean, and the brightest small spot above the median."""
     times, levels = [], []
     for frame in progress(iter(source), what, total=source.count):
         image = frame.image.astype(np.float32)
@@ -73,57 +57,49 @@ def brightness(
     return np.array(times), np.array(levels).reshape(-1, 2)
 
 
-def _steady(levels: NDArray[np.float64], width: int) -> NDArray[np.float64]:
-    """Levels without their slow changes, of unit variance; zeros where nothing changes."""
-    width = min(width, len(levels)) | 1
-    padded = np.pad(levels, width // 2, mode="edge")
-    slow = np.convolve(padded, np.full(width, 1 / width), mode="valid")[: len(levels)]
-    fast = levels - slow
+def _steady(levels: Levels, width: int) -> Levels:
+    """Return levels without slow changes, of unit variance; zeros where nothing changes."""
+    fast = levels - uniform_filter1d(levels, min(width, len(levels)) | 1, mode="nearest")
     spread = fast.std()
     return fast / spread if spread > 1e-6 * max(1.0, float(np.abs(levels).max())) else np.zeros_like(fast)
 
 
-def _on_grid(times: NDArray[np.float64], levels: NDArray[np.float64], step: float) -> NDArray[np.float64]:
-    """Each moment of an even grid takes the level of the nearest frame."""
-    grid = np.arange(times[0], times[-1] + step / 2, step)
-    return levels[np.searchsorted((times[1:] + times[:-1]) / 2, grid)]
+def _scores(a: Levels, b: Levels) -> tuple[Levels, Levels]:
+    """Return correlation and number of common samples for every shift of b, from -(len(b) - 1) on."""
 
-
-def _scores(a: NDArray[np.float64], b: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Correlation coefficient and number of common samples at every shift of b against a, from -(len(b) - 1) on."""
-    ones_a, ones_b = np.ones_like(a), np.ones_like(b)
-
-    def both(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    def both(x: Levels, y: Levels) -> Levels:
         return np.asarray(correlate(x, y, mode="full", method="fft"))
 
+    ones_a, ones_b = np.ones_like(a), np.ones_like(b)
     n = np.maximum(np.rint(both(ones_a, ones_b)), 1)
-    sum_a, sum_b = both(a, ones_b), both(ones_a, b)
-    covariance = both(a, b) / n - sum_a * sum_b / n**2
-    variance_a = np.maximum(both(a * a, ones_b) / n - (sum_a / n) ** 2, 0)
-    variance_b = np.maximum(both(ones_a, b * b) / n - (sum_b / n) ** 2, 0)
-    # A part in which hardly anything changes says nothing, however alike it looks.
-    floor = 0.05
-    return covariance / np.sqrt(np.maximum(variance_a, floor) * np.maximum(variance_b, floor)), n
+    mean_a, mean_b = both(a, ones_b) / n, both(ones_a, b) / n
+    # The lower limit keeps nearly constant parts from correlating by chance.
+    variance_a = np.maximum(both(a * a, ones_b) / n - mean_a**2, 0.05)
+    variance_b = np.maximum(both(ones_a, b * b) / n - mean_b**2, 0.05)
+    return (both(a, b) / n - mean_a * mean_b) / np.sqrt(variance_a * variance_b), n
 
 
-def _best(
-    probe: tuple[NDArray[np.float64], NDArray[np.float64]], target: tuple[NDArray[np.float64], NDArray[np.float64]]
-) -> Alignment | None:
-    """Align two series (times, levels); None where one of them does not change."""
-    frame = min(float(np.median(np.diff(times))) for times, _ in (probe, target))
+def _best(probe: Series, target: Series) -> Alignment | None:
+    """Align two series (times, levels); return None where one of them is constant."""
+    frame = max(float(np.median(np.diff(times))) for times, _ in (probe, target))
     step = frame / 4
-    series = [_steady(_on_grid(times, levels, step), round(_SLOW / step)) for times, levels in (probe, target)]
-    if not all(one.any() for one in series):
+    series = []
+    for times, levels in (probe, target):
+        # Resampled on an even grid from the nearest frame.
+        grid = np.arange(times[0], times[-1] + step / 2, step)
+        nearest = levels[np.searchsorted((times[1:] + times[:-1]) / 2, grid)]
+        series.append(_steady(nearest, round(_SLOW / step)))
+    a, b = series
+    if not (a.any() and b.any()):
         return None
-    whole = _aligned(series[0], series[1], step, frame)
-    start, length = _liveliest(series[0], round(_CODE / step))
-    if length == len(series[0]):
-        found = whole
-    else:
-        # A code that was blinked once drowns in the noise of a long video: its stretch is compared alone, too.
-        part = _aligned(series[0][start : start + length], series[1], step, frame)
-        part = replace(part, offset=part.offset + start * step)
-        found = max(whole, part, key=_merit)
+    found = _aligned(a, b, step, frame)
+    length = round(_CODE / step)
+    if length < len(a):
+        # Noise of a long video may hide a single code, so the stretch with most changes is also compared alone.
+        power = np.r_[0.0, np.cumsum(a**2)]
+        start = int(np.argmax(power[length:] - power[:-length]))
+        part = _aligned(a[start : start + length], b, step, frame)
+        found = max(found, replace(part, offset=part.offset + start * step), key=_merit)
     return replace(found, offset=found.offset + float(probe[0][0]) - float(target[0][0]))
 
 
@@ -131,31 +107,24 @@ def _merit(found: Alignment) -> float:
     return found.correlation * (1 - found.rival)
 
 
-def _liveliest(levels: NDArray[np.float64], length: int) -> tuple[int, int]:
-    """Begin and length of the stretch in which most changes."""
-    length = min(length, len(levels))
-    power = np.r_[0.0, np.cumsum(levels**2)]
-    return int(np.argmax(power[length:] - power[:-length])), length
-
-
-def _aligned(a: NDArray[np.float64], b: NDArray[np.float64], step: float, frame: float) -> Alignment:
-    """Align two series on one grid: what to add to the second one's times, both beginning at 0."""
-    series = (a, b)
+def _aligned(a: Levels, b: Levels, step: float, frame: float) -> Alignment:
+    """Align two series on one grid; the offset applies to the second one's times, both beginning at 0."""
     correlation, n = _scores(a / max(a.std(), 1e-12), b)
-    shortest = min(map(len, series))
-    allowed = n >= max(_LEAST_OVERLAP * shortest, 4)
+    shortest = min(len(a), len(b))
     # A longer overlap is better evidence for the same correlation.
-    score = np.where(allowed, correlation * np.sqrt(np.minimum(n / shortest, 1)), -1.0)
+    score = np.where(n >= max(_LEAST_OVERLAP * shortest, 4), correlation * np.sqrt(np.minimum(n / shortest, 1)), -1.0)
     top = int(np.argmax(score))
-    lobe = _lobe(score, top, least=round(2 * frame / step))
-    others = np.delete(score, np.arange(*lobe))
+    others = np.delete(score, np.arange(*_lobe(score, top, least=round(2 * frame / step))))
     rival = max(float(others.max(initial=0.0)), 0.0) / max(float(score[top]), 1e-9)
-    shift = top - (len(series[1]) - 1) + _vertex(score, top)
+    shift = float(top - (len(b) - 1))
+    # Offsets with too short an overlap score -1 and have no part in the refinement.
+    if 0 < top < len(score) - 1 and min(around := score[top - 1 : top + 2].tolist()) >= 0:
+        shift += vertex(*around)
     return Alignment(shift * step, float(correlation[top]), rival, float(n[top]) * step)
 
 
-def _lobe(score: NDArray[np.float64], top: int, least: int) -> tuple[int, int]:
-    """Where the main peak begins and ends: down to half of its height, and as much again."""
+def _lobe(score: Levels, top: int, least: int) -> tuple[int, int]:
+    """Return begin and end of the main peak: down to half of its height, plus as much again."""
     low = np.flatnonzero(score < 0.5 * score[top])
     left = top - int(low[low < top].max(initial=0))
     right = int(low[low > top].min(initial=len(score) - 1)) - top
@@ -163,36 +132,13 @@ def _lobe(score: NDArray[np.float64], top: int, least: int) -> tuple[int, int]:
     return max(0, top - reach), min(len(score), top + reach + 1)
 
 
-def _vertex(score: NDArray[np.float64], top: int) -> float:
-    if not 0 < top < len(score) - 1:
-        return 0.0
-    below, at, above = score[top - 1 : top + 2]
-    bend = below - 2 * at + above
-    return 0.0 if bend >= 0 or below < 0 or above < 0 else float(0.5 * (below - above) / bend)
-
-
-def align_blink(
-    probe: tuple[NDArray[np.float64], NDArray[np.float64]],
-    target: tuple[NDArray[np.float64], NDArray[np.float64]],
-    where: str,
-) -> Alignment:
+def align_blink(probe: Series, target: Series, where: str) -> Alignment:
     """Find the offset between two videos from the blinking that both show.
 
-    The brightness of each, without its slow changes, is laid over the other's at every offset; the one with the
-    highest correlation counts. Mean and brightest spot of the frames are tried; the surer pair decides.
-
-    Parameters
-    ----------
-    probe, target
-        Times and levels of the frames, from `brightness`.
-    where
-        What to call the pair in a message.
-
-    Raises
-    ------
-    InputError
-        When a video is too short or does not blink, or when the best offset is unlikely (correlation below 0.6) or
-        ambiguous (another one scores 75 % of it, as with a regular blinking).
+    Their `brightness` without slow changes is correlated at every offset, for the mean and the brightest spot of the
+    frames; the most reliable pair decides. Raises an InputError about the pair `where` when a video is too short or
+    does not blink, or when the best offset is unlikely (correlation below 0.6) or ambiguous (another one scores 75 % of
+    it, as with a regular blinking).
     """
     if min(len(probe[0]), len(target[0])) < 8:
         raise InputError("has fewer than 8 frames to align by", where=where, remedy="use align 'same start'")

@@ -1,7 +1,7 @@
-"""Arrays in files: what is in them, and slices of them, without ever running what a file holds.
+"""Arrays in files: their list, and slices of them, without executing anything.
 
-NumPy's `.npy` and `.npz`, HDF5 (`.h5`, `.hdf5`, MATLAB's `.mat` from v7.3) and older `.mat`. Objects are refused: a
-pickle is a program. So are HDF5 datasets that keep their values in other files.
+NumPy's `.npy` and `.npz`, HDF5 (`.h5`, `.hdf5`, MATLAB's `.mat` from v7.3) and older `.mat`. Objects are refused,
+because a pickle is a program, and so are HDF5 datasets that keep their values in other files.
 """
 
 from __future__ import annotations
@@ -10,11 +10,10 @@ import contextlib
 import shutil
 import tempfile
 import zipfile
-import zlib
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,24 +22,13 @@ from tapetum.errors import InputError
 from tapetum.files import told_when_full
 from tapetum.record.source import existing
 
-__all__ = ["ARRAY_SUFFIXES", "ArrayInfo", "Sliced", "list_arrays", "open_array", "read_array"]
+__all__ = ["AGAIN", "ARRAY_SUFFIXES", "ArrayInfo", "list_arrays", "open_array", "read_array"]
 
 ARRAY_SUFFIXES = (".npy", ".npz", ".h5", ".hdf5", ".hdf", ".mat")
-_AGAIN = "copy it again"
-_NUMBERS = "biuf"
+AGAIN = "copy or export it again"
 _NPY_HEADERS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-
-
-class Sliced(Protocol):
-    """What numpy's and HDF5's arrays have in common."""
-
-    @property
-    def shape(self) -> tuple[int, ...]: ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]: ...
-
-    def __getitem__(self, key: Any) -> Any: ...
+_MAT_TYPES = {"double": "float64", "single": "float32", "logical": "bool", "char": "text", "cell": "text"}
+_MAT_TYPES |= {f"{sign}int{bits}": f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
 
 
 @dataclass(frozen=True)
@@ -51,24 +39,30 @@ class ArrayInfo:
     shape: tuple[int, ...]
     dtype: str
 
-    @property
-    def text(self) -> str:
-        """The array for a list that people read."""
+    def __str__(self) -> str:
         return f"{self.name or 'array'} {' x '.join(map(str, self.shape)) or 'one value'} {self.dtype}"
 
 
-def _damaged(file: Path, error: Exception) -> InputError:
-    told = " ".join(str(error).split()) or type(error).__name__
-    return InputError(f"is truncated, damaged or of another kind ({told})", where=file, remedy=_AGAIN)
+@contextlib.contextmanager
+def _refused(file: Path) -> Iterator[None]:
+    """Report any error of a reader as an InputError in one line."""
+    try:
+        yield
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        told = " ".join(str(error).split()) or type(error).__name__
+        what = f"is truncated, damaged or of another kind ({told})"
+        raise InputError(what, where=file, remedy=AGAIN) from error
 
 
 def _kind(file: Path) -> str:
-    """Which reader a file needs, by its suffix and first bytes."""
+    """Return the reader that a file needs, by its suffix and first bytes."""
     if not file.stat().st_size:
-        raise InputError("is empty", where=file, remedy=_AGAIN)
+        raise InputError("is empty", where=file, remedy=AGAIN)
     suffix = file.suffix.lower()
     if suffix == ".mat":
-        # From v7.3 on a .mat is HDF5 behind 512 bytes of MATLAB's own.
+        # From v7.3 on a .mat is HDF5 after a header of 512 bytes.
         with file.open("rb") as stream:
             head = stream.read(520)
         return "hdf5" if head.startswith(b"MATLAB 7.3") or b"\x89HDF\r\n" in head else "mat"
@@ -81,23 +75,18 @@ def _type(dtype: np.dtype[Any]) -> str:
     return "text" if dtype.kind in "US" else str(dtype)
 
 
-def _npy_header(stream: Any, file: Path) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    version = np.lib.format.read_magic(stream)
-    if version not in _NPY_HEADERS:
-        raise InputError(f"has version {version} of the .npy format", where=file, remedy="save it with numpy.save")
-    shape, _, dtype = _NPY_HEADERS[version](stream)
-    return shape, dtype
-
-
-def _npz_members(file: Path) -> list[ArrayInfo]:
-    found = []
+def _npz_members(file: Path) -> Iterator[ArrayInfo]:
     with zipfile.ZipFile(file) as archive:
-        for member in archive.infolist():
-            if member.filename.endswith(".npy"):
-                with archive.open(member) as stream:
-                    shape, dtype = _npy_header(stream, file)
-                found.append(ArrayInfo(member.filename.removesuffix(".npy"), shape, _type(dtype)))
-    return found
+        for member in archive.namelist():
+            if not member.endswith(".npy"):
+                continue
+            with archive.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                if version not in _NPY_HEADERS:
+                    what = f"has version {version} of the .npy format"
+                    raise InputError(what, where=file, remedy="save it with numpy.save")
+                shape, _, dtype = _NPY_HEADERS[version](stream)
+            yield ArrayInfo(member.removesuffix(".npy"), shape, _type(dtype))
 
 
 def _hdf5_members(file: Path) -> list[ArrayInfo]:
@@ -106,10 +95,10 @@ def _hdf5_members(file: Path) -> list[ArrayInfo]:
     found: list[ArrayInfo] = []
 
     def visit(name: str, item: object) -> None:
-        # MATLAB keeps what its cells point to under #refs#.
+        # MATLAB keeps the content of cells under #refs#.
         if isinstance(item, h5py.Dataset) and not name.startswith("#"):
             text = h5py.check_string_dtype(item.dtype) is not None
-            if text or item.dtype.kind in _NUMBERS:
+            if text or item.dtype.kind in "biuf":
                 found.append(ArrayInfo(name, item.shape or (), "text" if text else str(item.dtype)))
 
     with h5py.File(file, "r") as opened:
@@ -117,108 +106,75 @@ def _hdf5_members(file: Path) -> list[ArrayInfo]:
     return found
 
 
-def _mat_members(file: Path) -> list[ArrayInfo]:
-    from scipy.io import whosmat
-
-    kinds = {"double": "float64", "single": "float32", "logical": "bool", "char": "text", "cell": "text"}
-    numbers = {f"{sign}int{bits}" for sign in ("", "u") for bits in (8, 16, 32, 64)}
-    return [
-        ArrayInfo(name, tuple(shape), kinds.get(str(kind), str(kind)))
-        for name, shape, kind in whosmat(file, appendmat=False)
-        if kind in kinds or kind in numbers
-    ]
-
-
 def list_arrays(path: str | Path) -> list[ArrayInfo]:
     """List the arrays of numbers and text in a file, without reading them.
 
-    Raises
-    ------
-    InputError
-        When the file is missing, empty, truncated or damaged, or of an unknown kind.
+    Raises an InputError when the file is missing, empty, truncated or damaged, or of an unknown kind.
     """
     file = existing(path)
     kind = _kind(file)
-    try:
+    with _refused(file):
         if kind == "npy":
             array = np.load(file, mmap_mode="r", allow_pickle=False)
             return [ArrayInfo("", array.shape, _type(array.dtype))]
-        return {"npz": _npz_members, "hdf5": _hdf5_members, "mat": _mat_members}[kind](file)
-    except (InputError, MemoryError):
-        raise
-    except Exception as error:
-        # The readers raise whatever their parsing trips over.
-        raise _damaged(file, error) from error
+        if kind == "mat":
+            from scipy.io import whosmat
+
+            found = whosmat(file, appendmat=False)
+            return [ArrayInfo(name, tuple(shape), _MAT_TYPES[t]) for name, shape, t in found if t in _MAT_TYPES]
+        return list(_npz_members(file) if kind == "npz" else _hdf5_members(file))
 
 
-def _chosen(file: Path, name: str | None) -> ArrayInfo:
-    arrays = list_arrays(file)
-    have = ", ".join(one.name for one in arrays)
-    if name is None:
-        if len(arrays) == 1:
-            return arrays[0]
-        what = f"holds {len(arrays)} arrays" if arrays else "holds no array of numbers"
-        raise InputError(what, where=file, remedy=f"say which by 'array': {have}" if arrays else "give another file")
-    found = next((one for one in arrays if one.name == name or (one.name == "" and len(arrays) == 1)), None)
-    if found is None:
+def _chosen(file: Path, name: str | None) -> str:
+    """Return the name of the array called `name`, or of the only one in the file."""
+    names = [one.name for one in list_arrays(file)]
+    have = ", ".join(names)
+    if name is None and len(names) != 1:
+        what = f"holds {len(names)} arrays" if names else "holds no array of numbers"
+        raise InputError(what, where=file, remedy=f"say which by 'array': {have}" if names else "give another file")
+    if name is None or names == [""]:
+        return names[0]
+    if name not in names:
         raise InputError(f"holds no array {name!r}", where=file, remedy=f"it has {have}" if have else None)
-    return found
+    return name
 
 
 @contextlib.contextmanager
-def open_array(path: str | Path, name: str | None = None) -> Iterator[Sliced]:
-    """Open one array of a file for slicing.
+def open_array(path: str | Path, name: str | None = None) -> Iterator[Any]:
+    """Open one array of a file for slicing: it has `shape` and `dtype`, like arrays of NumPy and HDF5.
 
-    A `.npy` is mapped into memory, a member of an `.npz` unpacked to a temporary file and mapped, HDF5 read slice by
-    slice; an older `.mat` can only be read whole.
-
-    Parameters
-    ----------
-    path
-        The file.
-    name
-        Which array; None where there is only one.
-
-    Raises
-    ------
-    InputError
-        When there is no such array, it holds objects, or the file is damaged.
+    A `.npy` is memory-mapped, a member of an `.npz` is unpacked to a temporary file and mapped, HDF5 is read slice by
+    slice; an older `.mat` is read whole. The only array of a file needs no name. Raises an InputError when there is no
+    such array, it holds objects, or the file is damaged.
     """
     file = existing(path)
-    info, kind = _chosen(file, name), _kind(file)
+    name, kind = _chosen(file, name), _kind(file)
     with contextlib.ExitStack() as stack:
-        try:
+        with _refused(file):
             if kind == "npy":
                 array: Any = np.load(file, mmap_mode="r", allow_pickle=False)
             elif kind == "npz":
-                array = _unpacked(file, info.name, Path(stack.enter_context(tempfile.TemporaryDirectory())))
+                array = _unpacked(file, name, Path(stack.enter_context(tempfile.TemporaryDirectory())))
             elif kind == "mat":
                 from scipy.io import loadmat
 
-                array = loadmat(file, appendmat=False, variable_names=[info.name])[info.name]
+                array = loadmat(file, appendmat=False, variable_names=[name])[name]
             else:
-                array = stack.enter_context(_hdf5(file, info.name))
-        except (InputError, MemoryError):
-            raise
-        except Exception as error:
-            raise _damaged(file, error) from error
+                import h5py
+
+                array = stack.enter_context(h5py.File(file, "r"))[name]
+                assert isinstance(array, h5py.Dataset)  # `_hdf5_members` lists nothing else
+                if array.is_virtual or array.external:
+                    raise InputError(
+                        f"{name} keeps its values in other files", where=file, remedy="save it in one file"
+                    )
+                if h5py.check_string_dtype(array.dtype):
+                    array = array.asstr()
         yield array
 
 
-@contextlib.contextmanager
-def _hdf5(file: Path, name: str) -> Iterator[Any]:
-    import h5py
-
-    with h5py.File(file, "r") as opened:
-        dataset = opened[name]
-        assert isinstance(dataset, h5py.Dataset)  # `_hdf5_members` lists nothing else
-        if dataset.is_virtual or dataset.external:
-            raise InputError(f"{name} keeps its values in other files", where=file, remedy="save it in one file")
-        yield dataset.asstr() if h5py.check_string_dtype(dataset.dtype) else dataset
-
-
 def _unpacked(file: Path, name: str, folder: Path) -> NDArray[Any]:
-    """Unpack a member of an `.npz`, which cannot be read at random, and map it."""
+    """Unpack a member of an `.npz` to a folder and memory-map it."""
     part = folder / "array.npy"
     with (
         told_when_full(part),
@@ -231,12 +187,9 @@ def _unpacked(file: Path, name: str, folder: Path) -> NDArray[Any]:
 
 
 def read_array(path: str | Path, name: str | None = None) -> NDArray[Any]:
-    """Read one array of a file whole: labels, not pictures. Text comes as str; see `open_array`."""
-    with open_array(path, name) as array:
-        try:
-            values = np.asarray(array[...])
-        except (OSError, ValueError, zlib.error) as error:
-            raise _damaged(Path(path), error) from error
+    """Read one array of a file whole, for labels; text comes as str. See `open_array`."""
+    with open_array(path, name) as array, _refused(Path(path)):
+        values = np.asarray(array[...])
     if values.dtype.kind == "O":
         # A MATLAB cell of texts is an object array of arrays of one text each.
         values = np.array([str(np.ravel(one)[0]) if np.size(one) == 1 else str(one) for one in values.ravel()])

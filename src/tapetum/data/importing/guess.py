@@ -1,4 +1,4 @@
-"""Guesses from names and values: what a column is, what gaze is counted in, how deep pictures are."""
+"""Guesses from names and values: meaning of a column, unit of gaze, depth of images."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from tapetum.data.crop import find_centre
 from tapetum.data.importing.columns import Reader, numbers
-from tapetum.data.importing.fields import Column
+from tapetum.data.importing.mapping import Column
 from tapetum.errors import InputError
 
-__all__ = ["WORDS", "constants", "depth", "gaze_unit", "key", "length_unit", "looks_centred", "meaning"]
+__all__ = ["WORDS", "constants", "depth", "key", "looks_centred", "meaning", "unit"]
 
 WORDS = {
     "gaze_x": ("gazex", "gx", "x", "spotx", "laserx", "targetx", "posx", "xpx", "labelx", "theta"),
@@ -30,7 +30,7 @@ WORDS = {
     "split": ("split", "subset", "partition", "set"),
     "names": ("file", "filename", "image", "imagefile", "img", "path", "name"),
 }
-"""Names under which people keep things, without case and signs; the first that fits wins."""
+"""Usual names of columns, without case and punctuation; the first match counts."""
 
 _NOISE = re.compile(
     r"(images?|imgs?|frames?|crops?|rrs?|probe|labels?|targets?|gaze|positions?|xy|data|timestamps?|times?|[-_. ])",
@@ -40,18 +40,18 @@ _SCALES = (255, 1023, 4095, 16383, 65535)
 
 
 def meaning(name: str) -> str | None:
-    """What a column or array of this name may hold: a key of `WORDS`."""
+    """Return the probable meaning of a column or array by its name: a key of `WORDS`."""
     plain = re.sub(r"[^a-z0-9]", "", PurePosixPath(name).name.casefold())
     return next((what for what, words in WORDS.items() if plain in words), None)
 
 
 def key(path: str) -> str:
-    """What files that belong together have in common: the name without words such as images and labels."""
+    """Return the common part of the names of related files: the name without words such as images and labels."""
     return _NOISE.sub("", PurePosixPath(path).stem).casefold()
 
 
 def constants(path: str) -> dict[str, str]:
-    """Focal length and object distance that a path tells: `50mm/3.5m.mp4`."""
+    """Return focal length and object distance from a path such as `50mm/3.5m.mp4`."""
     plain = path.replace("_", " ")
     focal = re.search(r"(\d+(?:\.\d+)?) ?mm(?![a-z])", plain, re.IGNORECASE)
     distance = re.search(r"(\d+(?:\.\d+)?) ?m(?![a-z0-9])", plain, re.IGNORECASE)
@@ -59,40 +59,29 @@ def constants(path: str) -> dict[str, str]:
     return {name: value for name, value in found.items() if value}
 
 
-def gaze_unit(column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
-    """Guess what gaze is counted in from its values; return what to add to the column, and a note."""
-    values = _values(column, reader, count)
-    if values is None or not np.isfinite(values).any():
+def unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
+    """Guess a label's unit from its values; return what to add to the column, and a note."""
+    try:
+        values = numbers(reader.values(Column(**column), count), str(column))
+    except InputError:
+        values = np.empty(0)
+    if not np.isfinite(values).any():
         return {}, "unit unknown"
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
-    span = f"{low:.3g} to {high:.3g}"
+    if not name.startswith("gaze"):
+        # Focal lengths above 1.5 m and object distances above 100 m must be in millimetres.
+        length = "mm" if high > (1.5 if name == "focal_length" else 100) else "m"
+        return {"unit": length}, f"up to {high:.4g}: taken as {length}"
+    span = f"{low:.3g} to {high:.3g}: taken as"
     if -0.75 <= low < 0 and high <= 0.75:
-        return {}, f"{span}: taken as fractions of the field from its centre"
+        return {}, f"{span} fractions of the field from its centre"
     if low >= 0 and high <= 1:
-        return {"origin": "corner"}, f"{span}: taken as fractions of the field from its upper left corner"
-    return {"unit": "px", "size": None}, f"{span}: taken as pixels; write the target frame's size in place of null"
-
-
-def length_unit(name: str, column: dict[str, Any], reader: Reader, count: int) -> tuple[dict[str, Any], str]:
-    """Guess the unit of a length from its values."""
-    values = _values(column, reader, count)
-    if values is None or not np.isfinite(values).any():
-        return {}, "unit unknown"
-    high = float(np.nanmax(values))
-    # Focal lengths beyond 1.5 m and object distances beyond 100 m are millimetres, on every bench.
-    unit = "mm" if high > (1.5 if name == "focal_length" else 100) else "m"
-    return {"unit": unit}, f"up to {high:.4g}: taken as {unit}"
-
-
-def _values(column: dict[str, Any], reader: Reader, count: int) -> NDArray[np.float64] | None:
-    try:
-        return numbers(reader.values(Column(**column), count), str(column))
-    except InputError:
-        return None
+        return {"origin": "corner"}, f"{span} fractions of the field from its upper left corner"
+    return {"unit": "px", "size": None}, f"{span} pixels; write the target frame's size in place of null"
 
 
 def depth(sample: Sequence[NDArray[Any]]) -> int:
-    """The full scale that fits the largest count of some pictures."""
+    """Return the smallest usual full scale that holds the largest count of some images."""
     high = max((float(picture.max()) for picture in sample), default=0.0)
     if all(picture.dtype.kind == "f" for picture in sample) and high <= 1:
         return 1
@@ -100,7 +89,7 @@ def depth(sample: Sequence[NDArray[Any]]) -> int:
 
 
 def looks_centred(sample: Sequence[NDArray[Any]]) -> bool:
-    """Whether pictures are square, with the brightest point of most in their middle."""
+    """Return whether images are square, with the brightest point of most in their middle."""
     if any(picture.shape[0] != picture.shape[1] for picture in sample):
         return False
 

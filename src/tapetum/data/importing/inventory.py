@@ -1,4 +1,4 @@
-"""What lies in a folder: videos, arrays, tables and folders of images, with what is known without reading them."""
+"""Inventory of a folder: videos, arrays, tables and folders of images, described without reading them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tapetum.data.importing.arrays import ARRAY_SUFFIXES, ArrayInfo, list_arrays
-from tapetum.data.importing.tables import TABLE_SUFFIXES, read_table
+from tapetum.data.importing.columns import TABLE_SUFFIXES, read_text_table
 from tapetum.errors import InputError
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
 from tapetum.record.recording import is_recording
@@ -21,15 +21,19 @@ VIDEO_SUFFIXES = (".mkv", ".mp4", ".m4v", ".avi", ".mov", ".webm", ".mpg", ".mpe
 
 
 @dataclass(frozen=True)
-class VideoFound:
-    """A video: its path from the root, size in pixels, frames a second, number of frames and full scale."""
+class FramesFound:
+    """A video or a folder of images: its path from the root, the first frame's size in pixels, number of frames."""
 
     path: str
     width: int
     height: int
-    rate: float
     count: int
-    full_scale: int
+    rate: float | None = None  # frames a second, of a video
+
+    def __str__(self) -> str:
+        if self.rate is None:
+            return f"images  {self.path}/: {self.count} images, the first {self.width} x {self.height} px"
+        return f"video   {self.path}: {self.width} x {self.height} px, {self.rate:g} frames/s, {self.count} frames"
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,9 @@ class ArrayFound:
 
     path: str
     info: ArrayInfo
+
+    def __str__(self) -> str:
+        return f"array   {self.path}: {self.info}"
 
 
 @dataclass(frozen=True)
@@ -48,64 +55,107 @@ class TableFound:
     columns: tuple[str, ...]
     rows: int
 
-
-@dataclass(frozen=True)
-class FolderFound:
-    """A folder of images: how many, and the first one's size and full scale."""
-
-    path: str
-    count: int
-    width: int
-    height: int
-    full_scale: int
+    def __str__(self) -> str:
+        return f"table   {self.path}: {self.rows} rows of {', '.join(self.columns)}"
 
 
 @dataclass
 class Inventory:
-    """All that was found under a root.
+    """Everything found under a folder, `root`, from which all paths start.
 
-    Attributes
-    ----------
-    root
-        The folder that all paths start from.
-    faults
-        What could not be read, a line each.
-    recordings
-        Recordings, which need no import.
-    other
-        How many files of no known kind there are.
+    `recordings` need no import, `faults` list unreadable files, `other` counts files of unknown types.
     """
 
     root: Path
-    videos: list[VideoFound] = field(default_factory=list)
+    videos: list[FramesFound] = field(default_factory=list)
     arrays: list[ArrayFound] = field(default_factory=list)
     tables: list[TableFound] = field(default_factory=list)
-    folders: list[FolderFound] = field(default_factory=list)
+    folders: list[FramesFound] = field(default_factory=list)
     recordings: list[str] = field(default_factory=list)
     faults: list[InputError] = field(default_factory=list)
     other: int = 0
 
     @property
     def lines(self) -> list[str]:
-        """What was found, for people."""
-        told = [
-            f"video   {v.path}: {v.width} x {v.height} px, {v.rate:g} frames/s, {v.count} frames" for v in self.videos
-        ]
-        told += [f"array   {a.path}: {a.info.text}" for a in self.arrays]
-        told += [f"table   {t.path}: {t.rows} rows of {', '.join(t.columns)}" for t in self.tables]
-        told += [f"images  {f.path}/: {f.count} images, the first {f.width} x {f.height} px" for f in self.folders]
+        """The inventory as text, one line each."""
+        told = [str(one) for one in (*self.videos, *self.arrays, *self.tables, *self.folders)]
         told += [f"recording  {r}: cut it with `tapetum dataset build`" for r in self.recordings]
         told += [f"unreadable  {fault}" for fault in self.faults]
         return told + ([f"{self.other} files of other kinds"] if self.other else [])
 
+    def look(self, place: Path) -> None:
+        """Add a file, or the content of a folder."""
+        if place.is_dir():
+            self._folder(place)
+            return
+        try:
+            self._file(place)
+        except InputError as error:
+            self.faults.append(error)
+
+    def _name(self, place: Path) -> str:
+        return place.relative_to(self.root).as_posix()
+
+    def _folder(self, folder: Path) -> None:
+        if is_recording(folder):
+            self.recordings.append(self._name(folder))
+            return
+        if (folder / "zarr.json").exists():
+            return
+        entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
+        images = [entry for entry in entries if entry.suffix.lower() in IMAGE_SUFFIXES and entry.is_file()]
+        if images:
+            try:
+                self._images(folder)
+            except InputError as error:
+                self.faults.append(error)
+        for entry in entries:
+            # Links to folders could form a cycle.
+            if entry not in images and (entry.is_file() or (entry.is_dir() and not entry.is_symlink())):
+                self.look(entry)
+
+    def _images(self, place: Path) -> None:
+        source = ImageSource.from_path(place)
+        height, width = source.first().image.shape
+        self.folders.append(FramesFound(self._name(place), width, height, len(source)))
+
+    def _file(self, file: Path) -> None:
+        suffix, name = file.suffix.lower(), self._name(file)
+        if suffix in ARRAY_SUFFIXES:
+            self.arrays += [ArrayFound(name, info) for info in list_arrays(file)]
+        elif suffix in TABLE_SUFFIXES:
+            self._table(file, name)
+        elif suffix in VIDEO_SUFFIXES:
+            source = VideoSource.from_path(file)
+            height, width = source.first().image.shape
+            count = source.count or count_frames(file)
+            self.videos.append(FramesFound(name, width, height, count, round(source.rate, 3)))
+        elif suffix in IMAGE_SUFFIXES:
+            self._images(file)
+        else:
+            self.other += 1
+
+    def _table(self, file: Path, name: str) -> None:
+        """Add a table; a .txt file counts only if it has several columns and rows, unlike a readme."""
+        text = file.suffix.lower() == ".txt"
+        try:
+            table = read_text_table(file)
+        except InputError:
+            if not text:
+                raise
+            self.other += 1
+            return
+        rows = len(next(iter(table.values())))
+        if text and not (len(table) > 1 and rows > 1):
+            self.other += 1
+        else:
+            self.tables.append(TableFound(name, tuple(table), rows))
+
 
 def common_root(sources: Sequence[str | os.PathLike[str]]) -> Path:
-    """The folder that a mapping's paths start from: the one given, or the nearest that holds all that is given.
+    """Return the folder that a mapping's paths start from: the one given, or the nearest that holds all sources.
 
-    Raises
-    ------
-    InputError
-        When nothing is given or a source does not exist.
+    Raises an InputError when nothing is given or a source does not exist.
     """
     places = [existing(source).absolute() for source in sources]
     if not places:
@@ -114,91 +164,11 @@ def common_root(sources: Sequence[str | os.PathLike[str]]) -> Path:
 
 
 def look_into(sources: Sequence[str | os.PathLike[str]]) -> Inventory:
-    """List what lies in folders, at any depth, and files.
+    """List the content of folders, at any depth, and files; damaged ones go to `Inventory.faults`.
 
-    Raises
-    ------
-    InputError
-        When nothing is given or a source does not exist. What is damaged is listed in `faults`.
+    Raises an InputError when nothing is given or a source does not exist.
     """
     found = Inventory(common_root(sources))
-    for place in (Path(source).absolute() for source in sources):
-        if place.is_dir():
-            _folder(place, found)
-        else:
-            _file(place, found)
+    for source in sources:
+        found.look(Path(source).absolute())
     return found
-
-
-def _folder(folder: Path, found: Inventory) -> None:
-    if is_recording(folder):
-        found.recordings.append(_name(folder, found))
-        return
-    if (folder / "zarr.json").exists():
-        return
-    entries = sorted(entry for entry in folder.iterdir() if not entry.name.startswith("."))
-    images = [entry for entry in entries if entry.suffix.lower() in IMAGE_SUFFIXES and entry.is_file()]
-    if images:
-        _images(folder, found)
-    for entry in entries:
-        # A link could lead round in a circle.
-        if entry.is_dir() and not entry.is_symlink():
-            _folder(entry, found)
-        elif entry.is_file() and entry not in images:
-            _file(entry, found)
-
-
-def _name(place: Path, found: Inventory) -> str:
-    return place.relative_to(found.root).as_posix()
-
-
-def _images(folder: Path, found: Inventory) -> None:
-    try:
-        source = ImageSource.from_path(folder)
-        first = next(iter(source))
-        height, width = first.image.shape
-        scale = int(first.full_scale or 0)
-        found.folders.append(FolderFound(_name(folder, found), len(source), width, height, scale))
-    except InputError as error:
-        found.faults.append(error)
-
-
-def _file(file: Path, found: Inventory) -> None:
-    suffix, name = file.suffix.lower(), _name(file, found)
-    try:
-        if suffix in ARRAY_SUFFIXES:
-            found.arrays += [ArrayFound(name, info) for info in list_arrays(file)]
-        elif suffix in (".csv", ".tsv"):
-            table = read_table(file)
-            found.tables.append(TableFound(name, tuple(table), len(next(iter(table.values())))))
-        elif suffix in TABLE_SUFFIXES:
-            _text(file, found)
-        elif suffix in VIDEO_SUFFIXES:
-            found.videos.append(_video(file, name))
-        elif suffix in IMAGE_SUFFIXES:
-            _images(file, found)
-        else:
-            found.other += 1
-    except InputError as error:
-        found.faults.append(error)
-
-
-def _text(file: Path, found: Inventory) -> None:
-    """A text is a table only where it looks like one: a readme is none."""
-    try:
-        table = read_table(file)
-    except InputError:
-        found.other += 1
-        return
-    rows = len(next(iter(table.values())))
-    if len(table) > 1 and rows > 1:
-        found.tables.append(TableFound(_name(file, found), tuple(table), rows))
-    else:
-        found.other += 1
-
-
-def _video(file: Path, name: str) -> VideoFound:
-    source = VideoSource.from_path(file)
-    height, width = next(iter(source)).image.shape
-    count = source.count or count_frames(file)
-    return VideoFound(name, width, height, round(source.rate, 3), count, source.full_scale)

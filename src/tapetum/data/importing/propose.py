@@ -1,34 +1,62 @@
-"""A mapping proposed from what lies in a folder: a guess that a person reads before anything is imported."""
+"""A mapping proposed from the content of a folder, for a person to check before the import."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
-from tapetum.data.dataset import QUANTITIES
+from tapetum.data.dataset import DEVICE, QUANTITIES
 from tapetum.data.importing.columns import Reader, texts
-from tapetum.data.importing.fields import Column, Images
-from tapetum.data.importing.guess import constants, depth, gaze_unit, key, length_unit, looks_centred, meaning
-from tapetum.data.importing.inventory import VIDEO_SUFFIXES, ArrayFound, Inventory, VideoFound
-from tapetum.data.importing.mapping import SCHEMA, Pair
+from tapetum.data.importing.guess import constants, depth, key, looks_centred, meaning, unit
+from tapetum.data.importing.inventory import VIDEO_SUFFIXES, ArrayFound, FramesFound, Inventory
+from tapetum.data.importing.mapping import SCHEMA, Column, ImagesEntry, ImportMapping, Pair, mapping_from_text
 from tapetum.data.importing.pictures import open_pictures
-from tapetum.data.importing.proposal import Proposal
 from tapetum.data.importing.videos import pair_name
 from tapetum.errors import InputError
 
-__all__ = ["propose"]
+__all__ = ["Proposal", "propose"]
 
 _SIDE = 400
 _FEW = 12
 
 
+@dataclass
+class Proposal:
+    """A mapping as plain values (`content`), and its reasons, one line each.
+
+    `notes` are the guesses, `gaps` what a person must fill in, `dropped` the files left out, and why.
+    """
+
+    content: dict[str, Any]
+    notes: list[str] = field(default_factory=list)
+    gaps: list[str] = field(default_factory=list)
+    dropped: list[str] = field(default_factory=list)
+
+    @property
+    def text(self) -> str:
+        """The proposal as a mapping file, with guesses as comments."""
+        body = yaml.safe_dump(self.content, sort_keys=False, default_flow_style=None, width=110, allow_unicode=True)
+        told = {"guess": self.notes, "missing": self.gaps, "left out": self.dropped}
+        comments = [f"# {word}: {line}" for word, lines in told.items() for line in dict.fromkeys(lines)]
+        return "\n".join([*comments, body])
+
+    def mapping(self, where: str) -> ImportMapping:
+        """Return the proposal as a checked mapping; raise an InputError when something could not be guessed."""
+        if self.gaps:
+            remedy = "write the mapping by the proposal above and pass it with --mapping"
+            raise InputError(f"no mapping could be made: {self.gaps[0]}", where=where, remedy=remedy)
+        return mapping_from_text(self.text, where)
+
+
 @dataclass(frozen=True)
 class _Source:
-    """Something that holds values: what they mean, where they are, and how many."""
+    """A source of values: their meaning, place and number."""
 
     meaning: str
     column: dict[str, Any]
@@ -59,77 +87,17 @@ def _sources(found: Inventory) -> list[_Source]:
     return out
 
 
-def _choose(what: str, count: int | None, image: str, sources: list[_Source]) -> dict[str, Any] | None:
-    """The likeliest source of one meaning for the pictures at a path: in their file, of their name, in their folder."""
-
-    def distance(source: _Source) -> int:
-        file = source.column["file"]
-        if file == image:
-            return 0
-        if key(file) == key(image):
-            return 1
-        near = PurePosixPath(file).parent in (PurePosixPath(image).parent, PurePosixPath(image))
-        return 2 if near else 3
-
-    fitting = [s for s in sources if s.meaning == what and (count is None or s.count == count)]
-    return dict(min(fitting, key=distance).column) if fitting else None
-
-
-def _labels(
-    count: int, image: str, sources: list[_Source], reader: Reader, out: Proposal
-) -> dict[str, dict[str, Any] | str]:
-    labels: dict[str, dict[str, Any] | str] = {}
-    for name in (*QUANTITIES, "device"):
-        column = _choose(name, count, image, sources)
-        if column is None:
-            continue
-        if name.startswith("gaze"):
-            more, note = gaze_unit(column, reader, count)
-            if "size" in more:
-                out.gaps.append(f"the size of the target's frame is not known for {name} of {image}")
-            column |= more
-            out.notes.append(f"{name} of {image}: {note}")
-        elif name != "device":
-            more, note = length_unit(name, column, reader, count)
-            column |= more
-            out.notes.append(f"{name} of {image}: {note}")
-        labels[name] = column
-    told = constants(image)
-    for name, value in told.items():
-        if name not in labels:
-            labels[name] = value
-            out.notes.append(f"{name} of {image}: from its name")
-    if not labels:
-        out.gaps.append(f"no labels were found for {image} ({count} pictures)")
-    return labels
-
-
-def _stack(
-    images: dict[str, Any], count: int, path: str, sources: list[_Source], reader: Reader, out: Proposal
-) -> dict[str, Any]:
-    stack: dict[str, Any] = {"images": images, "labels": _labels(count, path, sources, reader, out)}
-    for name in ("recording", "order", "time", "split"):
-        column = _choose(name, count, path, sources)
-        # A video keeps its own order and time.
-        if column is not None and not (name != "split" and images.get("file") == path and "axes" not in images):
-            stack[name] = column
-    return stack
-
-
-def _pairs(found: Inventory) -> tuple[list[tuple[VideoFound, VideoFound]], list[VideoFound]]:
-    """Videos of a probe with those of its target, by their paths, and the others."""
-
-    def kin(path: str) -> str:
-        return path.casefold().replace("probe", "*").replace("target", "*").rpartition(".")[0]
-
-    targets = {kin(v.path): v for v in found.videos if "target" in v.path.casefold()}
-    pairs = [(v, targets[kin(v.path)]) for v in found.videos if "probe" in v.path.casefold() and kin(v.path) in targets]
+def _pairs(found: Inventory) -> tuple[list[tuple[FramesFound, FramesFound]], list[FramesFound]]:
+    """Return pairs of probe and target videos, matched by their paths, and the other videos."""
+    plain = [(re.sub("probe|target", "*", v.path.casefold().rpartition(".")[0]), v) for v in found.videos]
+    targets = {name: v for name, v in plain if "target" in v.path.casefold()}
+    pairs = [(v, targets[name]) for name, v in plain if "probe" in v.path.casefold() and name in targets]
     paired = {v.path for pair in pairs for v in pair}
     return pairs, [v for v in found.videos if v.path not in paired]
 
 
-def _times(pair: tuple[VideoFound, VideoFound], found: Inventory) -> dict[str, Any]:
-    """A timestamps table for a pair, where there is one: columns with probe and target and time in their names."""
+def _times(pair: tuple[FramesFound, FramesFound], found: Inventory) -> dict[str, Any]:
+    """Return a pair's entry for a table of timestamps, if one with columns of probe and target times exists."""
     for table in found.tables:
         columns = {
             side: next((c for c in table.columns if side in c.casefold() and "frame" not in c.casefold()), None)
@@ -146,7 +114,7 @@ def _times(pair: tuple[VideoFound, VideoFound], found: Inventory) -> dict[str, A
 
 
 def _image_axes(array: ArrayFound, counts: set[int]) -> tuple[str, ...] | None:
-    """What the axes of an array of pictures are; None for any other array."""
+    """Return the meaning of an image array's axes; None for any other array."""
     shape = array.info.shape
     if array.info.dtype in ("text", "bool") or sum(size >= 8 for size in shape) < 2 or len(shape) not in (3, 4):
         return None
@@ -157,131 +125,176 @@ def _image_axes(array: ArrayFound, counts: set[int]) -> tuple[str, ...] | None:
     known = [n for n in (0, 2, 1) if flat[n] in counts]
     lone = next((n for n in range(3) if flat[(n + 1) % 3] == flat[(n + 2) % 3] != flat[n]), 0)
     axis = known[0] if len(known) == 1 else lone
-    # MATLAB's own files count rows first, and pictures last; its newer ones show all of that turned.
+    # MATLAB's older files count rows first and images last; its newer ones are transposed.
     rest = ["x", "y"] if array.path.casefold().endswith(".mat") and axis == 0 else ["y", "x"]
     rest.insert(axis, "frame")
     return (*rest, "channel") if channel else tuple(rest)
 
 
 def propose(found: Inventory) -> Proposal:
-    """Propose a mapping for what was found.
-
-    Parameters
-    ----------
-    found
-        From `look_into`.
-
-    Returns
-    -------
-    Proposal
-        With the guesses it rests on; `Proposal.gaps` says what a person has to fill in.
-
-    Raises
-    ------
-    InputError
-        When there are no pictures at all.
-    """
-    reader = Reader(found.root)
-    out = Proposal({"schema": SCHEMA})
+    """Propose a mapping for what `look_into` found; raise an InputError when there are no images at all."""
     pairs, videos = _pairs(found)
     if pairs:
-        rows = [{"probe": p.path, "target": t.path, **_times((p, t), found)} for p, t in pairs]
-        names = [pair_name(Pair(**row)) for row in rows]
-        for row, name, (probe, _) in zip(rows, names, pairs, strict=True):
-            if names.count(name) > 1:
-                row["name"] = "-".join(dict.fromkeys([*PurePosixPath(probe.path).parent.parts, name]))
-            told = constants(probe.path)
-            if told:
-                row["labels"] = told
-                out.notes.append(f"{', '.join(told)} of {probe.path}: from its name")
-            if row["align"] == "same start":
-                what = "both videos begin at the same moment; if the laser blinked a code, write 'align: blink'"
-                out.notes.append(f"{probe.path}: {what}")
-        out.content |= {"side": min(_SIDE, *(min(p.width, p.height) for p, _ in pairs)), "videos": rows}
-        used = {row[key]["file"] for row in rows for key in ("probe_times", "target_times") if key in row}
-        for video in videos:
-            part = next((word for word in ("probe", "target") if word in video.path.casefold()), None)
-            lacks = f"no {'target' if part == 'probe' else 'probe'} video of the same name" if part else "not in a pair"
-            out.dropped.append(f"{video.path}: {lacks}")
-        others = [one.path for one in (*found.arrays, *found.tables, *found.folders) if one.path not in used]
-        out.dropped += [f"{path}: pairs of videos are labelled by the laser in the target's video" for path in others]
-        return out
-    sources = _sources(found)
-    counts = {source.count for source in sources}
-    stacks, sizes, centred = [], [], []
+        return _of_pairs(found, pairs, videos)
+    stacks = _Stacks(found)
     for array in found.arrays:
-        axes = _image_axes(array, counts)
-        if axes is None:
-            if not any(source.column["file"] == array.path for source in sources):
-                out.dropped.append(f"{array.path} ({array.info.text}): by shape and name neither pictures nor labels")
-            continue
-        images: dict[str, Any] = {"file": array.path, "axes": " ".join(axes)}
-        if array.info.name:
-            images["array"] = array.info.name
-        out.notes.append(f"axes of {array.path} ({array.info.text}): {' '.join(axes)}")
-        sample = _sample(images, found.root)
-        if array.info.dtype != "uint8":
-            _add_depth(sample, array, out)
-        size = dict(zip(axes, array.info.shape, strict=True))
-        sizes.append(min(size["y"], size["x"]))
-        stacks.append(_stack(images, size["frame"], array.path, sources, reader, out))
-        centred.append(looks_centred(sample))
+        stacks.add_array(array)
     for video in videos:
-        images = {"file": video.path}
-        sizes.append(min(video.width, video.height))
-        stacks.append(_stack(images, video.count, video.path, sources, reader, out))
-        centred.append(looks_centred(_sample(images, found.root)))
-    for images, count, path, size in _folders(found, sources, out):
-        sizes.append(size)
-        stacks.append(_stack(images, count, path, sources, reader, out))
-        centred.append(looks_centred(_sample(images, found.root)))
-    if not stacks:
-        seen = "; ".join(found.lines) or "nothing"
-        remedy = "give a folder with videos, images or arrays, or write a mapping and pass it with --mapping"
-        raise InputError(f"no pictures were found ({seen})", where=found.root, remedy=remedy)
-    if centred and all(centred):
-        out.content["centred"] = True
-        out.notes.append("the pictures are crops with the RR in their middle already")
-    whole = min(sizes) if out.content.get("centred") else min(_SIDE, *sizes)
-    out.content = {"schema": SCHEMA, "side": whole, **out.content, "stacks": stacks}
+        stacks.add({"file": video.path}, video.count, video.path, min(video.width, video.height))
+    for table in [source for source in stacks.sources if source.meaning == "names"]:
+        stacks.add_named(table)
+    for folder in found.folders:
+        if folder.path not in stacks.used:
+            stacks.add({"folder": folder.path}, folder.count, folder.path, min(folder.width, folder.height))
+    return stacks.proposal()
+
+
+def _of_pairs(found: Inventory, pairs: list[tuple[FramesFound, FramesFound]], videos: list[FramesFound]) -> Proposal:
+    """Propose recordings from pairs of videos; all other files are left out."""
+    out = Proposal({"schema": SCHEMA})
+    rows: list[dict[str, Any]] = [{"probe": p.path, "target": t.path, **_times((p, t), found)} for p, t in pairs]
+    names = [pair_name(Pair(**row)) for row in rows]
+    for row, name, (probe, _) in zip(rows, names, pairs, strict=True):
+        if names.count(name) > 1:
+            row["name"] = "-".join(dict.fromkeys([*PurePosixPath(probe.path).parent.parts, name]))
+        told = constants(probe.path)
+        if told:
+            row["labels"] = told
+            out.notes.append(f"{', '.join(told)} of {probe.path}: from its name")
+        if row["align"] == "same start":
+            what = "both videos begin at the same moment; if the laser blinked a code, write 'align: blink'"
+            out.notes.append(f"{probe.path}: {what}")
+    out.content |= {"side": min(_SIDE, *(min(p.width, p.height) for p, _ in pairs)), "videos": rows}
+    used = {row[key]["file"] for row in rows for key in ("probe_times", "target_times") if key in row}
+    for video in videos:
+        part = next((word for word in ("probe", "target") if word in video.path.casefold()), None)
+        lacks = f"no {'target' if part == 'probe' else 'probe'} video of the same name" if part else "not in a pair"
+        out.dropped.append(f"{video.path}: {lacks}")
+    others = [one.path for one in (*found.arrays, *found.tables, *found.folders) if one.path not in used]
+    out.dropped += [f"{path}: pairs of videos are labelled by the laser in the target's video" for path in others]
     return out
 
 
-def _sample(images: dict[str, Any], root: Path) -> list[NDArray[Any]]:
-    """A few pictures: spread over the whole, but of a video its first ones, which cost little to reach."""
+class _Stacks:
+    """Collects the stacks of a proposal."""
+
+    def __init__(self, found: Inventory) -> None:
+        self.found, self.reader = found, Reader(found.root)
+        self.sources = _sources(found)
+        self.used: set[str] = set()
+        self._out = Proposal({"schema": SCHEMA})
+        self._stacks: list[dict[str, Any]] = []
+        self._sizes: list[int] = []
+        self._centred: list[bool] = []
+        self._scale = 0
+
+    def add_array(self, array: ArrayFound) -> None:
+        """Add an array of images; list one that holds neither images nor values as dropped."""
+        axes = _image_axes(array, {source.count for source in self.sources})
+        if axes is None:
+            if not any(source.column["file"] == array.path for source in self.sources):
+                what = "by shape and name neither pictures nor labels"
+                self._out.dropped.append(f"{array.path} ({array.info}): {what}")
+            return
+        images: dict[str, Any] = {"file": array.path, "axes": " ".join(axes)}
+        if array.info.name:
+            images["array"] = array.info.name
+        self._out.notes.append(f"axes of {array.path} ({array.info}): {' '.join(axes)}")
+        size = dict(zip(axes, array.info.shape, strict=True))
+        sample = self.add(images, size["frame"], array.path, min(size["y"], size["x"]))
+        if array.info.dtype != "uint8":
+            self._scale = max(depth(sample), self._scale)
+            self._out.notes.append(f"full_scale {self._scale}, from some pictures of {array.path}")
+
+    def add_named(self, source: _Source) -> None:
+        """Add the folders of images that a table lists."""
+        names = texts(self.reader.values(Column(**source.column), None))
+        file = source.column["file"]
+        for base in map(str, dict.fromkeys([*(f.path for f in self.found.folders), PurePosixPath(file).parent, "."])):
+            if names and (self.found.root / base / names[0]).is_file():
+                inside = [f for f in self.found.folders if PurePosixPath(f.path).is_relative_to(base) or base == "."]
+                self.used |= {f.path for f in inside}
+                images = {"folder": base, "names": source.column}
+                self.add(images, source.count, file, min([min(f.width, f.height) for f in inside], default=_SIDE))
+                self._out.notes.append("images go with the rows of the table that names them")
+                return
+
+    def add(self, images: dict[str, Any], count: int, path: str, size: int) -> list[NDArray[Any]]:
+        """Add a stack of `count` images at `path` with least edge `size`; return a few of them."""
+        stack: dict[str, Any] = {"images": images, "labels": self._labels(count, path)}
+        # A video keeps its own order and time.
+        video = images == {"file": path}
+        for name in ("split",) if video else ("recording", "order", "time", "split"):
+            column = self._choose(name, count, path)
+            if column is not None:
+                stack[name] = column
+        sample = _sample(images, self.reader)
+        self._stacks.append(stack)
+        self._sizes.append(size)
+        self._centred.append(looks_centred(sample))
+        return sample
+
+    def _choose(self, what: str, count: int, image: str) -> dict[str, Any] | None:
+        """Return the likeliest source of a meaning for images: in their file, of the same name, or beside it."""
+
+        def distance(source: _Source) -> int:
+            file = source.column["file"]
+            if file == image:
+                return 0
+            if key(file) == key(image):
+                return 1
+            near = PurePosixPath(file).parent in (PurePosixPath(image).parent, PurePosixPath(image))
+            return 2 if near else 3
+
+        fitting = [source for source in self.sources if source.meaning == what and source.count == count]
+        return dict(min(fitting, key=distance).column) if fitting else None
+
+    def _labels(self, count: int, image: str) -> dict[str, dict[str, Any] | str]:
+        out, labels = self._out, {}
+        for name in (*QUANTITIES, DEVICE):
+            column = self._choose(name, count, image)
+            if column is None:
+                continue
+            labels[name] = column
+            if name == DEVICE:
+                continue
+            more, note = unit(name, column, self.reader, count)
+            if "size" in more:
+                out.gaps.append(f"the size of the target's frame is not known for {name} of {image}")
+            column |= more
+            out.notes.append(f"{name} of {image}: {note}")
+        for name, value in constants(image).items():
+            if name not in labels:
+                labels[name] = value
+                out.notes.append(f"{name} of {image}: from its name")
+        if not labels:
+            out.gaps.append(f"no labels were found for {image} ({count} pictures)")
+        return labels
+
+    def proposal(self) -> Proposal:
+        """Return the proposal of all stacks."""
+        out, found = self._out, self.found
+        if not self._stacks:
+            seen = "; ".join(found.lines) or "nothing"
+            remedy = "give a folder with videos, images or arrays, or write a mapping and pass it with --mapping"
+            raise InputError(f"no pictures were found ({seen})", where=found.root, remedy=remedy)
+        centred = all(self._centred)
+        if centred:
+            out.notes.append("the pictures are crops with the RR in their middle already")
+        side = min(self._sizes) if centred else min(_SIDE, *self._sizes)
+        scale = {"full_scale": self._scale} if self._scale else {}
+        out.content |= {"side": side, **scale, **({"centred": True} if centred else {}), "stacks": self._stacks}
+        return out
+
+
+def _sample(images: dict[str, Any], reader: Reader) -> list[NDArray[Any]]:
+    """Return a few images, evenly spread; of a video the first ones, which are faster to reach."""
     try:
-        # The true depth is not known yet; no grey picture has more than this.
-        with open_pictures(Images(**images), Reader(root), 65535) as pictures:
+        # The true depth is unknown; this is the largest of grey images.
+        with open_pictures(ImagesEntry(**images), reader, 65535) as pictures:
             few = min(_FEW, pictures.count)
             last = few - 1 if Path(images.get("file", "")).suffix.lower() in VIDEO_SUFFIXES else pictures.count - 1
             return list(pictures.read(np.unique(np.linspace(0, last, few).astype(int)).tolist()))
     except InputError:
-        # What cannot be read is reported when it is imported.
+        # The import reports unreadable files.
         return []
-
-
-def _add_depth(sample: list[NDArray[Any]], array: ArrayFound, out: Proposal) -> None:
-    out.content["full_scale"] = max(depth(sample), int(out.content.get("full_scale", 0)))
-    out.notes.append(f"full_scale {out.content['full_scale']}, from some pictures of {array.path}")
-
-
-def _folders(found: Inventory, sources: list[_Source], out: Proposal) -> list[tuple[dict[str, Any], int, str, int]]:
-    """Folders of images: those that a table names together, the others each for itself."""
-    stacks, used = [], set()
-    for source in sources:
-        if source.meaning != "names":
-            continue
-        names = texts(Reader(found.root).values(Column(**source.column), None))
-        for base in dict.fromkeys([*(f.path for f in found.folders), PurePosixPath(source.column["file"]).parent, "."]):
-            if names and (found.root / base / names[0]).is_file():
-                inside = [f for f in found.folders if PurePosixPath(f.path).is_relative_to(base) or str(base) == "."]
-                used |= {f.path for f in inside}
-                images = {"folder": str(base), "names": source.column}
-                size = min([min(f.width, f.height) for f in inside], default=_SIDE)
-                stacks.append((images, source.count, source.column["file"], size))
-                break
-    alone = (folder for folder in found.folders if folder.path not in used)
-    stacks += [({"folder": one.path}, one.count, one.path, min(one.width, one.height)) for one in alone]
-    if used:
-        out.notes.append("images go with the rows of the table that names them")
-    return stacks

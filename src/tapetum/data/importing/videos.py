@@ -1,4 +1,4 @@
-"""Pairs of videos become recordings: two streams on one clock, labelled by the laser in the target's video."""
+"""From pairs of videos to recordings: two streams on one clock, labelled by the laser in the target's video."""
 
 from __future__ import annotations
 
@@ -12,11 +12,10 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from tapetum.data.build import build_dataset
-from tapetum.data.dataset import DEVICE
-from tapetum.data.importing.align import Alignment, align_blink, brightness
+from tapetum.data.importing.align import align_blink, brightness
 from tapetum.data.importing.columns import Reader, label_values, seconds
-from tapetum.data.importing.fields import Column
-from tapetum.data.importing.mapping import ImportMapping, Pair
+from tapetum.data.importing.mapping import Column, ImportMapping, Pair
+from tapetum.data.importing.write import check_size
 from tapetum.errors import InputError
 from tapetum.files import atomic_folder
 from tapetum.progress import Progress
@@ -25,12 +24,12 @@ from tapetum.record.recording import RecordingWriter, StreamInfo, is_recording
 from tapetum.record.source import Frame, Source
 from tapetum.record.video import VideoSource, count_frames
 
-__all__ = ["recordings_beside", "write_videos"]
+__all__ = ["pair_name", "write_videos"]
 
 
 @dataclass(frozen=True)
 class _Stream:
-    """One video of a pair: its frames, the first of them, and the second of every frame by its own clock."""
+    """One video of a pair: its frames, the first of them, and the times of all by its own clock in seconds."""
 
     source: Source
     first: Frame
@@ -53,13 +52,8 @@ class _Stream:
         return float(self.times[frame.index])
 
 
-def recordings_beside(out: Path) -> Path:
-    """The folder for the recordings that a dataset is cut from: `NAME-recordings` beside `NAME.zarr`."""
-    return out.with_name(f"{out.stem}-recordings")
-
-
 def pair_name(pair: Pair) -> str:
-    """What a pair's recording is called: its name, or that of the probe's file without the word probe."""
+    """Return the name of a pair's recording: its own, or that of the probe's file without the word probe."""
     stem = Path(pair.probe).stem
     bare = re.sub(r"(?i)[-_. ]*probe[-_. ]*", "", stem) or Path(pair.probe).parent.name or stem
     return re.sub(r"[^\w.+-]+", "-", pair.name or bare)
@@ -83,36 +77,28 @@ def _opened(name: str, column: Column | None, reader: Reader) -> _Stream:
     return _Stream(source, first, times)
 
 
-def _aligned(pair: Pair, probe: _Stream, target: _Stream, progress: Progress) -> Alignment | None:
-    if pair.align != "blink":
-        return None
-    levels = [brightness(one.source, progress, f"blinking of {Path(one.where).name}") for one in (probe, target)]
-    return align_blink(levels[0], levels[1], where=f"{probe.where} and {target.where}")
-
-
 def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, progress: Progress) -> str:
-    """Write one recording with its labels; return what to tell of it."""
+    """Write one recording with its labels; return a line that describes it."""
     probe = _opened(pair.probe, pair.probe_times, reader)
     target = _opened(pair.target, pair.target_times, reader)
-    if min(probe.first.image.shape) < mapping.side and not mapping.pad:
-        shape = probe.first.image.shape
-        what = f"frames of {shape[1]} x {shape[0]} px are smaller than the crops of {mapping.side} px"
-        raise InputError(what, where=probe.where, remedy=f"set 'side: {min(shape)}' (--side), or 'pad: true'")
-    alignment = _aligned(pair, probe, target, progress)
-    offset = pair.offset + (alignment.offset if alignment else 0.0)
+    check_size(probe.first.image.shape, mapping, probe.where, "frames")
+    alignment, offset = None, pair.offset
+    if pair.align == "blink":
+        levels = [brightness(one.source, progress, f"blinking of {Path(one.where).name}") for one in (probe, target)]
+        alignment = align_blink(levels[0], levels[1], where=f"{probe.where} and {target.where}")
+        offset += alignment.offset
     streams = {"probe": (probe, 0.0), "target": (target, offset)}
     begin = min(one.time(one.first) + later for one, later in streams.values())
-    # Times that are no dates count from 1970: nobody knows when the videos were taken.
+    # Without dates, times are stored as seconds since 1970.
     dated = all(one.times is not None and one.times[0] > 1e8 for one, _ in streams.values())
     start = round(begin * 1e9) if dated else 0
     told: dict[str, Any] = {"align": pair.align, "offset": offset, "probe": pair.probe, "target": pair.target}
     if alignment is not None:
         told["blink"] = vars(alignment)
-    rate = probe.rate
     with RecordingWriter(
         path,
         streams={name: replace(StreamInfo.of(one.source), rate=one.rate) for name, (one, _) in streams.items()},
-        rate=rate,
+        rate=probe.rate,
         hardware={"imported": {"probe": pair.probe, "target": pair.target}},
         extra={"imported": told},
         start_utc_ns=start,
@@ -126,32 +112,20 @@ def _write_pair(pair: Pair, mapping: ImportMapping, reader: Reader, path: Path, 
     try:
         summary = label_recording(recording, progress)
     except InputError as error:
-        # The recording is still in a temporary folder, of which nobody should read.
+        # The message must not name the temporary folder of the recording.
         raise InputError(error.what, where=f"{probe.where} with {target.where}", remedy=error.remedy) from error
-    _add_constants(path, pair)
+    constants = label_values(pair.labels, reader, 1)
+    if constants and (table := recording.labels()) is not None:
+        for name, value in constants.items():
+            table = table.append_column(name, pa.array(value.tolist() * len(table)))
+        recording.write_labels(table)
     text = f"{path.name}: {pair.align}, " + (alignment.text if alignment else f"target {offset:+.4f} s")
     return f"{text}; labelled {summary.labelled} of {summary.n} frames"
 
 
-def _add_constants(path: Path, pair: Pair) -> None:
-    """Add what is the same for the whole video to the labels that the laser gave."""
-    values, classes = label_values(pair.labels, Reader(path), 1)
-    if not values:
-        return
-    recording = open_recording(path)
-    table = recording.labels()
-    assert table is not None  # just made
-    for name, value in values.items():
-        column = [classes[0] if name == DEVICE else float(value[0])] * len(table)
-        table = table.append_column(name, pa.array(column))
-    recording.write_labels(table)
-
-
-def write_videos(
-    mapping: ImportMapping, root: Path, out: Path, progress: Progress, overwrite: bool
-) -> tuple[Path, list[str]]:
+def write_videos(mapping: ImportMapping, root: Path, out: Path, progress: Progress, overwrite: bool) -> list[str]:
     """Write recordings and a dataset from the pairs of a mapping; see `import_dataset`."""
-    reader, folder = Reader(root), recordings_beside(out)
+    reader, folder = Reader(root), out.with_name(f"{out.stem}-recordings")
     names = [pair_name(pair) for pair in mapping.videos]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice is not None:
@@ -164,11 +138,6 @@ def write_videos(
             paths.append(part / f"{name}.rec")
             told.append(_write_pair(pair, mapping, reader, paths[-1], progress))
         build_dataset(
-            paths,
-            out,
-            side=mapping.side,
-            test_fraction=mapping.test_fraction,
-            progress=progress,
-            overwrite=overwrite,
+            paths, out, side=mapping.side, test_fraction=mapping.test_fraction, progress=progress, overwrite=overwrite
         )
-    return folder, told
+    return told

@@ -1,11 +1,10 @@
-"""Pictures with labels become a dataset: ordered, split, centred and cut like those of recordings."""
+"""From images with labels to a dataset: ordered, split, centred and cut like those of recordings."""
 
 from __future__ import annotations
 
 import contextlib
 import json
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -13,101 +12,79 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.data.build import RING_SIGMA
-from tapetum.data.crop import crop, find_centre, find_peak
 from tapetum.data.dataset import DEVICE, QUANTITIES, TEST, TRAIN
 from tapetum.data.importing.columns import Reader, held_out, label_values, numbers, seconds, texts
 from tapetum.data.importing.mapping import ImportMapping, Stack
 from tapetum.data.importing.pictures import Pictures, open_pictures
-from tapetum.data.write import DatasetWriter, Rules, dataset_writer
+from tapetum.data.write import AS_IMPORTED, DatasetWriter, Rules, dataset_writer
 from tapetum.errors import InputError
 from tapetum.progress import Progress
 
-__all__ = ["write_stacks"]
+__all__ = ["check_size", "write_stacks"]
 
 
 @dataclass(frozen=True)
 class _Part:
-    """One stack, read but for its pictures.
-
-    Attributes
-    ----------
-    order
-        Numbers of the pictures in the order in which they are kept, [N].
-    recording, place, time, split
-        Of every picture in that order: number of the video, place in it, seconds from its beginning, and part.
-    names
-        Of the videos.
-    values, classes
-        Labels in that order, and the names of a device's numbers.
-    """
+    """One stack without its images; arrays [N] are in the order in which the images are stored."""
 
     pictures: Pictures
-    order: NDArray[np.int64]
-    recording: NDArray[np.int64]
-    place: NDArray[np.int64]
-    time: NDArray[np.float64]
+    order: NDArray[np.int64]  # numbers of the images
+    recording: NDArray[np.int64]  # number of the video
+    place: NDArray[np.int64]  # in the video
+    time: NDArray[np.float64]  # seconds from the video's beginning
     split: NDArray[np.int8]
-    names: list[str]
-    values: dict[str, NDArray[np.float64]]
-    classes: list[str]
-
-    @property
-    def good(self) -> NDArray[np.bool_]:
-        """Which pictures have all their labels."""
-        return np.all([np.isfinite(values) for values in self.values.values()], axis=0)
-
-
-def _default_name(stack: Stack) -> str:
-    place = Path(str(stack.images.folder or stack.images.file))
-    return stack.name or (place.name if stack.images.folder else place.stem)
+    names: list[str]  # of the videos
+    values: dict[str, NDArray[Any]]  # labels; of a device the names
+    good: NDArray[np.bool_]  # whether an image has all its labels
 
 
 def _grouped(stack: Stack, reader: Reader, count: int) -> tuple[NDArray[np.int64], list[str]]:
-    """Number of the video of every picture, and the videos' names in the order in which they first come."""
+    """Return the number of every image's video, and the videos' names in order of appearance."""
+    place = Path(str(stack.images.folder or stack.images.file))
+    name = stack.name or (place.name if stack.images.folder else place.stem)
     if stack.recording is None:
-        return np.zeros(count, np.int64), [_default_name(stack)]
+        return np.zeros(count, np.int64), [name]
     words = texts(reader.values(stack.recording, count, stack.images.file))
     names = list(dict.fromkeys(words))
-    number = {name: n for n, name in enumerate(names)}
-    return np.array([number[word] for word in words]), [f"{_default_name(stack)} {name}" for name in names]
+    return np.array([names.index(word) for word in words]), [f"{name} {one}" for one in names]
 
 
 def _read(stack: Stack, mapping: ImportMapping, reader: Reader, pictures: Pictures) -> _Part:
-    count, file = pictures.count, stack.images.file
-    values, classes = label_values(stack.labels, reader, count, file)
+    count, file, where = pictures.count, stack.images.file, pictures.where
+    values = label_values(stack.labels, reader, count, file)
+    good = np.ones(count, bool)
     for name, one in values.items():
-        if mapping.missing == "refuse" and not np.isfinite(one).all():
-            lost = np.flatnonzero(~np.isfinite(one))
+        known = one != "" if name == DEVICE else np.isfinite(one)
+        if mapping.missing == "refuse" and not known.all():
+            lost = np.flatnonzero(~known)
             what = f"{name} is missing or not finite for {len(lost)} of {count} pictures, first for {lost[0]}"
-            raise InputError(what, where=pictures.where, remedy="mend the labels, or set 'missing: drop'")
+            raise InputError(what, where=where, remedy="mend the labels, or set 'missing: drop'")
+        good &= known
     recording, names = _grouped(stack, reader, count)
-    time = key = None
+    time, key = None, np.arange(count)
     if stack.time is not None:
-        key = time = seconds(reader.values(stack.time, count, file), stack.time, f"{pictures.where}: time")
+        key = time = seconds(reader.values(stack.time, count, file), stack.time, f"{where}: time")
     if stack.order is not None:
-        key = numbers(reader.values(stack.order, count, file), f"{pictures.where}: order")
+        key = numbers(reader.values(stack.order, count, file), f"{where}: order")
         if not np.isfinite(key).all():
-            raise InputError("order holds values that are not finite", where=pictures.where, remedy="mend them")
-    order = np.lexsort((np.arange(count) if key is None else key, recording))
+            raise InputError("order holds values that are not finite", where=where, remedy="mend them")
+    order = np.lexsort((key, recording))
     recording = recording[order]
     begin = np.searchsorted(recording, recording)
-    place, total = np.arange(count) - begin, np.bincount(recording)[recording]
-    time = place / stack.rate if time is None else time[order] - time[order][begin]
+    place = np.arange(count) - begin
     if stack.split is None:
-        # Rounded, so that 0.8 of 10 pictures is 8 whatever the last bit of 1 - 0.2 is.
-        split = np.where(place < np.round((1 - mapping.test_fraction) * total, 6), TRAIN, TEST)
+        split = _rules(mapping).split(place, np.bincount(recording)[recording])
     else:
-        column = reader.values(stack.split, count, file)
-        split = np.where(held_out(column, f"{pictures.where}: split"), TEST, TRAIN)[order]
-    ordered = {name: one[order] for name, one in values.items()}
-    return _Part(pictures, order, recording, place, time, split.astype(np.int8), names, ordered, classes)
+        tests = held_out(reader.values(stack.split, count, file), f"{where}: split")
+        split = np.where(tests, TEST, TRAIN)[order].astype(np.int8)
+    time = place / stack.rate if time is None else time[order] - time[order][begin]
+    values = {name: one[order] for name, one in values.items()}
+    return _Part(pictures, order, recording, place, time, split, names, values, good[order])
 
 
-def _checked(parts: list[_Part], mapping: ImportMapping) -> tuple[tuple[str, ...], np.dtype[Any], int]:
-    """Labels, type and depth that all parts have in common."""
-    names = tuple(name for name in (*QUANTITIES, DEVICE) if name in parts[0].values)
-    first = parts[0].pictures
+def _checked(parts: list[_Part], mapping: ImportMapping) -> tuple[str, ...]:
+    """Return the label names, after a check that all parts have the same labels, type and depth."""
+    first, names = parts[0].pictures, parts[0].values
     for part in parts:
         pictures = part.pictures
         if set(part.values) != set(names):
@@ -116,72 +93,47 @@ def _checked(parts: list[_Part], mapping: ImportMapping) -> tuple[tuple[str, ...
         if (pictures.dtype, pictures.full_scale) != (first.dtype, first.full_scale):
             what = f"differs in depth from {first.where}: {pictures.full_scale}, {first.full_scale}"
             raise InputError(what, where=pictures.where, remedy="import them into two datasets")
-        _check_size(pictures.size, mapping, pictures.where)
-    return names, first.dtype, first.full_scale
+        check_size(pictures.size, mapping, pictures.where)
+    return tuple(name for name in (*QUANTITIES, DEVICE) if name in names)
 
 
-def _check_size(size: tuple[int, int], mapping: ImportMapping, where: str) -> None:
+def check_size(size: tuple[int, ...], mapping: ImportMapping, where: str, what: str = "pictures") -> None:
+    """Refuse images [height, width] that are smaller than the crops, unless they may be padded."""
     if min(size) < mapping.side and not mapping.pad:
-        what = f"pictures of {size[1]} x {size[0]} px are smaller than the crops of {mapping.side} px"
+        what = f"{what} of {size[1]} x {size[0]} px are smaller than the crops of {mapping.side} px"
         raise InputError(what, where=where, remedy=f"set 'side: {min(size)}' (--side), or 'pad: true'")
 
 
-@contextlib.contextmanager
-def _opened(mapping: ImportMapping, root: Path) -> Iterator[list[_Part]]:
-    reader = Reader(root)
-    with contextlib.ExitStack() as stack:
-        parts = []
-        for one in mapping.stacks:
-            pictures = stack.enter_context(open_pictures(one.images, reader, mapping.full_scale))
-            parts.append(_read(one, mapping, reader, pictures))
-        yield parts
-
-
 def _keep(
-    part: _Part,
-    mapping: ImportMapping,
-    rules: Rules,
-    classes: list[str],
-    writer: DatasetWriter,
-    progress: Progress,
+    part: _Part, mapping: ImportMapping, rules: Rules, classes: list[str], writer: DatasetWriter, progress: Progress
 ) -> None:
-    """Add the pictures of one part, and what became of those of each video."""
-    first = len(writer.told)
+    """Add the images of one part, and the counts of each of its videos."""
+    first, where = len(writer.told), part.pictures.where
     told = [
         {"name": name, "uuid": "", "frames": 0, "used": 0, "left_out": {"no label": 0, "no visible RR": 0}}
         for name in part.names
     ]
-    # Each part counted its own devices.
-    labels = dict(part.values)
+    labels = part.values
     if DEVICE in labels:
-        turned = np.array([classes.index(one) for one in part.classes] or [0], float)
-        number = labels[DEVICE]
-        labels[DEVICE] = np.where(np.isfinite(number), turned[np.nan_to_num(number).astype(int)], np.nan)
-    good, where = part.good, part.pictures.where
+        labels = labels | {DEVICE: np.searchsorted(np.array(classes, str), labels[DEVICE])}
     shown = progress(part.pictures.read(part.order.tolist()), f"importing {Path(where).name}", total=len(part.order))
     for n, picture in enumerate(shown):
         line = told[part.recording[n]]
         line["frames"] += 1
-        if not good[n]:
+        if not part.good[n]:
             line["left_out"]["no label"] += 1
             continue
         if picture.dtype != part.pictures.dtype:
             raise InputError(f"picture {n} holds {picture.dtype}, the first {part.pictures.dtype}", where=where)
-        _check_size(picture.shape, mapping, f"{where} picture {n}")
-        snr = find_peak(picture, RING_SIGMA).snr
-        if mapping.centred:
-            centre = (picture.shape[1] - 1) / 2, (picture.shape[0] - 1) / 2
-        elif snr < rules.min_snr:
+        check_size(picture.shape, mapping, f"{where} picture {n}")
+        cut = rules.cut(picture)
+        if cut is None:
             line["left_out"]["no visible RR"] += 1
             continue
-        else:
-            centre = find_centre(picture, rules.sigma)
         writer.add(
-            crop(picture, centre, mapping.side),
+            cut[0],
             **{name: float(values[n]) for name, values in labels.items()},
-            centre_x=centre[0],
-            centre_y=centre[1],
-            snr=min(snr, 1e6),
+            **cut[1],
             quality=1.0,
             recording=first + int(part.recording[n]),
             time=float(part.time[n]),
@@ -194,30 +146,33 @@ def _keep(
     writer.told += told
 
 
-def _rules(parts: list[_Part], mapping: ImportMapping) -> Rules:
-    share = mapping.test_fraction
-    if any(stack.split is not None for stack in mapping.stacks):
-        split = np.concatenate([part.split for part in parts])
-        share = float(np.mean(split == TEST))
+def _rules(mapping: ImportMapping, share: float | None = None) -> Rules:
+    share = mapping.test_fraction if share is None else share
     if mapping.centred:
-        return Rules(mapping.side, share, 0.0, 0.0, centring="as imported", embargo=mapping.embargo)
+        return Rules(mapping.side, share, 0.0, 0.0, centring=AS_IMPORTED, embargo=mapping.embargo)
     return Rules(mapping.side, share, 0.0, embargo=mapping.embargo)
 
 
 def write_stacks(
     mapping: ImportMapping, root: Path, out: str | os.PathLike[str], progress: Progress, overwrite: bool
-) -> Path:
+) -> None:
     """Write a dataset from the stacks of a mapping; see `import_dataset`."""
-    with _opened(mapping, root) as parts:
-        names, dtype, full_scale = _checked(parts, mapping)
-        classes = sorted({one for part in parts for one in part.classes})
-        rules = _rules(parts, mapping)
-        with dataset_writer(out, rules, names, classes, full_scale, dtype=dtype, overwrite=overwrite) as writer:
-            for part in parts:
-                _keep(part, mapping, rules, classes, writer, progress)
-            if writer.empty:
-                remedy = "set 'centred: true' if they are crops around the RR already, or check what they show"
-                left = "; ".join(f"{line['name']}: {line['left_out']}" for line in writer.told)
-                raise InputError(f"no picture has its labels and a visible RR ({left})", where=out, remedy=remedy)
-            writer.attributes["imported"] = json.dumps(mapping.as_dict())
-    return Path(out)
+    reader, parts = Reader(root), []
+    with contextlib.ExitStack() as stack:
+        for one in mapping.stacks:
+            pictures = stack.enter_context(open_pictures(one.images, reader, mapping.full_scale))
+            parts.append(_read(one, mapping, reader, pictures))
+        names, first = _checked(parts, mapping), parts[0].pictures
+        classes = sorted({str(name) for part in parts for name in part.values.get(DEVICE, ()) if name})
+        given = any(one.split is not None for one in mapping.stacks)
+        share = float(np.mean(np.concatenate([part.split for part in parts]) == TEST)) if given else None
+        rules, dtype = _rules(mapping, share), first.dtype
+        opened = dataset_writer(out, rules, names, classes, first.full_scale, dtype=dtype, overwrite=overwrite)
+        writer = stack.enter_context(opened)
+        for part in parts:
+            _keep(part, mapping, rules, classes, writer, progress)
+        if writer.empty:
+            remedy = "set 'centred: true' if they are crops around the RR already, or check what they show"
+            left = "; ".join(f"{line['name']}: {line['left_out']}" for line in writer.told)
+            raise InputError(f"no picture has its labels and a visible RR ({left})", where=out, remedy=remedy)
+        writer.attributes["imported"] = json.dumps(mapping.as_dict())

@@ -1,11 +1,11 @@
-"""A few frames of a shot, as a recording that is filmed only where it is looked at."""
+"""Some frames of a shot as a recording, filmed only when they are read."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,39 +14,21 @@ from tapetum.data.synth.plan import Video
 from tapetum.record.recording import Recording, RecordingSource, StreamInfo
 from tapetum.record.source import Frame
 
-__all__ = ["Clip", "Filmed"]
+if TYPE_CHECKING:
+    from tapetum.record.shot import Shot
+
+__all__ = ["Clip"]
 
 MARGIN = 13
-"""Target frames on either side that have a say in a label: `tapetum.record.spot.follow` looks at four good ones
-around each of the three that may vouch for a doubtful one, and the path goes through one more beyond the next."""
+"""Target frames on either side that affect a label: `tapetum.record.spot.follow` uses four good ones around each of the
+three that may confirm a doubtful one, and interpolation one more beyond the next."""
 
 _BATCH = 16
 
 
-class Filmed(Protocol):
-    """A shot: any of its frames can be made alone."""
-
-    @property
-    def beats(self) -> Any: ...
-
-    def probe(self, first: int, last: int) -> np.ndarray: ...
-
-    def target(self, first: int, last: int) -> np.ndarray: ...
-
-    def gaze(self, frames: Sequence[int]) -> np.ndarray: ...
-
-
 @dataclass(frozen=True, eq=False)
 class ClipSource(RecordingSource):
-    """Frames of one stream of a shot, made as they are read.
-
-    Attributes
-    ----------
-    shot
-        The whole video.
-    begin
-        Number in it of the first frame here.
-    """
+    """Frames of one stream of a shot from number `begin` on, made when they are read."""
 
     shot: Any = None
     begin: int = 0
@@ -63,16 +45,10 @@ class ClipSource(RecordingSource):
 
 @dataclass(frozen=True)
 class Clip(Recording):
-    """A range of probe frames of a video, and the target's frames that label them.
+    """A range of a video's probe frames, with the target's frames that label them.
 
-    Attributes
-    ----------
-    shot
-        The whole video.
-    ranges
-        First frame, and the one after the last, of each stream.
-    labelled
-        Labels that stay the same throughout the video.
+    `shot` is the whole video, `ranges` the first and last (excluded) frame of each stream, `labelled` the constant
+    labels.
     """
 
     shot: Any = None
@@ -81,8 +57,8 @@ class Clip(Recording):
     _tables: list[pa.Table] = field(default_factory=list)
 
     @classmethod
-    def of(cls, video: Video, shot: Filmed, first: int, last: int) -> Clip:
-        """Take the probe's frames `first` to `last` (left out), as far as the video has them."""
+    def of(cls, video: Video, shot: Shot, first: int, last: int) -> Clip:
+        """Return the probe's frames `first` to `last` (excluded), as far as the video has them."""
         count = len(shot.beats["probe"].times)
         first, last = min(first, count), min(last, count)
         target = shot.beats["target"].times
@@ -91,7 +67,11 @@ class Clip(Recording):
             ends = shot.beats["probe"].times[[first, last - 1]]
             low, high = (int(index) for index in np.searchsorted(target, ends))
         ranges = {"probe": (first, last), "target": (max(0, low - MARGIN), min(len(target), high + MARGIN))}
-        return cls(Path(video.name), {}, streams_of(shot, video.scene.probe.sensor.bits), shot, ranges, video.labels)
+        # An empty range of frames still has the size of an image.
+        (_, rows, columns), (_, high, wide) = shot.probe(0, 0).shape, shot.target(0, 0).shape
+        probe = StreamInfo(rows, columns, video.scene.probe.sensor.bits)
+        streams = {"probe": probe, "target": StreamInfo(high, wide)}
+        return cls(Path(video.name), {}, streams, shot, ranges, video.labels)
 
     def utc_ns(self, stream: str) -> np.ndarray:
         """Return times of the clip's frames of a stream in nanoseconds from the shot's start, [N] int64."""
@@ -102,26 +82,19 @@ class Clip(Recording):
         """Return the clip's frames of a stream; times count from the first frame of the whole video."""
         first, last = self.ranges[stream]
         times = self.shot.beats[stream].times
-        # In whole nanoseconds, as a recording on disk would have them.
+        # Rounded to nanoseconds like a recording on disk.
         since = (np.rint(times[first:last] * 1e9) - np.rint(times[:1] * 1e9)) / 1e9
         full_scale = int(self.streams[stream].full_scale or 0)
         return ClipSource(self.video(stream), stream, full_scale, since, True, shot=self.shot, begin=first)
 
     def labels(self) -> pa.Table | None:
-        """Return the labels, or None where none were made yet."""
+        """Return the labels, or None before there are any."""
         return self._tables[-1] if self._tables else None
 
     def write_labels(self, table: pa.Table) -> None:
-        """Keep labels, with those that stay the same; frames are numbered as in the whole video."""
+        """Keep labels, with the constant ones; frames are numbered as in the whole video."""
         frames = pa.array(np.arange(*self.ranges["probe"]), pa.int64())
         table = table.set_column(table.column_names.index("frame"), "frame", frames)
         for name, value in self.labelled:
             table = table.append_column(name, pa.array([value] * len(table)))
         self._tables.append(table)
-
-
-def streams_of(shot: Filmed, bits: int) -> dict[str, StreamInfo]:
-    """Return the two streams of a shot, whose probe has so many bits."""
-    # Of no frames at all: the shot alone knows how large it films.
-    (_, rows, columns), (_, high, wide) = shot.probe(0, 0).shape, shot.target(0, 0).shape
-    return {"probe": StreamInfo(rows, columns, bits), "target": StreamInfo(high, wide)}

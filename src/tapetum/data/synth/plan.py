@@ -1,4 +1,7 @@
-"""What is filmed for each of the three sets: which videos, with which scenes, sessions and labels."""
+"""Plans of the paper's three sets: their videos, with scenes, sessions and labels.
+
+A new set is one `SetRecipe` in `SETS`, from which the command line, the paper and the seeds take its name.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ import numpy as np
 from tapetum.bench import Scene, load_scene, scene_dict, with_values
 from tapetum.data.dataset import DEVICE
 from tapetum.data.write import CHUNK, Rules
+from tapetum.defaults import SEED
 from tapetum.errors import one_of
 from tapetum.record import HandMotion, Session
 from tapetum.record.stray import FixedPattern
@@ -24,28 +28,29 @@ __all__ = [
     "KINDS",
     "PIECE",
     "SEED",
+    "SETS",
     "SIZES",
     "Part",
     "Plan",
+    "SetRecipe",
     "Video",
     "focusing_plan",
     "make_plan",
     "phones_plan",
+    "rotation_plan",
 ]
-__all__ += ["rotation_plan"]
 
-# The set's 135 mm lens is not to be had more accurately, and its frames are many. Beside 0.03 of the peak and the way
-# over the distance, pictures at 50 and 85 mm differ by 4 to 9 % RMS, by 8 to 38 % of the peak in a few pixels, and hold
-# the same light within 2 %.
+Labels = Mapping[str, float | str]
+
+# A higher accuracy takes too long for the set's 135 mm lens. Compared with an accuracy of 0.03 of the peak and
+# propagation over the distance, images at 50 and 85 mm differ by 4 to 9 % RMS, by 8 to 38 % of the peak in a few
+# pixels, and hold the same light within 2 %.
 FOCUSING_SAMPLING = ("sampling.accuracy=0.3", "sampling.propagation=far field")
-KINDS = ("rotation", "focusing", "phones")
 SIZES = ("small", "laptop", "paper")
 RATE = 15.0
-SEED = 1
-"""Of everything random in the sets behind the paper's figures and tables, and where none is named."""
 
 PIECE = 2 * CHUNK
-"""Frames that are made in one go: whole chunks of the store, so that no two pieces write the same one."""
+"""Frames of one part: what a worker makes in one go."""
 
 FOCAL_LENGTHS = (0.050, 0.085, 0.135)
 OBJECT_DISTANCES = (3.0, 3.5, 4.0, 4.5, 5.0, 5.5)
@@ -56,40 +61,18 @@ FIELDS = {
     "object_distance": "target.object_distance",
     DEVICE: "target.name",
 }
-"""The field of a scene behind each label that stays the same throughout a video."""
+"""The scene's field for each label that is constant within a video."""
 
-# Of every video. The paper's, and of the same structure what two cores make in minutes: enough to learn from, and
-# enough to see that every step runs.
-_SECONDS = {
-    "rotation": {"paper": 100.0, "laptop": 30.0, "small": 4.0},
-    "focusing": {"paper": 60.0, "laptop": 8.0, "small": 2.0},
-    "phones": {"paper": 100.0, "laptop": 16.0, "small": 3.0},
-}
-
-# How far the gaze goes, in fractions of the field. Most of the paper's gazes of phones lie in the centre half, where
-# they answer; a zoom, too, answers in the middle only (5 degrees at 50 mm, 2 at 135 mm), and is held towards the probe
-# (assumed).
-_EXTENT = {"rotation": 0.48, "focusing": 0.2, "phones": 0.25}
-# Of the hand about the optical axis, in radians, and of the laser's power in parts of one: assumed.
+# Assumed: the hand's roll about the optical axis, in radians, and the jitter of the laser's power, as a fraction.
 _ROLL, _POWER_JITTER = 0.02, 0.01
-# Of the hand sideways, in metres. In diverging light the RR itself moves by f_p z s/d with the gaze s: no more than a
-# fifth of what this sway makes of its place, so that the place does not tell the gaze.
+# Sideways motion of the hand, in metres. In diverging light the RR moves by f_p z s/d with the gaze s, at most a fifth
+# of this sway, so that the place does not reveal the gaze.
 _SWAY = 0.01
 
 
 @dataclass(frozen=True)
 class Video:
-    """One video to film.
-
-    Parameters
-    ----------
-    name
-        What the set calls it.
-    scene, session
-        What stands on the bench, and how it is filmed.
-    labels
-        Name and value of each label that stays the same throughout.
-    """
+    """One video to film: its scene, its session, and the labels that are constant within it."""
 
     name: str
     scene: Scene
@@ -98,30 +81,20 @@ class Video:
 
     @property
     def frames(self) -> int:
-        """Frames that the probe would take if it lost none."""
+        """Frames that the probe takes if it loses none."""
         return round(self.session.seconds * self.session.rate)
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values: all that decides what is filmed."""
+        """Return everything that determines the video, as plain values."""
         session = json.loads(json.dumps(dataclasses.asdict(self.session), default=str))
         return {"name": self.name, "scene": scene_dict(self.scene), "session": session, "labels": dict(self.labels)}
 
 
 @dataclass(frozen=True)
 class Part:
-    """Some frames of one video: what one worker makes in one go.
+    """Probe frames `first` to `last` (excluded) of one video, which one worker makes at once."""
 
-    Parameters
-    ----------
-    number
-        Its place among all parts of the plan.
-    video
-        Number of its video.
-    first, last
-        Range of probe frames, the last one left out.
-    """
-
-    number: int
+    number: int  # among all parts of the plan
     video: int
     first: int
     last: int
@@ -129,16 +102,18 @@ class Part:
 
 @dataclass(frozen=True)
 class Plan:
-    """All that decides what is in a set, and how it is divided into parts.
+    """Everything that determines a set, and its division into parts.
 
     Parameters
     ----------
     kind, size, seed
-        As asked for.
+        As requested.
     videos
-        In the order in which they stand in the set.
+        In their order in the set.
     rules
-        How frames are judged, cut and split.
+        How frames are selected, cut and split.
+    piece
+        Frames of a part.
     """
 
     kind: str
@@ -146,14 +121,15 @@ class Plan:
     seed: int
     videos: tuple[Video, ...]
     rules: Rules = dataclasses.field(default_factory=Rules)
+    piece: int = PIECE
 
     @property
     def parts(self) -> tuple[Part, ...]:
         """The parts of all videos, in order."""
         ranges = [
-            (number, first, min(first + PIECE, video.frames))
+            (number, first, min(first + self.piece, video.frames))
             for number, video in enumerate(self.videos)
-            for first in range(0, video.frames, PIECE)
+            for first in range(0, video.frames, self.piece)
         ]
         return tuple(Part(n, *one) for n, one in enumerate(ranges))
 
@@ -168,13 +144,13 @@ class Plan:
         return sorted({str(value) for video in self.videos for name, value in video.labels if name == DEVICE})
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values, with the version of the software: two plans that agree give the same set."""
+        """Return plain values, with the software's version; equal plans give equal sets."""
         return {
             "kind": self.kind,
             "size": self.size,
             "seed": self.seed,
             "rules": dataclasses.asdict(self.rules),
-            "piece": PIECE,
+            "piece": self.piece,
             "videos": [video.as_dict() for video in self.videos],
             "software": importlib.metadata.version("tapetum"),
         }
@@ -185,87 +161,112 @@ class Plan:
         return hashlib.sha256(json.dumps(self.as_dict(), sort_keys=True).encode()).hexdigest()
 
 
+@dataclass(frozen=True)
+class SetRecipe:
+    """Recipe of a set that can be filmed; `name` is also that of its bundled scene.
+
+    `videos` holds each video's name and constant labels, `seconds` their length by size: `paper` is the paper's,
+    `laptop` is enough to learn from and takes two cores minutes, `small` only shows that every step runs. `extent` is
+    the largest gaze in fractions of the field; `rules` select, cut and split frames; `settings` change the bundled
+    scene, as `KEY=VALUE`.
+    """
+
+    name: str
+    videos: tuple[tuple[str, Labels], ...]
+    seconds: Mapping[str, float]
+    extent: float
+    rules: Rules = dataclasses.field(default_factory=Rules)
+    settings: tuple[str, ...] = ()
+
+    def plan(self, scene: Scene | None = None, size: str = "small", seed: int = SEED) -> Plan:
+        """Return the plan of the set, for the given scene or the bundled one."""
+        one_of(size, SIZES, "size")
+        scene = load_scene(self.name, self.settings) if scene is None else scene
+        videos = (self._video(n, name, labels, scene, size, seed) for n, (name, labels) in enumerate(self.videos))
+        return Plan(self.name, size, seed, tuple(videos), self.rules)
+
+    def _video(self, number: int, name: str, labels: Labels, scene: Scene, size: str, seed: int) -> Video:
+        # Videos differ only in seed and label: a background that is constant within a video would identify it, and so
+        # its label. The fixed pattern belongs to the one probe.
+        own = int(np.random.SeedSequence([seed, KINDS.index(self.name), number]).generate_state(1)[0])
+        session = Session(
+            seconds=self.seconds[size],
+            rate=RATE,
+            seed=own,
+            motion=HandMotion(extent=self.extent, roll=_ROLL, sway=_SWAY),
+            power_jitter=_POWER_JITTER,
+            stray=(FixedPattern(),),
+        )
+        placed = with_values(scene, {FIELDS[key]: value for key, value in labels.items()}) if labels else scene
+        return Video(name, placed, session, tuple(labels.items()))
+
+
+def _by_device(names: tuple[str, ...]) -> tuple[tuple[str, Labels], ...]:
+    return tuple((name, {DEVICE: name}) for name in names)
+
+
+# Phones give RRs in the centre half of the field, where most of the paper's gazes lie; a zoom only near the middle
+# (5 degrees at 50 mm, 2 at 135 mm), and is held towards the probe (assumed).
+SETS: dict[str, SetRecipe] = {
+    recipe.name: recipe
+    for recipe in (
+        SetRecipe(
+            "rotation",
+            tuple((f"rotation-{n}", {}) for n in range(1, 8)),
+            seconds={"paper": 100.0, "laptop": 30.0, "small": 4.0},
+            extent=0.48,
+        ),
+        SetRecipe(
+            "focusing",
+            tuple(
+                (f"focusing-{f * 1e3:.0f}mm-{distance:g}m", {"object_distance": distance, "focal_length": f})
+                for f in FOCAL_LENGTHS
+                for distance in OBJECT_DISTANCES
+            ),
+            seconds={"paper": 60.0, "laptop": 8.0, "small": 2.0},
+            extent=0.2,
+            settings=FOCUSING_SAMPLING,
+        ),
+        SetRecipe(
+            "phones",
+            _by_device(PHONES),
+            seconds={"paper": 100.0, "laptop": 16.0, "small": 3.0},
+            extent=0.25,
+            # Away from the middle a phone has no RR, and the sensor's fixed pattern reaches 8 times the noise.
+            rules=Rules(min_snr=10.0),
+        ),
+    )
+}
+"""The sets by name. A set's place here is part of its seeds: add new ones at the end."""
+
+KINDS = tuple(SETS)
+
+
 def make_plan(kind: str, size: str = "small", seed: int = SEED) -> Plan:
-    """Return the plan of one of the three sets, from its bundled scene.
+    """Return the plan of one of the sets, from its bundled scene; an unknown kind or size raises an InputError.
 
     Parameters
     ----------
     kind
         `rotation`, `focusing` or `phones`.
     size
-        `paper`; `laptop`: the same videos, each 8 to 30 seconds long; `small`: of 2 to 4 seconds each, too few
-        frames to learn from.
+        `paper`; `laptop`: the same videos of 8 to 30 seconds; `small`: of 2 to 4 seconds, too few frames to learn from.
     seed
         Of everything random.
-
-    Raises
-    ------
-    InputError
-        For a kind or size that is none.
     """
-    one_of(kind, KINDS, "kind")
-    one_of(size, SIZES, "size")
-    plans = {"rotation": rotation_plan, "focusing": focusing_plan, "phones": phones_plan}
-    return plans[kind](load_scene(kind, FOCUSING_SAMPLING if kind == "focusing" else ()), size, seed)
+    return SETS[one_of(kind, KINDS, "kind")].plan(None, size, seed)
 
 
 def rotation_plan(scene: Scene, size: str = "small", seed: int = SEED) -> Plan:
     """Seven videos of one hand-held camera (paper, §4.2)."""
-    videos = tuple(_video("rotation", f"rotation-{n + 1}", scene, size, seed, n) for n in range(7))
-    return Plan("rotation", size, seed, videos)
+    return SETS["rotation"].plan(scene, size, seed)
 
 
 def focusing_plan(scene: Scene, size: str = "small", seed: int = SEED) -> Plan:
     """One video for each of three focal lengths and six object distances (paper, §4.3)."""
-    pairs = [(focal_length, distance) for focal_length in FOCAL_LENGTHS for distance in OBJECT_DISTANCES]
-    videos = tuple(
-        _video(
-            "focusing",
-            f"focusing-{focal_length * 1e3:.0f}mm-{distance:g}m",
-            scene,
-            size,
-            seed,
-            n,
-            labels={"object_distance": distance, "focal_length": focal_length},
-        )
-        for n, (focal_length, distance) in enumerate(pairs)
-    )
-    return Plan("focusing", size, seed, videos)
+    return SETS["focusing"].plan(scene, size, seed)
 
 
 def phones_plan(scene: Scene, size: str = "small", seed: int = SEED, names: tuple[str, ...] = PHONES) -> Plan:
-    """One video of each phone (paper, §4.5).
-
-    A phone answers in the middle of its field only. Beyond, frames show the sensor's fixed pattern and nothing else,
-    which reaches 8 times the noise: what does not stand out by 10 is left out.
-    """
-    videos = tuple(_video("phones", name, scene, size, seed, n, labels={DEVICE: name}) for n, name in enumerate(names))
-    return Plan("phones", size, seed, videos, Rules(min_snr=10.0))
-
-
-def _video(
-    kind: str,
-    name: str,
-    scene: Scene,
-    size: str,
-    seed: int,
-    number: int,
-    *,
-    labels: Mapping[str, float | str] | None = None,
-) -> Video:
-    one_of(size, SIZES, "size")
-    labels = labels or {}
-    # A seed of its own for every video of every set. Nothing else differs between videos but the label, and nothing
-    # stands still within one that another has not: what lies behind the target would tell one video from the rest,
-    # and so its label. The sensor's fixed pattern is that of the one probe.
-    own = int(np.random.SeedSequence([seed, KINDS.index(kind), number]).generate_state(1)[0])
-    session = Session(
-        seconds=_SECONDS[kind][size],
-        rate=RATE,
-        seed=own,
-        motion=HandMotion(extent=_EXTENT[kind], roll=_ROLL, sway=_SWAY),
-        power_jitter=_POWER_JITTER,
-        stray=(FixedPattern(),),
-    )
-    placed = with_values(scene, {FIELDS[key]: value for key, value in labels.items()}) if labels else scene
-    return Video(name, placed, session, tuple(labels.items()))
+    """One video of each phone (paper, §4.5)."""
+    return dataclasses.replace(SETS["phones"], videos=_by_device(names)).plan(scene, size, seed)

@@ -1,4 +1,4 @@
-"""Parts made by several processes of this machine, without a cluster."""
+"""Parts of a set made by several processes of this machine."""
 
 from __future__ import annotations
 
@@ -15,111 +15,98 @@ from pathlib import Path
 
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.store import Staging
-from tapetum.data.synth.work import MALLOC, make_part
+from tapetum.data.synth.work import MALLOC, keep_part
 from tapetum.errors import TapetumError
 
 __all__ = ["parts_by_processes"]
 
 
 def parts_by_processes(plan: Plan, staging: Staging, parts: Sequence[Part], count: int) -> Iterator[Part]:
-    """Have parts made by `count` processes, and yield each when it is done.
+    """Make parts in `count` processes; yield each part when it is done.
 
-    A process takes whole videos, each of which it prepares once, or runs of their parts where there are more processes
-    than videos. What one that dies had not done goes to the others.
-
-    Raises
-    ------
-    TapetumError
-        When a process fails, or all of them have died.
+    A process takes whole videos, which it prepares once, or runs of their parts where processes outnumber videos. The
+    others take over what a dead process had not done. Raises a TapetumError when a process fails, or all have died.
     """
-    waiting, left = deque(_runs(parts, count)), len(parts)
-    with _started(min(count, len(waiting)), staging.path, plan) as processes:
-        doing: dict[Connection, list[Part]] = {}
-        while left:
-            for connection in processes:
-                if not doing.get(connection) and waiting:
-                    doing[connection] = waiting.popleft()
-                    # Where the process has died meanwhile, the next look at it says so.
+    waiting = deque(_runs(parts, count))
+    with _started(min(count, len(waiting)), staging.path, plan) as connections:
+        doing: dict[Connection, list[Part]] = {connection: [] for connection in connections}
+        while waiting or any(doing.values()):
+            for connection, own in doing.items():
+                if not own and waiting:
+                    own += waiting.popleft()
+                    # If the process has died, `wait` reports it.
                     with contextlib.suppress(OSError):
-                        connection.send(doing[connection])
-            for connection in wait(list(processes)):
+                        connection.send(own)
+            for connection in wait(list(doing)):
                 assert isinstance(connection, Connection)
                 try:
-                    told = connection.recv()
+                    failure = connection.recv()
                 except (EOFError, ConnectionResetError):
-                    processes.pop(connection).join()
-                    # It may have died after it had kept a part and before it could say so.
-                    lost = doing.pop(connection, [])
+                    lost = doing.pop(connection)
+                    # It may have died between keeping a part and reporting it.
                     kept = [part for part in lost if staging.has(part)]
                     yield from kept
-                    left -= len(kept)
                     if rest := [part for part in lost if part not in kept]:
                         waiting.appendleft(rest)
-                    if not processes:
-                        what = f"all of the {min(count, len(parts))} processes that film ended before their time"
+                    if waiting and not doing:
+                        what = f"all of the {len(connections)} processes that film ended before their time"
                         remedy = "they may lack memory: use fewer; what is done is kept, and the same call carries on"
                         raise TapetumError(f"{what}; {remedy}") from None
                     continue
-                if isinstance(told, str):
-                    raise TapetumError(f"a process that films failed: {told}")
-                if isinstance(told, int):
-                    part = next(one for one in doing[connection] if one.number == told)
-                    doing[connection].remove(part)
-                    left -= 1
-                    yield part
+                if failure is not None:
+                    raise TapetumError(f"a process that films failed: {failure}")
+                # Each process makes its parts in order.
+                yield doing[connection].pop(0)
 
 
 def _runs(parts: Sequence[Part], count: int) -> list[list[Part]]:
-    """Divide parts by video, and every video into as many runs as keep so many processes at work."""
+    """Divide parts by video, and every video into enough runs to occupy `count` processes."""
     videos = [list(own) for _, own in groupby(parts, key=lambda part: part.video)]
     pieces = -(-count // max(1, len(videos)))
     return [run for video in videos for k in range(pieces) if (run := video[k::pieces])]
 
 
 @contextlib.contextmanager
-def _started(count: int, path: Path, plan: Plan) -> Iterator[dict[Connection, BaseProcess]]:
-    """Start processes, and end them when they are no longer needed."""
+def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
+    """Start processes; end them on leaving."""
     context = multiprocessing.get_context("spawn")
-    found: dict[Connection, BaseProcess] = {}
-    before = {name: os.environ.get(name) for name in MALLOC}
+    connections: list[Connection] = []
+    processes: list[BaseProcess] = []
+    before = dict(os.environ)
     os.environ.update(MALLOC)
     try:
         for _ in range(count):
             here, there = context.Pipe()
             process = context.Process(target=_film, args=(there, path, plan), daemon=True)
             process.start()
-            # Left open here, it would hide the end of the process.
+            # An open copy of the other end would hide that the process has ended.
             there.close()
-            found[here] = process
+            connections.append(here)
+            processes.append(process)
     finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
-    started = list(found.values())
+        for name in MALLOC:
+            del os.environ[name]
+        os.environ.update(before)
     try:
-        yield found
+        yield connections
     finally:
-        # A part is kept whole or not at all.
-        for process in started:
+        # Safe at any time, because a part is written completely or not at all.
+        for process in processes:
             process.terminate()
-        for process in started:
+        for process in processes:
             process.join()
 
 
 def _film(connection: Connection, path: Path, plan: Plan) -> None:
-    """Make parts as they are asked for, until nobody asks any more."""
+    """Make parts as requested until the other end closes."""
     # Ctrl-C reaches all processes of a terminal; the one that asks ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    staging = Staging(path)
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             for part in connection.recv():
                 try:
-                    if not staging.has(part):
-                        staging.keep(part, make_part(plan.videos[part.video], part, plan.rules, plan.classes))
-                except Exception as error:  # It is reported where it is waited for.
+                    keep_part(path, plan.videos[part.video], part, plan.rules, plan.classes)
+                except Exception as error:  # raised in the process that waits for it
                     connection.send(str(error) if isinstance(error, TapetumError) else repr(error))
                     return
-                connection.send(part.number)
+                connection.send(None)

@@ -1,4 +1,4 @@
-"""Make a set: the parts that are missing, here or on many machines, and then the whole."""
+"""Synthesis of a set: missing parts are made, here or on many machines, and joined."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.processes import parts_by_processes
 from tapetum.data.synth.store import Staging
-from tapetum.data.synth.work import make_part
+from tapetum.data.synth.work import keep_part
 from tapetum.durable import sole_writer
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
@@ -20,16 +20,16 @@ def synthesise(
     plan: Plan,
     out: str | Path,
     *,
-    workers: int | None = None,
     processes: int | None = None,
     cluster: str | None = None,
     progress: Progress = quiet,
     overwrite: bool = False,
+    workers: int | None = None,
 ) -> Path:
-    """Make a set, or carry on where the same call was interrupted.
+    """Make a set, or continue where the same call was interrupted.
 
-    What is done stands in the folder `OUT.part` until the set is whole. However it was made (alone, by many,
-    interrupted, with workers that died) the set is the same to the last bit, on processors of one kind.
+    Finished parts are kept in the folder `OUT.part` until the set is complete. The set is the same to the last bit on
+    processors of one kind, however many workers made it and however often it was interrupted.
 
     Parameters
     ----------
@@ -37,16 +37,16 @@ def synthesise(
         What to film: see `make_plan`.
     out
         The store to write, by convention NAME.zarr.
-    workers
-        Processes to start on this machine, by Dask; None for none but this one.
     processes
-        Processes to start on this machine, without Dask; 1 or None for none but this one.
+        Processes to start on this machine; 1 or None for this one alone.
     cluster
         Address of a Dask scheduler whose workers see the same folder as this machine.
     progress
         Shown over the parts.
     overwrite
-        Replace a store that is there already, once the new one is whole.
+        Replace an existing store once the new one is complete.
+    workers
+        Older name of `processes`.
 
     Returns
     -------
@@ -56,55 +56,43 @@ def synthesise(
     Raises
     ------
     InputError
-        When something stands at `out`, another command is making it, another set was begun there, the cluster cannot do
-        it, the disk is full, or no frame could be kept.
+        When `out` exists, another command is making it or another set was begun there, the cluster is unusable, the
+        disk is full, or no frame could be kept.
     """
     out = Path(out)
     ways = {"workers": workers, "processes": processes, "cluster": cluster}
-    asked = [name for name, value in ways.items() if value is not None]
+    asked = {name: value for name, value in ways.items() if value is not None}
     if len(asked) > 1:
         raise InputError("are two ways to say who works", where=", ".join(asked), remedy="give one of them")
-    for name, count in (("workers", workers), ("processes", processes)):
-        if count is not None and count < 1:
+    for name, count in asked.items():
+        if isinstance(count, int) and count < 1:
             raise InputError(f"must be positive, is {count}", where=name, remedy="give a number of processes")
     if out.exists() and not overwrite:
         raise InputError("exists already", where=out, remedy="choose another name or remove it first")
     out.absolute().parent.mkdir(parents=True, exist_ok=True)
     with sole_writer(out):
-        _make(plan, out, workers, processes, cluster, progress, overwrite)
+        staging = Staging.begin(out, plan)
+        done = staging.done()
+        missing = [part for part in plan.parts if part.number not in done]
+        if missing:
+            what = f"filming {plan.kind}" + (f", {len(done)} of {len(plan.parts)} done" if done else "")
+            making = _making(plan, staging, missing, processes or workers or 1, cluster)
+            for _ in progress(making, what, total=len(missing)):
+                pass
+        staging.put_together(plan, out, progress=progress, overwrite=overwrite)
+        staging.remove()
     return out
 
 
-def _make(
-    plan: Plan,
-    out: Path,
-    workers: int | None,
-    processes: int | None,
-    cluster: str | None,
-    progress: Progress,
-    overwrite: bool,
-) -> None:
-    staging = Staging.begin(out, plan)
-    done = staging.done()
-    missing = [part for part in plan.parts if part.number not in done]
-    if missing:
-        if processes is not None and processes > 1:
-            results = parts_by_processes(plan, staging, missing, processes)
-        elif workers is None and cluster is None:
-            results = _alone(plan, staging, missing)
-        else:
-            from tapetum.data.synth.cluster import parts_done
+def _making(plan: Plan, staging: Staging, parts: Sequence[Part], processes: int, cluster: str | None) -> Iterator[Part]:
+    """Make parts on the cluster, in processes or here; yield each when it is done."""
+    if cluster is not None:
+        from tapetum.data.synth.cluster import parts_by_cluster
 
-            results = parts_done(plan, staging, missing, workers=workers, address=cluster)
-        what = f"filming {plan.kind}" if not done else f"filming {plan.kind}, {len(done)} of {len(plan.parts)} done"
-        for _ in progress(results, what, total=len(missing)):
-            pass
-    staging.put_together(plan, out, progress=progress, overwrite=overwrite)
-    staging.remove()
-
-
-def _alone(plan: Plan, staging: Staging, parts: Sequence[Part]) -> Iterator[Part]:
-    """Make parts in this process, one after the other."""
-    for part in parts:
-        staging.keep(part, make_part(plan.videos[part.video], part, plan.rules, plan.classes))
-        yield part
+        yield from parts_by_cluster(plan, staging, parts, cluster)
+    elif processes > 1:
+        yield from parts_by_processes(plan, staging, parts, processes)
+    else:
+        for part in parts:
+            keep_part(staging.path, plan.videos[part.video], part, plan.rules, plan.classes)
+            yield part

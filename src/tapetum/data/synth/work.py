@@ -1,74 +1,37 @@
-"""One part of a set: its frames filmed, labelled by the laser in the target's pictures, judged and cut."""
+"""One part of a set: its frames filmed, labelled by the laser in the target's images, selected and cut."""
 
 from __future__ import annotations
 
 import contextlib
 import functools
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
-from typing import Any
+from collections.abc import Iterator
+from pathlib import Path
 
 import cv2
-import numpy as np
 import torch
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from tapetum.bench import Scene
 from tapetum.data.build import add_frames, labels_of
 from tapetum.data.dataset import TRUE_GAZE
-from tapetum.data.synth.clip import Clip, Filmed
+from tapetum.data.synth.clip import Clip
 from tapetum.data.synth.plan import Part, Video
+from tapetum.data.synth.store import Made, Staging
 from tapetum.data.write import Rules
 from tapetum.record import Session, label_recording
+from tapetum.record.shot import Shot
 from tapetum.record.spot import NoLaserError
 
-__all__ = ["MALLOC", "Made", "make_part", "one_thread", "shot_of"]
+__all__ = ["MALLOC", "keep_part", "make_part", "one_thread", "shot_of"]
 
-MALLOC = {
-    "MALLOC_MMAP_THRESHOLD_": str(1 << 30),
-    "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1),
-    "MALLOC_ARENA_MAX": "1",
-}
-"""Environment of processes that make parts. What `tapetum` itself does by mallopt (see tapetum.cli.memory); Dask sets
-the contrary, which costs a part half its time. A worker's tasks run in a thread, and only the first arena keeps big
-blocks."""
-
-
-@dataclass
-class Made:
-    """What became of a part: its crops, and all else that the set keeps of it.
-
-    Parameters
-    ----------
-    crops
-        [side, side] each.
-    columns
-        Labels and places of the crops, by name.
-    told
-        Frames used and left out, by reason, and the frames of the whole video.
-    parameters
-        All that was drawn for the video, with its first part only.
-    digests
-        Of the crops, in hexadecimal, once they are kept: what is read back is checked by them.
-    """
-
-    crops: list[NDArray[np.generic]] = field(default_factory=list)
-    columns: dict[str, list[float]] = field(default_factory=dict)
-    told: dict[str, Any] = field(default_factory=dict)
-    parameters: dict[str, Any] | None = None
-    digests: list[str] | None = None
-
-    def add(self, image: NDArray[np.generic], /, **values: float) -> None:
-        """Keep a crop, and what is known of it."""
-        self.crops.append(image)
-        for name, value in values.items():
-            self.columns.setdefault(name, []).append(value)
+MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(1 << 30), "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1), "MALLOC_ARENA_MAX": "1"}
+"""Environment of processes that make parts: glibc keeps memory between arrays, which halves the time of a part. The
+command line does the same by mallopt (see tapetum.cli.memory)."""
 
 
 @contextlib.contextmanager
 def one_thread() -> Iterator[None]:
-    """Compute in one thread: several workers share a machine, and the last bit of a sum hangs on its parts."""
+    """Compute in one thread: workers share a machine, and the last bit of a sum depends on how it is divided."""
     before, before_cv = torch.get_num_threads(), cv2.getNumThreads()
     with threadpool_limits(1):
         try:
@@ -80,49 +43,24 @@ def one_thread() -> Iterator[None]:
             cv2.setNumThreads(before_cv)
 
 
-# One video at a time is being worked on, seldom two where a worker goes on to the next.
+# A worker makes parts of one video at a time, and of two when it goes on to the next.
 @functools.lru_cache(maxsize=2)
-def shot_of(scene: Scene, session: Session) -> Filmed:
-    """Prepare a shot, which takes a while, and keep it for the next part of the same video."""
-    from tapetum.record.shot import Shot
-
+def shot_of(scene: Scene, session: Session) -> Shot:
+    """Prepare a shot, which takes a while, and cache it for the next part of the same video."""
     return Shot(scene, session)
 
 
-def make_part(
-    video: Video,
-    part: Part,
-    rules: Rules,
-    classes: list[str],
-    shoot: Callable[[Scene, Session], Any] = shot_of,
-) -> Made:
-    """Make one part of a set; the same arguments give the same bits, wherever and whenever.
+def make_part(video: Video, part: Part, rules: Rules, classes: list[str]) -> Made:
+    """Make one part of a set whose devices are `classes`; equal arguments give equal bits.
 
-    Parameters
-    ----------
-    video
-        The video it belongs to.
-    part
-        Which frames of it.
-    rules
-        How frames are judged, cut and split.
-    classes
-        Names of all devices in the set.
-    shoot
-        Prepares the shot.
-
-    Returns
-    -------
-    Made
-        Crops and labels of the frames that are kept, counts of those that are not.
+    Return the crops and labels of the frames that are kept, and the counts of those that are not.
     """
     with one_thread():
-        shot = shoot(video.scene, video.session)
+        shot = shot_of(video.scene, video.session)
         clip = Clip.of(video, shot, part.first, part.last)
-        made = Made()
         total = len(shot.beats["probe"].times)
         first, last = clip.ranges["probe"]
-        made.told = {"frames": total, "used": 0, "left_out": {"no label": last - first}}
+        made = Made(told={"frames": total, "used": 0, "left_out": {"no label": last - first}})
         if part.first == 0:
             made.parameters = shot.parameters()
         if _labelled(clip):
@@ -134,13 +72,20 @@ def make_part(
         return made
 
 
+def keep_part(path: str | Path, video: Video, part: Part, rules: Rules, classes: list[str]) -> None:
+    """Make one part and keep it in the folder `path`, unless it is done already."""
+    staging = Staging(Path(path))
+    if not staging.has(part):
+        staging.keep(part, make_part(video, part, rules, classes))
+
+
 def _labelled(clip: Clip) -> bool:
-    """Label a clip; False where the laser is nowhere to be seen, or the clip is empty."""
+    """Label a clip; return False where the laser is not seen, or the clip is empty."""
     if any(first == last for first, last in clip.ranges.values()):
         return False
     try:
         label_recording(clip)
     except NoLaserError:
-        # A whole recording without the laser is a fault; a few seconds without it are not.
+        # Only in a whole recording is a missing laser an error.
         return False
     return True

@@ -1,4 +1,4 @@
-"""Architectures of networks by name: to add one, write a `Network` in a file of its own and name it here."""
+"""Network architectures by name; a new one is a `Network` in its own file, named here."""
 
 from tapetum.models.architectures.base import Network
 from tapetum.models.architectures.convnext import ConvNeXtPico

@@ -1,4 +1,4 @@
-"""What an architecture of networks is to those who train, save and export it."""
+"""Interface of network architectures for training, saving and export."""
 
 from __future__ import annotations
 
@@ -8,29 +8,15 @@ from typing import ClassVar
 from torch import Tensor, nn
 
 from tapetum.errors import InputError
-from tapetum.models.onnx_graph import Graph
 
 __all__ = ["Network"]
 
 
 class Network(nn.Module, ABC):
-    """A network of images with a linear last layer.
+    """A network that maps images with `channels` to `outputs` numbers by a linear last layer.
 
-    Parameters
-    ----------
-    outputs
-        Numbers an image is mapped to.
-    channels
-        Channels of an image.
-    seed
-        Of the initial weights. torch's own generator is not touched.
-
-    Attributes
-    ----------
-    title
-        What people call it.
-    width
-        Features of an image that the last layer weighs.
+    `title` is its name for people, `width` the number of features before the last layer. `seed` draws the initial
+    weights without touching torch's global generator.
     """
 
     title: ClassVar[str]
@@ -48,11 +34,7 @@ class Network(nn.Module, ABC):
 
     @abstractmethod
     def features(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to the features [N, width] that the last layer weighs."""
-
-    @abstractmethod
-    def to_onnx(self, graph: Graph, x: str, unit: float) -> str:
-        """Add the features of images that are `unit` times as large to a graph; return their name."""
+        """Map images [N, channels, H, W] to the features [N, width] before the last layer."""
 
     def forward(self, x: Tensor) -> Tensor:
         """Map images [N, channels, H, W] to [N, outputs]."""

@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from tapetum.models.architectures.base import Network
-from tapetum.models.onnx_graph import Graph, array
 
 __all__ = ["ConvNeXtPico"]
 
@@ -21,7 +20,6 @@ class _Norm(nn.LayerNorm):
         super().__init__(channels, eps=_EPSILON)
 
     def forward(self, input: Tensor) -> Tensor:
-        """Return the same shape."""
         return super().forward(input.permute(0, 2, 3, 1)).permute(0, 3, 1, 2)
 
 
@@ -31,7 +29,6 @@ class _Perceptron(nn.Module):
         self.fc1, self.act, self.fc2 = nn.Conv2d(width, 4 * width, 1), nn.GELU(), nn.Conv2d(4 * width, width, 1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the same shape."""
         return self.fc2(self.act(self.fc1(x)))
 
 
@@ -45,7 +42,6 @@ class _Block(nn.Module):
         self.gamma = nn.Parameter(torch.full((width,), _FIRST_SCALE))
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return the same shape."""
         return x + self.gamma[:, None, None] * self.mlp(self.norm(self.conv_dw(x)))
 
 
@@ -97,45 +93,7 @@ class ConvNeXtPico(Network):
 
     @property
     def head(self) -> nn.Linear:
-        """The last layer."""
         return self._top.fc
 
     def features(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to features [N, 512]."""
         return self._top.norm(self.stages(self.stem(x)).mean((2, 3), keepdim=True)).flatten(1)
-
-    def to_onnx(self, graph: Graph, x: str, unit: float) -> str:
-        """Add the network up to its last layer."""
-        x = _norm_to_onnx(graph, "stem.1", graph.convolution("stem.0", x, self.stem[0], unit=unit), self.stem[1])
-        for k, stage in enumerate(self.stages):
-            assert isinstance(stage, _Stage)
-            if isinstance(stage.downsample, nn.Sequential):
-                norm, smaller = stage.downsample
-                x = _norm_to_onnx(graph, f"stages.{k}.norm", x, norm)
-                x = graph.convolution(f"stages.{k}.downsample", x, smaller)
-            for n, block in enumerate(stage.blocks):
-                assert isinstance(block, _Block)
-                x = _block_to_onnx(graph, f"stages.{k}.{n}", x, block)
-        pooled = graph.add("pooled", "GlobalAveragePool", x)
-        return graph.add("features", "Flatten", _norm_to_onnx(graph, "head.norm", pooled, self._top.norm))
-
-
-def _norm_to_onnx(graph: Graph, name: str, x: str, norm: nn.Module) -> str:
-    assert isinstance(norm, _Norm)
-    last = graph.add(f"{name}.in", "Transpose", x, perm=[0, 2, 3, 1])
-    gain = graph.constant(f"{name}.gain", array(norm.weight))
-    offset = graph.constant(f"{name}.offset", array(norm.bias))
-    out = graph.add(f"{name}.norm", "LayerNormalization", last, gain, offset, axis=-1, epsilon=norm.eps)
-    return graph.add(f"{name}.out", "Transpose", out, perm=[0, 3, 1, 2])
-
-
-def _block_to_onnx(graph: Graph, name: str, x: str, block: _Block) -> str:
-    out = _norm_to_onnx(graph, f"{name}.norm", graph.convolution(f"{name}.conv_dw", x, block.conv_dw), block.norm)
-    wide = graph.convolution(f"{name}.fc1", out, block.mlp.fc1)
-    # GELU is x (1 + erf(x/√2)) / 2: as one operator it came with a later opset.
-    root, one, half = (graph.constant(f"{name}.{value:.2f}", value) for value in (0.5**0.5, 1.0, 0.5))
-    bent = graph.add(f"{name}.erf", "Erf", graph.add(f"{name}.scaled", "Mul", wide, root))
-    doubled = graph.add(f"{name}.doubled", "Mul", wide, graph.add(f"{name}.share", "Add", bent, one))
-    narrow = graph.convolution(f"{name}.fc2", graph.add(f"{name}.gelu", "Mul", doubled, half), block.mlp.fc2)
-    gamma = graph.constant(f"{name}.gamma", array(block.gamma)[:, None, None])
-    return graph.add(f"{name}.sum", "Add", x, graph.add(f"{name}.scale", "Mul", narrow, gamma))

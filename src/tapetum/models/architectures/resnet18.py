@@ -6,7 +6,6 @@ import torch
 from torch import Tensor, nn
 
 from tapetum.models.architectures.base import Network
-from tapetum.models.onnx_graph import Graph
 
 __all__ = ["ResNet18Network"]
 
@@ -37,26 +36,17 @@ def _layer(inputs: int, outputs: int, stride: int) -> nn.Sequential:
 
 
 class ResNet18Network(Network):
-    """ResNet-18 with one input channel and a linear head.
+    """ResNet-18 with a linear head: see `Network`.
 
-    Parameters
-    ----------
-    outputs
-        Numbers an image is mapped to.
-    channels
-        Channels of an image.
-    seed
-        Of the initial weights: He's normal distribution by fan-out; the last normalisation of every block
-        starts at 0, so that each block starts as its shortcut (Goyal et al., arXiv:1706.02677). torch's own
-        generator is not touched.
+    Weights start from He's normal distribution by fan-out; the last normalisation of every block starts at 0, so that
+    each block starts as its shortcut (Goyal et al., arXiv:1706.02677).
     """
 
     title, width = "ResNet-18", 512
 
     def __init__(self, outputs: int, *, channels: int = 1, seed: int = 0) -> None:
         super().__init__(outputs, channels)
-        # torch draws first weights of its own when layers are made; they must not move the caller's random
-        # numbers.
+        # torch draws initial weights when it creates layers, which must not advance the caller's generator.
         with torch.random.fork_rng(devices=[]):
             self.conv1 = nn.Conv2d(channels, 64, 7, 2, 3, bias=False)
             self.bn1 = nn.BatchNorm2d(64)
@@ -81,32 +71,10 @@ class ResNet18Network(Network):
         nn.init.zeros_(self.fc.bias)
 
     def features(self, x: Tensor) -> Tensor:
-        """Map images [N, channels, H, W] to the [N, 512] features that the last layer weighs."""
         x = self.maxpool(self.relu(self.bn1(self.conv1(x))))
         x = self.layer4(self.layer3(self.layer2(self.layer1(x))))
         return torch.flatten(self.avgpool(x), 1)
 
     @property
     def head(self) -> nn.Linear:
-        """The last layer."""
         return self.fc
-
-    def to_onnx(self, graph: Graph, x: str, unit: float) -> str:
-        """Add the network up to its last layer."""
-        # The images' common unit goes into the first weights: the convolution has no bias.
-        x = graph.add("conv1_relu", "Relu", graph.convolution("conv1", x, self.conv1, self.bn1, unit=unit))
-        x = graph.add("maxpool", "MaxPool", x, kernel_shape=[3, 3], strides=[2, 2], pads=[1, 1, 1, 1])
-        for k in range(1, 5):
-            for n, block in enumerate(getattr(self, f"layer{k}")):
-                x = _block_to_onnx(graph, f"layer{k}.{n}", x, block)
-        return graph.add("features", "Flatten", graph.add("avgpool", "GlobalAveragePool", x))
-
-
-def _block_to_onnx(graph: Graph, name: str, x: str, block: BasicBlock) -> str:
-    shortcut = x
-    if block.downsample is not None:
-        convolution, normalisation = block.downsample
-        shortcut = graph.convolution(f"{name}.downsample", x, convolution, normalisation)
-    out = graph.add(f"{name}.relu1", "Relu", graph.convolution(f"{name}.conv1", x, block.conv1, block.bn1))
-    out = graph.convolution(f"{name}.conv2", out, block.conv2, block.bn2)
-    return graph.add(f"{name}.relu2", "Relu", graph.add(f"{name}.sum", "Add", out, shortcut))

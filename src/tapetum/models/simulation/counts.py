@@ -1,4 +1,4 @@
-"""What digital numbers are expected for a pixel's mean electrons, and how much they scatter: rounding included."""
+"""Mean and variance of a pixel's digital number for its mean electrons, rounding included."""
 
 from __future__ import annotations
 
@@ -15,30 +15,21 @@ from tapetum.simulate.exposure import count_moments, gain_of
 __all__ = ["CountModel"]
 
 Array = NDArray[np.float64]
-# Spacing of the table, in roots of electrons: a 25th of the shot noise's standard deviation.
+# Spacing of the table in square roots of electrons: 1/25 of the shot noise's standard deviation.
 _STEP = 0.02
-# Standard deviation in digital numbers from which rounding adds its 1/12 and nothing else (to 1e-8 in the mean).
+# Standard deviation in digital numbers from which rounding only adds 1/12 to the variance (mean error below 1e-8).
 _FINE = 1.0
-# No number is trusted more than this: the square of a seventh of a step.
+# Least variance: the square of a seventh of a digital number.
 _LEAST = 0.02
 
 
 class CountModel:
-    """Mean, slope and variance of the digital numbers of a probe's sensor.
+    """Mean, slope and variance of the digital numbers of a probe's sensor, hot pixels excluded.
 
-    Parameters
-    ----------
-    sensor
-        Its noise, full well, gain, offset and bits. Hot pixels are not in it.
-    unevenness
-        Root mean square of the pixels' sensitivity, in parts of one: what is not known of it counts as noise.
-
-    Notes
-    -----
-    `exposure.count_moments` says what the clipped ends do. It takes 1/12 for the rounding, which holds where the noise
-    spans some digital numbers; an 8-bit probe's dark pixels scatter by a quarter of one. There the moments are summed
-    over the numbers themselves, for a normal distribution of electrons: the mean then follows the staircase, and no
-    estimate is drawn to its steps.
+    `unevenness`, the RMS of the pixels' relative sensitivity, counts as noise. `exposure.count_moments` adds 1/12 for
+    rounding, which holds where the noise spans some digital numbers. An 8-bit probe's dark pixels scatter by only a
+    quarter of one: there the moments are summed over the digital numbers for normally distributed electrons, so that
+    the mean follows the staircase and estimates are not biased.
     """
 
     def __init__(self, sensor: ProbeSensor, unevenness: float = 0.0) -> None:
@@ -58,29 +49,19 @@ class CountModel:
             numbers[coarse], variance[coarse] = _rounded(centre[coarse], deviation[coarse], np.rint(top))
         self._expected, self._variance = numbers, np.maximum(variance, _LEAST)
         slope = np.gradient(numbers, self._nodes)
-        # What rounding leaves of a slope in saturation is none.
+        # Rounding errors would leave a slope in saturation.
         self._slope = np.where(slope > 1e-6 * gain, slope, 0.0)
 
     def __call__(self, mean: Array) -> tuple[Array, Array, Array]:
-        """Expected digital numbers, their derivative by the mean electrons, and their variance; any shape."""
-        light = np.clip(mean, 0.0, self._nodes[-1])
-        # Counted in roots, the table's nodes are equally spaced.
-        place = np.minimum((np.sqrt(light) / _STEP).astype(np.intp), len(self._nodes) - 2)
-        share = (light - self._nodes[place]) / (self._nodes[place + 1] - self._nodes[place])
+        """Return expected digital numbers, their derivative by the mean electrons, and their variance; any shape."""
         expected, slope, variance = (
-            table[place] + share * (table[place + 1] - table[place])
-            for table in (self._expected, self._slope, self._variance)
+            np.interp(mean, self._nodes, table) for table in (self._expected, self._slope, self._variance)
         )
         return expected, slope, variance
 
-    def log_likelihood(self, counts: Array, mean: Array) -> float:
-        """Of digital numbers for mean electrons: normal, with the logarithm of the variance, without constants."""
-        expected, _, variance = self(mean)
-        return float(-0.5 * ((counts - expected) ** 2 / variance + np.log(variance)).sum())
-
 
 def _rounded(centre: Array, deviation: Array, top: float) -> tuple[Array, Array]:
-    """Mean and variance of round(x), kept within 0 and `top`, for normal x [M] of deviations below 1."""
+    """Return mean and variance of round(x), clipped to 0 ... `top`, for normal x [M] with deviations below 1."""
     reach = 9
     deviation = np.maximum(deviation, 1e-6)
     numbers = np.rint(centre)[:, None] + np.arange(-reach, reach + 1)

@@ -1,9 +1,9 @@
-"""No training at all: the parameters of a scene by which the simulator explains a crop best."""
+"""Maximum-likelihood fit of a scene's parameters to a crop by simulation, without training."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Self
 
@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 
 from tapetum.bench import PrescriptionLens, Scene, scene_dict, scene_from_dict
 from tapetum.errors import InputError
-from tapetum.models.base import Data, frame_count
+from tapetum.models.base import Data, Estimator
 from tapetum.models.domain import judged
 from tapetum.models.prediction import Prediction
 from tapetum.models.simulation.counts import CountModel
-from tapetum.models.simulation.images import checked, images_of, looked_at
+from tapetum.models.simulation.images import checked, looked_at
 from tapetum.models.simulation.pictures import Pictures, Pose, check_scene
 from tapetum.models.simulation.result import SimulationFitResult, result_of, same_top
-from tapetum.models.simulation.search import PHASE, SLOW, Search, Top, check_names
+from tapetum.models.simulation.search import FREE, PHASE, SLOW, Search, Top
 from tapetum.models.simulation.starts import Bank
 from tapetum.progress import Progress, quiet
 from tapetum.simulate.exposure import gain_of
@@ -30,64 +30,61 @@ __all__ = ["SimulationFit"]
 
 Array = NDArray[np.float64]
 
-# Nodes along an edge of the bank: pictures with photosites take longer, and are smoother without them.
+# Nodes along an edge of the bank; fewer where photosites show, whose images take longer to render.
 _NODES, _NODES_SLOW = 25, 9
-# Pixels that are looked at, by custom: what lies beyond tells 1 % of the gaze in the bundled scenes.
+# Default window: in the bundled scenes, pixels beyond hold 1 % of the information on the gaze.
 _WINDOW = 200
-# Periods that are asked after one by one: those that the slow picture leaves this likely, and how many at the most.
+# Compared photosite periods: those within this difference of log-likelihood, and their largest number.
 _UNLIKELY, _PERIODS_ASKED = 20.0, 9
-# Logarithm of the likelihood by which a start must fall behind after its first steps to be given up.
+# A start is dropped when its log-likelihood lies this far behind after its first steps.
 _HOPELESS, _FIRST_STEPS = 200.0, 4
-# Misfit above which the search looks farther, where a true scene leaves 1.00 ± 0.05; and starts then, in all.
+# Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), and by how much starts then increase.
 _LOST, _FARTHER = 1.3, 4
-# Mean squared residual, in the noise's variance, from which the picture shows something else than the scene.
+# Misfit above which the image does not show the scene.
 _FOREIGN = 2.0
 
 
-class SimulationFit:
+class SimulationFit(Estimator):
     """Maximum likelihood of a known scene's parameters, image by image.
 
     Parameters
     ----------
     scene
-        What stands on the bench. All of it but the free parameters counts as known: the lens, the sensor, the light.
+        The bench. All of it but the free parameters is known: the lens, the sensor, the light.
     parameters
-        What is estimated: `gaze_x`, `gaze_y`; `object_distance` and, of a thin lens, `focal_length`; or one of the
-        nuisances. The search for a focus begins at the scene's own, and finds no other that is more than some tenths
-        of a wave away over the pupil.
+        What is estimated: `gaze_x`, `gaze_y`; `object_distance` and, of a thin lens, `focal_length`; or a nuisance. The
+        search for a focus starts at the scene's own and covers some tenths of a wave over the pupil.
     nuisances
-        What is unknown as well: `power`, `place_x` and `place_y` (where the RR lies in the crop); `background`, `roll`;
-        `phase_x` and `phase_y`, where under the spot the photosites lie. A gaze that is not named is a nuisance.
+        What else is unknown: `power`, `place_x` and `place_y` (of the RR in the crop); `background`, `roll`; `phase_x`
+        and `phase_y`, the photosites' position under the spot. A gaze that is not named is a nuisance.
     starts
-        How many places of the field the search begins at: those of a coarse bank of pictures that match best, the
-        opposite of the best one's gaze among them. Where none of them explains the image (a misfit above 1.3) it
-        begins again opposite to the best maximum, and then at the next best places, four times as many in all.
+        Number of starting gazes: the best matches in a coarse bank of images, and the opposite of the best one. Where
+        none explains the image (misfit above 1.3), the search starts again opposite to the best maximum and at the next
+        best matches, up to four times as many in all.
     accuracy
         Of the simulation, in fractions of the peak; the scene's own when None.
     window
-        Pixels along the edge of what is looked at, in the crop's middle.
+        Edge in pixels of the central square that is fitted.
     unevenness
-        Root mean square of the pixels' sensitivities, in parts of one.
+        RMS of the pixels' relative sensitivities.
     offsets
-        Root mean square of the offsets of the sensor's columns and of its rows, in electrons. Where they are left out
-        of the account, intervals come out too narrow.
+        RMS of the offsets of the sensor's columns and rows, in electrons. Intervals are too narrow if they are ignored.
     nodes
-        Of the bank along an edge of the field: 25, or 9 behind a lens in whose picture the photosites show.
+        Of the bank along an edge of the field: by default 25, or 9 where photosites show.
     seed
-        Kept for the manners of estimators: nothing here is random.
+        Without effect, since nothing is random; every estimator takes one.
 
     Notes
     -----
-    A pixel's digital number counts as normal, with mean and variance of `exposure.count_moments`, those of rounding
-    where it is coarser than the noise; a saturated pixel has no slope, and tells nothing. The maximum is climbed by
-    Fisher scoring (weighted least squares whose weights follow the model), damped after Levenberg and Marquardt.
-    Derivatives by gaze, roll and focus are differences of pictures; those by place, power and background follow from
-    one picture.
+    A pixel's digital number is normal, with mean and variance of `exposure.count_moments`, or those of rounding where
+    it is coarser than the noise; a saturated pixel has no slope and no information. The maximum is found by Fisher
+    scoring (iteratively reweighted least squares) with Levenberg-Marquardt damping. Derivatives by gaze, roll and focus
+    are finite differences of images; those by place, power and background follow from one image.
 
-    Where the photosites' orders come back (a fast lens), the likelihood has a narrow top for every period that the spot
-    may lie in. The slow gaze and the phase are then climbed apart, and the periods that remain likely compared one by
-    one (`tapetum.models.simulation.search`). With the phases among the nuisances the slow gaze alone is estimated:
-    coarser by far, and what can be had where the photosites' place is not known to a hundredth of a micrometre.
+    Where the photosites' diffraction orders return (a fast lens), the likelihood has a narrow peak for every photosite
+    period under the spot. The slow gaze and the phase are then fitted separately, and the likely periods compared
+    (`tapetum.models.simulation.search`). With the phases as nuisances only the slow gaze is estimated: far less
+    precise, and the limit if the photosites' place is not known to a hundredth of a micrometre.
 
     Examples
     --------
@@ -100,7 +97,8 @@ class SimulationFit:
     [0.09, 0.08]
     """
 
-    kind: str = "simulation"
+    kind = "simulation"
+    _batch = 1
 
     def __init__(
         self,
@@ -120,9 +118,9 @@ class SimulationFit:
         self.target = self.target_names = self.quantities
         self.starts, self.accuracy, self.window, self.nodes = starts, accuracy, window, nodes
         self.unevenness, self.seed = unevenness, seed
-        self.data_hash_: str | None = None
+        self.data_hash_ = self.training_ = self.domain_ = None
         check_scene(scene)
-        check_names(self.quantities, self.nuisances)
+        _check_names(self.quantities, self.nuisances)
         for name, value, least in (("starts", starts, 1), ("window", window, 32), ("nodes", nodes or 2, 2)):
             if value < least:
                 raise InputError(f"must be {least} or more, is {value}", where=name, remedy="give a whole number")
@@ -136,13 +134,16 @@ class SimulationFit:
         if "object_distance" in every and np.isinf(scene.target.object_distance):
             what = "the search for a focus cannot begin at infinity"
             raise InputError(what, where="scene.target.object_distance", remedy="start from a distance in metres")
-        self.offsets = _checked_offsets(offsets)
+        if len(offsets) != 2 or not all(np.isfinite(one) and one >= 0 for one in offsets):
+            what = f"must be two numbers of electrons, 0 or more, is {list(offsets)}"
+            raise InputError(what, where="offsets", remedy="give those of columns and of rows: 0.5, 0.2")
+        self.offsets = (float(offsets[0]), float(offsets[1]))
         self._free = tuple(name for name in (*self.quantities, *self.nuisances) if name not in (*SLOW, *PHASE))
         self._model = CountModel(scene.probe.sensor, unevenness)
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
 
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
-        """Check that a dataset has the estimated labels, and crops that this scene's probe may have taken.
+        """Check that a dataset has the estimated labels, and crops that fit this scene's probe; nothing is learned.
 
         Raises
         ------
@@ -159,53 +160,38 @@ class SimulationFit:
     def predict(
         self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
     ) -> Prediction:
-        """Estimate the parameters of every image.
+        """As `Predictor.predict`, with 90 % intervals from each fit's own covariance; also of whole frames [N, H, W].
 
-        Parameters
-        ----------
-        data
-            A dataset, crops [N, side, side] with the RR in their middle, or whole frames of the probe [N, H, W].
-        full_scale
-            Largest digital number; the probe's own when None.
-        progress
-            Shown over the images.
-        anyway
-            Answer also where the model does not apply; the prediction still says so.
-
-        Returns
-        -------
-        Prediction
-            With 90 % intervals from each fit's own covariance.
-
-        Raises
-        ------
-        InputError
-            For images that are none of the scene's probe.
+        `full_scale` is the largest digital number, the probe's own when None.
         """
-        images = images_of(data, full_scale)
-        first = next(images, None)
-        if first is not None:
-            # Here, so that its bar stands before that over the images and not within it.
-            self._prepared(len(self._seen(*first)[0]), progress)
-            images = itertools.chain([first], images)
-        results = [
-            self.fit_image(image, full_scale=depth)
-            for image, depth in progress(images, "fitting", total=frame_count(data))
-        ]
+        first, depth = next(self._batches(data, full_scale))
+        for image in first:
+            # Prepared here, so that its progress bar does not appear within that of the images.
+            self._prepared(len(self._seen(image, depth)[0]), progress)
+        return super().predict(data, full_scale=full_scale, progress=progress, anyway=anyway)
+
+    def _progress_label(self) -> str:
+        return "fitting"
+
+    def _batches(self, data: Data, full_scale: float | None) -> Iterator[tuple[NDArray[np.generic], Any]]:
+        if isinstance(data, xr.Dataset):
+            stacks = data.tp.images(16) if data.sizes["frame"] else [np.empty((0, data.tp.side, data.tp.side))]
+            full_scale = data.tp.full_scale if full_scale is None else full_scale
+        else:
+            stacks = [np.asarray(data)[None] if np.ndim(data) == 2 else np.asarray(data)]
+        for images in stacks:
+            yield from ((images[k : k + 1], full_scale) for k in range(max(1, len(images))))
+
+    def _estimate(self, images: NDArray[np.generic], full_scale: float | None) -> Prediction:
+        found = [self.fit_image(image, full_scale=full_scale) for image in images]
         value, lower, upper = (
-            np.array([getattr(one, name) for one in results], np.float64).reshape(len(results), len(self.quantities))
+            np.array([getattr(one, name) for one in found], np.float64).reshape(len(found), len(self.quantities))
             for name in ("values", "lower", "upper")
         )
-        reasons = [
-            ""
-            if one.misfit <= _FOREIGN
-            else f"the scene does not explain it: residuals {one.misfit:.3g} times the noise's"
-            for one in results
-        ]
-        found = judged(Prediction(self.quantities, value, lower, upper), None)
-        both = [own or outside for own, outside in zip(reasons, found.reason, strict=True)]
-        found = found.because(both, described=True)
-        return found if anyway else found.withheld()
+        why = "the scene does not explain it: residuals {:.3g} times the noise's"
+        reasons = ["" if one.misfit <= _FOREIGN else why.format(one.misfit) for one in found]
+        raw = judged(Prediction(self.quantities, value, lower, upper), None)
+        return raw.because([own or other for own, other in zip(reasons, raw.reason, strict=True)], described=True)
 
     def fit_image(
         self, image: NDArray[np.generic], *, full_scale: float | None = None, progress: Progress = quiet
@@ -215,16 +201,15 @@ class SimulationFit:
         Raises
         ------
         InputError
-            For an image that is none of the scene's probe.
+            For an image that the scene's probe cannot have taken.
         """
         sensor = self.scene.probe.sensor
         counts, middle = self._seen(image, full_scale)
         pictures, bank = self._prepared(len(counts), progress)
         search = Search(pictures, counts, self._model, self._free, self.offsets)
         electrons = (counts - sensor.offset) / gain_of(sensor)
-        expected, slope, variance = self._model(np.maximum(electrons, 1.0))
-        del expected
-        poses = [start.pose for start in bank.match(electrons, slope**2 / variance, _FARTHER * self.starts)]
+        _, slope, variance = self._model(np.maximum(electrons, 1.0))
+        poses = bank.match(electrons, slope**2 / variance, _FARTHER * self.starts)
         if "power" not in self._free:
             poses = [replace(pose, power=self.scene.illumination.power) for pose in poses]
         tops = self._climbed(search, poses)
@@ -232,11 +217,11 @@ class SimulationFit:
         return result_of(self.quantities, self._periods(search, tops[0]), rivals, len(tops), middle)
 
     def bounds(self, gaze: tuple[float, float]) -> dict[str, float]:
-        """Standard deviation of each parameter that no unbiased fit of one crop undercuts (Cramér-Rao).
+        """Return the Cramér-Rao bound on each parameter's standard deviation, for one crop.
 
-        The RR lies in the middle of the crop, all else is the scene's own; this model's nuisances are unknown. With
-        `phase_x` and `phase_y` among them it is the bound for an observer who cannot know where the photosites lie.
-        Without them it is that of one period's own top: to choose the period is left out of it.
+        The RR lies in the middle of the crop and all else is the scene's own; this model's nuisances are unknown. With
+        `phase_x` and `phase_y` among them, the bound holds for an unknown position of the photosites; without them, for
+        a known photosite period.
 
         Parameters
         ----------
@@ -252,37 +237,31 @@ class SimulationFit:
         return {name: float(deviations[top.names.index(name)]) for name in self.quantities}
 
     def parameters(self) -> dict[str, Any]:
-        """Return the arguments of ``__init__``, fit for JSON."""
         names = ("starts", "accuracy", "window", "unevenness", "nodes", "seed")
         lists = {"parameters": list(self.quantities), "nuisances": list(self.nuisances), "offsets": list(self.offsets)}
         return {"scene": scene_dict(self.scene), **lists, **{name: getattr(self, name) for name in names}}
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return everything that was learned: nothing."""
+        """Return nothing, since a fit learns from no dataset."""
         return {}
-
-    def classes(self) -> tuple[str, ...]:
-        """Return the names of the devices learned: none."""
-        return ()
 
     @classmethod
     def from_state(
         cls, parameters: Mapping[str, Any], state: Mapping[str, torch.Tensor], classes: tuple[str, ...] = ()
     ) -> Self:
-        """Make the estimator again from what `parameters` returned."""
         del state, classes
         given = dict(parameters)
         scene = scene_from_dict(given.pop("scene"))
         return cls(scene, tuple(given.pop("parameters")), tuple(given.pop("nuisances")), **given)
 
     def _seen(self, image: NDArray[np.generic], full_scale: float | None) -> tuple[Array, Array]:
-        """The pixels that are looked at, and their middle from the image's, in metres."""
+        """Return the pixels of the window, and its middle from the image's, in metres."""
         sensor = self.scene.probe.sensor
         shown = checked(np.asarray(image)[None], full_scale, sensor, self.window)[0]
         return looked_at(shown, sensor, self.window)
 
     def _prepared(self, side: int, progress: Progress) -> tuple[Pictures, Bank]:
-        """Pictures and bank for crops of so many pixels: made once."""
+        """Return the images and the bank for crops of `side` pixels, from a cache."""
         if side not in self._pictures:
             pictures = Pictures(self.scene, side, self.accuracy)
             nodes = self.nodes or (_NODES if pictures.period is None else _NODES_SLOW)
@@ -294,12 +273,12 @@ class SimulationFit:
         return pictures, bank
 
     def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
-        """The maxima above some poses, the best first; more than `starts` only where these explain the image badly."""
+        """Return the maxima near the poses, best first; more than `starts` only while all explain the image badly."""
         tops: list[Top] = []
         for pose in poses[: self.starts]:
-            tops.append(self._top(search, pose, tops))
+            tops += [self._top(search, pose, tops)]
         best = max(tops, key=lambda top: top.log_likelihood)
-        # A climb that ended beside the truth's opposite knows better than the bank where the opposite lies.
+        # The best maximum gives the opposite gaze more precisely than the bank.
         x, y = np.clip(np.array(best.pose.gaze) + best.slow, -0.48, 0.48)
         for pose in [replace(best.pose, gaze=(-float(x), -float(y))), *poses[self.starts :]]:
             if min(top.misfit for top in tops) <= _LOST:
@@ -308,7 +287,7 @@ class SimulationFit:
         return sorted(tops, key=lambda top: -top.log_likelihood)
 
     def _top(self, search: Search, pose: Pose, others: list[Top]) -> Top:
-        """The maximum above a pose; one that falls far behind others is left where it is after a few steps."""
+        """Return the maximum near a pose; a search that falls far behind others stops after a few steps."""
         phase = search.pictures.period is not None
         top = search.climb(search.in_phase(pose), phase=phase, steps=_FIRST_STEPS)
         best = max((one.log_likelihood for one in others), default=-np.inf)
@@ -317,11 +296,11 @@ class SimulationFit:
         return search.climb(top.pose, phase=phase, slow=top.slow)
 
     def _periods(self, search: Search, top: Top) -> list[Top]:
-        """The best maximum alone, or those of the photosites' periods that the slow picture leaves likely."""
+        """Return the best maximum alone, or those of the photosite periods that the slow gaze leaves likely."""
         period = search.pictures.period
         if period is None or set(PHASE) <= set(self.nuisances):
             return [top]
-        # How fast the likelihood falls with the slow gaze, all else adapted.
+        # Curvature of the log-likelihood along the slow gaze, maximised over all else.
         slow = np.linalg.inv(top.covariance[:2, :2]) / max(1.0, top.misfit)
         away = np.rint(top.slow / period)
         steps = [np.array(one) + away for one in itertools.product(range(-6, 7), repeat=2)]
@@ -337,9 +316,16 @@ class SimulationFit:
         return sorted(found, key=lambda one: -one.log_likelihood)
 
 
-def _checked_offsets(offsets: Sequence[float]) -> tuple[float, float]:
-    found = tuple(float(one) for one in offsets)
-    if len(found) != 2 or not all(np.isfinite(one) and one >= 0 for one in found):
-        what = f"must be two numbers of electrons, 0 or more, is {list(offsets)}"
-        raise InputError(what, where="offsets", remedy="give those of columns and of rows: 0.5, 0.2")
-    return found[0], found[1]
+def _check_names(parameters: tuple[str, ...], nuisances: tuple[str, ...]) -> None:
+    """Refuse names that are unknown or given twice."""
+    known = (*SLOW, *FREE)
+    for where, names, allowed in (("parameters", parameters, known), ("nuisances", nuisances, (*known, *PHASE))):
+        for name in names:
+            if name not in allowed:
+                raise InputError(f"unknown parameter {name!r}", where=where, remedy=f"use {', '.join(allowed)}")
+    every = (*parameters, *nuisances)
+    if not parameters or len(set(every)) < len(every):
+        what = f"{list(parameters)} and nuisances {list(nuisances)} name none, or one twice"
+        raise InputError(what, where="parameters", remedy="name each once")
+    if len(set(every) & set(PHASE)) == 1:
+        raise InputError("one phase alone cannot be free", where="nuisances", remedy=f"name {' and '.join(PHASE)}")

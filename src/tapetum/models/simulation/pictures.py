@@ -1,10 +1,10 @@
-"""Pictures of one target for any gaze, place and roll: what a fit compares with a crop."""
+"""Images of one target for any gaze, place and roll, which a fit compares with a crop."""
 
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -23,32 +23,21 @@ __all__ = ["Pictures", "Pose", "period_of"]
 
 Array = NDArray[np.float64]
 _CAMERAS_KEPT = 8
-# Pixels added around a picture that is to be turned and moved.
+# Margin in pixels around images that will be rotated and shifted.
 _MARGIN = 24
-# Largest gaze that is looked at, in fractions of the field: its edge.
+# Largest gaze that is rendered, in fractions of the field: its edge.
 _EDGE = 0.5
-# Fringes at least this wide, in pixels, are turned by cubic splines to 1e-3 of the peak; quintic ones serve finer.
+# Cubic splines rotate fringes at least this wide (pixels) with errors of 1e-3 of the peak; finer ones need quintic.
 _WIDE_FRINGE = 7
 
 
 @dataclass(frozen=True)
 class Pose:
-    """How a target stands and is lit: all that a fit may vary.
+    """Everything that a fit may vary about a target and its light.
 
-    Parameters
-    ----------
-    gaze
-        (x, y), in fractions of the field.
-    place
-        (x, y) of the RR from the picture's middle, in metres on the probe's sensor.
-    power
-        Of the laser, in watts.
-    background
-        Electrons a pixel, dark current included.
-    roll
-        Turn of the target about its optical axis, in radians from x to y.
-    object_distance, focal_length
-        Of the target, in metres.
+    `gaze` is in fractions of the field; `place` (metres on the probe's sensor) is the RR's from the image's middle;
+    `power` is the laser's in watts; `background` includes dark current, in electrons per pixel; `roll` turns the target
+    about its optical axis, in radians from x to y; the two lengths are in metres.
     """
 
     gaze: tuple[float, float]
@@ -61,27 +50,16 @@ class Pose:
 
 
 class Pictures:
-    """Renders what one beam, or all of them, make of a pose on a square of the probe's pixels. Holding it is the cache.
+    """Renders the retro-reflection of a pose on `side` x `side` pixels of the probe; caches the cameras.
 
-    Parameters
-    ----------
-    scene
-        What stands on the bench; its own rotation is not used.
-    side
-        Pixels along an edge.
-    accuracy
-        Of the simulation, in fractions of the peak; the scene's own when None.
-
-    Raises
-    ------
-    InputError
-        For phones, masks and sensors with hot pixels, and as `simulate.Camera`.
+    The scene's own rotation is not used. `accuracy` is in fractions of the peak; None takes the scene's own. Raises as
+    `check_scene` and `simulate.Camera`.
     """
 
     def __init__(self, scene: Scene, side: int, accuracy: float | None = None) -> None:
         check_scene(scene)
         self.scene, self.side, self._accuracy = scene, side, accuracy
-        self._cameras: OrderedDict[tuple[float, float, int], tuple[Scene, Camera]] = OrderedDict()
+        self._cameras = lru_cache(_CAMERAS_KEPT)(self._camera)
         light, target, probe = scene.illumination, scene.target, scene.probe
         self.pitch = probe.sensor.pitch
         fringe = light.wavelength * probe.lens.focal_length / (2 * target.lens.aperture_radius)
@@ -92,10 +70,10 @@ class Pictures:
         """λf/2r on the target's sensor, in fractions of the field."""
         period = period_of(scene)
         self.period: Array | None = None if period is None else period / field
-        """Of the photosites, in fractions of the field; None where their orders do not come back."""
+        """Photosite period in fractions of the field; None where their diffraction orders do not return."""
 
     def start(self) -> Pose:
-        """The scene's own values, with the target looking straight at the probe."""
+        """Return the scene's own values, with the target facing the probe."""
         scene = self.scene
         return Pose(
             (0.0, 0.0),
@@ -108,13 +86,13 @@ class Pictures:
         )
 
     def render(self, pose: Pose, gazes: Array) -> Array:
-        """Electrons [B, side, side] that the laser at the scene's power makes, for gazes [B, 2] in place of the pose's.
+        """Return electrons [B, side, side] at the scene's laser power, for gazes [B, 2] in place of the pose's.
 
-        Gazes beyond the field count as on its edge.
+        Gazes beyond the field are clipped to its edge.
         """
         turned = pose.roll != 0
         side = self.side + 2 * _MARGIN if turned else self.side
-        scene, camera = self._camera(pose, side)
+        scene, camera = self._cameras(pose.object_distance, pose.focal_length, side)
         sines = tilt_of_gaze(scene, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)))
         places = torch.tensor([pose.place], dtype=torch.float64).expand(len(sines), -1)
         total = np.zeros((len(sines), self.side, self.side))
@@ -123,7 +101,7 @@ class Pictures:
                 if not turned:
                     total += camera.render(tilts, centres, share, equivalent=True).double().cpu().numpy()
                     continue
-                # The target's own picture turns with it; further beams come from the probe and do not.
+                # The RR turns with the target; further beams come from the probe and do not.
                 c, s = math.cos(pose.roll), math.sin(pose.roll)
                 back = torch.tensor([[c, s], [-s, c]], dtype=torch.float64)
                 own = sines + (tilts - sines) @ back.T
@@ -133,9 +111,9 @@ class Pictures:
         return total * self._electrons
 
     def _turned(self, picture: Array, roll: float, shift: Array) -> Array:
-        """A picture turned from x to y about its middle and moved by (x, y) pixels, without its margin."""
+        """Return an image turned from x to y about its middle and shifted by (x, y) pixels, without its margin."""
         c, s = math.cos(roll), math.sin(roll)
-        # Of rows and columns, from the new picture to the old one.
+        # Maps (row, column) of the new image to the old one.
         back = np.array([[c, -s], [s, c]])
         middle = (np.array(picture.shape) - 1) / 2
         offset: Any = middle - back @ ((np.array([self.side, self.side]) - 1) / 2 + shift[::-1])
@@ -143,30 +121,23 @@ class Pictures:
         size = (self.side, self.side)
         return affine_transform(fine, back, offset, output_shape=size, order=self._order, prefilter=False)
 
-    def _camera(self, pose: Pose, side: int) -> tuple[Scene, Camera]:
-        key = (pose.object_distance, pose.focal_length, side)
-        if key in self._cameras:
-            self._cameras.move_to_end(key)
-            return self._cameras[key]
+    def _camera(self, object_distance: float, focal_length: float, side: int) -> tuple[Scene, Camera]:
+        """Return the scene with that focus, and its camera."""
         scene, target = self.scene, self.scene.target
-        if (pose.object_distance, pose.focal_length) != (target.object_distance, target.lens.focal_length):
+        if (object_distance, focal_length) != (target.object_distance, target.lens.focal_length):
             lens = target.lens
-            if pose.focal_length != lens.focal_length:
-                lens = replace(lens, focal_length=pose.focal_length)
-            scene = replace(scene, target=replace(target, lens=lens, object_distance=pose.object_distance))
+            if focal_length != lens.focal_length:
+                lens = replace(lens, focal_length=focal_length)
+            scene = replace(scene, target=replace(target, lens=lens, object_distance=object_distance))
         corners = torch.tensor([[x, y] for x in (-_EDGE, _EDGE) for y in (-_EDGE, _EDGE)], dtype=torch.float64)
         steepest = largest_sine(tilt_of_gaze(scene, corners))
         grid = Grid(side, side, self.pitch)
-        # Light small enough to be drawn faster on the processor: a transfer a picture would eat a GPU's gain.
-        camera = Camera(scene, steepest, output=grid, edge="dimmed", accuracy=self._accuracy, device="cpu")
-        self._cameras[key] = scene, camera
-        if len(self._cameras) > _CAMERAS_KEPT:
-            self._cameras.popitem(last=False)
-        return scene, camera
+        # These images are small: copying them would cost more time than a GPU gains.
+        return scene, Camera(scene, steepest, output=grid, edge="dimmed", accuracy=self._accuracy, device="cpu")
 
 
 def period_of(scene: Scene) -> float | None:
-    """Period of the target's photosites in metres; None where no order of theirs finds its way back out of the lens."""
+    """Return the period of the target's photosites in metres; None where no order returns through the lens."""
     sensor, lens = scene.target.sensor, scene.target.lens
     if sensor.array is None and sensor.microlens is None:
         return None
@@ -181,13 +152,7 @@ def period_of(scene: Scene) -> float | None:
 
 
 def check_scene(scene: Scene) -> None:
-    """Refuse what is not fitted.
-
-    Raises
-    ------
-    InputError
-        For phones, masks and hot pixels.
-    """
+    """Raise an InputError for scenes that cannot be fitted: phones, masks and hot pixels."""
     if isinstance(scene.target, PhoneTarget):
         what = "a phone, of which several cameras answer at once, is not fitted"
         raise InputError(what, where="scene.target", remedy="take one of its cameras for the target")

@@ -1,4 +1,4 @@
-"""What a fit by simulation found in one crop: values, how sure they are, and their rivals."""
+"""Result of a fit by simulation to one crop: values, their uncertainty, and other maxima."""
 
 from __future__ import annotations
 
@@ -13,21 +13,13 @@ from tapetum.models.simulation.search import Top
 __all__ = ["Mode", "SimulationFitResult", "result_of", "same_top"]
 
 Array = NDArray[np.float64]
-# Half width of a normal distribution's middle 90 %, in standard deviations.
+# Half-width of a normal distribution's central 90 % in standard deviations, and the share itself.
 _NINETY, _SHARE = 1.645, 0.9
 
 
 @dataclass(frozen=True)
 class Mode:
-    """A maximum of the likelihood that was found from one of the starts.
-
-    Parameters
-    ----------
-    values
-        [P] of the result's parameters.
-    log_likelihood
-        Without constants: differences count.
-    """
+    """A local maximum: `values` [P] of the result's parameters, and `log_likelihood` without constants."""
 
     values: Array
     log_likelihood: float
@@ -35,29 +27,26 @@ class Mode:
 
 @dataclass(frozen=True)
 class SimulationFitResult:
-    """What one crop says.
+    """Estimates from one crop.
 
     Parameters
     ----------
-    names
-        Of the parameters, P.
-    values
-        [P], in SI units and fractions of the field, where the likelihood is largest.
+    names, values
+        P parameters, and their values [P] at the maximum, in SI units and fractions of the field.
     covariance
-        [P, P] the inverse of Fisher's information there, the nuisances being unknown, times the misfit where that is
-        above 1.
+        [P, P] inverse Fisher information with unknown nuisances, times the misfit where that is above 1.
     lower, upper
-        [P] ends of 90 % intervals: 1.645 standard deviations to either side, of all modes it takes to make up 90 %.
+        [P] ends of 90 % intervals: 1.645 standard deviations around the modes that make up 90 % of the likelihood.
     log_likelihood
         At the maximum, without constants.
     misfit
-        Mean squared residual of the pixels, in their variances: 1 where the scene is true.
+        Mean squared residual of the pixels in their variances: 1 for a true scene.
     starts
-        Starts tried, and what each led to.
+        Starts tried.
     modes
-        Rival maxima, the best first: of the starts, and of the photosites' periods.
+        Local maxima, best first: of the starts, and of the photosite periods.
     converged
-        Whether the search came to rest.
+        Whether the search converged.
     """
 
     names: tuple[str, ...]
@@ -72,7 +61,7 @@ class SimulationFitResult:
     converged: bool
 
     def __getitem__(self, name: str) -> float:
-        """The estimate of one parameter."""
+        """Return the estimate of one parameter."""
         if name not in self.names:
             raise InputError(f"no estimate of {name!r}", remedy=f"there are: {', '.join(self.names)}")
         return float(self.values[self.names.index(name)])
@@ -81,27 +70,16 @@ class SimulationFitResult:
 def result_of(
     names: tuple[str, ...], periods: list[Top], rivals: list[Top], starts: int, middle: Array
 ) -> SimulationFitResult:
-    """Sum up what was found.
+    """Return the result of one crop: maxima of its photosite `periods`, best first, and the `rivals` of other starts.
 
-    Parameters
-    ----------
-    names
-        Of the parameters.
-    periods
-        The best maximum, first, and what was found at other periods of the photosites.
-    rivals
-        Maxima of the other starts.
-    starts
-        How many were tried.
-    middle
-        [2] of the pixels looked at, from the image's, in metres.
+    `middle` [2] is that of the fitted window from the image's, in metres.
     """
     best = periods[0]
     misfit = max(1.0, best.misfit)
     chosen = [best.names.index(name) for name in names]
     covariance = best.covariance[np.ix_(chosen, chosen)] * misfit
     modes = [Mode(_values(one, names, middle), one.log_likelihood) for one in (*periods, *rivals)]
-    # Modes that together make up 90 %; far ones, of other starts, as well.
+    # The interval covers the most likely modes up to 90 % of the total likelihood.
     share = np.exp(np.minimum([(one.log_likelihood - best.log_likelihood) / misfit for one in modes], 0.0))
     order = np.argsort(-share)
     needed = int(np.searchsorted(np.cumsum(share[order]) / share.sum(), _SHARE - 1e-9)) + 1
@@ -122,7 +100,7 @@ def result_of(
 
 
 def same_top(one: Top, other: Top) -> bool:
-    """Whether two climbs came to the same maximum, by the gaze."""
+    """Return whether two searches found the same gaze, within five standard deviations."""
     apart = np.array(one.pose.gaze) + one.slow - other.pose.gaze - other.slow
     return bool((np.abs(apart) < 5 * np.sqrt(np.maximum(other.covariance.diagonal()[:2], 0.0))).all())
 
@@ -130,5 +108,5 @@ def same_top(one: Top, other: Top) -> bool:
 def _values(top: Top, names: tuple[str, ...], middle: Array) -> Array:
     pose = top.pose
     gaze, place = np.array(pose.gaze) + top.slow, np.array(pose.place) + middle
-    told = {"gaze_x": gaze[0], "gaze_y": gaze[1], "place_x": place[0], "place_y": place[1]}
-    return np.array([told[name] if name in told else getattr(pose, name) for name in names], np.float64)
+    found = {"gaze_x": gaze[0], "gaze_y": gaze[1], "place_x": place[0], "place_y": place[1]}
+    return np.array([found[name] if name in found else getattr(pose, name) for name in names], np.float64)

@@ -1,9 +1,9 @@
-"""Climbing the likelihood of one crop: Fisher scoring with damping, photosites taken apart from the slow picture.
+"""Maximisation of one crop's likelihood by damped Fisher scoring, with photosites separated from the slow image.
 
-Behind a fast lens the orders of the photosites make a picture repeat, nearly, with every period that the spot moves:
-some thousandth of the field. What changes from period to period is slow and smooth. The two are climbed together but
-kept separate: the *slow* gaze is moved by whole periods, the *phase* within one. The likelihood of the two has one top
-where that of the gaze has hundreds; which period is meant is asked at the end.
+Behind a fast lens, the photosites' diffraction orders make an image nearly periodic in the gaze, with a period of some
+thousandth of the field. What changes from period to period is slow and smooth. Both are fitted together as separate
+variables: the *slow* gaze moves by whole periods, the *phase* within one. Their likelihood has one maximum where that
+of the gaze has hundreds; the period is determined last.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import correlate1d
 
-from tapetum.errors import InputError
 from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.noise import Noise
 from tapetum.models.simulation.pictures import Pictures, Pose
@@ -25,37 +25,24 @@ Array = NDArray[np.float64]
 SLOW = ("gaze_x", "gaze_y")
 PHASE = ("phase_x", "phase_y")
 FREE = ("place_x", "place_y", "power", "background", "roll", "object_distance", "focal_length")
-"""What may be free besides the gaze; the phase is the photosites' place under the spot, in fractions of the field."""
+"""Parameters that may be free besides gaze and phase (the photosites' place under the spot, fractions of the field)."""
 
-# Steps of the differences. Of the gaze in λf/2r, or in periods of the photosites; of a roll in radians.
+# Steps of finite differences: of the gaze in λf/2r or in photosite periods, of the roll in radians.
 _SPOT_SHARE, _PERIODS, _PERIOD_SHARE, _ROLL_STEP = 1 / 20, 2, 1 / 200, 1e-3
-# Of a focus: this share of the wave's change over the pupil's edge, in radians.
+# Step of the focus: its phase at the pupil's edge, in radians.
 _FOCUS_STEP = 0.05
-# Largest moves of one step: gaze (fractions of the field), place (pixels), roll; and a factor of the power.
+# Largest change in one step: gaze (fractions of the field), place (pixels), roll (radians), factor of the power.
 _MOST_GAZE, _MOST_PLACE, _MOST_ROLL, _MOST_POWER = 0.05, 8.0, 0.02, 2.0
 _STEPS, _SETTLED, _HARDEST = 25, 0.03, 1e6
 
 
 @dataclass(frozen=True)
 class Top:
-    """A local maximum of the likelihood.
+    """A local maximum of the likelihood, at `pose`.
 
-    Parameters
-    ----------
-    pose
-        Where.
-    slow
-        [2] by which the slow gaze lies beside the pose's, in fractions of the field: 0 unless the phase is free.
-    names
-        What was free.
-    information
-        [P, P] Fisher's, in inverse products of their units.
-    log_likelihood
-        Without constants.
-    misfit
-        Mean squared residual, in variances: 1 where the model is true.
-    settled
-        Whether the last step was small beside the standard deviations.
+    `slow` [2] is the slow gaze less the pose's, in fractions of the field (0 unless the phase is free). `names` are the
+    free parameters, `information` [P, P] their Fisher information. `log_likelihood` omits constants. `misfit` is the
+    mean squared residual in variances (1 for a true model); `settled` says whether the search converged.
     """
 
     pose: Pose
@@ -74,20 +61,10 @@ class Top:
 
 
 class Search:
-    """One crop's likelihood.
+    """One crop's likelihood: digital numbers `counts` [side, side] against the images of `pictures`.
 
-    Parameters
-    ----------
-    pictures
-        Renders poses.
-    counts
-        [side, side] digital numbers.
-    model
-        Of the numbers.
-    free
-        Names of `FREE` that are not known. The gaze always is free.
-    offsets
-        Root mean square of the offsets of the sensor's columns and of its rows, in electrons.
+    `free` names the unknowns of `FREE`; the gaze is always free. `offsets` are the RMS offsets of the sensor's columns
+    and rows, in electrons.
     """
 
     def __init__(
@@ -104,12 +81,12 @@ class Search:
         self._vergence = _FOCUS_STEP / wave
 
     def climb(self, pose: Pose, *, phase: bool, slow: Array | None = None, steps: int = _STEPS) -> Top:
-        """The maximum near a pose; with `phase` that of the slow gaze and the phase, each for itself."""
+        """Return the maximum near a pose, within `steps` steps; `phase` fits slow gaze and phase separately."""
         names = (*SLOW, *(PHASE if phase else ()), *self.free)
         at, beside = pose, np.zeros(2) if slow is None else slow
         mean, slopes = self._tangent(at, beside, names)
-        hardness, settled, least = 1e-3, False, np.inf
         expected, bend, variance = self.model(mean)
+        hardness, settled = 1e-3, False
         for _ in range(steps):
             noise = self._noise(bend, variance)
             bent, residual = slopes * bend, self._residual(expected)
@@ -117,22 +94,19 @@ class Search:
             own = np.sqrt(np.maximum(information.diagonal(), 1e-300))
             shared = information / np.outer(own, own)
             step = np.linalg.lstsq(shared + hardness * np.eye(len(own)), score / own, rcond=1e-12)[0] / own
-            least = float(np.abs(step * own).max())
-            if least < _SETTLED:
-                settled = True
+            if settled := float(np.abs(step * own).max()) < _SETTLED:
                 break
             new_at, new_beside = self._moved(at, beside, names, step)
-            new_mean, new_slopes = self._tangent(new_at, new_beside, names)
-            new = self.model(new_mean)
-            # Weights stay those that the step was made with: only the fit is to get better, not the scatter wider.
+            mean, new_slopes = self._tangent(new_at, new_beside, names)
+            new = self.model(mean)
+            # Same weights as for the step: a larger variance must not count as a better fit.
             left = self._residual(new[0])
-            before, after = float(noise(residual, residual)[0, 0]), float(noise(left, left)[0, 0])
-            if after > before + 1e-3:
+            if float(noise(left, left)[0, 0]) > float(noise(residual, residual)[0, 0]) + 1e-3:
                 hardness = max(1e-3, hardness) * 8
                 if hardness > _HARDEST:
                     break
                 continue
-            at, beside, mean, slopes = new_at, new_beside, new_mean, new_slopes
+            at, beside, slopes = new_at, new_beside, new_slopes
             expected, bend, variance = new
             hardness = hardness / 6 if hardness > 1e-6 else 0.0
         noise = self._noise(bend, variance)
@@ -145,11 +119,11 @@ class Search:
         return Noise(bend.reshape(self.counts.shape), variance, self.offsets)
 
     def _residual(self, expected: Array) -> Array:
-        """[1, N] digital numbers that are not explained."""
+        """Return the digital numbers less those expected, [1, N]."""
         return (self.counts.ravel() - expected)[None]
 
     def in_phase(self, pose: Pose) -> Pose:
-        """The pose with the gaze moved, within a period, to where the photosites explain most."""
+        """Return the pose with its gaze moved to the best photosite phase within a period."""
         period = self.pictures.period
         if period is None:
             return pose
@@ -162,7 +136,7 @@ class Search:
         return replace(pose, gaze=(float(x), float(y)))
 
     def _unexplained(self, light: Array, mean: Array) -> float:
-        """Weighted squares that no scale, background or small shift of a picture takes away."""
+        """Return the weighted sum of squares after a fit of scale, background and small shift of an image."""
         expected, bend, variance = self.model(mean.ravel())
         weight = bend / np.sqrt(variance)
         columns = np.stack([light.ravel(), np.ones(light.size), *(one.ravel() for one in _slopes(light))]) * weight
@@ -171,19 +145,15 @@ class Search:
         return float((rest - solved @ columns) @ (rest - solved @ columns))
 
     def _tangent(self, pose: Pose, slow: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
-        """Mean electrons [N] at a pose, and their derivatives [P, N] by what is free."""
+        """Return the mean electrons [N] at a pose, and their derivatives [P, N] by the free parameters."""
         pictures, scene = self.pictures, self.pictures.scene
         gaze, period = np.array(pose.gaze), pictures.period
         phase = PHASE[0] in names
-        if period is not None:
-            near = period * _PERIOD_SHARE
-        else:
-            near = pictures.spot * _SPOT_SHARE
-        steps = [*np.diag(near)]
+        steps = [*np.diag(pictures.spot * _SPOT_SHARE if period is None else period * _PERIOD_SHARE)]
         if phase:
             assert period is not None
             steps = [*np.diag(_PERIODS * period), *steps]
-        # Towards the middle: no step leaves the field.
+        # Steps go towards the middle and so stay in the field.
         inward = np.where(gaze > 0, -1.0, 1.0)
         made = pictures.render(pose, np.stack([gaze, *(gaze + inward * step for step in steps)]))
         scale = pose.power / scene.illumination.power
@@ -191,7 +161,7 @@ class Search:
         sizes = [float(inward @ step) for step in steps]
         by_gaze = [(one - light) / size for one, size in zip(made[1:], sizes, strict=True)]
         if phase:
-            # A whole period moves the slow picture alone; a part of one moves both.
+            # A shift by whole periods changes the slow part alone, a fraction of one changes both.
             by_gaze[2:] = [fast - slowly for fast, slowly in zip(by_gaze[2:], by_gaze[:2], strict=True)]
             light = light + slow[0] * by_gaze[0] + slow[1] * by_gaze[1]
         found = {name: scale * one for name, one in zip((*SLOW, *PHASE), by_gaze, strict=False)}
@@ -199,35 +169,28 @@ class Search:
             dx, dy = _slopes(light)
             found |= {"place_x": -scale * dx / pictures.pitch, "place_y": -scale * dy / pictures.pitch}
         found |= {"power": light / scene.illumination.power, "background": np.ones_like(light)}
-        for name, size in (
-            ("roll", _ROLL_STEP),
-            ("object_distance", self._vergence * pose.object_distance**2),
-            ("focal_length", self._vergence * pose.focal_length**2),
-        ):
+        focus = {name: self._vergence * getattr(pose, name) ** 2 for name in ("object_distance", "focal_length")}
+        for name, size in {"roll": _ROLL_STEP, **focus}.items():
             if name in names:
                 moved = replace(pose, **{name: getattr(pose, name) + size})
                 base = shown
                 if name == "roll" and pose.roll == 0:
-                    # Nothing is interpolated without a roll: compare with a picture turned by nearly nothing.
+                    # Images without roll are not interpolated: compare with one of a tiny roll, which is.
                     base = pictures.render(replace(pose, roll=1e-12), gaze[None])[0]
                 found[name] = scale * (pictures.render(moved, gaze[None])[0] - base) / size
         mean = pose.background + scale * light
         return mean.ravel(), np.stack([found[name].ravel() for name in names])
 
     def _moved(self, pose: Pose, slow: Array, names: tuple[str, ...], step: Array) -> tuple[Pose, Array]:
-        """The pose a step farther, no farther than its pictures can be trusted to."""
+        """Return the pose and slow gaze after a step, limited to where the derivatives hold."""
         by = dict(zip(names, step, strict=True))
-        pitch = self.pictures.pitch
-        most = dict.fromkeys(SLOW, _MOST_GAZE) | {"place_x": _MOST_PLACE * pitch, "place_y": _MOST_PLACE * pitch}
-        most |= {"roll": _MOST_ROLL, "object_distance": 5 * self._vergence / _FOCUS_STEP * pose.object_distance**2}
-        most |= {"focal_length": 5 * self._vergence / _FOCUS_STEP * pose.focal_length**2}
+        most = dict.fromkeys(SLOW, _MOST_GAZE) | {"roll": _MOST_ROLL}
+        most |= dict.fromkeys(("place_x", "place_y"), _MOST_PLACE * self.pictures.pitch)
+        for name in ("object_distance", "focal_length"):
+            most[name] = 5 * self._vergence / _FOCUS_STEP * getattr(pose, name) ** 2
         if self.pictures.period is not None:
-            most |= dict(zip(PHASE, 0.3 * self.pictures.period, strict=True))
-            if PHASE[0] not in names:
-                most |= dict(zip(SLOW, 0.3 * self.pictures.period, strict=True))
-        by = {
-            name: float(np.clip(value, -most.get(name, np.inf), most.get(name, np.inf))) for name, value in by.items()
-        }
+            most |= dict(zip(PHASE if PHASE[0] in names else SLOW, 0.3 * self.pictures.period, strict=True))
+        by = {name: float(np.clip(size, -most.get(name, np.inf), most.get(name, np.inf))) for name, size in by.items()}
         wanted = np.array(pose.gaze) + slow + [by[name] for name in SLOW]
         if PHASE[0] in names:
             assert self.pictures.period is not None
@@ -250,32 +213,6 @@ class Search:
 
 
 def _slopes(picture: Array) -> tuple[Array, Array]:
-    """Derivatives [H, W] by columns and rows, a pixel: five points, right to 1 % for periods of 5 pixels."""
-    found: list[Array] = []
-    for axis in (1, 0):
-        wide = np.pad(picture, [(2, 2) if a == axis else (0, 0) for a in (0, 1)], mode="edge")
-        n = picture.shape[axis]
-        part = [np.take(wide, np.arange(n) + k, axis=axis) for k in (0, 1, 3, 4)]
-        found.append((part[0] - 8 * part[1] + 8 * part[2] - part[3]) / 12)
-    return found[0], found[1]
-
-
-def check_names(parameters: tuple[str, ...], nuisances: tuple[str, ...]) -> None:
-    """Refuse names that are unknown or given twice.
-
-    Raises
-    ------
-    InputError
-        Naming the first fault.
-    """
-    known, extra = (*SLOW, *FREE), (*PHASE,)
-    for where, names, allowed in (("parameters", parameters, known), ("nuisances", nuisances, (*known, *extra))):
-        for name in names:
-            if name not in allowed:
-                raise InputError(f"unknown parameter {name!r}", where=where, remedy=f"use {', '.join(allowed)}")
-    every = (*parameters, *nuisances)
-    if not parameters or len(set(every)) < len(every):
-        what = f"{list(parameters)} and nuisances {list(nuisances)} name none, or one twice"
-        raise InputError(what, where="parameters", remedy="name each once")
-    if len(set(every) & set(PHASE)) == 1:
-        raise InputError("one phase alone cannot be free", where="nuisances", remedy=f"name {' and '.join(PHASE)}")
+    """Return derivatives [H, W] per pixel along columns and rows: five points, 1 % error at periods of 5 pixels."""
+    points = np.array([1.0, -8.0, 0.0, 8.0, -1.0]) / 12
+    return correlate1d(picture, points, axis=1, mode="nearest"), correlate1d(picture, points, axis=0, mode="nearest")

@@ -1,8 +1,8 @@
-"""Where a fit begins: a coarse bank of pictures over the field, laid over a crop by weighted least squares."""
+"""Starting poses of a fit: a coarse bank of images over the field, matched to a crop by weighted least squares."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy import fft
@@ -11,39 +11,18 @@ from numpy.typing import NDArray
 from tapetum.models.simulation.pictures import Pictures, Pose
 from tapetum.progress import Progress, quiet
 
-__all__ = ["Bank", "Start"]
+__all__ = ["Bank"]
 
 Array = NDArray[np.float64]
-# Pixels binned along an edge, and how far an RR may lie from the middle of its crop, in binned pixels.
+# Binning along each axis, and largest distance of an RR from the crop's middle, in binned pixels.
 _BIN, _REACH = 2, 20
 
 
-@dataclass(frozen=True)
-class Start:
-    """A pose to begin with, and the weighted squares that it explains."""
-
-    pose: Pose
-    score: float
-
-
 class Bank:
-    """Pictures of one target at nodes over its field.
+    """Images of one target at `nodes` x `nodes` gazes over its field, for each pose (one per focus).
 
-    Parameters
-    ----------
-    pictures
-        Renders them.
-    poses
-        One for each focus to be tried.
-    nodes
-        Along an edge of the field.
-    progress
-        Shown while they are rendered.
-
-    Notes
-    -----
-    Photosites make a picture depend on where within their period the spot lies. Pictures half a period apart are
-    averaged, which takes out what the lowest orders do; what the others do is a small part of a crop's light.
+    Images depend on the photosites' phase, so those half a period apart are averaged, which cancels the lowest orders;
+    the others hold little of a crop's light.
     """
 
     def __init__(self, pictures: Pictures, poses: list[Pose], nodes: int, progress: Progress = quiet) -> None:
@@ -58,67 +37,53 @@ class Bank:
         self._shape = (size, size)
         self._templates: list[tuple[NDArray[np.complex128], NDArray[np.complex128]]] = []
         for pose in progress(self.poses, "rendering the field"):
-            made = _binned(pictures.render(pose, np.array(pose.gaze) + steps).mean(0))
-            self._templates.append((fft.rfft2(made, self._shape), fft.rfft2(made**2, self._shape)))
+            light = _binned(pictures.render(pose, np.array(pose.gaze) + steps).mean(0))
+            self._templates.append((fft.rfft2(light, self._shape), fft.rfft2(light**2, self._shape)))
 
-    def match(self, electrons: Array, weight: Array, count: int) -> list[Start]:
-        """The best `count` starts, no two of them neighbours; among them the opposite of the best one's gaze.
+    def match(self, electrons: Array, weight: Array, count: int) -> list[Pose]:
+        """Return the best `count` starting poses, no two neighbours, the opposite of the best gaze among them.
 
-        Parameters
-        ----------
-        electrons, weight
-            [side, side] of a crop, and the inverse variances of its pixels: 0 for those that tell nothing.
-        count
-            How many.
+        `electrons` and `weight` are [side, side] of a crop and its pixels' inverse variances, 0 where saturated.
         """
-        # The mean of a bin with weights that differ; its own weight is their sum.
         weights = _binned(weight)
         values = _binned(electrons * weight) / np.maximum(weights, 1e-30)
-        level = float((weights * values).sum() / weights.sum())
-        values = values - level
+        values = values - float((weights * values).sum() / weights.sum())
         known = fft.rfft2(weights, self._shape), fft.rfft2(weights * values, self._shape)
-        found = [self._lay(number, known, float(weights.sum())) for number in range(len(self.poses))]
-        order = sorted(range(len(found)), key=lambda n: -found[n].score)
-        chosen: list[Start] = []
-        best = found[order[0]]
-        opposite = self._nearest(best, found)
+        placed = [self._placed(number, known, float(weights.sum())) for number in range(len(self.poses))]
+        best, *others = (pose for pose, _ in sorted(placed, key=lambda one: -one[1]))
+        focused = [pose for pose, _ in placed if pose.object_distance == best.object_distance]
+        opposite = min(focused, key=lambda pose: float(np.hypot(*np.add(pose.gaze, best.gaze))))
         apart = 1.5 * (0.96 / max(1, self.nodes - 1))
-        for one in [best, opposite, *(found[n] for n in order[1:])]:
-            near = [np.hypot(*np.subtract(one.pose.gaze, other.pose.gaze)) < apart for other in chosen]
-            if not any(near) and len(chosen) < count:
-                chosen.append(one)
+        chosen: list[Pose] = []
+        for pose in [best, opposite, *others]:
+            near = any(np.hypot(*np.subtract(pose.gaze, other.gaze)) < apart for other in chosen)
+            if not near and len(chosen) < count:
+                chosen.append(pose)
         return chosen
 
-    def _nearest(self, best: Start, found: list[Start]) -> Start:
-        """What was found at the gaze opposite to the best one's, at its focus."""
-        focus = best.pose.object_distance
-        alike = [one for one in found if one.pose.object_distance == focus]
-        return min(alike, key=lambda one: float(np.hypot(*np.add(one.pose.gaze, best.pose.gaze))))
-
-    def _lay(self, number: int, known: tuple[NDArray[np.complex128], NDArray[np.complex128]], total: float) -> Start:
-        """Scale, background and shift of one template, by weighted least squares at all shifts at once."""
+    def _placed(
+        self, number: int, known: tuple[NDArray[np.complex128], NDArray[np.complex128]], total: float
+    ) -> tuple[Pose, float]:
+        """Fit a template's scale, background and shift by least squares; return its pose and explained squares."""
         template, square = self._templates[number]
         weights, weighted = known
+        rows = np.r_[-_REACH : _REACH + 1]
         st, stt, sdt = (
-            fft.irfft2(one, self._shape)
+            fft.irfft2(one, self._shape)[np.ix_(rows, rows)]
             for one in (weights * template.conj(), weights * square.conj(), weighted * template.conj())
         )
-        rows = np.r_[-_REACH : _REACH + 1]
-        near = np.ix_(rows, rows)
-        st, stt, sdt = st[near], stt[near], sdt[near]
-        # The values' weighted mean has been taken off: what is left of the background is that of the template.
+        # The values have weighted mean 0, so only the template's mean remains of the background.
         spread = np.maximum(stt - st**2 / total, 1e-9 * float(stt.max()))
         scale = sdt / spread
         score = np.where(scale > 0, scale * sdt, 0.0)
         row, column = np.unravel_index(int(np.argmax(score)), score.shape)
-        gain = max(1e-3, float(scale[row, column]))
         pose, step = self.poses[number], _BIN * self.pictures.pitch
         place = (pose.place[0] + float(rows[column]) * step, pose.place[1] + float(rows[row]) * step)
-        power = gain * self.pictures.scene.illumination.power
-        return Start(replace(pose, place=place, power=power), float(score[row, column]))
+        power = max(1e-3, float(scale[row, column])) * self.pictures.scene.illumination.power
+        return replace(pose, place=place, power=power), float(score[row, column])
 
 
 def _binned(picture: Array) -> Array:
-    """Mean over squares of `_BIN` pixels, [side / _BIN, side / _BIN]; a last odd row or column is left out."""
+    """Return means over squares of `_BIN` pixels, [side / _BIN, side / _BIN]; an odd last row or column is dropped."""
     side = len(picture) // _BIN * _BIN
     return picture[:side, :side].reshape(side // _BIN, _BIN, side // _BIN, _BIN).mean((1, 3))

@@ -1,6 +1,6 @@
 """The evaluation of a fitted model on a dataset's test part: numbers, figures and a page."""
 
-from tapetum.report.evaluation.binned import Binned, binned_errors
+from tapetum.report.binned import Binned, binned_errors
 from tapetum.report.evaluation.classes import (
     Reliability,
     brier_score,
@@ -21,6 +21,7 @@ from tapetum.report.evaluation.scores import (
     score,
     score_classes,
 )
+from tapetum.report.evaluation.summary import describe, evaluate_model
 from tapetum.report.evaluation.write import Subject, write_evaluation
 
 __all__ = [
@@ -37,7 +38,9 @@ __all__ = [
     "by_recording",
     "by_snr",
     "confusion",
+    "describe",
     "error_map",
+    "evaluate_model",
     "gather",
     "gather_parts",
     "novelty_auroc",

@@ -1,4 +1,4 @@
-"""How well devices are classified, and whether probabilities mean what they say."""
+"""Accuracy of the device classification and calibration of its probabilities."""
 
 from __future__ import annotations
 
@@ -50,16 +50,12 @@ def confusion(truth: Sequence[str], predicted: Sequence[str], names: Sequence[st
 
 @dataclass(frozen=True)
 class Reliability:
-    """How often a model is right when it says so with a certain probability.
+    """Accuracy as a function of the predicted probability, in B bins.
 
     Parameters
     ----------
-    confidence
-        [B] mean probability of the predicted class in each bin.
-    accuracy
-        [B] share of frames predicted correctly.
-    count
-        [B] frames.
+    confidence, accuracy, count
+        [B] mean probability of the predicted class, share of frames predicted correctly, number of frames.
     """
 
     confidence: Array
@@ -75,18 +71,16 @@ class Reliability:
 def reliability(probability: ArrayLike, right: ArrayLike, *, bins: int = BINS) -> Reliability:
     """Sort frames by the probability of their predicted class into bins of equal numbers of frames.
 
-    Bins of equal width (C. Guo et al., ICML 2017) would put nearly all frames of a good model into the last one; of
-    equal mass, all count alike (K. Nguyen, B. O'Connor, EMNLP 2015). Frames of exactly the same probability share one
-    accuracy, wherever a bin ends among them.
+    Bins of equal width (C. Guo et al., ICML 2017) would hold nearly all frames of a good model in the last one; bins of
+    equal mass (K. Nguyen, B. O'Connor, EMNLP 2015) weigh the same. Frames of exactly equal probability share one
+    accuracy, even across the edge of a bin.
 
     Parameters
     ----------
-    probability
-        [N] of the predicted class.
-    right
-        [N] whether it is the true one.
+    probability, right
+        [N] probability of the predicted class, and whether that class is the true one.
     bins
-        At most so many; one a frame where there are fewer.
+        Largest number of bins; with fewer frames, one bin per frame.
     """
     sure, hit = np.asarray(probability, dtype=np.float64), np.asarray(right, dtype=np.float64)
     _check(len(hit), len(sure))
@@ -104,7 +98,7 @@ def reliability(probability: ArrayLike, right: ArrayLike, *, bins: int = BINS) -
 
 
 def brier_score(probability: ArrayLike, truth: Sequence[str], names: Sequence[str]) -> float:
-    """Return the mean over frames of the squared distance of the probabilities [N, C] from the truth: 0 best, 2 worst.
+    """Return the mean over frames of the squared distance of the probabilities [N, C] from the truth (0 to 2).
 
     Source: G. W. Brier, Mon. Weather Rev. 78, 1 (1950), summed over the classes.
     """
@@ -115,19 +109,17 @@ def brier_score(probability: ArrayLike, truth: Sequence[str], names: Sequence[st
 
 
 def novelty_auroc(novelty: ArrayLike, unknown: ArrayLike) -> float | None:
-    """Return how well novelty tells unknown devices from known ones: the area under the ROC curve.
+    """Return the area under the ROC curve for telling unknown devices from known ones by novelty.
 
     Parameters
     ----------
-    novelty
-        [N], larger for stranger frames.
-    unknown
-        [N] whether the device was unknown to the model.
+    novelty, unknown
+        [N] novelty, larger for stranger frames, and whether the device was unknown to the model.
 
     Returns
     -------
     float or None
-        0.5 is a guess, 1 is perfect; None where all frames are known, or none is.
+        0.5 is chance, 1 is perfect; None where all frames are known, or none is.
     """
     strange = np.asarray(unknown, dtype=bool)
     if strange.all() or not strange.any():

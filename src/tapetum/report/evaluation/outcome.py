@@ -1,4 +1,4 @@
-"""What a model said of a dataset's test part, beside what was true: everything that is scored or drawn."""
+"""A model's predictions for a dataset's test part with the truth, from which all scores and figures are made."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from tapetum.progress import Progress, quiet
 __all__ = ["COVARIATES", "Outcome", "gather", "gather_parts"]
 
 COVARIATES = {"distance": "m", "exposure": "s"}
-"""What a frame's error may hang on besides its SNR, and the unit of each."""
+"""Quantities besides SNR that a frame's error may depend on, with units."""
 
-# Where the bench says it: the entry of a recording in `dataset.tp.recordings`.
+# Their paths in the entries of `dataset.tp.recordings` of the virtual bench.
 _IN_SCENE = {"distance": ("scene", "distance"), "exposure": ("scene", "probe", "sensor", "exposure")}
 _BATCH = 64
 
@@ -31,35 +31,27 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Outcome:
-    """Truth and prediction of N frames that took no part in training.
+    """Truth and prediction of N frames that were not used in training.
 
     Parameters
     ----------
-    dataset
-        The dataset's name.
-    prediction
-        Of the N frames.
-    truth
-        [N] for each quantity that is predicted.
+    dataset, simulated
+        The dataset's name, and whether the virtual bench filmed it; None where the dataset does not say.
+    prediction, truth
+        Of the N frames; the truth is [N] for each predicted quantity.
     recording, recordings
-        [N] number of each frame's recording, and the name of every number.
-    time
-        [N] seconds in the recording.
-    snr
-        [N] of `tapetum.models.snr.crop_snr`.
-    guess
-        Mean of the training part for each quantity: a guess that looks at no image. None where nothing trains.
+        [N] index of each frame's recording, and the recordings' names.
+    time, snr
+        [N] seconds in the recording, and signal-to-noise ratio by `tapetum.models.snr.crop_snr`.
+    guess, commonest
+        Baselines from the training part, which look at no image: the mean of each quantity (None without training
+        frames) and the commonest device.
     device
-        [N] names of the true devices; None where the dataset does not tell them. Names that the model does not know
-        are allowed.
-    commonest
-        Commonest device of the training part: the guess at the class.
+        [N] names of the true devices, which the model may not know; None where the dataset does not hold them.
     covariates
         [N] of some of `COVARIATES`; absent where unknown.
     true_gaze
-        [N, 2] where the target really looked, which a label misses by its own error; None where nobody knows.
-    simulated
-        True where the virtual bench filmed it; None where the dataset does not say.
+        [N, 2] true gaze, from which the labels differ by the label error; None where unknown.
     """
 
     dataset: str
@@ -105,7 +97,7 @@ class Outcome:
 
     @property
     def baseline(self) -> Array | None:
-        """[N, K] of the guess that looks at no image; None where nothing trains."""
+        """[N, K] of the guess that looks at no image; None without training frames."""
         if self.guess is None:
             return None
         row = np.array([self.guess[name] for name in self.quantities], dtype=np.float64)
@@ -134,16 +126,14 @@ def gather(
     covariates: Mapping[str, ArrayLike] | None = None,
     progress: Progress = quiet,
 ) -> Outcome:
-    """Let a model predict a dataset's test part, and put beside it what is known of those frames.
+    """Predict a dataset's test part and collect the truth and baselines of those frames.
 
     Parameters
     ----------
-    model
-        Fitted.
-    dataset
-        Whole, so that its training part gives the guess that the model must beat.
+    model, dataset
+        A fitted model and the whole dataset: its training part gives the baselines.
     covariates
-        [N] values of `COVARIATES` for the test frames, where the dataset does not tell them.
+        [N] values of `COVARIATES` for the test frames, where the dataset does not hold them.
     progress
         Shown over the frames.
 
@@ -164,7 +154,7 @@ def gather_parts(
     covariates: Mapping[str, ArrayLike] | None = None,
     progress: Progress = quiet,
 ) -> Outcome:
-    """Do as `gather`, with frames to test on and to take the mean of that need not come from one dataset."""
+    """As `gather`, with test and training frames that may come from different datasets."""
     where = _name(test)
     missing = next((name for name in model.target_names if name not in test), None)
     if missing is not None:
@@ -191,7 +181,7 @@ def gather_parts(
     known = _devices(train)
     return Outcome(
         dataset=Path(where).name,
-        # Scored everywhere, so that a model cannot look better by refusing; refusals are counted beside it.
+        # Score refused frames too, so that refusing does not improve a score; refusals are counted separately.
         prediction=model.predict(test, progress=progress, anyway=True),
         truth=truth,
         recording=number,
@@ -212,7 +202,7 @@ def _name(dataset: xr.Dataset) -> str:
 
 
 def _devices(dataset: xr.Dataset) -> tuple[str, ...] | None:
-    """Return the device of every frame, where the dataset tells it."""
+    """Return the device of every frame, or None."""
     if DEVICE not in dataset:
         return None
     names = dataset.tp.classes
@@ -226,7 +216,7 @@ def _true_gaze(dataset: xr.Dataset) -> Array | None:
 
 
 def _snr(dataset: xr.Dataset, progress: Progress) -> Array:
-    """Return the SNR of every frame, as the models' intervals take it."""
+    """Return the SNR of every frame, as used by the models' intervals."""
     total = -(-dataset.sizes["frame"] // _BATCH)
     parts = progress(image_batches(dataset, _BATCH), "signal over noise", total=total)
     return np.concatenate([crop_snr(images, dataset.tp.full_scale) for images in parts])
@@ -243,7 +233,7 @@ def _given(covariates: Mapping[str, ArrayLike] | None) -> dict[str, Array]:
 
 
 def _covariates(dataset: xr.Dataset, entries: list[dict[str, Any]], number: NDArray[np.int64]) -> dict[str, Array]:
-    """Return what is known of every frame: by a variable along the frames, or by its recording."""
+    """Return covariates of every frame, from a variable along the frames or from its recording."""
     found: dict[str, Array] = {}
     for name, path in _IN_SCENE.items():
         if name in dataset and dataset[name].dims == ("frame",):
@@ -267,7 +257,7 @@ def _told(entry: Mapping[str, Any], name: str, path: tuple[str, ...]) -> float |
 def _simulated(dataset: xr.Dataset, entries: list[dict[str, Any]]) -> bool | None:
     if "synth" in dataset.attrs:
         return True
-    # Only the bench knows the scene it filmed; recordings of it name it among their hardware.
+    # Only recordings of the virtual bench name a scene among their hardware.
     words = " ".join(str(entry.get(key, "")) for entry in entries for key in ("hardware", "bench", "source"))
     known = any(isinstance(entry.get("parameters"), Mapping) and "scene" in entry["parameters"] for entry in entries)
     return known or "virtual" in words or "simulated" in words or None

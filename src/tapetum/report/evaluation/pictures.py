@@ -1,4 +1,4 @@
-"""The figures of an evaluation: which ones an outcome calls for, with what a reader must know to read them."""
+"""The figures of an evaluation, with captions."""
 
 from __future__ import annotations
 
@@ -9,40 +9,27 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import ArrayLike, NDArray
 
-from tapetum.report.evaluation.binned import binned_errors
+from tapetum.report.binned import binned_errors, error_by_distance
 from tapetum.report.evaluation.outcome import COVARIATES, Outcome
 from tapetum.report.evaluation.scores import ErrorMap, by_device, by_recording, by_snr, error_map, group, score_classes
+from tapetum.report.figures.by_image import fig_by_image
 from tapetum.report.figures.classes import fig_confusion, fig_reliability
-from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance, look
-from tapetum.report.figures.learning import fig_by_image, fig_path
+from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance
 from tapetum.report.figures.maps import fig_error_map
-from tapetum.report.rings import error_by_distance
+from tapetum.report.figures.path import fig_path
+from tapetum.report.looks import look
 from tapetum.report.verdicts import MEAN
 
 __all__ = ["MEAN", "Picture", "pictures"]
 
 FOCUS = ("object_distance", "focal_length")
-# A label that changes in more steps than this is no axis of a map or a staircase.
+# A label with more distinct values than this is treated as continuous.
 _STEPS = 12
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure, and the words that go with it.
-
-    Parameters
-    ----------
-    name
-        Of its file, without ending.
-    section
-        Title of the section of the page it stands in.
-    figure
-        The figure.
-    alt
-        What it shows, for those who do not see it.
-    caption
-        How to read it.
-    """
+    """A figure with its file `name` (without suffix), the page's `section`, `alt` text and `caption`."""
 
     name: str
     section: str
@@ -54,17 +41,7 @@ class Picture:
 def pictures(
     outcome: Outcome, name: str, rrs: Sequence[ArrayLike] = (), rrs_at: Sequence[int] = ()
 ) -> Iterator[Picture]:
-    """Draw what an outcome calls for.
-
-    Parameters
-    ----------
-    outcome
-        What is drawn.
-    name
-        Of the model, as people call it.
-    rrs, rrs_at
-        Some RRs to show beside the path of the gaze, and the frames they belong to.
-    """
+    """Draw the figures that an outcome has data for; `rrs` stand beside the path of the gaze, at frames `rrs_at`."""
     if outcome.has_gaze:
         yield _path(outcome, name, rrs, rrs_at)
         yield _by_distance(outcome, name)
@@ -89,7 +66,7 @@ def _steps(outcome: Outcome) -> bool:
 
 
 def path_section(outcome: Outcome, most: int = 120) -> tuple[int, int]:
-    """Return the frames of one recording to draw as a path: the stretch of them whose gaze goes farthest about."""
+    """Return the frames of one recording to draw as a path: the section whose gaze varies most."""
     truth, _ = outcome.pair()
     best, widest = (0, min(2, len(outcome))), -1.0
     for number in np.unique(outcome.recording):
@@ -148,9 +125,9 @@ def _by_distance(outcome: Outcome, name: str) -> Picture:
         fig_error_by_distance(rings, baseline=MEAN),
         f"Mean absolute error in rings around the centre of the field: {known[0]:.3f} in the middle, "
         f"{known[-1]:.3f} at the edge.",
-        "As the paper's Fig. 10: mean absolute error, over both axes, of frames whose laser stands so far from the "
-        "centre of the target's field. Grey: a guess that looks at no image. Bars: 95 % bootstrap intervals over "
-        "blocks of 15 neighbouring frames. Below: how many frames each ring holds.",
+        "As the paper's Fig. 10: mean absolute error, over both axes, of frames by the distance of their laser from "
+        "the centre of the target's field. Grey: a guess that looks at no image. Bars: 95 % bootstrap intervals over "
+        "blocks of 15 neighbouring frames. Below: the number of frames in each ring.",
     )
 
 
@@ -207,7 +184,7 @@ def _classes(outcome: Outcome, name: str) -> Iterator[Picture]:
         f"Share correct against the probability given; expected calibration error {scores.reliability.error:.3f}.",
         f"Frames are sorted by the probability of their likeliest device into {len(scores.reliability.count)} bins of "
         "equal numbers. On the dashed line a model is right as often as it says. The expected calibration error is the "
-        "mean distance from that line. Bars: 95 % Wilson intervals that take frames for independent; neighbours in a "
+        "mean distance from that line. Bars: 95 % Wilson intervals that treat frames as independent; neighbours in a "
         "video are not, so they are too short.",
     )
 
@@ -227,14 +204,13 @@ def _coverage(outcome: Outcome) -> Picture:
         "Share of true values inside the 90 % intervals: "
         + ", ".join(f"{q} {c:.1%}" for q, c in zip(outcome.quantities, everything.coverage, strict=True))
         + ".",
-        "How often the truth lies inside the model's interval, which is meant to be 90 % of the time. The number of "
-        "frames stands in brackets. Neighbouring frames err alike, so the share in one recording scatters more than "
-        "that number suggests.",
+        "Share of truths inside the model's intervals, nominally 90 %. The number of frames is in brackets. Errors of "
+        "neighbouring frames are correlated, so the share in one recording scatters more than that number suggests.",
     )
 
 
 def _against(outcome: Outcome, name: str) -> Iterator[Picture]:
-    """Draw the error against SNR and whatever else is known of the frames."""
+    """Draw the error against SNR and other covariates of the frames."""
     error, base, label = _error(outcome)
     known: dict[str, tuple[NDArray[np.float64], str]] = {"SNR": (outcome.snr, "signal-to-noise ratio of the crop")}
     known |= {key: (values, f"{key}, {COVARIATES.get(key, '')}") for key, values in outcome.covariates.items()}
@@ -249,12 +225,12 @@ def _against(outcome: Outcome, name: str) -> Iterator[Picture]:
         wide = float(values.min()) > 0 and bool(ends[-1] > 6 * ends[0])
         yield Picture(
             f"error-by-{key.lower()}",
-            "What the error hangs on",
+            "What the error depends on",
             fig_error_by(curves, x=text, y=label, baseline=MEAN, log_x=wide),
             f"Mean error against {key}: {low:.3g} where it is least, {high:.3g} where it is most.",
             f"Mean error of frames by their {text.split(',')[0]}, in bins. Bars: 95 % "
-            "bootstrap intervals over blocks of 15 neighbouring frames. It shows what goes together, not what causes "
-            "what: faint frames may be faint because the gaze is far off.",
+            "bootstrap intervals over blocks of 15 neighbouring frames. It shows correlation, not causation: "
+            "faint frames may be faint because the gaze is far from the centre.",
         )
 
 
@@ -268,7 +244,7 @@ def _error(outcome: Outcome) -> tuple[NDArray[np.float64], NDArray[np.float64] |
         scale = look(outcome.quantities[0]).scale
         unit = look(outcome.quantities[0]).unit
         return scale * off.mean(axis=1), None if guess is None else scale * guess.mean(axis=1), f"MAE, {unit}"
-    # Metres of object distance and of focal length have no common measure but how much each varies.
+    # Object distance and focal length are comparable only relative to their spread.
     each = outcome.targets.std(axis=0) if guess is None else guess.mean(axis=0)
     each = np.maximum(each, np.finfo(float).tiny)
     label = "MAE over the labels' deviation" if guess is None else f"MAE over that of {MEAN}"

@@ -1,4 +1,4 @@
-"""The numbers of an evaluation: errors, what the intervals hold, classes; all and by part."""
+"""The numbers of an evaluation: errors, coverage and classes, for all frames and by part."""
 
 from __future__ import annotations
 
@@ -40,14 +40,12 @@ QUARTERS = 4
 
 @dataclass(frozen=True)
 class Group:
-    """Some of the frames, and how the model did there.
+    """Scores of a part of the frames.
 
     Parameters
     ----------
-    name
-        As a reader knows them.
-    count
-        Frames.
+    name, count
+        The part in words, and its number of frames.
     mae, rmse, coverage
         One for each quantity, in the outcome's order; coverage is the share of truths inside the intervals.
     radial, radial_rms
@@ -83,13 +81,13 @@ def group(outcome: Outcome, name: str, frames: NDArray[np.bool_]) -> Group:
 
 
 def by_recording(outcome: Outcome) -> list[Group]:
-    """Score every recording by itself."""
+    """Score every recording separately."""
     numbers = np.unique(outcome.recording)
     return [group(outcome, outcome.recordings[int(n)], outcome.recording == n) for n in numbers]
 
 
 def by_device(outcome: Outcome) -> list[Group]:
-    """Score the frames of every device by themselves (the paper's Table 2); none where devices are not known."""
+    """Score the frames of every device separately (the paper's Table 2); empty without devices."""
     if outcome.device is None:
         return []
     told = np.array(outcome.device)
@@ -111,32 +109,26 @@ def by_snr(outcome: Outcome, parts: int = QUARTERS) -> list[Group]:
 
 @dataclass(frozen=True)
 class ClassScores:
-    """How well devices were classified, among the frames of known ones.
+    """Scores of the device classification over the frames of known devices.
 
     Parameters
     ----------
-    names
-        C classes.
-    count
-        Frames of known devices.
-    top_1
-        Share of them whose likeliest class is the true one, whatever the novelty.
-    baseline
-        The same for always saying the commonest class of the training part; None where that is unknown.
+    names, count
+        C classes, and the frames of known devices.
+    top_1, baseline
+        Share of frames whose likeliest class is true, whatever the novelty; and the same for always predicting the
+        commonest class of the training part (None where unknown).
     confusion
         [C, C] frames by true (row) and likeliest (column) class.
-    reliability
-        Of the likeliest class' probability.
-    brier
-        Mean squared distance of the probabilities from the truth.
+    reliability, brier
+        Reliability of the likeliest class' probability, and the Brier score.
     told_none
-        Share of them taken for `NONE_OF_THESE`.
-    unknown
-        Frames of devices that the model does not know.
-    unknown_told_none
-        Share of those taken for `NONE_OF_THESE`; None without any.
+        Share of known frames classified as `NONE_OF_THESE`.
+    unknown, unknown_told_none
+        Frames of devices that the model does not know, and the share of them classified as `NONE_OF_THESE`
+        (None without any).
     auroc
-        How well novelty separates unknown from known; None without unknown ones.
+        Area under the ROC curve of novelty, unknown against known; None without unknown frames.
     """
 
     names: tuple[str, ...]
@@ -158,7 +150,7 @@ class ClassScores:
         return [float(r / n) if n else None for r, n in zip(right, frames, strict=True)]
 
     def to_dict(self) -> dict[str, Any]:
-        """Return plain numbers, fit for JSON."""
+        """Return JSON values."""
         rows = zip(self.names, self.confusion.sum(axis=1).tolist(), self.recall, strict=True)
         bins = {name: values.tolist() for name, values in asdict(self.reliability).items()}
         return {
@@ -177,7 +169,7 @@ class ClassScores:
 
 
 def score_classes(outcome: Outcome) -> ClassScores | None:
-    """Score the classes; None where the model knows none, or the dataset does not tell the devices.
+    """Score the classes; None where the model knows none, or the dataset does not hold the devices.
 
     Raises
     ------
@@ -219,10 +211,8 @@ class ErrorMap:
     ----------
     x, y
         [X], [Y] values of the labels, rising.
-    mae
-        [Y, X]; NaN where there is no frame.
-    count
-        [Y, X] frames.
+    mae, count
+        [Y, X] error, NaN without frames; and number of frames.
     """
 
     x: NDArray[np.float64]
@@ -254,19 +244,18 @@ def error_map(outcome: Outcome, quantity: str, x: str = "object_distance", y: st
 
 
 def score(outcome: Outcome) -> dict[str, Any]:
-    """Return every number of an evaluation, fit for JSON.
+    """Return every number of an evaluation, ready for JSON.
 
     Returns
     -------
     dict
-        `frames`; `refused`, those that the model does not apply to and would not answer (None where it cannot know),
-        which all other numbers include; `simulation` (True, or None where nobody says); `targets`, by label: `mae`,
-        `rmse`, `baseline_mae`, `baseline_rmse` (None where nothing trains), `verdict`
-        (`tapetum.report.verdicts.against_mean`), `coverage`, the share of truths inside the model's 90 % intervals,
-        `interval`, their median half-width (None where infinite), all in the label's own unit, and `intervals`, a
-        verdict on them; `gaze` with errors by axis and radial (see `GazeScores`) and `baseline_gaze` where both
-        coordinates are predicted; `classes` where devices are (see `ClassScores`); `recordings`, `snr` and `devices`:
-        the same by part.
+        `frames`; `refused`, frames outside the model's domain (None where it cannot know), which all other numbers
+        include; `simulation` (True, or None where unknown); `targets`, by label: `mae`, `rmse`, `baseline_mae`,
+        `baseline_rmse` (None without training frames), `verdict` (`tapetum.report.verdicts.against_mean`), `coverage`,
+        the share of truths inside the model's 90 % intervals, `interval`, their median half-width (None if infinite),
+        all in the label's own unit, and `intervals`, a verdict on them; `gaze` with errors by axis and radial (see
+        `GazeScores`) and `baseline_gaze` where both coordinates are predicted; `classes` where devices are (see
+        `ClassScores`); `recordings`, `snr` and `devices`: the same by part.
 
     Raises
     ------

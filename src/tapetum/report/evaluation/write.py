@@ -1,8 +1,9 @@
-"""The report of an evaluation: a folder with a page that stands alone, the numbers, and the figures."""
+"""The report of an evaluation: a folder with a self-contained page, the numbers, and the figures."""
 
 from __future__ import annotations
 
 import json
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -18,10 +19,10 @@ from tapetum.models import Predictor
 from tapetum.models.architectures import ARCHITECTURES
 from tapetum.progress import Progress, quiet
 from tapetum.report import html
-from tapetum.report.evaluation import sections as part
 from tapetum.report.evaluation.outcome import Outcome
 from tapetum.report.evaluation.pictures import Picture, path_section, pictures
-from tapetum.report.evaluation.scores import score
+from tapetum.report.evaluation.scores import score, score_classes
+from tapetum.report.evaluation.sections import devices, parts
 from tapetum.report.figures import figure_png
 
 __all__ = ["FORMAT", "NUMBERS", "PAGE", "Subject", "samples", "subject_of", "write_evaluation"]
@@ -31,28 +32,20 @@ PAGE, NUMBERS = "report.html", "numbers.json"
 _NAMES = {"zernike": "Zernike + ridge", "simulation": "Fit by simulation"}
 _NAMES |= {name: network.title for name, network in ARCHITECTURES.items()}
 _SAMPLE_SIDE = 200
-_ORDER = (
-    "Following the gaze",
-    "Focus by test image",
-    "Devices",
-    "Where the errors are",
-    "Intervals",
-    "What the error hangs on",
-)
 
 
 @dataclass(frozen=True)
 class Subject:
-    """What was evaluated on what, in words.
+    """What was evaluated.
 
     Parameters
     ----------
     name
-        Of the model, as people call it.
+        The model's usual name.
     model, data
-        (name, value) of the model and of the dataset.
+        (name, value) rows on the model and the dataset.
     command
-        That makes the report again.
+        Command that reproduces the report.
     """
 
     name: str
@@ -65,21 +58,9 @@ class Subject:
 def subject_of(
     model: Predictor, dataset: xr.Dataset, *, model_name: str = "", card: Mapping[str, Any] | None = None
 ) -> Subject:
-    """Say what model and what data an evaluation is about.
-
-    Parameters
-    ----------
-    model
-        Fitted.
-    dataset
-        Whole.
-    model_name
-        The folder or name it was loaded by.
-    card
-        Of the model, where there is one.
-    """
+    """Describe model and dataset; `model_name` is the folder or name the model was loaded by."""
     kind = _NAMES.get(model.kind, model.kind)
-    # Models of earlier versions name the whole set's hash of that time, which its store still states.
+    # Models of earlier versions name the former hash of the whole set, which its store still holds.
     own = {dataset.tp.train.tp.hash, dataset.attrs.get("sha256")}
     if model.data_hash_ is None:
         learned = "not known"
@@ -150,7 +131,7 @@ def write_evaluation(
     overwrite: bool = False,
     progress: Progress = quiet,
 ) -> dict[str, Any]:
-    """Write the report of an evaluation into a folder, whole or not at all.
+    """Write the report of an evaluation into a folder, whole or not at all, and return its numbers.
 
     Parameters
     ----------
@@ -159,16 +140,11 @@ def write_evaluation(
     outcome, subject
         What is reported.
     rrs, rrs_at
-        See `samples`.
+        RRs [h, w] beside the path of the gaze, and their frames.
     overwrite
-        Replace a folder that is there already.
+        Replace an existing folder.
     progress
         Shown over the figures.
-
-    Returns
-    -------
-    dict
-        The numbers.
 
     Raises
     ------
@@ -188,41 +164,34 @@ def write_evaluation(
     return numbers
 
 
-def _shown(picture: Picture, data: bytes) -> html.Html:
-    """Return a picture that is drawn already, at the size it was designed for: drawing is what takes the time."""
-    text = html.figure(data, alt=picture.alt, caption=picture.caption)
-    return html.Html(text.replace("<img", f'<img width="{round(picture.figure.get_figwidth() * 96)}"', 1))
-
-
 def _heading(outcome: Outcome, subject: Subject) -> dict[str, Any]:
     return {"model": dict(subject.model), "dataset": {"name": outcome.dataset, **dict(subject.data)}}
 
 
 def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: list[tuple[Picture, bytes]]) -> str:
-    bodies: dict[str, list[html.Html]] = {title: [] for title in ("Results", *_ORDER)}
-    bodies["Results"].append(part.everything(numbers, subject.name))
-    table = part.devices(outcome)
-    if table is not None:
-        bodies["Devices"].append(table)
-    for picture, data in drawn:
-        bodies[picture.section].append(_shown(picture, data))
-    tables = part.parts(outcome)
-    if tables is not None:
-        bodies["Intervals"].append(html.details("By recording and by signal over noise, in numbers", tables))
-    bodies["How far to trust it"] = [part.reading(outcome)]
-    bodies["Model and data"] = [
-        html.facts(subject.model, caption="The model."),
-        html.facts(subject.data, caption="The data."),
-    ]
-    present = [(title, html.join(pieces)) for title, pieces in bodies.items() if any(pieces)]
+    shown: defaultdict[str, list[html.Html]] = defaultdict(list)
+    for one, data in drawn:
+        # The figures are rendered already; show them at their design size.
+        width = round(one.figure.get_figwidth() * 96)
+        shown[one.section].append(html.figure(data, alt=one.alt, caption=one.caption, width=width))
+    body = html.render(
+        "evaluation.html",
+        outcome=outcome,
+        subject=subject,
+        scores=numbers,
+        name=subject.name,
+        pictures=shown,
+        classes=score_classes(outcome),
+        devices=devices(outcome),
+        parts=parts(outcome),
+    )
     kind = "Simulation: the virtual bench filmed these frames. " if outcome.simulated else ""
     made = f"Made by `{subject.command}`. " if subject.command else ""
     return html.page(
         f"{subject.name} on {outcome.dataset}",
-        part.opening(numbers, subject.name),
-        *(html.section(title, body) for title, body in present),
-        subtitle=f"{kind}What the model says of {len(outcome)} frames that it has not learned from, beside the truth.",
-        contents=[title for title, _ in present],
-        footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file stands alone: it "
-        "asks nothing of any network.",
+        body,
+        subtitle=f"{kind}The model's predictions for {len(outcome)} frames that were not used in training.",
+        contents=html.headings(body),
+        footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file is "
+        "self-contained and makes no network requests.",
     )

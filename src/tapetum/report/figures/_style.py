@@ -1,7 +1,4 @@
-"""One look for every figure: colours that colour-blind readers can distinguish, quiet axes, no global state.
-
-Nothing here touches pyplot or rcParams, so figures may be drawn from any thread of any program.
-"""
+"""One style for all figures: colours for colour-blind readers, thread-safe without pyplot and rcParams."""
 
 from __future__ import annotations
 
@@ -35,7 +32,7 @@ TITLE, LABEL, TICK, NOTE = 10.5, 9.0, 8.0, 8.0
 
 
 def new_figure(width: float, height: float, *, pictures: bool = False) -> Figure:
-    """Return an empty white figure of that size in inches, drawn by Agg; `pictures` stand close together."""
+    """Return an empty white figure of that size in inches, drawn by Agg; `pictures` packs panels closely."""
     figure = Figure(
         figsize=(width, height),
         dpi=110,
@@ -82,18 +79,12 @@ def legend(ax: Axes, **options: object) -> None:
 
 
 def part_of(name: str, low: float, high: float) -> Colormap:
-    """Return the part low ... high (0..1) of a named colour map: the ends often vanish in the background."""
+    """Return the part low ... high (0..1) of a named colour map, without ends that vanish in the background."""
     return ListedColormap(colormaps[name](np.linspace(low, high, 256)), name=f"{name}-part")
 
 
 def grey_picture(picture: ArrayLike, where: str) -> NDArray[np.float64]:
-    """Return a picture [H, W] as 0..1, from its 0.5th to its 99.7th percentile.
-
-    Raises
-    ------
-    InputError
-        When it is not [H, W] or not finite.
-    """
+    """Return a picture [H, W] as 0..1, from its 0.5th to its 99.7th percentile; it must be finite."""
     image = np.asarray(picture, dtype=np.float64)
     if image.ndim != 2 or image.size == 0 or not np.isfinite(image).all():
         raise InputError(f"expected one finite picture [H, W], got shape {image.shape}", where=where)
@@ -102,7 +93,7 @@ def grey_picture(picture: ArrayLike, where: str) -> NDArray[np.float64]:
 
 
 def gaze_array(values: ArrayLike, where: str, count: int | None = None) -> NDArray[np.float64]:
-    """Return gaze as a finite array [N, 2], or say what it is instead."""
+    """Return gaze as a finite array [N, 2]; refuses other shapes and values."""
     array = np.asarray(values, dtype=np.float64)
     shaped = array.ndim == 2 and array.shape[1] == 2 and (count is None or len(array) == count)
     if not shaped or len(array) == 0 or not np.isfinite(array).all():
@@ -112,7 +103,7 @@ def gaze_array(values: ArrayLike, where: str, count: int | None = None) -> NDArr
 
 
 def runs(time: ArrayLike, gap: float = 4.0) -> list[slice]:
-    """Return the stretches of frames without a hole: steps of at most `gap` median ones, never backwards."""
+    """Return runs of frames without a gap: time steps of at most `gap` medians, never backwards."""
     stamps = np.asarray(time, dtype=np.float64)
     steps = np.diff(stamps)
     forward = steps[steps > 0]
@@ -133,12 +124,30 @@ def colour(index: int) -> str:
 
 
 def marker(index: int) -> str:
-    """Return the marker of the model number `index`: never colour alone."""
+    """Return the marker of the model number `index`, so that colour is not the only cue."""
     return MARKERS[index % len(MARKERS)]
 
 
+def draw_dots(
+    ax: Axes, at: NDArray[np.generic], values: NDArray[np.float64], limits: tuple[float, float], order: int
+) -> None:
+    """Draw values as dots, the first model's in front, and those beyond the limits as triangles at the edge."""
+    low, high = limits
+    margin = 0.015 * (high - low)
+    for off, shown, sign in (
+        (values > high, high - margin, "^"),
+        (values < low, low + margin, "v"),
+    ):
+        # On an inverted axis the triangle points the other way on the page.
+        ax.scatter(at[off], np.full(int(off.sum()), shown), marker=sign, s=14, color=colour(order), zorder=4)
+    inside = (values >= low) & (values <= high)
+    size = 4.0 if len(values) > 1000 else 9.0
+    look_of = {"color": colour(order), "s": size, "linewidths": 0, "alpha": 0.75, "zorder": 4 - 0.1 * order}
+    ax.scatter(at[inside], values[inside], marker=marker(order), **look_of)  # type: ignore[arg-type]
+
+
 def stamp(figure: Figure, text: str) -> None:
-    """Write a warning across a figure, large enough that a copy of it cannot pass for a result."""
+    """Write a warning across a figure, large enough that no copy passes for a result."""
     lines = "\n".join(textwrap.wrap(text, 34))
     figure.text(0.5, 0.5, lines, fontsize=20, color="#b00020", alpha=0.45, rotation=20, ha="center", va="center")
 
@@ -146,7 +155,7 @@ def stamp(figure: Figure, text: str) -> None:
 def figure_png(figure: Figure, dpi: int = 160) -> bytes:
     """Return the figure as a PNG file's bytes."""
     stream = io.BytesIO()
-    # Without a date or version in it, the same figure gives the same bytes.
+    # Without date and version, equal figures give equal bytes.
     figure.savefig(stream, format="png", dpi=dpi, metadata={"Software": None})
     return stream.getvalue()
 

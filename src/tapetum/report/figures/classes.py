@@ -1,4 +1,4 @@
-"""Figures of classes: which device was taken for which, and whether probabilities mean what they say."""
+"""Figures of the classification: confusion matrix and reliability diagram."""
 
 from __future__ import annotations
 
@@ -33,20 +33,7 @@ __all__ = ["fig_confusion", "fig_reliability"]
 
 
 def fig_confusion(counts: ArrayLike, names: Sequence[str]) -> Figure:
-    """Draw which class was taken for which: a row for each true one, counts in the cells.
-
-    Parameters
-    ----------
-    counts
-        [C, C] frames by true (row) and predicted (column) class.
-    names
-        C classes.
-
-    Raises
-    ------
-    InputError
-        When the shapes do not fit.
-    """
+    """Draw the confusion matrix: `counts` [C, C] by true (row) and predicted (column) class, written into the cells."""
     table = np.asarray(counts)
     if table.shape != (len(names), len(names)) or not len(names):
         raise InputError(f"expected counts [{len(names)}, {len(names)}], got {table.shape}", where="confusion")
@@ -61,7 +48,7 @@ def fig_confusion(counts: ArrayLike, names: Sequence[str]) -> Figure:
         where = (column + 0.5, row + 0.5)
         ax.text(*where, f"{table[row, column]}", ha="center", va="center", fontsize=NOTE - 0.5, color=tint)
     dress(ax, grid=None)
-    # A name is a name: dollars in it are no formula.
+    # Escape dollars, which would start a formula.
     shown = [name.replace("$", r"\$") for name in names]
     ax.set_xticks(np.arange(size) + 0.5, shown, rotation=45, ha="right", rotation_mode="anchor")
     ax.set_yticks(np.arange(size) + 0.5, [f"{name}  ({n})" for name, n in zip(shown, total[:, 0], strict=True)])
@@ -74,16 +61,9 @@ def fig_confusion(counts: ArrayLike, names: Sequence[str]) -> Figure:
 
 
 def fig_reliability(models: dict[str, Reliability] | Reliability, *, name: str = "model") -> Figure:
-    """Draw how often a model is right against how sure it was (a reliability diagram).
+    """Draw accuracy against predicted probability, for `Reliability` by model name or one alone, called `name`.
 
-    Bars are 95 % Wilson intervals that take frames for independent. Where all bins lie near 1 the axes show that part.
-
-    Parameters
-    ----------
-    models
-        For each name its `Reliability`, or one alone.
-    name
-        Of the one alone.
+    Bars are 95 % Wilson intervals that treat frames as independent. Where all bins lie near 1 the axes show that part.
     """
     shown = models if isinstance(models, dict) else {name: models}
     if not shown:

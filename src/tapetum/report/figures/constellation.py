@@ -27,27 +27,10 @@ def fig_constellation(
     pixels: int = 320,
     points: int = 6000,
 ) -> Figure:
-    """Side view of the room, one row a case: illumination on the left, combined SNR on the right.
+    """Draw the room from the side, a row for each of 1 to 4 cases: illumination on the left, combined SNR on the right.
 
-    Parameters
-    ----------
-    cases
-        Name to constellation, one to four.
-    volume
-        Where cameras are; its outline is drawn, and the ratios in the titles are over it, not over the section.
-    target
-        The camera whose SNR is shown.
-    across
-        x of the section, in metres.
-    pixels
-        Along the longer side of the map.
-    points
-        Of the volume, for the ratios.
-
-    Raises
-    ------
-    InputError
-        When there are no cases or too many.
+    The section lies at x = `across` (metres), with `pixels` along its longer side. The ratios in the titles are over
+    `points` of the whole `volume`, not over the section.
     """
     if not 1 <= len(cases) <= 4:
         raise InputError(f"has {len(cases)} entries", where="cases", remedy="give one to four")
@@ -76,7 +59,7 @@ def fig_constellation(
         maps.append([light, snr])
         titles.append([f"{name}: illumination, max/min {here.ratio:.3g}", f"SNR, max/min {there.ratio:.3g}"])
 
-    # Squares stay square: a bar below each column takes no width from the maps.
+    # A colour bar below each column takes no width from the maps.
     figure = new_figure(11.0, 1.5 + (5.0 * (top - bottom) / (right - left + 0.8) + 0.5) * len(cases))
     axes = figure.subplots(len(cases), 2, sharex=True, sharey=True, squeeze=False)
     labels = ("illumination (µW/m²)", "SNR of all probes")

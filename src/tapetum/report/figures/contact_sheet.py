@@ -1,4 +1,4 @@
-"""A dataset at a glance: retro-reflections where their labels put them, with the labels' distributions beside them."""
+"""A contact sheet of a dataset: retro-reflections arranged by label, with the labels' distributions."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import xarray as xr
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from tapetum.data.dataset import image_batches
@@ -25,7 +26,7 @@ _GAZE = ("gaze_x", "gaze_y")
 _CMAP = colormaps["inferno"]
 _COLUMNS, _ROWS = 13, 9
 _WIDE, _HIGH = 12.0, 8.4
-# Around the rim of a cell, as a part of it.
+# Margin of a cell, as a fraction of it.
 _GAP = 0.04
 # Counts below the corners' median plus this many of their deviations are noise: they stay dark.
 _DARK = 1.0
@@ -36,27 +37,11 @@ _RIM = 0.08
 def fig_contact_sheet(
     dataset: xr.Dataset, quality: DatasetQuality, *, name: str = "", notes: Sequence[str] = ()
 ) -> Figure:
-    """Draw a dataset: retro-reflections in the order of their labels, what the labels cover, and what was noticed.
+    """Draw a dataset: retro-reflections in the order of their labels, the range of the labels, notes on its quality.
 
-    Sets labelled with gaze only show each RR at its place in the target's field of view. Sets with a class or with
-    focal length and object distance have a row a class (or a focal length) and columns of growing object distance
-    or distance of the gaze from the middle.
-
-    Parameters
-    ----------
-    dataset
-        A dataset, stored or in memory.
-    quality
-        What `inspect_dataset` found in it.
-    name
-        Of the set, for the title.
-    notes
-        Lines said below, what was noticed.
-
-    Raises
-    ------
-    InputError
-        When the set has no labels.
+    With gaze labels only, each RR is drawn at its place in the target's field of view. With a class, or with focal
+    length and object distance, there is a row for each class (or focal length), and columns by object distance or by
+    the gaze's distance from the centre. Refuses a set without labels.
     """
     if not dataset.tp.targets:
         raise InputError("has no labels to sort the pictures by", where=name or "dataset", remedy="label it first")
@@ -74,7 +59,7 @@ def fig_contact_sheet(
 
 
 def _row_label(dataset: xr.Dataset) -> str | None:
-    """Return the label that rows stand for: a class, or a length of few values; None for sets of gaze alone."""
+    """Return the label of the rows: a class, or a length of few values; None for sets with gaze alone."""
     names = [n for n in ("device", "focal_length", "object_distance") if n in dataset.tp.targets]
     names += [n for n in dataset.tp.targets if n not in _GAZE and n not in names]
     spread = [n for n in names if np.ptp(np.asarray(dataset[n].values, dtype=float)) > 0]
@@ -82,7 +67,7 @@ def _row_label(dataset: xr.Dataset) -> str | None:
 
 
 def _draw_field(figure: Figure, dataset: xr.Dataset) -> None:
-    """Draw the RRs at their gaze, with the distribution of either along the edges."""
+    """Draw the RRs at their gaze, with the distributions of x and y along the edges."""
     gaze = dataset.tp.values(_GAZE)
     reach = 0.5 if np.abs(gaze).max() > 0.25 else max(float(np.abs(gaze).max()) * 1.05, 1e-3)
     across, down = (np.linspace(-reach, reach, n + 1) for n in (_COLUMNS, _ROWS))
@@ -174,7 +159,7 @@ def _groups(values: NDArray[np.float64], most: int = 12) -> list[NDArray[np.bool
 
 
 def _along(dataset: xr.Dataset, row: str) -> tuple[NDArray[np.float64], str]:
-    """Return what grows along a row, a value a frame, and its name."""
+    """Return the quantity that grows along a row, [N], and its name."""
     if "object_distance" in dataset.tp.targets and row != "object_distance":
         return np.asarray(dataset["object_distance"].values, dtype=float), "object distance, m"
     if set(_GAZE) <= set(dataset.tp.targets):
@@ -194,7 +179,7 @@ def _value(dataset: xr.Dataset, label: str, values: NDArray[np.float64]) -> str:
 
 
 def _mosaic(ax: Axes, dataset: xr.Dataset, cells: dict[tuple[int, int], int], rows: int, columns: int) -> None:
-    """Draw the chosen frames into their cells, each on its own scale, square root; cells without one stay dark."""
+    """Draw the chosen frames into their cells, each on its own square-root scale; other cells stay dark."""
     frames = sorted(set(cells.values()))
     pictures = dict(
         zip(frames, (p for batch in image_batches(dataset.isel(frame=frames), 32) for p in batch), strict=True)
@@ -289,16 +274,11 @@ def _footing(figure: Figure, dataset: xr.Dataset, notes: Sequence[str]) -> None:
     lines = [note if len(note) <= 150 else note[:149] + "…" for note in notes[:4]]
     for n, line in enumerate(lines):
         figure.text(0.03, 0.102 - 0.021 * n, line, fontsize=NOTE + 0.5, color=INK, va="center")
-    figure.add_artist(_rule(figure))
+    rule = Line2D([0.03, 0.975], [0.026, 0.026], transform=figure.transFigure, color=RULE, linewidth=0.8)
+    figure.add_artist(rule)
     mark = f"sha256 {dataset.tp.hash[:16]}…  ·  drawn by Tapetum {version('tapetum')}"
     told = ", ".join(str(one.get("name", "")) for one in dataset.tp.recordings[:6])
     more = "" if len(dataset.tp.recordings) <= 6 else f" and {len(dataset.tp.recordings) - 6} more"
     source = f"from {told}{more}" if told else ""
     figure.text(0.03, 0.012, source[:110], fontsize=TICK - 0.5, color=QUIET, va="center")
     figure.text(0.975, 0.012, mark, fontsize=TICK - 0.5, color=QUIET, va="center", ha="right")
-
-
-def _rule(figure: Figure) -> Any:
-    from matplotlib.lines import Line2D
-
-    return Line2D([0.03, 0.975], [0.026, 0.026], transform=figure.transFigure, color=RULE, linewidth=0.8)

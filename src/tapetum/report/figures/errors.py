@@ -1,17 +1,19 @@
-"""Figures of errors: by distance from the field's centre, by SNR and the like, and what intervals hold."""
+"""Figures of errors by distance from the field's centre and by SNR, and of coverage."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter, PercentFormatter
 from numpy.typing import ArrayLike, NDArray
 
 from tapetum.errors import InputError
+from tapetum.report.binned import ErrorByDistance
 from tapetum.report.figures._style import (
     INK,
     NOTE,
@@ -23,52 +25,25 @@ from tapetum.report.figures._style import (
     marker,
     new_figure,
 )
-from tapetum.report.rings import ErrorByDistance
+from tapetum.report.looks import look
 
 if TYPE_CHECKING:
-    from tapetum.report.evaluation.binned import Binned
+    from tapetum.report.binned import Binned
     from tapetum.report.evaluation.scores import Group
 
-__all__ = ["Look", "fig_coverage", "fig_error_by", "fig_error_by_distance", "look"]
+__all__ = ["fig_coverage", "fig_error_by", "fig_error_by_distance"]
 
 Array = NDArray[np.float64]
 _WANTED = (0.88, 0.92)
 _BOUND_LINES: tuple[tuple[float, tuple[float, ...]], ...] = ((0, (6, 2)), (0, (1, 1.4)), (0, (6, 2, 1, 2)))
 
 
-class Look(NamedTuple):
-    """How a quantity is written in figures: its name, its unit, and what its SI value is multiplied with."""
-
-    name: str
-    unit: str
-    scale: float = 1.0
-
-    @property
-    def label(self) -> str:
-        """Name with unit."""
-        return f"{self.name}, {self.unit}" if self.unit else self.name
-
-
-_LOOKS = {
-    "gaze_x": Look("gaze x", "fraction of the field"),
-    "gaze_y": Look("gaze y", "fraction of the field"),
-    "object_distance": Look("object distance $x_d$", "m"),
-    "focal_length": Look("focal length $f_t$", "mm", 1e3),
-}
-
-
-def look(quantity: str) -> Look:
-    """Return how a quantity is written; an unknown one by its own name, in its own unit."""
-    return _LOOKS.get(quantity, Look(quantity.replace("_", " "), ""))
-
-
-def _plain_ticks(ax: Axes) -> None:
-    """Write a logarithmic axis' numbers as they are, as many as help."""
-    low, high = ax.get_ylim()
-    several = high / low < 30
-    ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if several else (1,), numticks=12))
-    ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-    ax.yaxis.set_minor_formatter(NullFormatter())
+def _plain_ticks(axis: Axis, limits: tuple[float, float], most: float) -> None:
+    """Label a logarithmic axis with plain numbers, also at 2 and 5 times powers of ten if it spans less than `most`."""
+    several = limits[1] / limits[0] < most
+    axis.set_major_locator(LogLocator(subs=(1, 2, 5) if several else (1,), numticks=12))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_formatter(NullFormatter())
 
 
 def fig_error_by_distance(
@@ -84,17 +59,16 @@ def fig_error_by_distance(
     Parameters
     ----------
     errors
-        For each name its `ErrorByDistance`, all with the same rings.
+        `ErrorByDistance` by name, all with the same rings.
     baseline
-        The name among them that looks at no image: drawn in grey.
+        The name of the guess that looks at no image: drawn in grey.
     bounds
-        For each name of a bound (distance from the centre [M], value [M]), in the measure of the errors: where these
-        are mean absolute errors, a standard deviation times sqrt(2/pi), which is the mean absolute value of a normal
-        error of that deviation.
+        By name (distance from the centre [M], value [M]), in the measure of the errors: for mean absolute errors, a
+        standard deviation times sqrt(2/pi), the mean absolute value of a normal error.
     log
-        Whether the error's axis is logarithmic: a bound far below the errors would lie on the axis of a linear one.
+        Whether the error's axis is logarithmic, for bounds far below the errors.
     measure
-        What the errors are, for the axis.
+        Label of the error's axis.
 
     Raises
     ------
@@ -127,15 +101,15 @@ def fig_error_by_distance(
         ax.plot(x, y, color=INK, linewidth=1.3, linestyle=_BOUND_LINES[k % len(_BOUND_LINES)], label=name)
     dress(ax, y=f"{measure}, fraction of the field")
     if log:
-        _plain_ticks(ax)
+        _plain_ticks(ax.yaxis, ax.get_ylim(), 30)
     else:
         ax.set_ylim(bottom=0)
     ax.tick_params(labelbottom=False)
-    # Matplotlib names lines before bars: here the models come first, then the bounds.
+    # Matplotlib lists lines before error bars; list the models first, then the bounds.
     found = dict(zip(*reversed(ax.get_legend_handles_labels()), strict=True))
     labels = [*errors, *(bounds or {})]
     handles = [found[label] for label in labels]
-    # Above the axes: on a logarithmic one no corner is sure to stay free.
+    # Above the axes, because on a logarithmic one no corner is always free.
     figure.legend(handles, labels, loc="outside upper left", ncols=2, frameon=False, fontsize=NOTE, labelcolor=INK)
     below.bar(first.centre, first.count, width=0.92 * np.diff(first.edges), color="#c3c9d2")
     dress(below, x="true distance of the laser from the centre, fraction of the field", y="frames", grid="y")
@@ -147,7 +121,7 @@ def fig_error_by_distance(
 
 
 def _curve(ax: Axes, x: Array, y: Array, ends: tuple[Array, Array], name: str, order: int, plain: bool) -> None:
-    """Draw a curve with bars; a plain one is the guess that looks at no image."""
+    """Draw a curve with error bars; a plain one is the guess that looks at no image."""
     bars = np.abs(np.stack([y - ends[0], ends[1] - y]))
     ax.errorbar(
         x,
@@ -173,18 +147,9 @@ def fig_error_by(
     log_x: bool = False,
     log_y: bool = False,
 ) -> Figure:
-    """Draw the error against anything else that is known of the frames: SNR, distance, exposure.
+    """Draw `Binned` errors by model name against another quantity, such as SNR; `x` and `y` label the axes with units.
 
-    Parameters
-    ----------
-    errors
-        For each name its `tapetum.report.evaluation.Binned`.
-    x, y
-        Labels of the axes, with units.
-    baseline
-        The name that looks at no image: drawn in grey.
-    log_x, log_y
-        Whether the axes are logarithmic.
+    `baseline` names the guess that looks at no image; it is drawn in grey.
     """
     if not errors:
         raise InputError("no error to draw", where="errors")
@@ -201,29 +166,19 @@ def fig_error_by(
         order += 0 if plain else 1
     dress(ax, x=x, y=y)
     if log_y:
-        _plain_ticks(ax)
+        _plain_ticks(ax.yaxis, ax.get_ylim(), 30)
     else:
         ax.set_ylim(bottom=0)
     if log_x:
-        low, high = ax.get_xlim()
-        ax.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5) if high / low < 200 else (1,), numticks=12))
-        ax.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-        ax.xaxis.set_minor_formatter(NullFormatter())
+        _plain_ticks(ax.xaxis, ax.get_xlim(), 200)
     legend(ax, loc="best")
     return figure
 
 
 def fig_coverage(groups: Mapping[str, Sequence[Group]], quantities: Sequence[str], *, wanted: float = 0.9) -> Figure:
-    """Draw the share of truths inside the intervals, for all frames and for parts of them.
+    """Draw the share of truths inside the intervals for `Group`s under headings ("by recording").
 
-    Parameters
-    ----------
-    groups
-        For each heading ("by recording") its `tapetum.report.evaluation.Group`s.
-    quantities
-        Names of the quantities, in the groups' order.
-    wanted
-        The share the intervals are meant to hold; the band shows 88 ... 92 %.
+    `quantities` are in the groups' order; a line marks the `wanted` share, a band the accepted 88 to 92 %.
     """
     rows = [(heading, one) for heading, found in groups.items() for one in found]
     if not rows or not quantities:

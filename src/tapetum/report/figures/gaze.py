@@ -1,160 +1,36 @@
-"""Figures of gaze: its path over the target's picture, over time, against truth, and where the errors are."""
+"""Figures of gaze over time and against the truth, and of the label error."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
-from matplotlib.collections import LineCollection
-from matplotlib.colors import Normalize
-from matplotlib.figure import Figure, FigureBase
-from matplotlib.lines import Line2D
-from matplotlib.patheffects import Normal, Stroke
+from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from numpy.typing import ArrayLike, NDArray
 
 from tapetum.errors import InputError
 from tapetum.report.figures._style import (
     INK,
-    LABEL,
     NOTE,
     QUIET,
     colour,
+    draw_dots,
     dress,
-    dress_bar,
     gaze_array,
-    grey_picture,
     legend,
     marker,
     new_figure,
-    part_of,
     runs,
-    signed,
 )
-from tapetum.report.figures.retro import draw_rr
 
-__all__ = ["fig_gaze_over_time", "fig_gaze_path", "fig_label_error"]
+__all__ = ["fig_gaze_over_time", "fig_label_error"]
 
 Array = NDArray[np.float64]
 
 
-def fig_gaze_path(
-    picture: ArrayLike,
-    truth: ArrayLike,
-    predicted: ArrayLike,
-    time: ArrayLike,
-    *,
-    name: str = "ResNet-18",
-    rrs: Sequence[ArrayLike] = (),
-    rrs_at: Sequence[int] = (),
-) -> Figure:
-    """Draw the path of the gaze over the target's picture, coloured by time (the paper's Fig. 9 (a)).
-
-    Parameters
-    ----------
-    picture
-        [H, W] a frame of the target's video; it spans the field, -0.5 ... 0.5 in both directions.
-    truth, predicted
-        [N, 2] gaze (x right, y down), fractions of the field.
-    time
-        [N] seconds; the lines break at holes in it.
-    name
-        Of the model that predicted.
-    rrs, rrs_at
-        Some RRs [h, w] to show beside it, and the frame (0 ... N - 1) each belongs to.
-
-    Raises
-    ------
-    InputError
-        When a shape does not fit or a value is not finite.
-    """
-    a = gaze_array(truth, "truth")
-    b = gaze_array(predicted, "predicted", len(a))
-    seconds = np.asarray(time, dtype=np.float64)
-    if seconds.shape != (len(a),) or len(rrs) != len(rrs_at):
-        raise InputError(f"{len(a)} gazes, times {seconds.shape}, {len(rrs)} RRs at {len(rrs_at)} frames", where="path")
-    image = grey_picture(picture, "picture")
-    aspect = image.shape[0] / image.shape[1]
-    figure = new_figure(6.9 + (1.75 if len(rrs) else 0.0), 5.75 * aspect + 0.95)
-    main: FigureBase = figure
-    if len(rrs):
-        parts = np.ravel(figure.subfigures(1, 2, width_ratios=(1.0, 4.0), wspace=0.0, squeeze=False))
-        main = parts[1]
-        _beside(parts[0], rrs, [a[frame] for frame in rrs_at])
-    ax = main.add_subplot()
-    # Washed out, so that the colours of the path stay what the bar says they are.
-    extent = (-0.5, 0.5, 0.5, -0.5)
-    ax.imshow(0.58 + 0.4 * image, cmap="gray", vmin=0, vmax=1, extent=extent, aspect=aspect, interpolation="nearest")
-    ax.axhline(0, color="white", linewidth=0.9, zorder=1.5)
-    ax.axvline(0, color="white", linewidth=0.9, zorder=1.5)
-    colours, scale = part_of("plasma", 0.0, 0.9), Normalize(float(seconds.min()), float(seconds.max()))
-    stretches = runs(seconds)
-    for stretch in stretches:
-        points = a[stretch]
-        if len(points) > 1:
-            segments = np.stack([points[:-1], points[1:]], axis=1)
-            band = LineCollection(list(segments), cmap=colours, norm=scale, linewidths=5.5, capstyle="round", zorder=2)
-            band.set_array(seconds[stretch][1:])
-            band.set_path_effects([Stroke(linewidth=7.5, foreground="white"), Normal()])
-            ax.add_collection(band)
-    # A line from each estimate to its truth shows the error where it is made; joined estimates would hide it.
-    ties = LineCollection(list(np.stack([a, b], axis=1)), colors=INK, linewidths=0.6, alpha=0.35, zorder=3)
-    ax.add_collection(ties)
-    outside = int((np.abs(b) > 0.5).any(axis=1).sum())
-    dots = ax.scatter(*b.T, c=seconds, cmap=colours, norm=scale, s=17, edgecolors=INK, linewidths=0.7, zorder=4)
-    for number, frame in enumerate(rrs_at, start=1):
-        ax.annotate(
-            f"{number}",
-            a[frame],
-            xytext=(9, 9),
-            textcoords="offset points",
-            ha="center",
-            va="center",
-            fontsize=NOTE,
-            color="white",
-            zorder=6,
-            bbox={"boxstyle": "circle,pad=0.22", "facecolor": INK, "edgecolor": "white", "linewidth": 0.9},
-        )
-        ax.plot(*a[frame], "o", markersize=5, color="white", markeredgecolor=INK, zorder=5)
-    dress(ax, x="x, fraction of the field's width", grid=None)
-    ax.set_ylabel("y, fraction of the field's height", fontsize=LABEL, color=INK)
-    ax.set_xlim(-0.5, 0.5)
-    ax.set_ylim(0.5, -0.5)
-    handles = [
-        Line2D(
-            [],
-            [],
-            color=colours(0.45),
-            linewidth=5.5,
-            label="truth: the laser's place in the target's picture",
-        ),
-        Line2D(
-            [],
-            [],
-            color=INK,
-            linewidth=0.7,
-            marker="o",
-            markersize=4.2,
-            markerfacecolor=colours(0.45),
-            label=f"{name}, from the RR alone" + (f" ({outside} outside)" if outside else ""),
-        ),
-    ]
-    figure.legend(handles=handles, loc="outside upper center", ncols=2, frameon=False, fontsize=NOTE, labelcolor=INK)
-    dress_bar(main.colorbar(dots, ax=ax, pad=0.02, fraction=0.04, aspect=26, shrink=0.93), "time, s")
-    return figure
-
-
-def _beside(figure: FigureBase, rrs: Sequence[ArrayLike], gaze: Sequence[Array]) -> None:
-    """Stack RRs, each with the number of its place on the path and its gaze."""
-    axes = np.ravel(figure.subplots(len(rrs), 1, squeeze=False))
-    for number, (ax, image, (x, y)) in enumerate(zip(axes, rrs, gaze, strict=True), start=1):
-        draw_rr(ax, image)
-        ax.set_title(rf"$\bf{{{number}}}$   {signed(x, y)}", fontsize=NOTE, color=INK, pad=3, loc="left")
-
-
 def _running_axis(time: Array, stretches: Sequence[slice]) -> tuple[Array, list[float]]:
-    """Lay the stretches one after another: the running time of each frame, and where the holes are."""
+    """Concatenate the runs: the running time of each frame, and the places of the gaps."""
     running = np.empty_like(time)
     holes: list[float] = []
     start = 0.0
@@ -179,12 +55,10 @@ def fig_gaze_over_time(
 
     Parameters
     ----------
-    time
-        [N] seconds; stretches of several videos are laid one after another.
-    truth
-        [N, 2] gaze, fractions of the field.
+    time, truth
+        [N] seconds, several videos one after another; and [N, 2] gaze, fractions of the field.
     predicted
-        For each model's name [N, 2]; the first is drawn in front, and has the interval.
+        [N, 2] by model name; the first is drawn in front.
     interval
         (lower, upper), each [N, 2]: the first model's.
     limit
@@ -212,15 +86,9 @@ def fig_gaze_over_time(
                 ax.fill_between(running[stretch], *ends, color=colour(0), alpha=0.25, linewidth=0)
             ax.plot(running[stretch], a[stretch, axis], color=INK, linewidth=1.6, zorder=2.5)
         for order, (name, values) in enumerate(models.items()):
-            shown = np.clip(values[:, axis], -0.985 * limit, 0.985 * limit)
-            off = np.abs(values[:, axis]) > limit
-            beyond = int((np.abs(values) > limit).sum())
-            size, depth = (9.0, 4.0) if order == 0 else (7.0, 3.0)
-            look: dict[str, Any] = {"color": colour(order), "s": size, "linewidths": 0, "zorder": depth}
-            large: dict[str, Any] = {**look, "s": 22.0}
             for target, across in ((ax, running), (flat, a[:, axis])):
-                target.scatter(across[~off], shown[~off], marker=marker(order), alpha=0.75, **look)
-                target.scatter(across[off], shown[off], marker="^", **large)
+                draw_dots(target, across, values[:, axis], (-limit, limit), order)
+            beyond = int((np.abs(values) > limit).sum())
             label = name + (f" ({beyond} beyond the axes)" if beyond else "")
             ax.plot([], [], marker(order), color=colour(order), markersize=5, label=label)
         ax.plot([], [], color=INK, linewidth=1.6, label="truth")
@@ -263,14 +131,12 @@ def fig_gaze_over_time(
 
 
 def fig_label_error(found: ArrayLike, true: ArrayLike) -> Figure:
-    """Draw how far the laser spots found lie from the true ones.
+    """Draw the distances of the detected laser spots from the true ones.
 
     Parameters
     ----------
-    found
-        [N, 2] pixels of the target's video; NaN where none was found.
-    true
-        [N, 2] pixels.
+    found, true
+        [N, 2] pixels of the target's video; NaN where no spot was found.
     """
     a, b = np.asarray(found, dtype=np.float64), np.asarray(true, dtype=np.float64)
     if a.shape != b.shape or a.ndim != 2 or a.shape[1] != 2:
@@ -279,7 +145,7 @@ def fig_label_error(found: ArrayLike, true: ArrayLike) -> Figure:
     if not len(error):
         raise InputError("no frame has a label", where="labels")
     distance = np.hypot(*error.T)
-    # The bulk is the message; what lies beyond is counted in the last bin, never dropped.
+    # The axis shows the bulk; larger distances are counted in the last bin.
     reach = max(1.6 * float(np.quantile(distance, 0.98)), 1e-3)
     figure = new_figure(8.4, 3.5)
     left, right = figure.subplots(1, 2, width_ratios=(1.65, 1.0))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapetum.errors import InputError
 from tapetum.report.figures._style import INK, LABEL, NOTE, dress, dress_bar, new_figure, part_of
-from tapetum.report.figures.errors import look
+from tapetum.report.looks import look
 
 if TYPE_CHECKING:
     from tapetum.report.evaluation.scores import ErrorMap
@@ -35,28 +35,11 @@ def fig_error_map(
     y: str = "focal_length",
     bound_name: str = "Cramér–Rao bound",
 ) -> Figure:
-    """Map the mean absolute error over object distance and focal length (the paper's Fig. 12).
+    """Map the mean absolute error over two labels (the paper's Fig. 12): a row for each quantity, a column a model.
 
-    A row for each quantity, a column for each model; within a row all models and the bound have one scale of colour.
-
-    Parameters
-    ----------
-    maps
-        For each model, for each quantity its `tapetum.report.evaluation.ErrorMap`, all over the same labels.
-    bounds
-        For each quantity the least possible error [Y, X] in SI units, in the measure of the errors (see
-        `fig_error_by_distance`): a column of its own.
-    ratio
-        Whether the first model's error over the bound gets a column as well.
-    x, y
-        The labels the maps lie over.
-    bound_name
-        Above the bound's column.
-
-    Raises
-    ------
-    InputError
-        When there is none, a quantity is missing, or shapes differ.
+    `maps` are by model and quantity, all over the same labels; each row has one colour scale. `bounds` adds a
+    column, [Y, X] by quantity in SI units and in the measure of the errors (see `fig_error_by_distance`); `ratio` adds
+    another, the first model's error over the bound.
     """
     if not maps or not next(iter(maps.values())):
         raise InputError("no map to draw", where="maps")
@@ -82,7 +65,7 @@ def fig_error_map(
             panels[bound_name] = limits[quantity] * unit.scale
         known = np.concatenate([values[np.isfinite(values)] for values in panels.values()])
         top, least = float(known.max(initial=1e-12)), float(known[known > 0].min(initial=np.inf))
-        # Where a bound lies decades below the errors, only a logarithmic scale shows both.
+        # A bound may lie decades below the errors: use a logarithmic scale.
         scale = LogNorm(least, top * 1.0001) if least < top / 50 else Normalize(0.0, top)
         drawn = None
         for column, (name, values) in enumerate(panels.items()):
@@ -119,7 +102,7 @@ def _ratio_panel(figure: Figure, ax: Axes, errors: ErrorMap, bound: Array, label
 def _cells(
     ax: Axes, errors: ErrorMap, values: Array, scale: Normalize, x: str, y: str, *, first_column: bool
 ) -> QuadMesh:
-    """Draw one map as cells with their numbers in them; a label's values stand at equal steps."""
+    """Draw one map as cells with their numbers; a label's values are equally spaced."""
     cmap = part_of("YlOrBr", 0.04, 0.93)
     shown = np.ma.masked_invalid(np.maximum(values, scale.vmin or 0.0) if isinstance(scale, LogNorm) else values)
     drawn = ax.pcolormesh(shown, cmap=cmap, norm=scale, edgecolors="white", linewidth=1.2)

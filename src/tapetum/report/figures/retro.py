@@ -31,13 +31,7 @@ STRETCHES = ("sqrt", "linear", "log")
 
 
 def stretched(image: ArrayLike, peak: float | None = None, stretch: str = "sqrt") -> NDArray[np.float64]:
-    """Return an image as 0..1 of `peak` (its own when None): square root, linear, or four decades of log.
-
-    Raises
-    ------
-    InputError
-        When it is not [H, W] or not finite, or the stretch is unknown.
-    """
+    """Return an image as 0..1 of `peak` (its own when None): square root, linear, or four decades of log."""
     one_of(stretch, STRETCHES, "stretch")
     values = np.asarray(image, dtype=np.float64)
     if values.ndim != 2 or values.size == 0 or not np.isfinite(values).all():
@@ -58,10 +52,11 @@ def draw_rr(
     peak: float | None = None,
     stretch: str = "sqrt",
     extent: tuple[float, float, float, float] | None = None,
+    interpolation: str = "nearest",
 ) -> None:
     """Draw one RR without ticks, on its own peak unless `peak` says otherwise."""
     values = stretched(image, peak, stretch)
-    ax.imshow(values, cmap=CMAP, vmin=0, vmax=1, extent=extent, interpolation="nearest")
+    ax.imshow(values, cmap=CMAP, vmin=0, vmax=1, extent=extent, interpolation=interpolation)
     ax.set_xticks([])
     ax.set_yticks([])
     for spine in ax.spines.values():
@@ -90,18 +85,14 @@ def fig_grid(
         [R, C, H, W] irradiance, any unit.
     row_labels, col_labels
         R and C labels.
-    extent
-        Width, or (width, height), of an image in `unit`: draws a scale bar.
-    unit
-        Of the extent.
-    row_title, col_title
-        What changes along rows and columns.
+    extent, unit
+        Width, or (width, height), of an image in that unit: draws a scale bar.
+    row_title, col_title, title
+        What changes along rows and columns, and the title of the figure.
     stretch
         "sqrt" (shows rings), "linear" or "log" (four decades).
     shared_peak
-        One scale for all images; else each on its own peak, as the paper's "tone mappings" are.
-    title
-        Above the whole.
+        One scale for all images; else each has its own peak, as the paper's "tone mappings" do.
 
     Raises
     ------
@@ -165,24 +156,27 @@ def fig_grid(
     return figure
 
 
+def round_length(most: float) -> float:
+    """Return the largest of 1, 2 and 5 times a power of ten that is at most `length`."""
+    decade = 10.0 ** np.floor(np.log10(most))
+    return max(step * decade for step in (1, 2, 5) if step * decade <= most)
+
+
 def _scale_bar(ax: Axes, extent: float, width: int, height: int, unit: str) -> None:
     """Draw a bar of a round length, at most 40 % of the image's width."""
-    decade = 10.0 ** np.floor(np.log10(0.4 * extent))
-    length = max(step * decade for step in (1, 2, 5) if step * decade <= 0.4 * extent)
+    length = round_length(0.4 * extent)
     pixels, left, low = length / extent * width, 0.06 * width, 0.93 * height
     ax.plot([left, left + pixels], [low, low], color="white", linewidth=2.2, solid_capstyle="butt")
     ax.text(left, low - 0.03 * height, f"{length:g} {unit}", color="white", fontsize=TICK, va="bottom")
 
 
 def fig_samples(images: ArrayLike, gaze: ArrayLike, *, columns: int = 6, stretch: str = "sqrt") -> Figure:
-    """Draw sample RRs, each on its own peak, with the gaze it belongs to in a small map of the field.
+    """Draw sample RRs, each scaled to its own peak, with its gaze in a small map of the field.
 
     Parameters
     ----------
-    images
-        [N, H, W] counts or irradiance.
-    gaze
-        [N, 2] fractions of the field.
+    images, gaze
+        [N, H, W] counts or irradiance, and [N, 2] fractions of the field.
     columns
         Images a row.
     stretch
@@ -207,7 +201,7 @@ def fig_samples(images: ArrayLike, gaze: ArrayLike, *, columns: int = 6, stretch
 
 
 def _field_map(ax: Axes, x: float, y: float) -> None:
-    """Draw the field as a small frame in the corner, with a dot where the laser stands in it."""
+    """Draw the field as a small frame in the corner, with a dot at the gaze."""
     width, height, left, low = 0.25, 0.19, 0.71, 0.04
     where = ax.transAxes
     ax.add_patch(

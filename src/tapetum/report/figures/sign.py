@@ -1,4 +1,4 @@
-"""What the sign of the gaze rests on: how well +gaze and -gaze can be distinguished, and how often models do so."""
+"""Figures of the sign of the gaze: its discriminability, and the models' shares of correct signs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["SignRate", "fig_sign_map", "fig_sign_rates"]
 
 @dataclass(frozen=True)
 class SignRate:
-    """How often a model got the sign of the gaze right.
+    """Share of frames in which a model got the sign of the gaze right.
 
     Parameters
     ----------
@@ -31,7 +31,7 @@ class SignRate:
     second_beam
         Whether the probe had its second beam, in training and in test.
     right, counted
-        ((x, y) frames with the right sign, (x, y) frames whose sign counts); see `metrics.sign_right`.
+        (x, y) frames with the right sign, and (x, y) frames that count; see `metrics.sign_right`.
     """
 
     model: str
@@ -48,10 +48,10 @@ def _map(values: ArrayLike, name: str, shape: tuple[int, int]) -> NDArray[np.flo
 
 
 def fig_sign_map(x: ArrayLike, y: ArrayLike, with_beam: ArrayLike, without_beam: ArrayLike) -> Figure:
-    """Map d′, how well an ideal observer of one frame tells a gaze from its opposite.
+    """Map d′, the discriminability of a gaze and its opposite for an ideal observer of one frame.
 
-    d′ is the distance of the two hypotheses' means in standard deviations; told from one frame with equal
-    odds, the sign is right with probability Φ(d′/2).
+    d′ is the distance of the two hypotheses' means in standard deviations; at equal odds the sign is right with
+    probability Φ(d′/2).
 
     Parameters
     ----------
@@ -70,9 +70,9 @@ def fig_sign_map(x: ArrayLike, y: ArrayLike, with_beam: ArrayLike, without_beam:
     }
     together = np.concatenate([m[m > 0].ravel() for m in maps.values()])
     high = float(together.max()) if together.size else 1.0
-    # Near the axis both hypotheses are one and d' falls to nothing: three decades say all that matters.
+    # Near the axis both hypotheses coincide and d' falls to 0; show three decades.
     low = float(together.min()) if together.size else 1e-3
-    # Within a decade a logarithm would only spoil the ticks.
+    # Within a decade, a linear scale has better ticks.
     scale = (
         Normalize(0.0, max(high, 1e-12))
         if low > high / 10
@@ -121,9 +121,9 @@ def fig_sign_map(x: ArrayLike, y: ArrayLike, with_beam: ArrayLike, without_beam:
 
 
 def fig_sign_rates(rates: Sequence[SignRate]) -> Figure:
-    """Draw how often each model got the sign right, with and without the second beam, both axes.
+    """Draw each model's share of correct signs, with and without the second beam, both axes.
 
-    Bars are 95 % Wilson intervals that take frames for independent; the true ones are wider.
+    Bars are 95 % Wilson intervals that treat frames as independent; the true ones are wider.
     """
     if not rates:
         raise InputError("no rate to draw", where="rates")

@@ -1,4 +1,4 @@
-"""Figures of tracking: where the RRs went in the probe's picture, and how clearly they stood out."""
+"""Figures of tracking: paths of the RRs in the probe's frames, and their SNR."""
 
 from __future__ import annotations
 
@@ -30,16 +30,10 @@ def fig_tracks(
     ----------
     frame
         [H, W] one probe frame.
-    track
-        [N] the track each row belongs to.
-    x, y
-        [N] place in the probe's picture, pixels.
-    time
-        [N] seconds.
-    snr
-        [N] signal-to-noise ratio; NaN where the tracker coasted without a detection.
+    track, x, y, time, snr
+        [N] a row each: track, place (pixels), seconds, signal-to-noise ratio (NaN while coasting).
     longest
-        Tracks drawn; the others are counted.
+        Number of tracks drawn; the others are counted.
 
     Raises
     ------
@@ -51,7 +45,7 @@ def fig_tracks(
     if ids.ndim != 1 or not len(ids) or any(column.shape != ids.shape for column in columns):
         raise InputError(f"expected columns of one length, got {[c.shape for c in (ids, *columns)]}", where="tracks")
     px, py, seconds, clear = columns
-    # The square root of what stands above the background: its level would fill the picture with grey.
+    # Take the square root above the background, whose level would turn the whole picture grey.
     values = np.asarray(frame, dtype=np.float64)
     image = stretched(np.clip(values - np.median(values), 0, None))
     figure = new_figure(10.0, 3.7)
