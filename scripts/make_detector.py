@@ -2,10 +2,10 @@
 
     python scripts/make_detector.py FOLDER
 
-The folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, `dark` (file names), `points` and `unsure`
-(x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are near copies:
-scenes weigh the same, and what is printed is cross-validated by scene. Each dark frame is also shaken, as by a hand:
-turned, shifted and bent at random.
+The folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, `dark` (file names), `points` and
+`unsure` (x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are
+near copies: scenes weigh the same, and what is printed is cross-validated by scene. Each dark frame is also shaken, as
+by a hand: turned, shifted and bent at random.
 """
 
 from __future__ import annotations

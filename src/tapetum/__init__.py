@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from tapetum.bench import Scene, load_scene
     from tapetum.data import build_dataset, open_dataset
+    from tapetum.detection import find_cameras
     from tapetum.errors import InputError
     from tapetum.models import ResNet18, ZernikeRidge, load_model, pretrained, save_model
     from tapetum.record import Session, film, label_recording, open_frames, open_recording
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 _HOME = {
     "bench": ("Scene", "load_scene"),
     "data": ("build_dataset", "open_dataset"),
+    "detection": ("find_cameras",),
     "errors": ("InputError",),
     "models": ("ResNet18", "ZernikeRidge", "load_model", "pretrained", "save_model"),
     "record": ("Session", "film", "label_recording", "open_frames", "open_recording"),
@@ -40,6 +42,7 @@ __all__ = [
     "detect",
     "expose",
     "film",
+    "find_cameras",
     "fisher",
     "label_recording",
     "link_budget",

@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 from tapetum.cli.dataset import build, info, synth
 from tapetum.cli.dataset_import import import_data
 from tapetum.cli.demo import demo
+from tapetum.cli.detect import detect
 from tapetum.cli.evaluate import evaluate
 from tapetum.cli.export import export
 from tapetum.cli.fuse import fuse
@@ -56,6 +57,11 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
     "train": (train, "Fit a model to a dataset.", "hand.zarr --kind zernike --label gaze -o my-model"),
     "evaluate": (evaluate, "A model's errors on a dataset.", "my-model hand.zarr -o report"),
     "export": (export, "A trained network as one ONNX file.", "thin-lens-gaze -o gaze.onnx"),
+    "detect": (
+        detect,
+        "Find cameras in a photograph, or in a lit and a dark one.",
+        "lit.png --dark dark.png -o found.csv",
+    ),
     "track": (track, "Find, follow and read retro-reflections.", "hand.rec --model my-model -o tracks.csv"),
     "fuse": (
         fuse,

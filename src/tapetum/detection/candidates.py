@@ -133,9 +133,7 @@ def _search(
     if not len(y):
         return None
     lit_answers = of_lit or answers
-    return Octave(
-        step, x, y, highest[y, x], size[y, x], difference, lit, dark, answers, lit_answers, of_dark
-    )
+    return Octave(step, x, y, highest[y, x], size[y, x], difference, lit, dark, answers, lit_answers, of_dark)
 
 
 def _spread(answer: Array) -> Array:

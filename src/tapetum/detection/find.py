@@ -25,7 +25,8 @@ _OUTLIER = OF_A_FRAME.index("outlier")
 _SATURATED = OF_A_FRAME.index("saturated")
 _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
-_SWAPPED = 4.0
+# Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
+_LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
 
 Array = NDArray[np.float64]
 
@@ -65,8 +66,7 @@ def find_cameras(
     Raises
     ------
     InputError
-        When a frame is no picture, the two differ in size or show different scenes, or an option is out of range;
-        also when the two look swapped, for what is brighter in the dark frame then scores far higher.
+        When a frame is no picture, the two differ in size or show different scenes, or an option is out of range.
 
     Examples
     --------
@@ -90,12 +90,11 @@ def find_cameras(
     score = load_score(pair=second is not None)
     found, measured = candidates_with_looks(first, second, largest=largest, most=most)
     log_odds = score.log_odds(measured)
-    if second is not None and not (log_odds > 0).any():
-        turned = score.log_odds(candidates_with_looks(second, first, largest=largest, most=most)[1])
-        if (turned > _SWAPPED).any():
-            what = "the glints are in the dark frame: the two look swapped"
-            raise InputError(what, where="lit, dark", remedy="give them the other way round")
     alarms = score.false_alarms(log_odds)
+    swapped = False
+    if second is not None and not (alarms < _LIKELY_NONE).any():
+        turned = score.log_odds(candidates_with_looks(second, first, largest=largest, most=most)[1])
+        swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
     probability = 1 / (1 + np.exp(-np.clip(log_odds, -500, 500)))
@@ -110,6 +109,7 @@ def find_cameras(
         elongation=np.exp(measured[order, _ELONGATION]),
         peak=found["peak"][order],
         saturated=measured[order, _SATURATED] > 0,
+        swapped=swapped,
     )
 
 
@@ -159,12 +159,28 @@ def _measured(octave: Octave) -> Array:
     rim = np.median(patch[:, radius > half - 1.5], axis=1)
     spot = np.maximum(patch - rim[:, None, None], 0) * (radius[None] <= (2 * sigma + 1)[:, None, None])
     light = np.maximum(spot.sum((1, 2)), 1e-9)
-    x, y = ((spot * axis).sum((1, 2)) / light for axis in (columns, rows))
+    x, y = _centroid(np.maximum(patch - rim[:, None, None], 0), sigma, columns, rows)
     step = octave.step
     peak = patches(octave.lit, octave.x, octave.y, 1).max((1, 2))
     places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((octave.x, x), (octave.y, y)))
     # The filter of width s answers a Gaussian of sigma s most.
     return np.stack([*places, octave.height, light * step**2, 4 * sigma * step, peak], 1)
+
+
+def _centroid(spot: Array, sigma: Array, columns: Array, rows: Array) -> tuple[Array, Array]:
+    """Centroid [N] of spots [N, h, w] through a Gaussian window of their own width, which follows it.
+
+    Of a Gaussian the window shows half the way to its centre: so each step goes twice as far (as in SExtractor's
+    windowed positions). What lies farther out, an edge that registration left, hardly counts.
+    """
+    x, y = np.zeros(len(spot)), np.zeros(len(spot))
+    wide = 2 * sigma[:, None, None] ** 2
+    for _ in range(4):
+        window = spot * np.exp(-((columns - x[:, None, None]) ** 2 + (rows - y[:, None, None]) ** 2) / wide)
+        light = np.maximum(window.sum((1, 2)), 1e-9)
+        x = np.clip(x + 2 * ((window * columns).sum((1, 2)) / light - x), -3, 3)
+        y = np.clip(y + 2 * ((window * rows).sum((1, 2)) / light - y), -3, 3)
+    return x, y
 
 
 def _one_a_place(table: Array) -> NDArray[np.int64]:
@@ -189,7 +205,8 @@ def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray[np.
         what = f"{array.shape[1]} x {array.shape[0]} pixels are more than can be searched at once"
         raise InputError(what, where=where, remedy=f"cut it into parts of at most {LARGEST_FRAME // 10**6} megapixels")
     if array.dtype.kind not in "uif":
-        raise InputError(f"pixels of type {array.dtype} are no levels", where=where, remedy="give uint8, uint16 or float")
+        what = f"pixels of type {array.dtype} are no levels"
+        raise InputError(what, where=where, remedy="give uint8, uint16 or float")
     if array.ndim == 3:
         array = array.mean(2, dtype=np.float32) if channel == "mean" else array[..., CHANNELS.index(channel) - 1]
     scale = 1.0 if array.dtype.kind == "f" or np.asarray(image).dtype == np.uint8 else _FULL / np.iinfo(image.dtype).max

@@ -37,6 +37,8 @@ class Found:
         Highest level of the lit frame within a pixel of the place.
     saturated
         Whether that is full scale: the true flux is then larger.
+    swapped
+        Whether what is bright in the dark frame alone looks far more like cameras: the two may be swapped.
     """
 
     x: Array
@@ -49,19 +51,20 @@ class Found:
     elongation: Array
     peak: Array
     saturated: NDArray[np.bool_]
+    swapped: bool = False
 
     def __len__(self) -> int:
         return len(self.x)
 
     def __getitem__(self, chosen: slice | NDArray[np.generic]) -> Found:
         """The candidates that a slice, mask or array of numbers picks."""
-        return Found(*(getattr(self, field.name)[chosen] for field in fields(self)))
+        return Found(**{name: getattr(self, name)[chosen] for name in self.columns()}, swapped=self.swapped)
 
     @classmethod
-    def empty(cls) -> Found:
-        """A table without candidates."""
-        return cls(*(np.empty(0, bool if field.name == "saturated" else float) for field in fields(cls)))
+    def columns(cls) -> tuple[str, ...]:
+        """Names of the columns."""
+        return tuple(field.name for field in fields(cls) if field.name != "swapped")
 
     def to_table(self) -> pa.Table:
         """As an Arrow table, a row a candidate."""
-        return pa.table({field.name: pa.array(getattr(self, field.name)) for field in fields(self)})
+        return pa.table({name: pa.array(getattr(self, name)) for name in self.columns()})

@@ -15,12 +15,23 @@ __all__ = ["OF_A_FRAME", "OF_A_PAIR", "looks", "shape"]
 
 Array = NDArray[np.float64]
 
-OF_A_FRAME = ("height", "outlier", "contrast", "isolation", "alone", "elongation", "fill", "inside", "size", "saturated")
+OF_A_FRAME = (
+    "height",
+    "outlier",
+    "contrast",
+    "isolation",
+    "alone",
+    "elongation",
+    "fill",
+    "inside",
+    "size",
+    "saturated",
+)
 """Of every candidate, in this order.
 
 height: over the spread of the surroundings; outlier: that beside the other candidates of the frame; contrast: over the
-local brightness; isolation and alone: beside what the same filter finds within 12 and 20 pixels; elongation and fill: of
-the pixels over 40 % of its peak; inside: 0 at the frame's edge; size; saturated: 1 where a pixel is at full scale.
+local brightness; isolation and alone: beside what the same filter finds within 12 and 20 pixels; elongation and fill:
+of the pixels over 40 % of its peak; inside: 0 at the frame's edge; size; saturated: 1 where a pixel is at full scale.
 """
 OF_A_PAIR = ("vanishes", "fresh", "motion")
 """Besides, where there is a dark frame.
@@ -93,7 +104,7 @@ def looks(octave: Octave, local: NDArray[np.float32], full_scale: float, flow: N
 
 
 def shape(octave: Octave, sigma: Array) -> tuple[Array, Array]:
-    """Elongation (log of the ratio of the axes) and fill (log of area over that of an ellipse) of each candidate, [N]."""
+    """Elongation (log of the axes' ratio) and fill (log of area over an ellipse's) of each candidate, [N]."""
     x, y = octave.x, octave.y
     smooth = ndimage.gaussian_filter(octave.difference, 0.6)
     patch = patches(smooth, x, y, _SHAPE)

@@ -1,8 +1,8 @@
 """The dark frame, brought onto the lit one: where each pixel went, and what its brightness became.
 
-A probe in the hand moves between two exposures: everything shifts by tens of pixels, near things more than far ones, and
-people walk. A common shift comes first (phase correlation), then a dense optical flow (DIS: Kroeger et al., ECCV 2016),
-smoothed so that it cannot follow a spot a few pixels wide: a retro-reflection has no partner in the dark frame.
+A probe in the hand moves between two exposures: everything shifts by tens of pixels, near things more than far ones,
+and people walk. A common shift comes first (phase correlation), then a dense optical flow (DIS: Kroeger et al., ECCV
+2016), smoothed so that it cannot follow a spot a few pixels wide: a retro-reflection has no partner in the dark frame.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ Array = NDArray[np.float32]
 _FLOW_SIDE = 1024
 _SHIFT_SIDE = 512
 # The details of two frames of one scene correlate by 0.6 to 0.99 after registration, in heavy noise by 0.46; those of
-# unrelated frames by 0.2 to 0.41, for the flow bends anything a little. It then is rough: a tenth of the gradients exceeds 0.47
-# pixels a pixel, and 0.41 in those of one scene.
+# unrelated frames by 0.2 to 0.45, for the flow bends anything a little. It then is rough: a tenth of its gradients
+# exceeds 0.47 pixels a pixel, in frames of one scene that correlate as little 0.41.
 _SAME_SCENE = 0.5
 _ROUGH = 0.45
 # Radius, in pixels, over which gain and offset of the two exposures are matched.

@@ -1,7 +1,8 @@
 """How likely a candidate is a camera: a weighted sum of its looks, and how many false alarms a score costs.
 
-The weights are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of real cat-eyes
-outdoors and on the same frames shaken as in the hand; weights.json says on which, and what cross-validation by scene found.
+The weights are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of real
+cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what cross-validation by
+scene found.
 """
 
 from __future__ import annotations

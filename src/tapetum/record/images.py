@@ -83,12 +83,12 @@ def to_grey(image: np.ndarray) -> np.ndarray:
     return cv2.cvtColor(image, code)
 
 
-def read_image(path: str | os.PathLike[str], page: int = 0) -> tuple[np.ndarray, int]:
+def read_image(path: str | os.PathLike[str], page: int = 0, *, colour: bool = False) -> tuple[np.ndarray, int]:
     """Return an image file as grey [H, W], uint8 or uint16, and its digital number of saturation.
 
-    `page` chooses an image of a TIFF, from 0. Colour becomes luma; orientation tags are ignored. Saturation is the
-    maximum in a PGM's header, else 255 or 65535. Raises an InputError when the file is unreadable, truncated, damaged,
-    or not 8 or 16 bit.
+    `page` chooses an image of a TIFF, from 0. Colour becomes luma, or with `colour` [H, W, 3] red, green, blue;
+    orientation tags are ignored. Saturation is the maximum in a PGM's header, else 255 or 65535. Raises an InputError
+    when the file is unreadable, truncated, damaged, or not 8 or 16 bit.
     """
     file = Path(path)
     try:
@@ -113,7 +113,9 @@ def read_image(path: str | os.PathLike[str], page: int = 0) -> tuple[np.ndarray,
         raise InputError(f"holds {image.dtype} samples", where=file, remedy="save it with 8 or 16 bit")
     stated = pnm_maximum(data)
     # OpenCV scales 1-bit and palette images to the whole byte.
-    return to_grey(image), stated if stated else full_scale_of(image.dtype)
+    rgb = colour and image.ndim == 3 and image.shape[2] > 2
+    kept = cv2.cvtColor(image[..., :3], cv2.COLOR_BGR2RGB) if rgb else to_grey(image)
+    return kept, stated if stated else full_scale_of(image.dtype)
 
 
 def count_pages(file: Path) -> int:

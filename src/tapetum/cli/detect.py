@@ -1,0 +1,63 @@
+"""`tapetum detect`: cameras in a photograph, or in a lit and a dark one."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tapetum.cli.inputs import check_output
+from tapetum.cli.options import AsJson, Force, option
+from tapetum.errors import InputError
+
+__all__ = ["detect"]
+
+
+def detect(
+    lit: Annotated[Path, typer.Argument(metavar="LIT", help="A picture taken with the probe's light on.")],
+    out: Annotated[Path, option("FILE", "The table to write: .parquet, .csv or .jsonl.", "-o", "--out")],
+    dark: Annotated[Path | None, option("DARK", "The same with the light off; both may be hand-held.")] = None,
+    false_alarms: Annotated[
+        float, option("RATE", "Expected false alarms a frame: what scores lower is left out.", min=1e-6)
+    ] = 0.01,
+    largest: Annotated[float, option("PX", "Largest diameter of a spot.", min=1.0)] = 60.0,
+    channel: Annotated[str, option("NAME", "Of a colour picture: mean, red, green or blue.")] = "mean",
+    picture: Annotated[Path | None, option("OUT.png", "Draw what was found into the lit picture.")] = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Find cameras, and other optics that look at the probe; the likeliest comes first.
+
+    With --dark the two pictures are registered to each other, so that only what the light adds is looked at. One
+    picture alone finds much less: windows, lamps and edges shine too.
+    """
+    if picture is not None and picture.suffix.lower() != ".png":
+        raise InputError("cannot be drawn in this format", where=picture, remedy="name it NAME.png")
+    for path in (out, picture):
+        check_output(path, force)
+    from tapetum.detection import find_cameras
+    from tapetum.record.images import read_image
+    from tapetum.track.tables import checked_suffix, table_writer
+
+    checked_suffix(out)
+    first = read_image(lit, colour=True)[0]
+    second = None if dark is None else read_image(dark, colour=True)[0]
+    found = find_cameras(first, second, false_alarms=false_alarms, largest=largest, channel=channel)
+    table = found.to_table()
+    with table_writer(out, table.schema) as writer:
+        for row in table.to_pylist():
+            writer.write(row)
+    if picture is not None:
+        from tapetum.detection.draw import draw_found
+
+        draw_found(first, found, picture)
+    if found.swapped:
+        typer.echo("note: what is bright in DARK alone looks more like a camera: are the two swapped?", err=True)
+    if as_json:
+        typer.echo(json.dumps({"out": str(out), "found": table.to_pylist()}))
+        return
+    typer.echo(f"{out}: {len(found)} found at {false_alarms:g} expected false alarms a frame")
+    for row in table.slice(0, 5).to_pylist():
+        typer.echo(f"  x {row['x']:.1f}, y {row['y']:.1f}: probability {row['probability']:.2f}, snr {row['snr']:.0f}")
