@@ -126,7 +126,7 @@ def test_registration_follows_a_hand() -> None:
     ids=["other scene", "other size", "nan", "tiny", "channels", "complex", "huge"],
 )
 def test_what_cannot_be_used_is_refused(lit: np.ndarray, dark: np.ndarray | None, told: str) -> None:
-    with pytest.raises(InputError, match=re.escape(told))::
+    with pytest.raises(InputError, match=re.escape(told)):
         tp.find_cameras(lit, dark)
 
 
