@@ -17,7 +17,7 @@ from scipy.optimize import brentq
 
 from tapetum.bench import Illumination, Probe, Scene, Target, ThinLens
 from tapetum.errors import InputError
-from tapetum.simulate.ael import PUPIL, ael, c3, c4, c6, c7, mpe, t2
+from tapetum.simulate.eye_limits import PUPIL, ael, c3, c4, c6, c7, mpe, t2
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, Beam, beam_of, eye_safety, irradiance_at
 
 Validated = Callable[..., None]

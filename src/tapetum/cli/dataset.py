@@ -8,8 +8,8 @@ from typing import Annotated, Any
 
 import typer
 
-from tapetum.cli.inputs import check_output
 from tapetum.cli.options import AsJson, Cluster, Force, Processes, Seed, SetOut, SetPath, film_count, option
+from tapetum.cli.outputs import check_output
 from tapetum.defaults import SEED
 from tapetum.errors import InputError, StoppedError, one_of
 from tapetum.progress import bar

@@ -11,8 +11,8 @@ import typer
 
 from tapetum.cli.dataset import say_split
 from tapetum.cli.dataset_info import left_out
-from tapetum.cli.inputs import check_output
 from tapetum.cli.options import Force, SetOut, option
+from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.progress import bar

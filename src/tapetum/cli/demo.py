@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import filling
 from tapetum.cli.options import Device, Force, Seed
+from tapetum.cli.outputs import filling
 from tapetum.defaults import SEED
 from tapetum.progress import bar
 

@@ -9,8 +9,9 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import check_output, find_model
+from tapetum.cli.models import find_model
 from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, option
+from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 from tapetum.progress import bar
 

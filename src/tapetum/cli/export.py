@@ -7,8 +7,9 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import check_output, find_model
+from tapetum.cli.models import find_model
 from tapetum.cli.options import Force, ModelName, option
+from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 
 

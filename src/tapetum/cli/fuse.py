@@ -9,8 +9,8 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import check_output
 from tapetum.cli.options import WAYS, AsJson, Force, Smooth, Systematic, TracksOut, option
+from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError, one_of
 
 

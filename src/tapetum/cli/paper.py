@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tapetum.cli.inputs import filling, find_model
+from tapetum.cli.models import find_model
 from tapetum.cli.options import AsJson, Cluster, Device, Force, Models, Processes, film_count, option
+from tapetum.cli.outputs import filling
 from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tapetum.bench import load_scene, scene_names
-from tapetum.cli.inputs import check_output, says_what_is_kept
 from tapetum.cli.options import Changes, Force, SeedIfGiven, option
+from tapetum.cli.outputs import check_output, says_what_is_kept
 from tapetum.defaults import SEED
 from tapetum.errors import InputError
 from tapetum.progress import bar

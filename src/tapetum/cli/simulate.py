@@ -15,8 +15,8 @@ import numpy as np
 import typer
 
 from tapetum.bench import Scene, field_path, load_scene, with_values
-from tapetum.cli.inputs import check_output
 from tapetum.cli.options import AsJson, Changes, Device, Force, SceneName, option
+from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 
 if TYPE_CHECKING:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tapetum.cli.inputs import check_output, find_model, says_what_is_kept
+from tapetum.cli.models import find_model
 from tapetum.cli.options import WAYS, AsJson, Device, Force, Models, Smooth, Systematic, TracksOut, option
+from tapetum.cli.outputs import check_output, says_what_is_kept
 from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tapetum.cli.inputs import check_output
 from tapetum.cli.options import Device, Force, Processes, SeedIfGiven, SetPath, count_of, option
+from tapetum.cli.outputs import check_output
 from tapetum.defaults import SEED
 from tapetum.durable import sole_writer
 from tapetum.errors import InputError, StoppedError, one_of

@@ -8,7 +8,7 @@ from typing import Literal
 
 from tapetum.bench import Scene
 from tapetum.errors import InputError, one_of
-from tapetum.simulate.ael import PUPIL, checked_angle, nanometres
+from tapetum.simulate.eye_limits import PUPIL, checked_angle, nanometres
 from tapetum.simulate.radiometry import beam_radius
 
 __all__ = ["NEAREST", "PUPIL_AREA", "Beam", "beam_of", "irradiance_at"]

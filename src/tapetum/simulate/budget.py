@@ -292,7 +292,7 @@ def link_budget(scene: Scene | str | os.PathLike[str], wavelength: float | None 
         laser_watts=watts,
         beam_radius=lit,
         field_angle=2 * math.atan(lit / scene.distance),
-        rayleigh_range=math.pi * lit**2 / wavelength if light.mode == "collimated" else None,
+        rayleigh_range=math.pi * lit**2 / wavelength if not light.wave.spherical else None,
         irradiance_at_target=irradiance,
         accepted_watts=accepted,
         reflected_watts=reflected,
@@ -352,7 +352,7 @@ def _returned(
 def _notes(scene: Scene, lit: float, wavelength: float, radius: float) -> tuple[str, ...]:
     light, sensor, probe = scene.illumination, scene.target.sensor, scene.probe.sensor
     diffuse = any(plane.diffuse is not None for plane in (sensor, *sensor.layers))
-    thinned = light.mode == "collimated" and scene.distance > math.pi * lit**2 / wavelength
+    thinned = not light.wave.spherical and scene.distance > math.pi * lit**2 / wavelength
     larger = radius > min(probe.pixels) * probe.pitch / 2
     notes = (
         (light.second_beam is not None, "the second beam is not counted"),

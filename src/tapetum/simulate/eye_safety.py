@@ -1,7 +1,8 @@
 """Is the illumination safe to look into? An aid to planning after IEC 60825-1:2014; never a certificate.
 
 Only continuous light of 400 to 1400 nm is handled. Unknown quantities take their worst case: the source is a point,
-light only spreads, air and optics lose nothing. The limits are in [`tapetum.simulate.ael`][tapetum.simulate.ael].
+light only spreads, air and optics lose nothing. The limits are in
+[`tapetum.simulate.eye_limits`][tapetum.simulate.eye_limits].
 """
 
 # SciPy types its root finders in part only.
@@ -18,8 +19,8 @@ import numpy as np
 from scipy.optimize import brentq
 
 from tapetum.errors import InputError
-from tapetum.simulate.ael import PUPIL, SMALL_SOURCE, ael, checked_exposure, mpe, nanometres, visible
 from tapetum.simulate.beam import NEAREST, PUPIL_AREA, Beam, beam_of, irradiance_at
+from tapetum.simulate.eye_limits import PUPIL, SMALL_SOURCE, ael, checked_exposure, mpe, nanometres, visible
 
 __all__ = ["NOT_A_CERTIFICATE", "AtDistance", "Beam", "EyeSafety", "beam_of", "eye_safety", "irradiance_at"]
 

@@ -88,10 +88,10 @@ def _refusal(scene: Scene, name: str) -> tuple[str, str] | None:
         return "how scattered light changes with it is not differentiated", "leave diffuse out of the scene"
     if name != "distance":
         return None
-    if light.mode == "diverging" and beam_radius(scene) < target.lens.aperture_radius:
+    if light.wave.spreads and beam_radius(scene) < target.lens.aperture_radius:
         why = "the beam does not fill the target, and how its edge moves with the distance is not differentiated"
         return why, "widen illumination.divergence"
-    if sensor.mask is not None and light.mode != "collimated" and light.vergence is None:
+    if sensor.mask is not None and light.follows_distance:
         why = "how light off a mask changes with the distance of its source is not differentiated"
         return why, "give illumination.vergence"
     return None

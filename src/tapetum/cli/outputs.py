@@ -1,19 +1,15 @@
-"""Checks and look-ups shared by several commands: existing outputs, and models by name."""
+"""What may stand at an output's name, and what interrupted work leaves there: one rule for all commands."""
 
 from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from tapetum.errors import InputError, StoppedError
 from tapetum.files import told_when_full
 
-if TYPE_CHECKING:
-    from tapetum.models import Predictor
-
-__all__ = ["check_output", "filling", "find_model", "says_what_is_kept"]
+__all__ = ["check_output", "filling", "says_what_is_kept"]
 
 # By content of a folder: the file in it that identifies the content, and the word to find there.
 _MARKERS = {
@@ -93,25 +89,3 @@ def says_what_is_kept(how: str = "") -> Iterator[None]:
             raise StoppedError("; ".join(filter(None, [*notes, how]))) from error
         remedy = "; ".join(filter(None, [error.remedy, *notes]))
         raise InputError(error.what, where=error.where, remedy=remedy) from error
-
-
-def find_model(name: str, device: str = "auto") -> Predictor:
-    """Load a model by its folder, by its exported file NAME.onnx or by the name of a bundled one.
-
-    A network computes on `device`. Raises an InputError for an unknown model or one that runs on the CPU only.
-    """
-    from tapetum.models import NetworkEstimator, load_predictor, pretrained
-
-    if Path(name).exists() or Path(name).suffix.lower() == ".onnx" or Path(name).name != name:
-        model = load_predictor(name)
-    else:
-        try:
-            model = pretrained(name)
-        except InputError as error:
-            what = "is neither a model's folder or .onnx file nor the name of a bundled model"
-            raise InputError(what, where=name, remedy=error.remedy) from error
-    if isinstance(model, NetworkEstimator):
-        model.device = device
-    elif device not in ("auto", "cpu"):
-        raise InputError(f"{name} computes on the processor alone", where="--device", remedy="leave it out")
-    return model
