@@ -6,6 +6,8 @@ Three numbers decide the error (docs/conventions.md, "Sampling", shows how they 
 - how many Airy rings of the spot on the sensor are kept whole: light farther out, diffracted steeply by the pupil's
 edge, is faded out;
 - the phase step of that diffracted light. It is faint, so a little of it may fold.
+
+One file of more than 400 lines: the ladder, what it states and what it refuses were calibrated together.
 """
 
 from __future__ import annotations

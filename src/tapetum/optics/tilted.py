@@ -9,6 +9,8 @@ a), constant on the plane turned by a = -θ, whose normal is the wave's directio
 y exchanged: points at (x' cos a, y', d + x' sin a), and exp(ikx sin θ) is constant at a = -θ.
 
 Directions are sines (s_x, s_y), the transverse components of the unit vector; spatial frequencies are s/λ.
+
+One file of more than 400 lines, because the near and the far field share these signs and one choice of band.
 """
 
 # torch types these functions in part only.

@@ -1,4 +1,8 @@
-"""One target before one probe: everything the scene says, ready for any number of gazes."""
+"""One target before one probe: everything the scene says, ready for any number of gazes.
+
+One file of more than 600 lines: here, and only here, all parts of a scene meet. Each part has its own module; what
+stands here chooses among them, adds up their light and states the error of the whole.
+"""
 
 from __future__ import annotations
 

@@ -2,7 +2,8 @@
 
 A lens under tilt is not symmetric along the tilt (y of the bundles) but is across it, so functions are even or odd
 across. They are polynomials in a box about the pupil, fitted to its rays by least squares; between traced field angles
-all their coefficients are Chebyshev polynomials of the tilt.
+all their coefficients are Chebyshev polynomials of the tilt. One file of more than 400 lines, because fitting and
+evaluating share terms, boxes and parities.
 """
 
 from __future__ import annotations
