@@ -8,8 +8,8 @@ from typing import Annotated
 
 import typer
 
-from tapetum.cli.inputs import check_output
 from tapetum.cli.options import AsJson, Force, option
+from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 
 __all__ = ["detect"]

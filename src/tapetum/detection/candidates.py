@@ -66,7 +66,7 @@ class Octave:
 def difference_of_gaussians(image: Array, sigma: float) -> Array:
     """Gaussian of `sigma` minus one 1.6 times as wide, [H, W]."""
     narrow, wide = (cv2.GaussianBlur(image, (0, 0), s) for s in (sigma, _RATIO * sigma))
-    return np.asarray(cv2.subtract(narrow, wide))
+    return np.asarray(cv2.subtract(narrow, wide), dtype=np.float32)
 
 
 def patches(image: NDArray, x: NDArray[np.int64], y: NDArray[np.int64], half: int) -> NDArray:
@@ -146,4 +146,4 @@ def _spread(answer: Array) -> Array:
 
 def _halved(image: Array) -> Array:
     size = max(1, image.shape[1] // 2), max(1, image.shape[0] // 2)
-    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)

@@ -130,7 +130,7 @@ def candidates_with_looks(
     if dark is not None:
         registered = register(lit, dark)
         matched = registered.dark
-        difference = np.asarray(cv2.subtract(lit, matched))
+        difference = np.asarray(cv2.subtract(lit, matched), dtype=np.float32)
     local = local_mean(lit)
     seen, flow = (None, None) if registered is None else (registered.seen, registered.flow)
     columns: list[Array] = []
@@ -164,7 +164,8 @@ def _measured(octave: Octave) -> Array:
     peak = patches(octave.lit, octave.x, octave.y, 1).max((1, 2))
     places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((octave.x, x), (octave.y, y)))
     # The filter of width s answers a Gaussian of sigma s most.
-    return np.stack([*places, octave.height, light * step**2, 4 * sigma * step, peak], 1)
+    found = [*places, octave.height, light * step**2, 4 * sigma * step, peak]
+    return np.stack(found, 1).astype(np.float64)
 
 
 def _centroid(spot: Array, sigma: Array, columns: Array, rows: Array) -> tuple[Array, Array]:
@@ -209,7 +210,8 @@ def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray[np.
         raise InputError(what, where=where, remedy="give uint8, uint16 or float")
     if array.ndim == 3:
         array = array.mean(2, dtype=np.float32) if channel == "mean" else array[..., CHANNELS.index(channel) - 1]
-    scale = 1.0 if array.dtype.kind == "f" or np.asarray(image).dtype == np.uint8 else _FULL / np.iinfo(image.dtype).max
+    kind = np.asarray(image).dtype
+    scale = 1.0 if kind.kind == "f" or kind == np.uint8 else _FULL / np.iinfo(str(kind)).max
     grey = array.astype(np.float32) * np.float32(scale)
     if not np.isfinite(grey).all():
         raise InputError("holds pixels that are not finite", where=where, remedy="replace NaN and infinite pixels")

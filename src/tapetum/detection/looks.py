@@ -115,7 +115,8 @@ def shape(octave: Octave, sigma: Array) -> tuple[Array, Array]:
     over = patch > 0.4 * np.maximum(middle.max(1), 0.5)[:, None, None]
     within = np.zeros((3, 3, 3), int)
     within[1] = 1
-    labels, _ = ndimage.label(over, within)
+    labels = np.empty(over.shape, np.int32)
+    ndimage.label(over, within, output=labels)
     flat = labels.reshape(len(x), -1)
     own = (labels == np.take_along_axis(flat, middle.argmax(1)[:, None], 1)[:, :, None]) & (labels > 0)
     rows, columns = np.mgrid[-_SHAPE : _SHAPE + 1, -_SHAPE : _SHAPE + 1]

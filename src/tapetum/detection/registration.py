@@ -78,7 +78,9 @@ def register(lit: Array, dark: Array) -> Registered:
     y, x = np.mgrid[:height, :width].astype(np.float32)
     from_x, from_y = x + flow[..., 0], y + flow[..., 1]
     seen = (from_x >= 0) & (from_y >= 0) & (from_x <= width - 1) & (from_y <= height - 1)
-    moved = np.asarray(cv2.remap(dark, from_x, from_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
+    moved = np.asarray(
+        cv2.remap(dark, from_x, from_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), dtype=np.float32
+    )
     a, b = (_details(g)[seen] for g in (lit, moved))
     correlation = float(np.corrcoef(a, b)[0, 1]) if seen.sum() > 100 and a.std() > 0 and b.std() > 0 else 0.0
     flat = min(float(np.ptp(lit)), float(np.ptp(dark))) == 0
@@ -102,7 +104,7 @@ def _flow(lit: Array, dark: Array) -> Array:
     height, width = lit.shape
     share = min(1.0, _FLOW_SIDE / max(height, width))
     size = max(16, round(width * share)), max(16, round(height * share))
-    small = [_even(np.asarray(cv2.GaussianBlur(_resized(g, size), (0, 0), 1.0))) for g in (lit, dark)]
+    small = [_even(_blurred(_resized(g, size), 1.0)) for g in (lit, dark)]
     start = _shift(*small)
     moved = cv2.warpAffine(
         small[1],
@@ -145,6 +147,10 @@ def _shift(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> tuple[float, floa
     return (x, y) if closer else (0.0, 0.0)
 
 
+def _blurred(image: NDArray, sigma: float) -> Array:
+    return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.float32)
+
+
 def _resized(image: NDArray, size: tuple[int, int], how: int = cv2.INTER_AREA) -> NDArray:
     return image if image.shape[1::-1] == size else np.asarray(cv2.resize(image, size, interpolation=how))
 
@@ -157,8 +163,8 @@ def _even(image: Array) -> NDArray[np.uint8]:
 
 
 def _details(image: Array) -> Array:
-    band = np.asarray(cv2.GaussianBlur(image, (0, 0), 2)) - np.asarray(cv2.GaussianBlur(image, (0, 0), 8))
-    return band / np.sqrt(cv2.GaussianBlur(band * band, (0, 0), 16) + 0.5)
+    band = _blurred(image, 2) - _blurred(image, 8)
+    return np.asarray(band / np.sqrt(cv2.GaussianBlur(band * band, (0, 0), 16) + 0.5), dtype=np.float32)
 
 
 def _matched(lit: Array, dark: Array) -> Array:
@@ -167,4 +173,4 @@ def _matched(lit: Array, dark: Array) -> Array:
     of_lit, of_dark = local_mean(lit), local_mean(dark)
     shared, own = local_mean(lit * dark) - of_lit * of_dark, local_mean(dark * dark) - of_dark**2
     gain = np.clip((shared + 25) / (own + 25), 0.5, 2)
-    return of_lit + gain * (dark - of_dark)
+    return np.asarray(of_lit + gain * (dark - of_dark), dtype=np.float32)
