@@ -13,7 +13,8 @@ import typer
 
 from tapetum.cli.app import app
 
-COMMANDS = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "export", "detect", "track", "fuse", "paper")
+COMMANDS = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "export", "detect", "track", "fuse")
+COMMANDS += ("paper",)
 
 
 def test_help_lists_the_commands_in_the_order_of_use(run) -> None:
