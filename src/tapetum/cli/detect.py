@@ -20,7 +20,14 @@ def detect(
     out: Annotated[Path, option("FILE", "The table to write: .parquet, .csv or .jsonl.", "-o", "--out")],
     dark: Annotated[Path | None, option("DARK", "The same with the light off; both may be hand-held.")] = None,
     false_alarms: Annotated[
-        float, option("RATE", "Expected false alarms a frame: what scores lower is left out.", min=1e-6)
+        float,
+        option(
+            "RATE",
+            "Expected false alarms a frame: what scores lower is left out.",
+            "--false-alarms-per-frame",
+            "--false-alarms",
+            min=1e-6,
+        ),
     ] = 0.01,
     largest: Annotated[float, option("PX", "Largest diameter of a spot.", min=1.0)] = 60.0,
     channel: Annotated[str, option("NAME", "Of a colour picture: mean, red, green or blue.")] = "mean",

@@ -72,7 +72,7 @@ def register(lit: Array, dark: Array) -> Registered:
     """
     if lit.shape != dark.shape:
         sizes = " and ".join(f"{a.shape[1]} x {a.shape[0]}" for a in (lit, dark))
-        raise InputError(f"lit and dark have {sizes} pixels", where="--dark", remedy="give two frames of one camera")
+        raise InputError(f"lit and dark have {sizes} pixels", where="dark", remedy="give two frames of one camera")
     flow = _flow(lit, dark)
     height, width = lit.shape
     y, x = np.mgrid[:height, :width].astype(np.float32)
@@ -87,7 +87,7 @@ def register(lit: Array, dark: Array) -> Registered:
     if correlation < _SAME_SCENE and _roughness(flow) > _ROUGH and not flat:
         what = f"cannot be registered to the lit frame: their details correlate by {correlation:.2f}"
         remedy = "give a dark frame of the same scene, taken within a second, moved by less than a third of the frame"
-        raise InputError(what, where="--dark", remedy=remedy)
+        raise InputError(what, where="dark", remedy=remedy)
     return Registered(_matched(lit, moved), flow, seen, correlation)
 
 

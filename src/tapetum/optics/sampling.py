@@ -13,6 +13,7 @@ One file of more than 400 lines: the ladder, what it states and what it refuses 
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, ClassVar, Protocol, TypeVar, cast
@@ -137,7 +138,7 @@ class DoublePassGeometry:
         return max(1.0, _FADING / returning if returning else math.inf)
 
 
-class Plan:
+class Plan(ABC):
     """Samples of a pass: a dataclass whose numbers are an image's metadata."""
 
     method: ClassVar[str] = ""
@@ -145,9 +146,9 @@ class Plan:
     rows: int
     expected_error: float
 
+    @abstractmethod
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
         """Memory that a batch of gazes takes, in bytes, for an image of `pixels` pixels."""
-        raise NotImplementedError
 
     def as_dict(self) -> dict[str, float | int | str]:
         """The plan's numbers by name, for metadata."""
