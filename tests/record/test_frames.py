@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from tapetum.errors import InputError
-from tapetum.record.frames import FrameSource, open_frames
+from tapetum.record.frames import SOURCES, Asked, FrameSource, SourceKind, open_frames
 from tapetum.record.images import read_image
 from tapetum.record.source import Frame
 from tapetum.record.video import VideoWriter
@@ -202,6 +202,35 @@ def test_a_frame_must_be_grey_and_whole() -> None:
 
 
 @needs_data
+def test_the_virtual_bench_is_a_source(tmp_path: Path) -> None:
+    source = open_frames("bench:hand-held", rate=30.0)
+    frames = iter(source)
+    first, second = next(frames), next(frames)
+    assert (source.name, source.rate, source.live) == ("probe", 30.0, False)
+    assert first.image.shape == source.first().image.shape
+    assert first.lit is True
+    assert second.utc_ns is not None
+    assert abs(second.time - 1 / 30) < 0.02
+    # The same scene gives the same frames again.
+    assert np.array_equal(next(iter(open_frames("bench:hand-held", rate=30.0))).image, first.image)
+    target = open_frames("bench:hand-held", "target")
+    assert target.name == "target"
+    for name, stream, what in (("bench:nowhere", "probe", "no such scene"), ("bench:hand-held", "third", "third")):
+        with pytest.raises(InputError, match=what):
+            open_frames(name, stream)
+
+
+def test_a_kind_of_source_is_added_in_one_place(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    cv2.imwrite(str(tmp_path / "a.png"), np.full((16, 16), 7, np.uint8))
+    kind = SourceKind(
+        lambda name: name.startswith("mine:"),
+        lambda name, asked: open_frames(tmp_path / f"{name[5:]}.png", rate=asked.rate),
+    )
+    monkeypatch.setattr("tapetum.record.frames.SOURCES", {"mine": kind, **SOURCES})
+    assert next(iter(open_frames("mine:a"))).image[0, 0] == 7
+    assert Asked().stream == "probe"
+
+
 def test_real_laser_spots() -> None:
     frames = {frame.name: frame for frame in open_frames(SPOTS)}
     assert len(frames) == len(list(SPOTS.glob("*.pgm")))

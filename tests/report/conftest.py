@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
+from tapetum.models import Prediction
 from tapetum.report import DemoReport, ModelResult, SignEvidence, SignRate, Tracking
+from tapetum.report.evaluation import Outcome
 
 
 @pytest.fixture(scope="session")
@@ -14,6 +18,26 @@ def gaze() -> tuple[np.ndarray, np.ndarray]:
     time = np.concatenate([np.arange(60), np.arange(60)]) / 15.0
     turn = np.linspace(0, 4 * np.pi, 120)
     return time, np.stack([0.4 * np.sin(turn), 0.35 * np.cos(0.7 * turn)], axis=1)
+
+
+def outcome_of(time: np.ndarray, truth: np.ndarray, value: np.ndarray, half: float = np.inf) -> Outcome:
+    """What a model says of these gazes, with intervals of this half width."""
+    return Outcome(
+        dataset="demo.zarr",
+        prediction=Prediction(("gaze_x", "gaze_y"), value, value - half, value + half),
+        truth={"gaze_x": truth[:, 0], "gaze_y": truth[:, 1]},
+        recording=np.repeat([0, 1], [60, 60]),
+        recordings=("one", "two"),
+        time=time,
+        snr=np.linspace(5, 50, len(time)),
+        guess={"gaze_x": 0.01, "gaze_y": -0.02},
+        simulated=True,
+    )
+
+
+@pytest.fixture(scope="session")
+def told() -> Callable[..., Outcome]:
+    return outcome_of
 
 
 @pytest.fixture(scope="session")
@@ -30,19 +54,16 @@ def content(gaze: tuple[np.ndarray, np.ndarray]) -> DemoReport:
         made="at noon",
         recording=[("scene", "thin-lens"), ("<script>alert(1)</script>", 'a "quoted" & odd name')],
         picture=rng.integers(0, 255, (48, 64)).astype(np.uint8),
-        time=time,
-        truth=truth,
-        train=rng.uniform(-0.3, 0.3, (200, 2)),
         models=[
-            ModelResult("ResNet-18", good, "bundled.", good - 0.05, good + 0.05),
-            ModelResult("Zernike + ridge", poor, "trained here."),
+            ModelResult("ResNet-18", outcome_of(time, truth, good, 0.05), "bundled."),
+            ModelResult("Zernike + ridge", outcome_of(time, truth, poor), "trained here."),
         ],
         samples=rng.integers(0, 255, (4, 12, 12)).astype(np.uint8),
         sample_gaze=truth[:4],
         spots_found=found,
         spots_true=spots,
         path_rrs=[rng.integers(0, 255, (10, 10)), rng.integers(0, 255, (10, 10))],
-        path_rrs_at=[5, 100],
+        path_rrs_at=[5, 30],
         sign=SignEvidence(
             axis,
             axis,

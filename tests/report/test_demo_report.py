@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import pytest
 
 from tapetum.errors import InputError
 from tapetum.report import DemoReport, DemoScores, ModelResult, score_demo, score_gaze, write_demo_report
+from tapetum.report.evaluation import Outcome
 
 
 def plain(page: str) -> str:
@@ -27,19 +29,21 @@ def written(tmp_path_factory: pytest.TempPathFactory, content: DemoReport) -> tu
 def test_the_report_holds_its_parts_and_their_numbers(written: tuple[str, DemoScores], content: DemoReport) -> None:
     page, scores = written
     words = plain(page)
-    good = score_gaze(content.truth, content.models[0].predicted)
-    assert scores.models[0] == ("ResNet-18", good)
-    assert f"{good.mae[0]:.3f} / {good.rmse[0]:.3f}" in words
+    good, poor = (score_gaze(*model.outcome.pair()) for model in content.models)
+    assert scores.models == (("ResNet-18", good), ("Zernike + ridge", poor))
+    for one in (good, poor):
+        assert f"{one.mae[0]:.3f} / {one.rmse[0]:.3f}" in words
+        assert f"{one.mae_overall:.3f} / {one.rmse_overall:.3f}" in words
     assert f"{scores.baseline.mae_overall:.3f}" in words
     assert "39 of 40 frames got one" in words
     assert "0.500 px in the median" in words
     # 30 rows, one of them coasting, of 32 frames.
     assert "seen in 29 (91 %), in 2 tracks, the longest of 25 frames" in words
     assert "42.5 s" in words
-    assert page.count("<img") == 8
-    assert page.count('alt="') == 8
+    assert page.count("<img") == 10
+    assert page.count('alt="') == 10
     assert "<script>alert" not in page
-    assert "Simulation only" in words
+    assert "No real camera was filmed" in words
     assert "One more limit." in words
     assert "MAE 0.095 of the field" in words
 
@@ -57,20 +61,31 @@ def test_sections_without_content_are_left_out(tmp_path: Path, content: DemoRepo
     assert "from an empty folder" not in words
 
 
-def test_a_model_no_better_than_the_mean_is_called_so(tmp_path: Path, content: DemoReport) -> None:
-    bad = ModelResult("Hopeless", -2 * content.truth, "wrong sign")
+def test_a_model_no_better_than_the_mean_is_called_so(
+    tmp_path: Path, content: DemoReport, told: Callable[..., Outcome]
+) -> None:
+    first = content.models[0].outcome
+    bad = ModelResult("Hopeless", told(first.time, first.targets, -2 * first.targets), "wrong sign")
     write_demo_report(tmp_path / "r.html", replace(content, models=[bad, content.models[1]], sign=None, tracking=None))
     words = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
-    assert "Not better than predicting the training mean: Hopeless" in words
-    assert "Zernike + ridge did better here than Hopeless" in words
-    assert "times less than predicting" not in words
+    assert "gaze x is worse than the training mean; gaze y is worse than the training mean. Do not use" in words
+    assert "Zernike + ridge did better here than Hopeless: gaze x, gaze y" in words
+    assert "Hopeless errs less than" not in words
+    # Beside a good model, a poor one is called so too.
+    write_demo_report(tmp_path / "r.html", replace(content, models=[content.models[1], bad], sign=None, tracking=None))
+    words = plain((tmp_path / "r.html").read_text(encoding="utf-8"))
+    assert "Hopeless: gaze x is worse than the training mean. Do not use" in words
 
 
-def test_bad_content_writes_nothing(tmp_path: Path, content: DemoReport) -> None:
+def test_bad_content_writes_nothing(tmp_path: Path, content: DemoReport, told: Callable[..., Outcome]) -> None:
     twice = replace(content, models=[content.models[0], content.models[0]])
     with pytest.raises(InputError, match="its own name"):
         write_demo_report(tmp_path / "r.html", twice)
-    holes = replace(content, truth=np.full_like(content.truth, np.nan))
+    first = content.models[0].outcome
+    holes = told(first.time, np.full_like(first.targets, np.nan), first.targets)
     with pytest.raises(InputError, match="not finite"):
-        score_demo(holes)
+        score_demo(replace(content, models=[ModelResult("Holes", holes, "")]))
+    untrained = replace(first, guess=None)
+    with pytest.raises(InputError, match="no training frames"):
+        score_demo(replace(content, models=[ModelResult("Alone", untrained, "")]))
     assert not list(tmp_path.iterdir())

@@ -24,7 +24,7 @@ def track(
         Path,
         typer.Argument(
             metavar="SOURCE",
-            help="A camera:0, video, folder of images, image, recording, or a table of --detections.",
+            help="A camera:0, video, folder of images, image, recording, bench:SCENE, or a table of --detections.",
         ),
     ],
     out: TracksOut,

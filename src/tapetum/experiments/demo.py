@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -35,6 +34,8 @@ from tapetum.report.demo_report import (
     Tracking,
     write_demo_report,
 )
+from tapetum.report.evaluation import Outcome, Subject, gather
+from tapetum.report.evaluation.write import samples, subject_of
 from tapetum.report.figures import SignRate, fig_gaze_path, save_figure
 from tapetum.report.metrics import SIGN_THRESHOLD, sign_right
 from tapetum.simulate import sign_dprime
@@ -125,30 +126,21 @@ def run_demo(
     resnet.device = device
     with watch.step("Reading the held-out gaze"):
         models: dict[str, Estimator] = {"ResNet-18": resnet, "Zernike + ridge": ridge}
-        predictions = {
-            name: model.predict(dataset.tp.test, progress=progress, anyway=True) for name, model in models.items()
-        }
+        outcomes = {name: gather(model, dataset, progress=progress) for name, model in models.items()}
     with watch.step("Tracking the held-out part from whole frames"):
         tracking = _track(recording, resnet, out / "tracks.parquet", progress)
     with watch.step("Asking what the sign rests on"):
-        sign = _sign(scene, dataset, models, predictions, seed)
+        sign = _sign(scene, dataset, models, outcomes, seed)
     seeds_used = ", ".join(map(str, pretrain.TRAIN_SEEDS))
     trained = {
         "ResNet-18": f"{origin} ({seeds_used})",
         "Zernike + ridge": "the paper's protocol, fitted here to the first 80 % "
         f"({dataset.tp.train.sizes['frame']} frames)",
     }
-    results = [
-        ModelResult(
-            name,
-            p.value,
-            trained[name],
-            *((p.lower, p.upper) if np.isfinite(p.lower).all() and np.isfinite(p.upper).all() else ()),
-        )
-        for name, p in predictions.items()
-    ]
+    results = [ModelResult(name, outcome, trained[name]) for name, outcome in outcomes.items()]
+    subject = subject_of(resnet, dataset, model_name=pretrain.NAME)
     say("Writing the report")
-    content = _content(scene, session, recording, dataset, results, tracking, sign, watch.rows, train)
+    content = _content(scene, session, recording, dataset, results, subject, tracking, sign, watch.rows, train)
     scores = write_demo_report(out / "report.html", content)
     _save_picture(out / "gaze-path.png", content)
     return DemoOutcome(out, out / "report.html", scores, time.monotonic() - begun)
@@ -195,7 +187,7 @@ def _labelled(recording: Recording) -> tuple[pa.Table, pa.Table]:
 
 
 def _sign(
-    scene: Scene, dataset: xr.Dataset, models: dict[str, Estimator], predictions: dict[str, Any], seed: int
+    scene: Scene, dataset: xr.Dataset, models: dict[str, Estimator], outcomes: dict[str, Outcome], seed: int
 ) -> SignEvidence:
     """d' over the field with and without the second beam, and the models' predictions without it."""
     ideal = without_second_beam(scene)
@@ -208,9 +200,8 @@ def _sign(
         values = sign_dprime(one, grid[:half]).numpy()
         return np.concatenate([values, [0.0], values[::-1]]).reshape(len(y), len(x))
 
-    test = dataset.tp.test
-    truth = test.tp.values(("gaze_x", "gaze_y"))
-    rates = [_rate(name, True, truth, prediction.value) for name, prediction in predictions.items()]
+    truth = dataset.tp.test.tp.values(("gaze_x", "gaze_y"))
+    rates = [_rate(name, True, *outcome.pair()) for name, outcome in outcomes.items()]
     step = max(1, len(truth) // _SIGN_FRAMES)
     some = truth[::step]
     frames = list(probe_frames(ideal, some, np.zeros_like(some), seed))
@@ -247,6 +238,7 @@ def _content(
     recording: Recording,
     dataset: xr.Dataset,
     results: list[ModelResult],
+    subject: Subject,
     tracking: Tracking,
     sign: SignEvidence,
     timings: list[tuple[str, float]],
@@ -259,7 +251,7 @@ def _content(
     middle = _nearest_to_centre(truth)
     picture = next(f.image for f in recording.source("target") if f.index >= _target_index(recording, times[middle]))
     chosen = _spread(truth, _SAMPLES)
-    path_at = _spread(truth, 3)
+    rrs, rrs_at = samples(results[0].outcome, dataset)
     sensor = scene.probe.sensor
     counted = dataset.tp.recordings[0]
     stored = sum(file.stat().st_size for file in recording.path.rglob("*") if file.is_file())
@@ -300,14 +292,12 @@ def _content(
             ),
         ],
         picture=picture,
-        time=times,
-        truth=truth,
-        train=dataset.tp.train.tp.values(("gaze_x", "gaze_y")),
         models=results,
+        subject=subject,
         samples=np.asarray(test["image"][chosen]),
         sample_gaze=truth[chosen],
-        path_rrs=[np.asarray(test["image"][i]) for i in path_at],
-        path_rrs_at=[int(i) for i in path_at],
+        path_rrs=rrs,
+        path_rrs_at=rrs_at,
         spots_found=found,
         spots_true=true,
         spots_joined=joined,
@@ -382,9 +372,8 @@ def _save_picture(path: Path, content: DemoReport) -> None:
     save_figure(
         fig_gaze_path(
             content.picture,
-            content.truth,
-            first.predicted,
-            content.time,
+            *first.outcome.pair(),
+            first.outcome.time,
             name=first.name,
             rrs=content.path_rrs,
             rrs_at=content.path_rrs_at,

@@ -1,19 +1,76 @@
-"""Opening of frames from a camera, a folder of images, an image, a recording or a video."""
+"""Opening of frames from a camera, the virtual bench, a folder of images, an image, a recording or a video."""
 
 from __future__ import annotations
 
 import os
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
 
+from tapetum.bench import as_scene
+from tapetum.errors import one_of
 from tapetum.record.camera import Camera, is_camera
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
 from tapetum.record.recording import is_recording, open_recording
+from tapetum.record.session import Session
+from tapetum.record.shot import Shot
 from tapetum.record.source import Frame, FrameSource, Source, existing
 from tapetum.record.video import VideoSource
 
-__all__ = ["Frame", "FrameSource", "Source", "open_frames"]
+__all__ = ["SOURCES", "Asked", "Frame", "FrameSource", "Source", "SourceKind", "open_frames"]
 
 _RATE = 15.0
+_BENCH = "bench:"
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What is asked of a source: see `open_frames`."""
+
+    stream: str = "probe"
+    rate: float | None = None
+    late: bool = False
+
+
+@dataclass(frozen=True)
+class SourceKind:
+    """A kind of source.
+
+    Parameters
+    ----------
+    takes
+        Whether a text names a source of this kind.
+    opens
+        Opens it.
+    """
+
+    takes: Callable[[str], bool]
+    opens: Callable[[str, Asked], Source]
+
+
+def _bench(name: str, asked: Asked) -> Source:
+    cameras = Shot(as_scene(name.removeprefix(_BENCH)), Session(rate=asked.rate or _RATE)).cameras
+    return cameras[one_of(asked.stream, tuple(cameras), "stream")]
+
+
+def _is_images(place: str) -> bool:
+    return Path(place).is_dir() or Path(place).suffix.lower() in IMAGE_SUFFIXES
+
+
+SOURCES: dict[str, SourceKind] = {
+    "camera": SourceKind(is_camera, lambda name, asked: Camera(name, asked.rate)),
+    "bench": SourceKind(lambda name: name.startswith(_BENCH), _bench),
+    "recording": SourceKind(
+        lambda name: is_recording(existing(name)),
+        lambda name, asked: replace(open_recording(name).source(asked.stream), late=asked.late),
+    ),
+    "images": SourceKind(_is_images, lambda name, asked: ImageSource.from_path(Path(name), asked.rate or _RATE)),
+    "video": SourceKind(lambda _: True, lambda name, asked: VideoSource.from_path(Path(name), late=asked.late)),
+}
+"""Kinds of sources by name; the first that takes a text opens it.
+
+To add one, write a `Source` in a file of its own, and name it here.
+"""
 
 
 def open_frames(
@@ -24,12 +81,14 @@ def open_frames(
     Parameters
     ----------
     source
-        A camera of this machine (`camera:0`), a folder of images (in natural order; 8 or 16 bit; colour becomes grey),
+        A camera of this machine (`camera:0`), a scene of the virtual bench, filmed for a minute while it is read
+        (`bench:hand-held`, `bench:FILE.yaml`), a folder of images (in natural order; 8 or 16 bit; colour becomes grey),
         one image file, a `NAME.rec` folder, or a video file.
     stream
-        Stream of a recording.
+        Stream of a recording or of the bench.
     rate
-        Frames per second to request from a camera, or that time images (15 by default), which have no clock.
+        Frames per second to request from a camera or the bench, or that time images (15 by default), which have no
+        clock.
     late
         Whether a truncated video gives its readable frames before it raises.
 
@@ -39,11 +98,6 @@ def open_frames(
         When nothing is there, the camera is in use, the folder holds no image, or the file is damaged or of an unknown
         type. Images are read one by one, so that a damaged one raises at its turn.
     """
-    if is_camera(str(source)):
-        return Camera(str(source), rate)
-    place = existing(source)
-    if is_recording(place):
-        return replace(open_recording(place).source(stream), late=late)
-    if place.is_dir() or place.suffix.lower() in IMAGE_SUFFIXES:
-        return ImageSource.from_path(place, rate or _RATE)
-    return VideoSource.from_path(place, late=late)
+    name, asked = str(source), Asked(stream, rate, late)
+    kind = next(kind for kind in SOURCES.values() if kind.takes(name))
+    return kind.opens(name, asked)

@@ -1,32 +1,24 @@
-"""The report of `tapetum demo`: recording, models, accuracy and limitations."""
+"""The report of `tapetum demo`: the evaluation of its first model, and how recording, labels and tracks came about."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 from tapetum.report import figures, html
-from tapetum.report.binned import ErrorByDistance, error_by_distance
-from tapetum.report.figures import SignRate
-from tapetum.report.figures._style import runs
-from tapetum.report.metrics import (
-    SIGN_THRESHOLD,
-    GazeScores,
-    LabelScores,
-    coverage,
-    predict_mean,
-    score_gaze,
-    score_labels,
-)
-from tapetum.report.verdicts import MEAN
+from tapetum.report.evaluation.outcome import Outcome
+from tapetum.report.evaluation.pictures import Picture, path_section, pictures
+from tapetum.report.evaluation.scores import score
+from tapetum.report.evaluation.write import More, Subject, page_body
+from tapetum.report.figures import SignRate, figure_png
+from tapetum.report.metrics import GazeScores, LabelScores, score_gaze, score_labels
 
 __all__ = [
     "DemoReport",
@@ -44,23 +36,11 @@ AnyArray = NDArray[np.generic]
 
 @dataclass(frozen=True)
 class ModelResult:
-    """A model's predictions for the held-out frames.
-
-    Parameters
-    ----------
-    name, training
-        Its usual name ("ResNet-18"), and one sentence on its training data.
-    predicted
-        [N, 2] gaze, fractions of the field.
-    lower, upper
-        [N, 2] ends of its 90 % intervals, if it has any.
-    """
+    """A model on the held-out frames: its usual name ("ResNet-18"), its outcome, one sentence on its training data."""
 
     name: str
-    predicted: Array
+    outcome: Outcome
     training: str
-    lower: Array | None = None
-    upper: Array | None = None
 
 
 @dataclass(frozen=True)
@@ -127,19 +107,14 @@ class DemoReport:
         (name, value) of how the recording was made: scene, streams, noise, motion.
     picture
         [H, W] a frame of the target's video.
-    time, truth, truth_is
-        [N] seconds and [N, 2] gaze of the held-out frames, in the order of filming; `truth_is` says where the truth
-        comes from, by default labels from the target's video.
-    train
-        [M, 2] gaze of the training frames: their mean is the baseline.
     models
-        The best-known model first.
+        Models of the gaze on the same frames. The first is the subject of the page, the others stand beside it.
+    subject
+        (name, value) rows on the first model, and on the data.
     samples, sample_gaze
         [S, h, w] and [S, 2]: RRs to show.
-    path
-        Held-out frames to draw as a path: (first, last + 1); up to the first gap when None.
     path_rrs, path_rrs_at
-        RRs [h, w] beside the path, and their indices among the N frames.
+        RRs [h, w] beside the path, and their indices among the held-out frames.
     spots_found, spots_true, spots_joined
         [L, 2] pixels of the target's video: spots found (NaN where none), the bench's true spots, and the true spots
         joined and interpolated as the found ones are, as from a perfect detector.
@@ -156,27 +131,22 @@ class DemoReport:
     made: str
     recording: Sequence[tuple[str, str]]
     picture: AnyArray
-    time: Array
-    truth: Array
-    train: Array
     models: Sequence[ModelResult]
     samples: AnyArray
     sample_gaze: Array
     spots_found: Array
     spots_true: Array
+    subject: Subject | None = None
     spots_joined: Array | None = None
-    path: tuple[int, int] | None = None
     path_rrs: Sequence[AnyArray] = ()
     path_rrs_at: Sequence[int] = ()
     sign: SignEvidence | None = None
     tracking: Tracking | None = None
-    truth_is: str = "the labels found in the target's video"
-    sign_threshold: float = SIGN_THRESHOLD
     timings: Sequence[tuple[str, float]] = ()
     seeds: Sequence[tuple[str, int]] = ()
     sizes: Sequence[tuple[str, str]] = ()
     versions: Sequence[tuple[str, str]] = ()
-    limits: Sequence[str] = field(default_factory=tuple)
+    limits: Sequence[str] = ()
     files: Sequence[tuple[str, str]] = ()
     next_steps: Sequence[tuple[str, str]] = ()
 
@@ -204,18 +174,19 @@ def score_demo(content: DemoReport) -> DemoScores:
     Raises
     ------
     InputError
-        When there is no model, two have one name, or the arrays do not fit each other.
+        When there is no model, two have one name, one does not predict the gaze, or there is no training mean.
     """
     names = [model.name for model in content.models]
     if not names or len(set(names)) != len(names):
         raise InputError(f"need at least one model, each with its own name, got {names}", where="models")
-
-    def score(values: Array) -> GazeScores:
-        return score_gaze(content.truth, values, sign_threshold=content.sign_threshold)
-
+    first = content.models[0].outcome
+    guess = first.baseline
+    if guess is None:
+        raise InputError("the set holds no training frames", where="models", remedy="split it")
+    keep = [first.quantities.index(axis) for axis in ("gaze_x", "gaze_y")]
     return DemoScores(
-        models=tuple((model.name, score(model.predicted)) for model in content.models),
-        baseline=score(predict_mean(content.train, len(content.truth))),
+        models=tuple((model.name, score_gaze(*model.outcome.pair())) for model in content.models),
+        baseline=score_gaze(first.pair()[0], guess[:, keep]),
         labels=score_labels(content.spots_found, content.spots_true),
     )
 
@@ -228,19 +199,55 @@ def write_demo_report(path: str | os.PathLike[str], content: DemoReport) -> Demo
     InputError
         When arrays do not fit each other or the file cannot be written.
     """
-    scores, rings = score_demo(content), _rings(content)
-    best = int(np.argmin([one.mae_overall for _, one in scores.models] + [scores.baseline.mae_overall]))
-    first = scores.models[0][1].mae_overall
-    body = html.render(
-        "demo.html",
-        content=content,
-        scores=scores,
-        drawn=_figures(content, rings),
-        best=best,
-        worse=[name for name, one in scores.models if one.mae_overall >= scores.baseline.mae_overall],
-        ahead=[name for name, one in scores.models[1:] if one.mae_overall < first],
-        total=sum(value for _, value in content.timings),
-        **_measured(content, rings),
+    scores = score_demo(content)
+    subject, *others = content.models
+    beside = {model.name: model.outcome for model in others}
+    first, total = scores.models[0][1], sum(value for _, value in content.timings)
+    drawn = {"labels": figures.fig_label_error(content.spots_found, content.spots_true)}
+    drawn["samples"] = figures.fig_samples(content.samples, content.sample_gaze)
+    if content.sign is not None:
+        one = content.sign
+        drawn["sign_map"] = figures.fig_sign_map(one.x, one.y, one.with_beam, one.without_beam)
+        if one.rates:
+            drawn["sign_rates"] = figures.fig_sign_rates(one.rates)
+    if content.tracking is not None:
+        one = content.tracking
+        drawn["tracks"] = figures.fig_tracks(one.frame, one.track, one.x, one.y, one.time, one.snr)
+    numbers = [(f"{scores.labels.median:.2f} px", "median error of the labels, pixels of the target's video")]
+    counted = [(share or 0.0, count) for share, count in zip(first.sign_right, first.sign_count, strict=True)]
+    if sum(first.sign_count):
+        right = sum(share * count for share, count in counted) / sum(first.sign_count)
+        numbers.insert(0, (html.share(right), f"{subject.name}: left distinguished from right and up from down"))
+    if content.timings:
+        took = f"{total:.1f} s" if total < 120 else f"{total / 60:.1f} min"
+        numbers.append((took, "from an empty folder to this page"))
+    limits = [
+        *content.limits,
+        "One thin lens, a mirror for a sensor, scalar monochromatic light. Another camera, focus or alignment needs a "
+        "model of its own.",
+    ]
+    if content.sign is not None:
+        limits.append(
+            "Defocus and the probe's second beam show the sign of the gaze here; another camera or probe may not have "
+            "them."
+        )
+    more = More(
+        others=beside,
+        training=[(model.name, model.training) for model in content.models],
+        numbers=numbers,
+        sections=html.render(
+            "demo.html", content=content, scores=scores, drawn=drawn, total=total, **_measured(content)
+        ),
+        limits=limits,
+    )
+    shown = {picture.name: picture for picture in pictures(subject.outcome, subject.name, others=beside)}
+    shown["path"] = _path(content)
+    body = page_body(
+        subject.outcome,
+        content.subject or Subject(subject.name),
+        score(subject.outcome),
+        [(picture, figure_png(picture.figure)) for picture in shown.values()],
+        more,
     )
     text = html.page(
         "Where does that camera look?",
@@ -254,71 +261,37 @@ def write_demo_report(path: str | os.PathLike[str], content: DemoReport) -> Demo
     return scores
 
 
-def _section(content: DemoReport) -> tuple[int, int]:
-    """Return the frames that are drawn as a path: (first, last + 1)."""
-    whole = runs(content.time)[0]
-    return content.path if content.path is not None else (whole.start, whole.stop)
-
-
-def _rings(content: DemoReport) -> dict[str, ErrorByDistance]:
-    edges = np.linspace(0.0, max(float(np.hypot(*content.truth.T).max()), 1e-6) * 1.0001, 11)
-    everyone = {model.name: model.predicted for model in content.models}
-    everyone[MEAN] = predict_mean(content.train, len(content.truth))
-    return {name: error_by_distance(content.truth, values, edges=edges) for name, values in everyone.items()}
-
-
-def _figures(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Figure]:
-    first, (begin, end) = content.models[0], _section(content)
+def _path(content: DemoReport) -> Picture:
+    """The path of the gaze over a picture of the target's own video."""
+    name, outcome = content.models[0].name, content.models[0].outcome
+    (begin, end), (truth, said), time = path_section(outcome), outcome.pair(), outcome.time
     marks = [
         (rr, at - begin) for rr, at in zip(content.path_rrs, content.path_rrs_at, strict=True) if begin <= at < end
     ]
-    drawn = {
-        "path": figures.fig_gaze_path(
-            content.picture,
-            content.truth[begin:end],
-            first.predicted[begin:end],
-            content.time[begin:end] - content.time[begin],
-            name=first.name,
-            rrs=[rr for rr, _ in marks],
-            rrs_at=[at for _, at in marks],
-        ),
-        "over_time": figures.fig_gaze_over_time(
-            content.time,
-            content.truth,
-            {model.name: model.predicted for model in content.models},
-            interval=None if first.lower is None or first.upper is None else (first.lower, first.upper),
-        ),
-        "errors": figures.fig_error_by_distance(rings, baseline=MEAN),
-        "labels": figures.fig_label_error(content.spots_found, content.spots_true),
-        "samples": figures.fig_samples(content.samples, content.sample_gaze),
-    }
-    if content.sign is not None:
-        one = content.sign
-        drawn["sign_map"] = figures.fig_sign_map(one.x, one.y, one.with_beam, one.without_beam)
-        if one.rates:
-            drawn["sign_rates"] = figures.fig_sign_rates(one.rates)
-    if content.tracking is not None:
-        one = content.tracking
-        drawn["tracks"] = figures.fig_tracks(one.frame, one.track, one.x, one.y, one.time, one.snr)
-    return drawn
+    drawn = figures.fig_gaze_path(
+        content.picture,
+        truth[begin:end],
+        said[begin:end],
+        time[begin:end] - time[begin],
+        name=name,
+        rrs=[rr for rr, _ in marks],
+        rrs_at=[at for _, at in marks],
+    )
+    return Picture(
+        "path",
+        "Following the gaze",
+        drawn,
+        f"The target's picture with the true path of the laser in it and {name}'s estimates, both coloured by time "
+        f"over {time[end - 1] - time[begin]:.0f} seconds.",
+        f"A section of the held-out part ({end - begin} frames), as the paper's Fig. 9 (a). Band: where the probe's "
+        f"laser stands in the target's picture. Dots: where {name} says it stands, from the retro-reflection alone; "
+        "thin lines tie each dot to its truth. Numbers: the RRs on the left, each with its gaze.",
+    )
 
 
-def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict[str, Any]:
-    """Return the further numbers on the page."""
-    begin, end = _section(content)
-    known = {name: one.mae[np.isfinite(one.mae)] for name, one in rings.items()}
-    told: dict[str, Any] = {
-        "held": [_coverage(content.truth, model) for model in content.models] + ["–"],
-        "path_frames": end - begin,
-        "path_seconds": content.time[end - 1] - content.time[begin],
-        "correlations": [
-            (model.name, axis, _correlation(content.truth[:, k], model.predicted[:, k]))
-            for model in content.models
-            for k, axis in enumerate("xy")
-        ],
-        "rings": [(name, values[0], values[-1]) for name, values in known.items()],
-        "clock": None,
-    }
+def _measured(content: DemoReport) -> dict[str, Any]:
+    """Return the further numbers of the demo's own sections."""
+    told: dict[str, Any] = {"clock": None}
     if content.spots_joined is not None:
         # Two parts of the label error: the detector's, and motion between the two cameras' frames.
         joined = np.isfinite(content.spots_joined).all(axis=1)
@@ -335,13 +308,3 @@ def _measured(content: DemoReport, rings: Mapping[str, ErrorByDistance]) -> dict
             "gaze": None if one.truth is None or one.predicted is None else score_gaze(one.truth, one.predicted),
         }
     return told
-
-
-def _coverage(truth: Array, model: ModelResult) -> str:
-    if model.lower is None or model.upper is None:
-        return "–"
-    return " / ".join(html.share(float(part)) for part in coverage(truth, model.lower, model.upper))
-
-
-def _correlation(a: Array, b: Array) -> str:
-    return f"{np.corrcoef(a, b)[0, 1]:.2f}" if np.std(a) > 0 and np.std(b) > 0 else "none"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,12 +15,13 @@ from tapetum.report.evaluation.scores import ErrorMap, by_device, by_recording, 
 from tapetum.report.figures.by_image import fig_by_image
 from tapetum.report.figures.classes import fig_confusion, fig_reliability
 from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_by_distance
+from tapetum.report.figures.gaze import fig_gaze_over_time
 from tapetum.report.figures.maps import fig_error_map
 from tapetum.report.figures.path import fig_path
 from tapetum.report.looks import look
 from tapetum.report.verdicts import MEAN
 
-__all__ = ["MEAN", "Picture", "pictures"]
+__all__ = ["MEAN", "Picture", "path_section", "pictures"]
 
 FOCUS = ("object_distance", "focal_length")
 # A label with more distinct values than this is treated as continuous.
@@ -39,12 +40,22 @@ class Picture:
 
 
 def pictures(
-    outcome: Outcome, name: str, rrs: Sequence[ArrayLike] = (), rrs_at: Sequence[int] = ()
+    outcome: Outcome,
+    name: str,
+    rrs: Sequence[ArrayLike] = (),
+    rrs_at: Sequence[int] = (),
+    others: Mapping[str, Outcome] | None = None,
 ) -> Iterator[Picture]:
-    """Draw the figures that an outcome has data for; `rrs` stand beside the path of the gaze, at frames `rrs_at`."""
+    """Draw the figures that an outcome has data for.
+
+    `rrs` stand beside the path of the gaze, at frames `rrs_at`; the `others` are other models' outcomes on the same
+    frames.
+    """
     if outcome.has_gaze:
         yield _path(outcome, name, rrs, rrs_at)
-        yield _by_distance(outcome, name)
+        if others:
+            yield _over_time(outcome, name, others)
+        yield _by_distance(outcome, name, others or {})
     if _steps(outcome):
         yield _by_image(outcome, name)
         yield _map(outcome, name)
@@ -111,20 +122,45 @@ def _path(outcome: Outcome, name: str, rrs: Sequence[ArrayLike], rrs_at: Sequenc
     )
 
 
-def _by_distance(outcome: Outcome, name: str) -> Picture:
+def _over_time(outcome: Outcome, name: str, others: Mapping[str, Outcome]) -> Picture:
+    truth, said = outcome.pair()
+    everyone = {name: said} | {other: one.pair()[1] for other, one in others.items()}
+    keep = [outcome.quantities.index(axis) for axis in ("gaze_x", "gaze_y")]
+    ends = outcome.prediction.lower[:, keep], outcome.prediction.upper[:, keep]
+    related = "; ".join(
+        f"{model} in {axis}: correlation {_correlation(truth[:, k], values[:, k])}"
+        for model, values in everyone.items()
+        for k, axis in enumerate("xy")
+    )
+    return Picture(
+        "over-time",
+        "Following the gaze",
+        fig_gaze_over_time(outcome.time, truth, everyone, interval=ends if np.isfinite(ends).all() else None),
+        f"Estimated against true gaze over time and as scatter, x and y. {related}.",
+        "Every test frame and every model, as the paper's Fig. 9 (b, c). Dashed verticals part the videos. Triangles "
+        "at the edge stand for estimates beyond the axes.",
+    )
+
+
+def _correlation(a: NDArray[np.float64], b: NDArray[np.float64]) -> str:
+    return f"{np.corrcoef(a, b)[0, 1]:.2f}" if np.std(a) > 0 and np.std(b) > 0 else "none"
+
+
+def _by_distance(outcome: Outcome, name: str, others: Mapping[str, Outcome]) -> Picture:
     truth, said = outcome.pair()
     edges = np.linspace(0.0, max(float(np.hypot(*truth.T).max()), 1e-6) * 1.0001, 11)
     rings = {name: error_by_distance(truth, said, edges=edges)}
+    rings |= {other: error_by_distance(truth, one.pair()[1], edges=edges) for other, one in others.items()}
     if outcome.guess is not None:
         guess = np.tile([outcome.guess["gaze_x"], outcome.guess["gaze_y"]], (len(truth), 1))
         rings[MEAN] = error_by_distance(truth, guess, edges=edges)
-    known = rings[name].mae[np.isfinite(rings[name].mae)]
+    known = {who: one.mae[np.isfinite(one.mae)] for who, one in rings.items()}
+    ends = "; ".join(f"{who}: {mae[0]:.3f} in the middle, {mae[-1]:.3f} at the edge" for who, mae in known.items())
     return Picture(
         "error-over-field",
         "Where the errors are",
         fig_error_by_distance(rings, baseline=MEAN),
-        f"Mean absolute error in rings around the centre of the field: {known[0]:.3f} in the middle, "
-        f"{known[-1]:.3f} at the edge.",
+        f"Mean absolute error in rings around the centre of the field. {ends}.",
         "As the paper's Fig. 10: mean absolute error, over both axes, of frames by the distance of their laser from "
         "the centre of the target's field. Grey: a guess that looks at no image. Bars: 95 % bootstrap intervals over "
         "blocks of 15 neighbouring frames. Below: the number of frames in each ring.",

@@ -25,7 +25,7 @@ from tapetum.report.evaluation.scores import score, score_classes
 from tapetum.report.evaluation.sections import devices, parts
 from tapetum.report.figures import figure_png
 
-__all__ = ["FORMAT", "NUMBERS", "PAGE", "Subject", "samples", "subject_of", "write_evaluation"]
+__all__ = ["FORMAT", "NUMBERS", "PAGE", "More", "Subject", "page_body", "samples", "subject_of", "write_evaluation"]
 
 FORMAT, VERSION = "tapetum-evaluation", 1
 PAGE, NUMBERS = "report.html", "numbers.json"
@@ -53,6 +53,37 @@ class Subject:
     data: Sequence[tuple[str, str]] = ()
     command: str = ""
     card: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class More:
+    """What a page shows beyond the evaluation of one model.
+
+    Parameters
+    ----------
+    others
+        Outcomes of other models on the same frames, by the models' usual names.
+    training
+        (name, what it was trained on) of each model.
+    numbers
+        (value, what it is): further main numbers.
+    pictures
+        Further figures; one of the same name replaces the evaluation's own.
+    sections
+        Further sections, after the figures.
+    limits
+        Further limitations, one sentence each.
+    """
+
+    others: Mapping[str, Outcome] = field(default_factory=dict)
+    training: Sequence[tuple[str, str]] = ()
+    numbers: Sequence[tuple[str, str]] = ()
+    pictures: Sequence[Picture] = ()
+    sections: html.Html = field(default_factory=html.Html)
+    limits: Sequence[str] = ()
+
+
+_NOTHING = More()
 
 
 def subject_of(
@@ -169,22 +200,7 @@ def _heading(outcome: Outcome, subject: Subject) -> dict[str, Any]:
 
 
 def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: list[tuple[Picture, bytes]]) -> str:
-    shown: defaultdict[str, list[html.Html]] = defaultdict(list)
-    for one, data in drawn:
-        # The figures are rendered already; show them at their design size.
-        width = round(one.figure.get_figwidth() * 96)
-        shown[one.section].append(html.figure(data, alt=one.alt, caption=one.caption, width=width))
-    body = html.render(
-        "evaluation.html",
-        outcome=outcome,
-        subject=subject,
-        scores=numbers,
-        name=subject.name,
-        pictures=shown,
-        classes=score_classes(outcome),
-        devices=devices(outcome),
-        parts=parts(outcome),
-    )
+    body = page_body(outcome, subject, numbers, drawn)
     kind = "Simulation: the virtual bench filmed these frames. " if outcome.simulated else ""
     made = f"Made by `{subject.command}`. " if subject.command else ""
     return html.page(
@@ -194,4 +210,32 @@ def _page(outcome: Outcome, subject: Subject, numbers: dict[str, Any], drawn: li
         contents=html.headings(body),
         footer=f"{made}The numbers are in `{NUMBERS}`, the figures beside this page as PNG. This file is "
         "self-contained and makes no network requests.",
+    )
+
+
+def page_body(
+    outcome: Outcome,
+    subject: Subject,
+    numbers: Mapping[str, Any],
+    drawn: Sequence[tuple[Picture, bytes]],
+    more: More = _NOTHING,
+) -> html.Html:
+    """Return the body of an evaluation's page, from its numbers (`score`) and its figures as PNG."""
+    shown: defaultdict[str, list[html.Html]] = defaultdict(list)
+    for one, data in drawn:
+        # The figures are rendered already; show them at their design size.
+        width = round(one.figure.get_figwidth() * 96)
+        shown[one.section].append(html.figure(data, alt=one.alt, caption=one.caption, width=width))
+    return html.render(
+        "evaluation.html",
+        outcome=outcome,
+        subject=subject,
+        scores=numbers,
+        name=subject.name,
+        pictures=shown,
+        classes=score_classes(outcome),
+        devices=devices(outcome),
+        parts=parts(outcome),
+        more=more,
+        others={name: score(other) for name, other in more.others.items()},
     )
