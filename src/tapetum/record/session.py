@@ -10,6 +10,7 @@ from tapetum.bench import Target
 from tapetum.errors import InputError
 from tapetum.record.beats import CameraClock
 from tapetum.record.clutter import Clutter
+from tapetum.record.imaging import Imaging
 from tapetum.record.laser import BlinkCode, Exposure
 from tapetum.record.motion import HandMotion
 from tapetum.record.stray import Stray
@@ -56,6 +57,8 @@ class Session:
         Whether the target sees the probe's laser, and its blink code; None for constant light.
     power_jitter
         Relative RMS of the laser's power from frame to frame.
+    imaging
+        When the first target images; None for always as its scene says.
     stray, clutter
         Additional light in the probe's frame, the sensor's fixed pattern included, and objects that are not cameras.
     others
@@ -72,6 +75,7 @@ class Session:
     laser: bool = True
     code: BlinkCode | None = None
     power_jitter: float = 0.0
+    imaging: Imaging | None = None
     exposure: Exposure = field(default_factory=Exposure)
     target_exposure: Exposure = field(default_factory=Exposure)
     stray: tuple[Stray, ...] = ()
@@ -110,6 +114,7 @@ class Session:
                 "power_jitter": self.power_jitter,
                 "code": self.code and {**asdict(self.code), "word": list(self.code.sent)},
             },
+            "imaging": self.imaging and asdict(self.imaging),
             "exposure": {"probe": asdict(self.exposure), "target": asdict(self.target_exposure)},
             "stray": [_named(one) for one in self.stray],
             "clutter": [_named(one) for one in self.clutter],

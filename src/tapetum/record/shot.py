@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
 
-from tapetum.bench import Scene, scene_dict
+from tapetum.bench import PhoneTarget, Scene, scene_dict
 from tapetum.record.beats import Beat
 from tapetum.record.clutter import Painter, Stage
+from tapetum.record.imaging import idle_scene, imaging_scene
 from tapetum.record.motion import Hand
 from tapetum.record.noise import counts
 from tapetum.record.patch import add_patch
@@ -135,6 +136,8 @@ class Shot:
             replace(scene, distance=one.distance or scene.distance, target=one.target or scene.target)
             for one in self._placed
         ]
+        if session.imaging is not None:
+            self._scenes[0] = imaging_scene(self._scenes[0])
         # Each further target has its own seed, so that none moves like the first.
         seeds = [session.seed, *(_mixed(session.seed, n, one.seed) for n, one in enumerate(session.others))]
         self._hands = [
@@ -179,7 +182,8 @@ class Shot:
 
         Its columns are `stream`, `frame`, `gaze_x` and `gaze_y` (fractions of the field), `offset_x` and `offset_y`
         (m), `target` (0 is the one that films), `roll` (rad), `distance` (m), `x` and `y` (pixels of the RR in the
-        probe's image, or of the laser in the target's), `exposure` (s) and `laser` (its power relative to the scene's).
+        probe's image, or of the laser in the target's), `exposure` (s), `laser` (its power relative to the scene's) and
+        `imaging` (share of the exposure in which the target images).
         """
         size = np.array(self.picture)
         gaze = self._first_held[0]
@@ -203,6 +207,7 @@ class Shot:
             **_pair("x y", where),
             "exposure": camera.seconds * camera.factor,
             "laser": camera.power,
+            "imaging": self._imaging if stream == "probe" and not number else np.full(len(times), self._images(number)),
         }
         return pa.table(columns)
 
@@ -225,6 +230,24 @@ class Shot:
         return hand.gaze(times), place, hand.roll(times), hand.distance(times)
 
     @cached_property
+    def _imaging(self) -> Array:
+        """Share [T] of the probe's exposures in which the first target images."""
+        times, seconds = self._camera.beat.times, self._camera.seconds * self._camera.factor
+        if self.session.imaging is None:
+            return np.full(len(times), self._images(0))
+        return self.session.imaging.share(times, seconds)
+
+    def _images(self, number: int) -> float:
+        """1 for a target whose scene says that it images."""
+        target = self._scenes[number].target
+        return float(target.imaging if isinstance(target, PhoneTarget) else True)
+
+    @cached_property
+    def _idle(self) -> Returns:
+        """The return of the first target's own camera while it does not image."""
+        return returns_of(idle_scene(self._scenes[0]), *self._held(0, self._camera.beat.times))[0]
+
+    @cached_property
     def _returns(self) -> list[list[Returns]]:
         """For every target, the returns of all its cameras."""
         times = self._camera.beat.times
@@ -235,13 +258,13 @@ class Shot:
         return float(np.random.default_rng([self.session.seed, _DOTS, number]).random())
 
     @cached_property
-    def _flashes(self) -> list[Flashes]:
-        """The flashes of every target with a dot projector."""
+    def _flashes(self) -> list[tuple[int, Flashes]]:
+        """Number and flashes of every target with a dot projector."""
         times, exposure = self._camera.beat.times, self._camera.seconds * self._camera.factor
         found = [
             flashes_of(own, times, exposure, self._phase(n), self._held(n, times)) for n, own in enumerate(self._scenes)
         ]
-        return [one for one in found if one is not None]
+        return [(n, one) for n, one in enumerate(found) if one is not None]
 
     @cached_property
     def _ground(self) -> Ground:
@@ -260,12 +283,20 @@ class Shot:
         exposure, power = float(self._camera.factor[i]), float(self._camera.power[i])
         mean = self._ground.lit(exposure)
         if power:
-            for returns in chain.from_iterable(self._returns):
-                for patch in returns.patches(i):
-                    add_patch(mean, patch, exposure * power)
-        for flashes in self._flashes:
+            # The camera that images comes first.
+            own, *others = chain.from_iterable(self._returns)
+            images = float(self._imaging[i])
+            shares = [
+                (own, images),
+                *((one, 1.0) for one in others),
+                *([(self._idle, 1 - images)] if images < 1 else []),
+            ]
+            for returns, share in shares:
+                for patch in returns.patches(i) if share else ():
+                    add_patch(mean, patch, exposure * power * share)
+        for number, flashes in self._flashes:
             if (patch := flashes.patch(i)) is not None:
-                add_patch(mean, patch, 1.0)
+                add_patch(mean, patch, 1.0 if number else float(self._imaging[i]))
         for of_laser, paint in self._painters:
             if power or not of_laser:
                 add_patch(mean, paint(i), exposure * power if of_laser else exposure)
