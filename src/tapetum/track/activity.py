@@ -38,8 +38,8 @@ _MOST_SATURATED = 0.25
 # clear filter, and of one whose filter passes some percent. Measured on six phones of the virtual bench at 640 and 785
 # nm (scripts/measure_activity.py), which are not those that the result was judged on.
 EDGES = (0.6e-3, 2.5e-3, 6e-3)
-_IDLE = (0.85, 0.13, 0.017, 0.003)
-_SEEN = {"clear": (0.005, 0.005, 0.03, 0.96), "faint": (0.40, 0.30, 0.18, 0.12), "blocked": _IDLE}
+_IDLE = (0.88, 0.10, 0.015, 0.005)
+_SEEN = {"clear": (0.005, 0.02, 0.08, 0.895), "faint": (0.12, 0.41, 0.26, 0.21), "blocked": _IDLE}
 # Mean time between changes of the state, in seconds.
 _STAYS = 20.0
 # Neighbouring frames resemble each other: so many of them count as one.
@@ -132,10 +132,10 @@ def _outline(mask: npt.NDArray[np.uint8]) -> float:
 
 def _departure(seen: Array, used: npt.NDArray[np.bool_], middle: tuple[float, float], radius: float) -> float | None:
     """Least share of energy beside the mean over circles, over centres near the middle (column, row)."""
-    rows, columns = np.indices(seen.shape)
+    grid = np.indices(seen.shape, dtype=np.float64)
 
     def at(x: float, y: float, rounds: int) -> float:
-        dx, dy = columns - x, rows - y
+        dy, dx = grid - np.array([y, x])[:, None, None]
         distance = np.hypot(dx, dy)
         inside = used & (distance < radius)
         if np.count_nonzero(inside) < 60:
@@ -149,14 +149,13 @@ def _departure(seen: Array, used: npt.NDArray[np.bool_], middle: tuple[float, fl
             near = np.bincount(ring, (1 - outer) * of, count).astype(np.float64)
             return near + np.bincount(ring + 1, outer * of, count)
 
-        weight: Array = np.maximum(gathered(np.ones_like(values)), 1e-9)
-        profile: Array = np.zeros(count)
-        left: Array = values
+        weight = gathered(np.ones_like(values)) + 1e-9
+        profile, left = np.zeros(count, dtype=np.float64), values.copy()
         # The mean over circles, linear between whole radii, by repeated correction.
         for _ in range(rounds):
-            profile += gathered(left) / weight
+            profile = profile + gathered(left) / weight
             left = values - ((1 - outer) * profile[ring] + outer * profile[ring + 1])
-        sector = ((np.arctan2(dy[inside], dx[inside]) / (2 * math.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
+        sector = ((np.arctan2(dy, dx)[inside] / (2 * math.pi) + 0.5) * _SECTORS).astype(np.int64) % _SECTORS
         energy = np.bincount(sector, left**2, _SECTORS) / np.maximum(np.bincount(sector, values**2, _SECTORS), 1e-9)
         return float(np.sort(energy)[:_COUNTED].mean())
 
