@@ -40,6 +40,7 @@ _MOST_SATURATED = 0.25
 EDGES = (0.6e-3, 2.5e-3, 6e-3)
 _IDLE = (0.88, 0.10, 0.015, 0.005)
 _SEEN = {"clear": (0.005, 0.02, 0.08, 0.895), "faint": (0.12, 0.41, 0.26, 0.21), "blocked": _IDLE}
+_CLEAR = list(_SEEN).index("clear")
 # Mean time between changes of the state, in seconds.
 _STAYS = 20.0
 # Neighbouring frames resemble each other: so many of them count as one.
@@ -205,6 +206,9 @@ class Activity:
             self._joint = self._joint * likely ** (1 / _ALIKE)
         self._joint = self._joint / self._joint.sum()
         self.imaging = float(self._joint[0].sum())
-        if not seen or 1 - _SURE < self.imaging < _SURE:
+        if not seen:
             return None
-        return self.imaging >= _SURE
+        if self.imaging >= _SURE:
+            return True
+        # Behind a filter that passes some percent the sensor shows at some gazes only.
+        return False if self._joint[1, _CLEAR] >= _SURE else None
