@@ -47,7 +47,7 @@ def read(path: Path) -> np.ndarray:
     image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if image is None:
         sys.exit(f"error: {path}: is no picture")
-    return image.astype(np.float32) if image.ndim == 2 else image.mean(2, dtype=np.float32)
+    return image if image.ndim == 2 else image.mean(2).round().astype(np.uint8)
 
 
 def shake(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
