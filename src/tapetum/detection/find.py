@@ -41,6 +41,7 @@ def find_cameras(
     largest: float = 60.0,
     most: int = 200,
     channel: str = "mean",
+    swaps: bool = True,
 ) -> Found:
     """Find cameras, and other optics that look at the probe, in one frame or in a lit and a dark one.
 
@@ -59,6 +60,8 @@ def find_cameras(
     channel
         Of a colour frame: mean, red, green or blue. The mean holds the glint of a white flash and, in all three,
         of a near-infrared lamp; for a red laser "red" has less of the room's own light in it.
+    swaps
+        Whether to look, where nothing is likely in a pair, if the two are swapped. It doubles the time.
 
     Returns
     -------
@@ -97,7 +100,7 @@ def find_cameras(
     log_odds = score.log_odds(measured)
     alarms = score.false_alarms(log_odds)
     swapped = False
-    if registered is not None and not (alarms < _LIKELY_NONE).any():
+    if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
         other_way = Registered(first, -registered.coarse, registered.correlation)
         turned = score.log_odds(_candidates(registered.dark, other_way, largest, most)[1])
         swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())

@@ -114,7 +114,8 @@ class TrackedFrame:
     ) -> TrackedFrame:
         """Follow the spots of a frame; `about` holds its frame, time, name and moment."""
         rows: list[TrackRow] = []
-        for point in tracker.update(found, about["time"]):
+        dark = about["moment"].get("lit") is False and not len(found)
+        for point in tracker.update(found, about["time"], dark=dark):
             n = point.detection
             spot: dict[str, Any] = {
                 name: None if n is None else float(getattr(found, name)[n])

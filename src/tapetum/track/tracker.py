@@ -46,8 +46,8 @@ class TrackPoint:
     detection
         Index of its detection in the frame; None while the track coasts.
     event
-        What happened to the track in this frame: "begun", "found again", "unseen", "hidden by track N" where another
-        is seen at its place, or "ended: …" with the reason; else empty.
+        What happened to the track in this frame: "begun", "found again", "unseen", "dark", "hidden by track N" where
+        another is seen at its place, or "ended: …" with the reason; else empty.
     """
 
     track: int
@@ -194,7 +194,7 @@ class Tracker:
         costs = np.where(fits, squared + np.minimum(likeness**2, 4.0), _NEVER)
         return costs, dim & (distance <= self.ghost_radius)
 
-    def update(self, detections: Detections, time: float) -> list[TrackPoint]:
+    def update(self, detections: Detections, time: float, *, dark: bool = False) -> list[TrackPoint]:
         """Take the spots of the next frame.
 
         Parameters
@@ -203,6 +203,8 @@ class Tracker:
             Spots of the frame. Those marked as ghosts are ignored.
         time
             Of the frame, in seconds; not before that of the frame before.
+        dark
+            Whether the probe's light was off: a spot that is not seen is not missed then.
 
         Returns
         -------
@@ -238,9 +240,10 @@ class Tracker:
                 events[track] = "found again" if track.misses else ""
                 track.correct(*looks[pairs[row]], time)
                 seen[track] = pairs[row]
-            else:
+            elif not dark:
                 track.misses += 1
-            track.lately = [*track.lately, row in pairs][-self.persist[1] :]
+            if row in pairs or not dark:
+                track.lately = [*track.lately, row in pairs][-self.persist[1] :]
         ended = [track for track in self._tracks if not self._lives(track, time)]
         self._tracks = [track for track in self._tracks if self._lives(track, time)]
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
@@ -261,7 +264,7 @@ class Tracker:
                 other = self._at_its_place(track, seen)
                 # Another where it was last seen is what it became one with, wherever it would be by now.
                 track.hidden = other if track.misses == 1 else track.hidden
-                events[track] = "unseen" if other is None else f"hidden by track {other}"
+                events[track] = "dark" if dark else "unseen" if other is None else f"hidden by track {other}"
                 if track in ended:
                     why = "unseen" if track.hidden is None else f"merged with track {track.hidden}"
                     events[track] = f"ended: {why} for {time - track.seen_at:.2f} s"
