@@ -33,6 +33,7 @@ _QUANTUM = 0.3
 _LEFT_OF_EDGES = 0.25
 _LEAST = 1.5
 _BLOCK = 8
+_ALONE = 3.0
 # Blocks around one with whose answers its own is compared: 7 x 7 of them, 56 pixels.
 _AROUND = 7
 # The highest of 64 answers to white noise stands 2.3 standard deviations high.
@@ -224,7 +225,13 @@ def _screened(layer: Layer, most: int) -> tuple[NDArray[np.int64], NDArray[np.in
     variance = around[row, column] ** 2 + _QUANTUM**2
     if layer.dark is not None and len(x):
         variance += (_LEFT_OF_EDGES * _edges(layer.dark, x, y)) ** 2
+    # In one frame alone, a place that stands alone is worth a closer look more than one of many.
+    ring = np.ones((5, 5), np.uint8)
+    ring[1:4, 1:4] = 0
+    others = np.maximum(np.asarray(cv2.dilate(highest, ring))[row, column], 0.5)
     heights = own / np.sqrt(variance)
+    if layer.dark is None:
+        heights = heights * np.clip(own / others, 1 / _ALONE, _ALONE)
     kept = np.argsort(-heights, kind="stable")[:most]
     return x[kept], y[kept], np.asarray(heights[kept], dtype=np.float32)
 

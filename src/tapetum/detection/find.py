@@ -27,6 +27,7 @@ _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
 # Level of no difference, in bytes.
 _ZERO = 64
+_MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
 
@@ -39,7 +40,7 @@ def find_cameras(
     *,
     false_alarms: float = 0.01,
     largest: float = 60.0,
-    most: int = 200,
+    most: int | None = None,
     channel: str = "mean",
     swaps: bool = True,
 ) -> Found:
@@ -56,7 +57,7 @@ def find_cameras(
     largest
         Largest diameter of a spot in pixels.
     most
-        Most candidates that are looked at.
+        Most candidates that are looked at closely; default: 100 of a pair, 200 of one frame alone.
     channel
         Of a colour frame: mean, red, green or blue. The mean holds the glint of a white flash and, in all three,
         of a near-infrared lamp; for a red laser "red" has less of the room's own light in it.
@@ -87,7 +88,7 @@ def find_cameras(
         raise InputError(f"must be positive, is {false_alarms}", where="false_alarms", remedy="0.01 is usual")
     if not largest > 0:
         raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
-    if most < 1:
+    if most is not None and most < 1:
         raise InputError(f"must be at least 1, is {most}", where="most")
     one_of(channel, CHANNELS, "channel")
     first = _levels(lit, channel, "lit")
@@ -123,7 +124,7 @@ def find_cameras(
 
 
 def candidates_with_looks(
-    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int = 200
+    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
 ) -> tuple[dict[str, Array], Array]:
     """Return candidates by column, [N] each, and their looks, [N, features].
 
@@ -139,8 +140,10 @@ def candidates_with_looks(
 
 
 def _candidates(
-    lit: NDArray, registered: Registered | None, largest: float, most: int
+    lit: NDArray, registered: Registered | None, largest: float, most: int | None
 ) -> tuple[dict[str, Array], Array]:
+    if most is None:
+        most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
     if registered is None:
         layer = Layer(1, lit, lit, None)
     elif lit.dtype == np.uint8:
@@ -170,8 +173,9 @@ def _candidates(
     table, features = np.vstack(columns), np.vstack(measured)
     kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
     table, features = table[kept], features[kept]
-    middle, high = np.quantile(table[:, 2], [0.5, 0.8])
-    features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (high - middle + 0.3))
+    # Below the median, for up to half of the candidates may be cameras.
+    low, middle = np.quantile(table[:, 2], [0.2, 0.5])
+    features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (middle - low + 0.3))
     return dict(zip(names, table.T, strict=True)), features
 
 

@@ -148,12 +148,13 @@ def _fresh(octave: Octave, sigma: Array) -> Array:
     lit = _smoothed(octave.lit, 0.8)[:, inner, inner]
     dark = _smoothed(octave.dark, 0.8)[:, wider, wider]
     radius = np.hypot(*np.mgrid[-_AGAIN : _AGAIN + 1, -_AGAIN : _AGAIN + 1])
-    around = radius[None] > (2.5 * sigma + 1.5)[:, None, None]
-    least, left = np.full(len(lit), np.inf), np.zeros_like(lit)
+    around = (radius > (2.5 * np.array(SIGMAS) + 1.5)[:, None, None]).astype(np.float32)
+    least, left = np.full(len(lit), np.inf, np.float32), np.zeros_like(lit)
     for row in range(2 * _REACH + 1):
         for column in range(2 * _REACH + 1):
             apart = lit - dark[:, row : row + side, column : column + side]
-            error = np.einsum("nij,nij,nij->n", apart, apart, around)
+            errors = np.square(apart).reshape(len(lit), -1) @ around.reshape(len(SIGMAS), -1).T
+            error = np.take_along_axis(errors, octave.size[:, None], 1)[:, 0]
             better = error < least
             least[better], left[better] = error[better], apart[better]
     answer = np.empty_like(left)
@@ -162,7 +163,8 @@ def _fresh(octave: Octave, sigma: Array) -> Array:
         tall = np.pad(left[mine], ((0, 0), (_PAD, _PAD), (0, 0)), mode="reflect")
         answers = difference_of_gaussians(tall.reshape(-1, side), one).reshape(tall.shape)
         answer[mine] = answers[:, _PAD:-_PAD]
-    spread = np.sqrt((answer**2 * around).sum((1, 2)) / around.sum((1, 2))) + 0.3
+    mine = around[octave.size]
+    spread = np.sqrt((answer**2 * mine).sum((1, 2)) / mine.sum((1, 2))) + 0.3
     return np.log(np.maximum(answer[:, _AGAIN, _AGAIN] / spread, 0.3))
 
 

@@ -23,13 +23,15 @@ Array = NDArray[np.float32]
 # Longest side at which the flow is sought: above it costs time and gains nothing, for it is smoothed anyway.
 _FLOW_SIDE = 768
 _SHIFT_SIDE = 512
-# The details of two frames of one scene correlate by 0.6 to 0.99 after registration, in heavy noise by 0.46; those of
-# unrelated frames by 0.2 to 0.45, for the flow bends anything a little. It then is rough: a tenth of its gradients
-# exceeds 0.47 pixels a pixel, in frames of one scene that correlate as little 0.41.
-_SAME_SCENE = 0.5
-_ROUGH = 0.45
+# The details of two frames of one scene correlate by 0.6 to 0.99 after registration, in heavy noise by 0.3 to 0.46;
+# those of unrelated frames by 0.2 to 0.4, for the flow bends anything a little. It then is rough: a tenth of its
+# gradients exceeds 0.24 to 0.7 pixels a pixel, in frames of one scene 0.01 to 0.3, the most in heavy noise.
+_SAME_SCENE, _ROUGH = 0.5, 0.4
+_UNLIKE, _BENT = 0.35, 0.23
 # Radius, in pixels, over which gain and offset of the two exposures are matched.
 _MATCHED = 25.0
+# Largest flow, in pixels, that may be left.
+_STILL = 0.05
 # Gains of 0.5 to 2 in bytes.
 _UNIT = 127
 _PRESET = cv2.DISOPTICAL_FLOW_PRESET_FAST
@@ -97,27 +99,40 @@ def register(lit: NDArray, dark: NDArray) -> Registered:
     a, b = (_details(g)[seen] for g in (small[0], _taken(small[1], from_x, from_y)))
     correlation = _correlation(a, b) if seen.sum() > 100 else 0.0
     flat = min(float(np.ptp(g)) for g in small) == 0
-    if correlation < _SAME_SCENE and _roughness(flow) > _ROUGH and not flat:
+    rough = _roughness(flow)
+    other = (correlation < _SAME_SCENE and rough > _ROUGH) or (correlation < _UNLIKE and rough > _BENT)
+    if other and not flat:
         what = f"cannot be registered to the lit frame: their details correlate by {correlation:.2f}"
         remedy = "give a dark frame of the same scene, taken within a second, moved by less than a third of the frame"
         raise InputError(what, where="dark", remedy=remedy)
     coarse = flow * np.array([width / size[0], height / size[1]], np.float32)
-    return Registered(_matched(lit, _taken(dark, *_partners(coarse, (width, height)))), coarse, correlation)
+    # A probe that stands still needs no resampling, which would cost as much as all the rest.
+    moved = dark if np.abs(coarse).max() < _STILL else _taken(dark, *_partners(coarse, (width, height)))
+    return Registered(_matched(lit, moved), coarse, correlation)
 
 
 def local_mean(image: NDArray, radius: float = _MATCHED) -> Array:
     """Mean about each of a grid of places that covers an image [H, W] evenly: a Gaussian of that standard deviation."""
     height, width = image.shape
-    step = max(1, int(radius / 4))
+    step = max(1, int(radius / 3))
     size = max(1, width // step), max(1, height // step)
     return np.asarray(cv2.GaussianBlur(_resized(image, size).astype(np.float32), (0, 0), radius / step))
 
 
 def _partners(flow: Array, size: tuple[int, int]) -> tuple[Array, Array]:
     """Where in the dark frame each pixel lies, x and y, [H, W] each, by a flow on any grid."""
-    from_x, from_y = (np.array(_resized(np.ascontiguousarray(flow[..., n]), size, cv2.INTER_LINEAR)) for n in (0, 1))
-    from_x += np.arange(size[0], dtype=np.float32)
-    from_y += np.arange(size[1], dtype=np.float32)[:, None]
+    rows, columns = flow.shape[:2]
+    over = size[0] / columns, size[1] / rows
+    places = np.meshgrid(*((np.arange(n) + 0.5) * k - 0.5 for n, k in zip((columns, rows), over, strict=True)))
+    from_x, from_y = (
+        np.asarray(_resized((place + flow[..., n]).astype(np.float32), size, cv2.INTER_LINEAR))
+        for n, place in enumerate(places)
+    )
+    # Between the outermost places of the grid and the frame's edge the same flow goes on.
+    for map_, rim in ((from_x, math.ceil(over[0] / 2)), (from_y.T, math.ceil(over[1] / 2))):
+        away = np.arange(rim, 0, -1, dtype=np.float32)
+        map_[:, :rim] = map_[:, rim, None] - away
+        map_[:, -rim:] = map_[:, -rim - 1, None] + away[::-1]
     return from_x, from_y
 
 
@@ -206,7 +221,7 @@ def _details(image: Array) -> Array:
 def _matched(lit: NDArray, dark: NDArray) -> NDArray:
     """The dark frame with the local mean and contrast of the lit one: the laser lights walls too."""
     height, width = lit.shape
-    step = max(1, int(_MATCHED / 8))
+    step = max(1, int(_MATCHED / 6))
     small = [_resized(g, (max(1, width // step), max(1, height // step))).astype(np.float32) for g in (lit, dark)]
 
     def mean(image: Array) -> Array:

@@ -41,7 +41,7 @@ class CameraDetector:
     ghosts
         "drop" leaves ghosts out, "mark" returns them with ``ghost`` set.
     most
-        Most places of a frame that are looked at closely.
+        Most places of a frame that are looked at closely, as of `find_cameras`.
     apart
         Seconds that a dark frame may be older than the lit one.
 
@@ -64,7 +64,7 @@ class CameraDetector:
         min_snr: float = 3.0,
         ghost: Ghost | None = None,
         ghosts: str = "drop",
-        most: int = 100,
+        most: int | None = None,
         apart: float = 0.5,
     ) -> None:
         for name, value in (("false_alarms", false_alarms), ("largest", largest), ("min_snr", min_snr)):
