@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pytest
@@ -213,3 +215,20 @@ def test_the_command_finds_cameras_of_a_room(tmp_path: Path, capsys) -> None:
     assert main(["track", str(tmp_path / "room.rec"), "--false-alarms-per-frame", "1", "-o", str(out)]) == 2
     assert "--false-alarms-per-frame: is of the detector of cameras" in capsys.readouterr().err
     assert main(["track", str(tmp_path / "room.rec"), "--detector", "dogs", "-o", str(out)]) == 2
+
+
+def test_every_readable_frame_of_a_truncated_video_is_used_and_that_is_said(tmp_path: Path, capsys) -> None:
+    video, cut = tmp_path / "whole.mkv", tmp_path / "cut.mkv"
+    with av.open(str(video), "w") as container:
+        stream = container.add_stream("ffv1", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 400, 300, "gray"
+        for frame in bench_frames(lambda n: [(100 + 5 * n, 120, 150)], 30):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(frame.image, format="gray")))
+        container.mux(stream.encode())
+    data = video.read_bytes()
+    cut.write_bytes(data[: len(data) // 2])
+    assert main(["track", str(cut), "-o", str(tmp_path / "t.csv")]) == 2
+    told = capsys.readouterr().err.splitlines()[-1]
+    count = int(re.findall(r"(\d+) frames could be read", told)[0])
+    assert 8 <= count < 30 and f"{count} rows are kept in {tmp_path / 't.unfinished.csv'}" in told
+    assert read_tracks(tmp_path / "t.unfinished.csv")["frame"].to_pylist() == list(range(count))

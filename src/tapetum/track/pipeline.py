@@ -204,7 +204,8 @@ def usual_tracker(detector: str | Detector, options: Mapping[str, Any] | None = 
 
 
 def _opened(source: Frames, stream: str) -> Source | Iterable[Frame]:
-    return open_frames(source, stream) if isinstance(source, (str, os.PathLike)) else source
+    # A truncated video gives its readable frames first: their rows are kept, and the error says so.
+    return open_frames(source, stream, late=True) if isinstance(source, (str, os.PathLike)) else source
 
 
 def _count(frames: Source | Iterable[Frame]) -> int | None:
