@@ -110,7 +110,7 @@ def track(
     if ghost is not None:
         from tapetum.track.ghosts import Ghost
 
-        options["ghost"] = Ghost.load(ghost)
+        options["known_ghost"] = Ghost.load(ghost)
     # One of one's own making tells afterwards what it could not use; ghosts that are kept aside are marked.
     chosen, chosen_options = detector, options
     if detector == "cameras":

@@ -36,7 +36,7 @@ class CameraDetector:
         Largest diameter of a spot in pixels.
     min_snr
         Smallest height of a spot over the spread of its surroundings.
-    ghost
+    known_ghost
         Of the probe's beam splitter, where it was calibrated.
     ghosts
         "drop" leaves ghosts out, "mark" returns them with ``ghost`` set.
@@ -62,7 +62,7 @@ class CameraDetector:
         false_alarms: float = 0.01,
         largest: float = 60.0,
         min_snr: float = 3.0,
-        ghost: Ghost | None = None,
+        known_ghost: Ghost | None = None,
         ghosts: str = "drop",
         most: int | None = None,
         apart: float = 0.5,
@@ -73,7 +73,7 @@ class CameraDetector:
         if ghosts not in ("drop", "mark"):
             raise InputError(f"unknown value {ghosts!r}", where="ghosts", remedy="use one of drop, mark")
         self.false_alarms, self.largest, self.min_snr = false_alarms, largest, min_snr
-        self.ghost, self.ghosts, self.most, self.apart = ghost, ghosts, most, apart
+        self.known_ghost, self.ghosts, self.most, self.apart = known_ghost, ghosts, most, apart
         self.notes: Counter[str] = Counter()
         self._dark: tuple[float, NDArray[np.generic]] | None = None
 
@@ -118,8 +118,8 @@ class CameraDetector:
         height, width = image.shape
         margin = np.minimum.reduce([found.x, found.y, width - 1 - found.x, height - 1 - found.y])
         ghost = np.zeros(len(found), bool)
-        if self.ghost is not None:
-            ghost = self.ghost.among(found.x, found.y, peak, found.saturated)
+        if self.known_ghost is not None:
+            ghost = self.known_ghost.among(found.x, found.y, peak, found.saturated)
         columns = {
             "x": found.x,
             "y": found.y,

@@ -62,7 +62,7 @@ def detect(
     ghost_radius: float | None = None,
     stray: float = 0.03,
     largest: float | None = None,
-    ghost: Ghost | None = None,
+    known_ghost: Ghost | None = None,
 ) -> Detections:
     """Find the retro-reflections in a frame.
 
@@ -98,7 +98,7 @@ def detect(
     largest
         Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are removed before ghosts are
         sought. None: no limit.
-    ghost
+    known_ghost
         Of this probe's beam splitter, calibrated: then only spots at its offset and ratio are ghosts, `ghost_ratio` and
         `ghost_radius` do not apply, and `stray` does only within three diameters of a brighter spot.
 
@@ -143,10 +143,12 @@ def detect(
     measured = ("x", "y", "peak", "diameter", "snr", "area", "saturated", "edge")
     spots = {name: np.array([getattr(spot, name) for spot in found]) for name in measured}
     radius = 0.35 * math.hypot(*array.shape) if ghost_radius is None else ghost_radius
-    if ghost is None:
+    if known_ghost is None:
         spots["ghost"] = _ghosts(spots, ghost_ratio, radius, stray)
     else:
-        spots["ghost"] = ghost.among(spots["x"], spots["y"], spots["peak"], spots["saturated"]) | _halos(spots, stray)
+        spots["ghost"] = known_ghost.among(spots["x"], spots["y"], spots["peak"], spots["saturated"]) | _halos(
+            spots, stray
+        )
     if ghosts == "drop":
         spots = {name: values[~spots["ghost"]] for name, values in spots.items()}
     reach = np.maximum(4.0, 0.75 * spots["diameter"])

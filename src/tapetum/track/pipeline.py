@@ -200,7 +200,7 @@ def usual_tracker(detector: str | Detector, options: Mapping[str, Any] | None = 
     """
     if detector == "cameras":
         return Tracker(ghost_ratio=0.0, persist=(3, 5), endings=True)
-    return Tracker(ghost_ratio=0.0) if (options or {}).get("ghost") is not None else Tracker()
+    return Tracker(ghost_ratio=0.0) if (options or {}).get("known_ghost") is not None else Tracker()
 
 
 def _opened(source: Frames, stream: str) -> Source | Iterable[Frame]:
