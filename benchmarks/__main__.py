@@ -7,7 +7,7 @@ import importlib
 import sys
 from collections.abc import Sequence
 
-NAMES = ("retroreflection", "growth", "lenses", "features", "tracking", "filming", "synth")
+NAMES = ("retroreflection", "growth", "lenses", "features", "detection", "tracking", "filming", "synth")
 NAMES += ("learning", "training", "inference", "gpu")
 
 

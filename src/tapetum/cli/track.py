@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import json
+import threading
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -17,6 +18,9 @@ from tapetum.progress import bar
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+
+_USUAL: dict[str, dict[str, float]] = {"spots": {"min_snr": 6.0, "largest": 400.0}, "cameras": {}}
 
 
 def track(
@@ -32,10 +36,27 @@ def track(
     detections: Annotated[
         Path | None, option("FILE", "Keep what was detected here too, to track again without the video.")
     ] = None,
-    min_snr: Annotated[float, option("RATIO", "Least signal-to-noise ratio of a detection.", min=1.0)] = 6.0,
+    detector: Annotated[
+        str, option("NAME", "What finds them: spots, in the beam of a dark bench, or cameras, in a room.")
+    ] = "spots",
+    false_alarms: Annotated[
+        float | None,
+        option("RATE", "Of cameras: expected false alarms a frame (0.01).", "--false-alarms-per-frame", min=1e-6),
+    ] = None,
+    min_snr: Annotated[
+        float | None, option("RATIO", "Least signal-to-noise ratio of a detection: of spots 6, of cameras 3.", min=1.0)
+    ] = None,
     largest: Annotated[
-        float, option("PX", "Largest diameter of a retro-reflection: wider spots are walls and lamps.", min=1.0)
-    ] = 400.0,
+        float | None,
+        option("PX", "Largest diameter, of spots 400, of cameras 60: wider ones are walls and lamps.", min=1.0),
+    ] = None,
+    ghost: Annotated[
+        Path | None, option("FILE", "A calibrated ghost: only what stands at its offset and ratio is dropped.")
+    ] = None,
+    calibrate: Annotated[
+        bool,
+        typer.Option("--calibrate-ghost", help="Find the beam splitter's ghost of one moving camera: -o NAME.json."),
+    ] = False,
     smooth: Smooth = None,
     systematic: Systematic = 1.0,
     stream: Annotated[str, option("NAME", "Which stream of a recording.")] = "probe",
@@ -46,7 +67,13 @@ def track(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Track every retro-reflection, and estimate its camera's gaze with models."""
+    """Track every retro-reflection, and estimate its camera's gaze with models.
+
+    --detector cameras compares lit frames with dark ones where the source knows which is which.
+    """
+    one_of(detector, tuple(_USUAL), "--detector")
+    if false_alarms is not None and detector != "cameras":
+        raise InputError("is of the detector of cameras", where="--false-alarms-per-frame", remedy="--detector cameras")
     if detections is not None and detections.resolve() == out.resolve():
         raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
     if smooth is not None:
@@ -55,29 +82,48 @@ def track(
         raise InputError("is the source itself", where="--out", remedy="name another file")
     for path in (out, detections):
         check_output(path, force)
+    options: dict[str, Any] = {
+        **_USUAL[detector],
+        **_given(min_snr=min_snr, largest=largest, false_alarms=false_alarms),
+    }
+    if calibrate:
+        _calibrate(source, out, detector, options, stream, seconds, as_json)
+        return
     from tapetum.files import free_name
     from tapetum.track import track_to_file, write_tracks
+    from tapetum.track.cameras import CameraDetector
     from tapetum.track.formats import FORMATS
+    from tapetum.track.pipeline import usual_tracker
     from tapetum.track.tables import checked_suffix
 
     if source.suffix.lower() in FORMATS and source.is_file():
         if models or detections is not None:
             remedy = "leave --model and --detections out, or give the video"
             raise InputError("holds detections, not frames", where=source, remedy=remedy)
-        _again(source, out, smooth, systematic)
+        _again(source, out, detector, smooth, systematic)
         return
     if smooth is not None and not models:
         raise InputError("without a model there is nothing to smooth", where="--smooth", remedy="give --model")
     checked_suffix(out)
     # What is smoothed takes its name only when it is; until then, and if it cannot be, the tracks are kept beside.
     raw = out if smooth is None else free_name(out, "unsmoothed")
+    if ghost is not None:
+        from tapetum.track.ghosts import Ghost
+
+        options["known_ghost"] = Ghost.load(ghost)
+    # One of one's own making tells afterwards what it could not use; ghosts that are kept aside are marked.
+    chosen, chosen_options = detector, options
+    if detector == "cameras":
+        chosen, chosen_options = CameraDetector(**options, ghosts="drop" if detections is None else "mark"), None
     with says_what_is_kept():
         summary = track_to_file(
             source,
             raw,
             model=[find_model(name, device) for name in models or ()],
             detections=detections,
-            detect_options={"min_snr": min_snr, "largest": largest},
+            detector=chosen,
+            tracker=usual_tracker(detector, options),
+            detect_options=chosen_options,
             stream=stream,
             seconds=seconds,
             progress=bar,
@@ -91,12 +137,45 @@ def track(
             remedy = "; ".join(filter(None, (error.remedy, f"the tracks as they are stand in {raw}")))
             raise InputError(error.what, where=error.where, remedy=remedy) from error
         raw.unlink()
+    for reason, count in getattr(chosen, "notes", {}).items():
+        frames = f"{count} lit frame{'' if count == 1 else 's'}"
+        typer.echo(f"note: {frames} searched alone, which finds less: {reason}", err=True)
     if as_json:
         typer.echo(json.dumps({**asdict(summary), "out": str(out)}))
         return
     counts = (("track", summary.tracks), ("frame", summary.frames), ("sighting", summary.seen))
     tracks, frames, seen = (f"{count} {word}{'' if count == 1 else 's'}" for word, count in counts)
     typer.echo(f"{out}: {tracks} in {frames}, {seen}{f', {summary.lost} frames lost' if summary.lost else ''}")
+
+
+def _given(**options: Any) -> dict[str, Any]:
+    return {name: value for name, value in options.items() if value is not None}
+
+
+def _calibrate(
+    source: Path, out: Path, detector: str, options: dict[str, Any], stream: str, seconds: float | None, as_json: bool
+) -> None:
+    """Find the ghost in a source's frames and write it."""
+    if out.suffix.lower() != ".json":
+        raise InputError("cannot hold a ghost", where=out, remedy="name it NAME.json")
+    from tapetum.record.frames import open_frames
+    from tapetum.record.reader import taken
+    from tapetum.track.detect import DETECTORS
+    from tapetum.track.ghosts import calibrate_ghost
+
+    # The rule of the bench would drop whatever is dim near a brighter one, marked or not.
+    free = {"ghost_ratio": 0.0, "stray": 0.0} if detector == "spots" else {}
+    find = DETECTORS[detector](**options, **free, ghosts="mark")
+    frames = taken(open_frames(source, stream), threading.Event(), seconds)
+    found = calibrate_ghost(find(frame) for frame in frames)
+    found.save(out)
+    if as_json:
+        typer.echo(json.dumps({**asdict(found), "out": str(out)}))
+        return
+    typer.echo(
+        f"{out}: the ghost stands {found.dx:+.1f}, {found.dy:+.1f} px away, {found.ratio:.3f} as high; "
+        f"within {found.reach:.1f} px it is dropped by --ghost"
+    )
 
 
 def _smoothed(table: pa.Table, way: str | None, systematic: float) -> pa.Table:
@@ -109,11 +188,12 @@ def _smoothed(table: pa.Table, way: str | None, systematic: float) -> pa.Table:
     return smooth_tracks(table, causal=way == "live", systematic=systematic)
 
 
-def _again(source: Path, out: Path, smooth: str | None, systematic: float) -> None:
+def _again(source: Path, out: Path, detector: str, smooth: str | None, systematic: float) -> None:
     """Track stored detections again, with their estimates."""
     from tapetum.track import retrack, write_tracks
+    from tapetum.track.pipeline import usual_tracker
 
-    tracks = _smoothed(retrack(source), smooth, systematic)
+    tracks = _smoothed(retrack(source, tracker=usual_tracker(detector)), smooth, systematic)
     write_tracks(tracks, out)
     number = len(set(tracks["track"].to_pylist()))
     typer.echo(f"{out}: {number} track{'' if number == 1 else 's'} in {tracks.num_rows} rows, from kept detections")

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.detection.candidates import SIGMAS, Octave, octaves, patches
+from tapetum.detection.candidates import HALF, SIGMAS, Layer, Octave, cut_out, octaves
 from tapetum.detection.found import Found
 from tapetum.detection.looks import OF_A_FRAME, looks
 from tapetum.detection.registration import Registered, local_mean, register
@@ -25,6 +25,9 @@ _OUTLIER = OF_A_FRAME.index("outlier")
 _SATURATED = OF_A_FRAME.index("saturated")
 _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
+# Level of no difference, in bytes.
+_ZERO = 64
+_MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
 
@@ -37,8 +40,9 @@ def find_cameras(
     *,
     false_alarms: float = 0.01,
     largest: float = 60.0,
-    most: int = 200,
+    most: int | None = None,
     channel: str = "mean",
+    swaps: bool = True,
 ) -> Found:
     """Find cameras, and other optics that look at the probe, in one frame or in a lit and a dark one.
 
@@ -53,10 +57,12 @@ def find_cameras(
     largest
         Largest diameter of a spot in pixels.
     most
-        Most candidates that are looked at.
+        Most candidates that are looked at closely; default: 100 of a pair, 200 of one frame alone.
     channel
         Of a colour frame: mean, red, green or blue. The mean holds the glint of a white flash and, in all three,
         of a near-infrared lamp; for a red laser "red" has less of the room's own light in it.
+    swaps
+        Whether to look, where nothing is likely in a pair, if the two are swapped. It doubles the time.
 
     Returns
     -------
@@ -82,18 +88,22 @@ def find_cameras(
         raise InputError(f"must be positive, is {false_alarms}", where="false_alarms", remedy="0.01 is usual")
     if not largest > 0:
         raise InputError(f"must be positive, is {largest}", where="largest", remedy="give a diameter in pixels")
-    if most < 1:
+    if most is not None and most < 1:
         raise InputError(f"must be at least 1, is {most}", where="most")
     one_of(channel, CHANNELS, "channel")
     first = _levels(lit, channel, "lit")
     second = None if dark is None else _levels(dark, channel, "dark")
     score = load_score(pair=second is not None)
-    found, measured = candidates_with_looks(first, second, largest=largest, most=most)
+    if second is not None and first.dtype != second.dtype:
+        first, second = first.astype(np.float32), second.astype(np.float32)
+    registered = None if second is None else register(first, second)
+    found, measured = _candidates(first, registered, largest, most)
     log_odds = score.log_odds(measured)
     alarms = score.false_alarms(log_odds)
     swapped = False
-    if second is not None and not (alarms < _LIKELY_NONE).any():
-        turned = score.log_odds(candidates_with_looks(second, first, largest=largest, most=most)[1])
+    if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
+        other_way = Registered(first, -registered.coarse, registered.correlation)
+        turned = score.log_odds(_candidates(registered.dark, other_way, largest, most)[1])
         swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
@@ -114,46 +124,80 @@ def find_cameras(
 
 
 def candidates_with_looks(
-    lit: NDArray[np.float32], dark: NDArray[np.float32] | None, *, largest: float = 60.0, most: int = 200
+    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
 ) -> tuple[dict[str, Array], Array]:
     """Return candidates by column, [N] each, and their looks, [N, features].
 
     Parameters
     ----------
     lit, dark
-        [H, W] levels from 0 to 255 as float32; dark None for one frame alone.
+        [H, W] levels from 0 to 255, both uint8 or both float32; dark None for one frame alone.
     largest, most
         As for `find_cameras`.
     """
-    registered: Registered | None = None
-    difference, matched = lit, None
-    if dark is not None:
-        registered = register(lit, dark)
-        matched = registered.dark
-        difference = np.asarray(cv2.subtract(lit, matched), dtype=np.float32)
-    local = local_mean(lit)
-    seen, flow = (None, None) if registered is None else (registered.seen, registered.flow)
+    registered = None if dark is None else register(lit, dark)
+    return _candidates(lit, registered, largest, most)
+
+
+def _candidates(
+    lit: NDArray, registered: Registered | None, largest: float, most: int | None
+) -> tuple[dict[str, Array], Array]:
+    if most is None:
+        most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
+    if registered is None:
+        layer = Layer(1, lit, lit, None)
+    elif lit.dtype == np.uint8:
+        # What is much darker in the lit frame does not matter: bytes may end there.
+        layer = Layer(1, np.asarray(cv2.addWeighted(lit, 1, registered.dark, -1, _ZERO)), lit, registered.dark)
+    else:
+        layer = Layer(1, np.asarray(cv2.subtract(lit, registered.dark)), lit, registered.dark)
+    screened = list(octaves(layer, largest, most))
+    names = ("x", "y", "snr", "flux", "diameter", "peak")
+    step = np.concatenate([np.full(len(x), one.step) for one, x, _, _ in screened] or [np.empty(0)])
+    at_x, at_y, height = (np.concatenate([part[n] for part in screened] or [np.empty(0)]) for n in (1, 2, 3))
+    places = np.stack([(at_x + 0.5) * step - 0.5, (at_y + 0.5) * step - 0.5], 1)
+    allowed = np.arange(len(step)) if registered is None else np.flatnonzero(_within(registered, places, lit.shape))
+    kept = allowed[_one_a_place(*places[allowed].T, height[allowed], 4 * step[allowed], most)]
+    mean = local_mean(lit)
+    flow = None if registered is None else registered.coarse
     columns: list[Array] = []
     measured: list[Array] = []
-    for octave in octaves(difference, lit, matched, seen, largest, most):
-        columns.append(_measured(octave))
-        measured.append(looks(octave, local, _FULL, flow))
-    names = ("x", "y", "snr", "flux", "diameter", "peak")
+    for one, *_ in screened:
+        mine = kept[step[kept] == one.step]
+        if len(mine):
+            cut = cut_out(one, at_x[mine], at_y[mine])
+            columns.append(_measured(cut))
+            measured.append(looks(cut, _at(mean, columns[-1], lit.shape), _FULL, flow))
     if not columns:
-        return {name: np.empty(0) for name in names}, np.empty((0, len(OF_A_FRAME) + (3 if dark is not None else 0)))
+        return {name: np.empty(0) for name in names}, np.empty((0, len(OF_A_FRAME) + (3 if flow is not None else 0)))
     table, features = np.vstack(columns), np.vstack(measured)
-    kept = _one_a_place(table)[:most]
+    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
     table, features = table[kept], features[kept]
-    middle, high = np.quantile(table[:, 2], [0.5, 0.8])
-    features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (high - middle + 0.3))
+    # Below the median, for up to half of the candidates may be cameras.
+    low, middle = np.quantile(table[:, 2], [0.2, 0.5])
+    features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (middle - low + 0.3))
     return dict(zip(names, table.T, strict=True)), features
+
+
+def _at(grid: NDArray[np.float32], places: Array, shape: tuple[int, ...]) -> Array:
+    """Values of a grid that covers a frame [H, W] evenly, at places (x, y, …), [N]."""
+    rows, columns = grid.shape[:2]
+    row = np.clip((places[:, 1] + 0.5) * rows / shape[0], 0, rows - 1).astype(int)
+    return grid[row, np.clip((places[:, 0] + 0.5) * columns / shape[1], 0, columns - 1).astype(int)]
+
+
+def _within(registered: Registered, places: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+    """Whether the dark frame shows places (x, y, …) and a pixel around, [N]."""
+    from_x, from_y = (places[:, n] + _at(registered.coarse[..., n], places, shape) for n in (0, 1))
+    return (from_x >= 1) & (from_y >= 1) & (from_x <= shape[1] - 2) & (from_y <= shape[0] - 2)
 
 
 def _measured(octave: Octave) -> Array:
     """Place, height, flux, diameter and peak of each candidate, [N, 6], in pixels of the frame."""
     half = 6
     sigma = np.array(SIGMAS)[octave.size]
-    patch = patches(octave.difference, octave.x, octave.y, half).astype(np.float64)
+    inner = slice(HALF - half, HALF + half + 1)
+    patch = octave.difference[:, inner, inner].astype(np.float64)
     rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
     radius = np.hypot(rows, columns)
     rim = np.median(patch[:, radius > half - 1.5], axis=1)
@@ -161,7 +205,8 @@ def _measured(octave: Octave) -> Array:
     light = np.maximum(spot.sum((1, 2)), 1e-9)
     x, y = _centroid(np.maximum(patch - rim[:, None, None], 0), sigma, columns, rows)
     step = octave.step
-    peak = patches(octave.lit, octave.x, octave.y, 1).max((1, 2))
+    middle = slice(HALF - 1, HALF + 2)
+    peak = octave.lit[:, middle, middle].max((1, 2))
     places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((octave.x, x), (octave.y, y)))
     # The filter of width s answers a Gaussian of sigma s most.
     found = [*places, octave.height, light * step**2, 4 * sigma * step, peak]
@@ -184,20 +229,21 @@ def _centroid(spot: Array, sigma: Array, columns: Array, rows: Array) -> tuple[A
     return x, y
 
 
-def _one_a_place(table: Array) -> NDArray[np.int64]:
-    """Numbers of the candidates, highest first, less those that lie within a higher one."""
-    order = np.argsort(-table[:, 2], kind="stable")
-    x, y, diameter = table[order, 0], table[order, 1], table[order, 4]
-    alone = np.ones(len(order), bool)
-    for n in range(len(order)):
-        if alone[n]:
-            reach = np.maximum(0.375 * np.maximum(diameter[n], diameter[n + 1 :]), 2)
-            alone[n + 1 :] &= np.hypot(x[n + 1 :] - x[n], y[n + 1 :] - y[n]) > reach
-    return order[alone]
+def _one_a_place(x: Array, y: Array, height: Array, diameter: Array, most: int) -> NDArray[np.int64]:
+    """Numbers of the candidates, highest first, less those that lie within a higher one; at most so many."""
+    left = np.argsort(-height, kind="stable")
+    kept: list[int] = []
+    while len(left) and len(kept) < most:
+        n = int(left[0])
+        kept.append(n)
+        left = left[1:]
+        reach = np.maximum(0.375 * np.maximum(diameter[n], diameter[left]), 2)
+        left = left[(x[left] - x[n]) ** 2 + (y[left] - y[n]) ** 2 > reach**2]
+    return np.array(kept, dtype=np.int64)
 
 
-def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray[np.float32]:
-    """The frame as grey levels from 0 to 255, [H, W]."""
+def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray:
+    """The frame as grey levels from 0 to 255, [H, W]: uint8 where it was, else float32."""
     array: NDArray[Any] = np.asarray(image)
     if array.ndim not in (2, 3) or (array.ndim == 3 and array.shape[2] != 3) or min(array.shape[:2]) < 32:
         what = f"expected [H, W] or [H, W, 3] of at least 32 x 32 pixels, got shape {array.shape}"
@@ -208,9 +254,11 @@ def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray[np.
     if array.dtype.kind not in "uif":
         what = f"pixels of type {array.dtype} are no levels"
         raise InputError(what, where=where, remedy="give uint8, uint16 or float")
+    kind = array.dtype
     if array.ndim == 3:
         array = array.mean(2, dtype=np.float32) if channel == "mean" else array[..., CHANNELS.index(channel) - 1]
-    kind = np.asarray(image).dtype
+    if kind == np.uint8:
+        return np.ascontiguousarray(array if array.dtype == np.uint8 else array.round().astype(np.uint8))
     scale = 1.0 if kind.kind == "f" or kind == np.uint8 else _FULL / np.iinfo(str(kind)).max
     grey = array.astype(np.float32) * np.float32(scale)
     if not np.isfinite(grey).all():

@@ -5,11 +5,15 @@ Each is a logarithm or a share, so that a weighted sum of them can be the logari
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
+
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from tapetum.detection.candidates import HALF, SIGMAS, Octave, difference_of_gaussians, patches
+from tapetum.detection.candidates import HALF, SIGMAS, Octave, difference_of_gaussians
 
 __all__ = ["OF_A_FRAME", "OF_A_PAIR", "looks", "shape"]
 
@@ -41,47 +45,40 @@ alone are registered once more; motion: how unequal the flow is nearby.
 """
 _SHAPE = 10
 _AGAIN, _REACH = 12, 4
+# Rows between patches below one another, so that filters do not mix them.
+_PAD = 8
 
 
-def looks(octave: Octave, local: NDArray[np.float32], full_scale: float, flow: NDArray[np.float32] | None) -> Array:
+def looks(octave: Octave, bright: Array, full_scale: float, flow: NDArray[np.float32] | None) -> Array:
     """Measure the candidates of an octave, [N, features]; "outlier" stays 0 until all octaves are known.
 
     Parameters
     ----------
     octave
         The candidates.
-    local
-        [H, W] local mean of the lit frame.
+    bright
+        [N] local mean of the lit frame about each.
     full_scale
         Level at which the lit frame saturates.
     flow
-        [H, W, 2] of the registration, for a pair.
+        [H, W, 2] of the registration, for a pair, on a grid that covers the frame evenly.
     """
-    x, y, at = octave.x, octave.y, np.arange(len(octave.x))
+    x, y = octave.x, octave.y
     sigma = np.array(SIGMAS)[octave.size]
-    radius = np.hypot(*np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1])[None]
-
-    def chosen(stack: list[NDArray[np.float32]]) -> NDArray[np.float32]:
-        return np.stack([patches(one, x, y, HALF) for one in stack])[octave.size, at]
-
-    answer, of_lit = chosen(octave.answers), chosen(octave.lit_answers)
+    radius = np.hypot(*np.mgrid[-HALF : HALF + 1, -HALF : HALF + 1])
+    answer, of_lit = octave.answer, octave.lit_answer
     height, lit_height = answer[:, HALF, HALF], of_lit[:, HALF, HALF]
-    beyond = radius > (4 * sigma + 2)[:, None, None]
-    rest = _quantile(np.abs(answer), beyond, 0.995)
-    ring = (radius > (3 * sigma + 2)[:, None, None]) & (radius <= 12)
-    second = _quantile(of_lit, ring, 0.98)
-    rows, columns = local.shape
-    place_x = np.clip(((x + 0.5) * octave.step).astype(int), 0, columns - 1)
-    place_y = np.clip(((y + 0.5) * octave.step).astype(int), 0, rows - 1)
-    bright = np.maximum(local[place_y, place_x], 0.02 * full_scale)
-    elongation, fill = shape(octave, sigma)
-    h, w = octave.lit.shape
+    rest = _quantile(np.abs(answer), octave.size, lambda s: radius > 4 * s + 2, 0.995)
+    second = _quantile(of_lit, octave.size, lambda s: (radius > 3 * s + 2) & (radius <= 12), 0.98)
+    elongation, fill = shape(octave)
+    h, w = octave.shape
     edge = np.minimum.reduce([x, y, w - 1 - x, h - 1 - y])
-    peak = patches(octave.lit, x, y, 1).max((1, 2))
+    middle = slice(HALF - 1, HALF + 2)
+    peak = octave.lit[:, middle, middle].max((1, 2))
     own = [
         np.log(octave.height),
         np.zeros(len(x)),
-        np.log(np.maximum(lit_height, 0.1) / (0.1 * bright + 0.012 * full_scale)),
+        np.log(np.maximum(lit_height, 0.1) / (0.1 * np.maximum(bright, 0.02 * full_scale) + 0.012 * full_scale)),
         np.clip((lit_height - second) / np.maximum(lit_height, 1), -1, 1),
         np.log(np.maximum(height, 0.1) / (rest + 0.5)),
         elongation,
@@ -90,40 +87,48 @@ def looks(octave: Octave, local: NDArray[np.float32], full_scale: float, flow: N
         np.log(sigma * octave.step),
         (peak >= 0.98 * full_scale).astype(float),
     ]
-    if flow is None:
+    if flow is None or octave.dark_answer is None:
         return np.stack(own, 1)
-    of_dark = np.where(radius <= 4, chosen(octave.dark_answers), -np.inf).max((1, 2))
-    near = flow[:: octave.step, :: octave.step][:h, :w]
-    uneven = np.hypot(*(patches(np.ascontiguousarray(near[..., n]), x, y, HALF).std((1, 2)) for n in (0, 1)))
+    of_dark = np.where(radius <= 4, octave.dark_answer, -np.inf).max((1, 2))
     own += [
         np.clip(1 - np.maximum(of_dark, 0) / np.maximum(lit_height, 1), -1, 1),
         _fresh(octave, sigma),
-        np.log(0.3 + uneven),
+        np.log(0.3 + _uneven(flow, octave)),
     ]
     return np.stack(own, 1)
 
 
-def shape(octave: Octave, sigma: Array) -> tuple[Array, Array]:
+def _uneven(flow: NDArray[np.float32], octave: Octave) -> Array:
+    """Standard deviation of the flow within each patch, in pixels, [N]."""
+    rows, columns = flow.shape[:2]
+    h, w = octave.shape
+    step = np.linspace(-HALF, HALF, 15)
+    row = np.clip((octave.y[:, None] + step + 0.5) * rows / h, 0, rows - 1).astype(int)
+    column = np.clip((octave.x[:, None] + step + 0.5) * columns / w, 0, columns - 1).astype(int)
+    near = flow[row[:, :, None], column[:, None, :]]
+    return np.hypot(*np.moveaxis(near.std((1, 2)), -1, 0))
+
+
+def shape(octave: Octave) -> tuple[Array, Array]:
     """Elongation (log of the axes' ratio) and fill (log of area over an ellipse's) of each candidate, [N]."""
-    x, y = octave.x, octave.y
-    smooth = ndimage.gaussian_filter(octave.difference, 0.6)
-    patch = patches(smooth, x, y, _SHAPE)
+    count = len(octave.x)
+    inner = slice(HALF - _SHAPE, HALF + _SHAPE + 1)
+    patch = _smoothed(octave.difference, 0.6)[:, inner, inner]
     radius = np.hypot(*np.mgrid[-_SHAPE : _SHAPE + 1, -_SHAPE : _SHAPE + 1])
-    if octave.dark is None:
-        patch = patch - _quantile(patch, radius[None] > (2.5 * sigma + 2)[:, None, None], 0.5)[:, None, None]
-    middle = np.where(radius < 2.1, patch, -np.inf).reshape(len(x), -1)
+    patch = patch - _quantile(patch, octave.size, lambda s: radius > 2.5 * s + 2, 0.5)[:, None, None]
+    middle = np.where(radius < 2.1, patch, -np.inf).reshape(count, -1)
     over = patch > 0.4 * np.maximum(middle.max(1), 0.5)[:, None, None]
     within = np.zeros((3, 3, 3), int)
     within[1] = 1
     labels = np.empty(over.shape, np.int32)
     ndimage.label(over, within, output=labels)
-    flat = labels.reshape(len(x), -1)
+    flat = labels.reshape(count, -1)
     own = (labels == np.take_along_axis(flat, middle.argmax(1)[:, None], 1)[:, :, None]) & (labels > 0)
     rows, columns = np.mgrid[-_SHAPE : _SHAPE + 1, -_SHAPE : _SHAPE + 1]
-    count = np.maximum(own.sum((1, 2)), 1)
+    area = np.maximum(own.sum((1, 2)), 1)
 
     def mean(values: NDArray) -> Array:
-        return (own * values).sum((1, 2)) / count
+        return (own * values).sum((1, 2)) / area
 
     # A pixel alone has the second moment of a square.
     xx = mean(columns**2) - mean(columns) ** 2 + 1 / 12
@@ -131,35 +136,53 @@ def shape(octave: Octave, sigma: Array) -> tuple[Array, Array]:
     xy = mean(rows * columns) - mean(rows) * mean(columns)
     middle_axis, apart = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
     long, short = middle_axis + apart, np.maximum(middle_axis - apart, 1e-3)
-    return np.log(long / short) / 2, np.log(count / (4 * np.pi * np.sqrt(long * short)))
+    return np.log(long / short) / 2, np.log(area / (4 * np.pi * np.sqrt(long * short)))
 
 
 def _fresh(octave: Octave, sigma: Array) -> Array:
     """Log of the height over the spread after the patch around each candidate is registered once more, [N]."""
     assert octave.dark is not None
     side = 2 * _AGAIN + 1
-    lit = patches(ndimage.gaussian_filter(octave.lit, 0.8), octave.x, octave.y, _AGAIN)
-    dark = patches(ndimage.gaussian_filter(octave.dark, 0.8), octave.x, octave.y, _AGAIN + _REACH)
+    inner = slice(HALF - _AGAIN, HALF + _AGAIN + 1)
+    wider = slice(HALF - _AGAIN - _REACH, HALF + _AGAIN + _REACH + 1)
+    lit = _smoothed(octave.lit, 0.8)[:, inner, inner]
+    dark = _smoothed(octave.dark, 0.8)[:, wider, wider]
     radius = np.hypot(*np.mgrid[-_AGAIN : _AGAIN + 1, -_AGAIN : _AGAIN + 1])
-    around = radius[None] > (2.5 * sigma + 1.5)[:, None, None]
-    least, left = np.full(len(lit), np.inf), np.zeros_like(lit)
+    around = (radius > (2.5 * np.array(SIGMAS) + 1.5)[:, None, None]).astype(np.float32)
+    least, left = np.full(len(lit), np.inf, np.float32), np.zeros_like(lit)
     for row in range(2 * _REACH + 1):
         for column in range(2 * _REACH + 1):
             apart = lit - dark[:, row : row + side, column : column + side]
-            error = np.einsum("nij,nij,nij->n", apart, apart, around)
+            errors = np.square(apart).reshape(len(lit), -1) @ around.reshape(len(SIGMAS), -1).T
+            error = np.take_along_axis(errors, octave.size[:, None], 1)[:, 0]
             better = error < least
             least[better], left[better] = error[better], apart[better]
-    answer = np.stack([difference_of_gaussians(one, s) for one, s in zip(left, sigma, strict=True)])
-    spread = np.sqrt((answer**2 * around).sum((1, 2)) / around.sum((1, 2))) + 0.3
+    answer = np.empty_like(left)
+    for one in np.unique(sigma):
+        mine = sigma == one
+        tall = np.pad(left[mine], ((0, 0), (_PAD, _PAD), (0, 0)), mode="reflect")
+        answers = difference_of_gaussians(tall.reshape(-1, side), one).reshape(tall.shape)
+        answer[mine] = answers[:, _PAD:-_PAD]
+    mine = around[octave.size]
+    spread = np.sqrt((answer**2 * mine).sum((1, 2)) / mine.sum((1, 2))) + 0.3
     return np.log(np.maximum(answer[:, _AGAIN, _AGAIN] / spread, 0.3))
 
 
-def _quantile(values: NDArray, where: NDArray[np.bool_], share: float) -> Array:
-    """Quantile over the pixels of each patch that are chosen, [N]; places do not depend on the patch."""
+def _smoothed(stack: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """Each patch, smoothed; where patches meet in the stack they mix a little, at their edges."""
+    return np.asarray(cv2.GaussianBlur(stack.reshape(-1, stack.shape[2]), (0, 0), sigma)).reshape(stack.shape)
+
+
+def _quantile(
+    values: NDArray, size: NDArray[np.int64], where: Callable[[float], NDArray[np.bool_]], share: float
+) -> Array:
+    """Quantile over chosen pixels of each patch, [N]: `where` says which, [h, w], for a standard deviation."""
     found = np.empty(len(values))
-    kinds, of = np.unique(where.reshape(len(where), -1), axis=0, return_inverse=True)
-    flat = values.reshape(len(values), -1)
-    for n, kind in enumerate(kinds):
-        mine = of == n
-        found[mine] = np.quantile(flat[mine][:, kind], share, axis=1)
+    for n, sigma in enumerate(SIGMAS):
+        if (mine := np.flatnonzero(size == n)).size:
+            chosen = values[mine][:, where(sigma)]
+            at = share * (chosen.shape[1] - 1)
+            low, up = math.floor(at), math.ceil(at)
+            chosen.partition((low, up), axis=1)
+            found[mine] = chosen[:, low] + (at - low) * (chosen[:, up] - chosen[:, low])
     return found

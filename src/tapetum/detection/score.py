@@ -1,8 +1,9 @@
 """How likely a candidate is a camera: a weighted sum of its looks, and how many false alarms a score costs.
 
-The weights are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of real
-cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what cross-validation by
-scene found.
+The weights for a pair are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of
+real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what
+cross-validation by scene found. For one frame alone six scenes are too few to fit weights: three looks count the same,
+and only the scale of their sum is fitted.
 """
 
 from __future__ import annotations

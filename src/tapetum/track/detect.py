@@ -20,7 +20,9 @@ from numpy.typing import NDArray
 from tapetum.data.crop import find_centre
 from tapetum.errors import InputError
 from tapetum.record.source import Frame
+from tapetum.track.cameras import CameraDetector
 from tapetum.track.detections import Detections
+from tapetum.track.ghosts import Ghost
 from tapetum.track.spots import make_maps, search
 
 __all__ = ["DETECTORS", "LARGEST_FRAME", "Detector", "SpotDetector", "detect"]
@@ -42,6 +44,13 @@ def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: 
     return ghost
 
 
+def _halos(spots: dict[str, NDArray[Any]], stray: float) -> NDArray[np.bool_]:
+    """Return which spots are stray light close around a brighter one."""
+    x, y, peak = spots["x"], spots["y"], spots["peak"]
+    near = np.hypot(x[:, None] - x, y[:, None] - y) <= 3 * spots["diameter"]
+    return np.asarray((near & (peak[:, None] < stray * peak)).any(1))
+
+
 def detect(
     image: NDArray[np.generic],
     *,
@@ -53,6 +62,7 @@ def detect(
     ghost_radius: float | None = None,
     stray: float = 0.03,
     largest: float | None = None,
+    known_ghost: Ghost | None = None,
 ) -> Detections:
     """Find the retro-reflections in a frame.
 
@@ -88,6 +98,9 @@ def detect(
     largest
         Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are removed before ghosts are
         sought. None: no limit.
+    known_ghost
+        Of this probe's beam splitter, calibrated: then only spots at its offset and ratio are ghosts, `ghost_ratio` and
+        `ghost_radius` do not apply, and `stray` does only within three diameters of a brighter spot.
 
     Returns
     -------
@@ -130,7 +143,12 @@ def detect(
     measured = ("x", "y", "peak", "diameter", "snr", "area", "saturated", "edge")
     spots = {name: np.array([getattr(spot, name) for spot in found]) for name in measured}
     radius = 0.35 * math.hypot(*array.shape) if ghost_radius is None else ghost_radius
-    spots["ghost"] = _ghosts(spots, ghost_ratio, radius, stray)
+    if known_ghost is None:
+        spots["ghost"] = _ghosts(spots, ghost_ratio, radius, stray)
+    else:
+        spots["ghost"] = known_ghost.among(spots["x"], spots["y"], spots["peak"], spots["saturated"]) | _halos(
+            spots, stray
+        )
     if ghosts == "drop":
         spots = {name: values[~spots["ghost"]] for name, values in spots.items()}
     reach = np.maximum(4.0, 0.75 * spots["diameter"])
@@ -181,8 +199,8 @@ class SpotDetector:
         return detect(frame.image, **{"full_scale": frame.full_scale, **self.options})
 
 
-DETECTORS: dict[str, Callable[..., Detector]] = {"spots": SpotDetector}
-"""Detectors by name, made with `largest` and the options that a person gives.
+DETECTORS: dict[str, Callable[..., Detector]] = {"spots": SpotDetector, "cameras": CameraDetector}
+"""Detectors by name, made with the options that a person gives: "spots" of a dark bench, "cameras" of a room.
 
 To add one, write a class that is a `Detector` in a file of its own, and name it here.
 """

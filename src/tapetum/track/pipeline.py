@@ -28,7 +28,7 @@ from tapetum.track.tracker import Tracker
 if TYPE_CHECKING:
     from tapetum.models import Predictor
 
-__all__ = ["SIDE", "TrackSummary", "track", "track_to_file"]
+__all__ = ["SIDE", "TrackSummary", "track", "track_to_file", "usual_tracker"]
 
 SIDE = 400
 """Side of the square that the models are shown, in pixels (the paper's largest crop)."""
@@ -133,12 +133,13 @@ def track(
     model
         A fitted estimator, the folder of a saved one, or several of them that estimate different quantities.
     tracker
-        Default: one with its usual options. Its earlier tracks are kept.
+        Default: one that suits the detector (see `usual_tracker`). Its earlier tracks are kept.
     detector
         What finds the spots of a frame: a name of `tapetum.track.detect.DETECTORS`, or a `Detector`.
     detect_options
-        Options of a detector by its name, usually those of `detect`. `largest` is `side` by default: wider spots are
-        walls and lamps.
+        Options of a detector by its name, of "spots" those of `detect`, of "cameras" those of
+        `tapetum.track.cameras.CameraDetector`. `largest` is `side` by default, 60 for "cameras": wider spots are walls
+        and lamps.
     stream
         Which stream of a recording.
     side
@@ -171,7 +172,8 @@ def track(
     if batch < 1 or side < 1:
         raise InputError(f"batch {batch} and side {side} must be at least 1", where="track")
     find = _detector(detector, detect_options, side)
-    estimators, follower = _loaded(model), Tracker() if tracker is None else tracker
+    estimators = _loaded(model)
+    follower = usual_tracker(detector, detect_options) if tracker is None else tracker
     frames = _opened(source, stream)
     shown = progress(taken(frames, threading.Event()), "tracking", total=_count(frames))
     return _track(shown, find, estimators, follower, side, batch)
@@ -182,15 +184,28 @@ def _detector(detector: str | Detector, options: Mapping[str, Any] | None, side:
     if isinstance(detector, str):
         make = DETECTORS[one_of(detector, tuple(DETECTORS), "detector")]
         # Models cannot see spots wider than the crops as a whole.
-        return make(**{"largest": float(side), **(options or {})})
+        usual = {"largest": float(side)} if detector == "spots" else {}
+        return make(**{**usual, **(options or {})})
     if options:
         what = "belong to a detector by its name"
         raise InputError(what, where="detect_options", remedy="give the detector its options where it is made")
     return detector
 
 
+def usual_tracker(detector: str | Detector, options: Mapping[str, Any] | None = None) -> Tracker:
+    """Return the tracker that suits a detector by its name and options.
+
+    A room's detector has false alarms: a track gets its number when it was seen in three of five frames, and its end is
+    told. The tracker's own guard against ghosts is for those that are dropped by their brightness alone, on a bench.
+    """
+    if detector == "cameras":
+        return Tracker(ghost_ratio=0.0, persist=(3, 5), endings=True)
+    return Tracker(ghost_ratio=0.0) if (options or {}).get("known_ghost") is not None else Tracker()
+
+
 def _opened(source: Frames, stream: str) -> Source | Iterable[Frame]:
-    return open_frames(source, stream) if isinstance(source, (str, os.PathLike)) else source
+    # A truncated video gives its readable frames first: their rows are kept, and the error says so.
+    return open_frames(source, stream, late=True) if isinstance(source, (str, os.PathLike)) else source
 
 
 def _count(frames: Source | Iterable[Frame]) -> int | None:

@@ -47,6 +47,8 @@ class TrackRow:
         Of the spot (see `Detections`); None while the track coasts.
     seen
         Whether the spot was detected in this frame.
+    event
+        What happened to the track in this frame (see `TrackPoint`).
     moment
         Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
@@ -66,6 +68,7 @@ class TrackRow:
     peak_y: float | None
     diameter: float | None
     seen: bool
+    event: str = ""
     moment: Mapping[str, Any] = field(default_factory=dict)
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
@@ -76,7 +79,7 @@ class TrackRow:
         yet. `device` and `device_probability` are absent where no model recognises devices.
         """
         own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates")}
-        return {**own, **self.moment, **self.estimates}
+        return {**own, "event": self.event or None, **self.moment, **self.estimates}
 
 
 @dataclass(frozen=True)
@@ -111,13 +114,15 @@ class TrackedFrame:
     ) -> TrackedFrame:
         """Follow the spots of a frame; `about` holds its frame, time, name and moment."""
         rows: list[TrackRow] = []
-        for point in tracker.update(found, about["time"]):
+        dark = about["moment"].get("lit") is False and not len(found)
+        for point in tracker.update(found, about["time"], dark=dark):
             n = point.detection
             spot: dict[str, Any] = {
                 name: None if n is None else float(getattr(found, name)[n])
                 for name in ("snr", "peak_x", "peak_y", "diameter")
             }
             place: dict[str, Any] = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
+            place["event"] = point.event
             rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
         return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers))
 

@@ -40,6 +40,8 @@ _FRAME = {"frame": pa.int64(), "time": pa.float64()}
 _NAME = {"name": pa.string()}
 # Further data of a frame. Tables of older versions lack them.
 MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
+_EVENT = {"event": pa.string()}
+_LATER = {**MOMENT, **_EVENT}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
 _SPOT = {name: pa.from_numpy_dtype(kind) for name, kind in Detections.types().items()}
@@ -55,6 +57,7 @@ _TRACK = {
     **{name: _SPOT[name] for name in ("peak_x", "peak_y", "diameter")},
     **_NAME,
     **MOMENT,
+    **_EVENT,
 }
 
 
@@ -95,8 +98,8 @@ def checked_suffix(path: str | os.PathLike[str]) -> str:
 
 
 def check_columns(table: pa.Table, names: Iterable[str], where: object, remedy: str | None = None) -> None:
-    """Raise an InputError where a table lacks columns, except those of `MOMENT`, which older tables lack."""
-    if missing := [name for name in names if name not in table.column_names and name not in MOMENT]:
+    """Raise an InputError where a table lacks columns, except those of `_LATER`, which older tables lack."""
+    if missing := [name for name in names if name not in table.column_names and name not in _LATER]:
         raise InputError(f"no column {', '.join(missing)}", where=where, remedy=remedy)
 
 
@@ -207,7 +210,7 @@ def table_writer(path: str | os.PathLike[str], schema: pa.Schema) -> Iterator[Ta
 def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     """Read a table that `table_writer` wrote, in one of `FORMATS`, or the `NAME.unfinished.SUFFIX` of a killed run.
 
-    The columns of `schema` must be there, except those of `MOMENT`, which are empty if absent. Others are kept, behind
+    The columns of `schema` must be there, except those of `_LATER`, which are empty if absent. Others are kept, behind
     them. InputError when the file is missing or damaged, or lacks a column.
     """
     place = Path(path)
@@ -221,7 +224,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
         raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it again") from error
     check_columns(table, schema.names, place, "give a table that Tapetum wrote")
     for name in set(schema.names) - set(table.column_names):
-        table = table.append_column(name, pa.nulls(len(table), MOMENT[name]))
+        table = table.append_column(name, pa.nulls(len(table), _LATER[name]))
     extra = [name for name in table.column_names if name not in schema.names]
     try:
         whole = pa.schema([*schema, *(table.schema.field(name) for name in extra)])

@@ -11,6 +11,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tapetum.errors import InputError
 from tapetum.track.detections import Detections
+from tapetum.track.motion import common_motion
 
 __all__ = ["TrackPoint", "Tracker"]
 
@@ -20,6 +21,14 @@ Array = NDArray[np.float64]
 _NEVER = 1e9
 # Time constant, in seconds, of the remembered brightness of a track's spot.
 _MEMORY = 4.0
+# Largest difference in the logarithms of height and size of spots that may be the same, and that surely look so.
+_ALIKE, _SAME = 1.0, 0.7
+# Pixels within which tracks that jump together agree.
+_SHARED = 12.0
+# Frames unseen after which a track's place no longer tells where all went.
+_LOST_FOR = 5
+# Cost of giving a spot to a track without a number, where one with a number wants it too.
+_UNNAMED = 8.0
 
 
 @dataclass(frozen=True)
@@ -36,6 +45,9 @@ class TrackPoint:
         Estimated velocity, pixels per second.
     detection
         Index of its detection in the frame; None while the track coasts.
+    event
+        What happened to the track in this frame: "begun", "found again", "unseen", "dark", "hidden by track N" where
+        another is seen at its place, or "ended: …" with the reason; else empty.
     """
 
     track: int
@@ -44,6 +56,7 @@ class TrackPoint:
     vx: float
     vy: float
     detection: int | None
+    event: str = ""
 
     @property
     def seen(self) -> bool:
@@ -52,16 +65,19 @@ class TrackPoint:
 
 
 class _Track:
-    """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size."""
+    """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size.
 
-    def __init__(
-        self, number: int, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float
-    ) -> None:
-        self.number = number
+    `number` is None until the spot persisted; `lately` holds whether it was seen, by frame.
+    """
+
+    def __init__(self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float) -> None:
+        self.number: int | None = None
         self.state = np.stack([place, np.zeros(2)])
         self.covariance = np.diag([noise**2, speed**2])
-        self.peak, self.diameter = peak, diameter
+        self.peak, self.diameter, self.now = peak, diameter, peak
         self.hits, self.misses, self.seen_at = 1, 0, time
+        self.lately = [True]
+        self.hidden: int | None = None
 
     def predict(self, dt: float, acceleration: float) -> None:
         step, push = np.array([[1.0, dt], [0.0, 1.0]]), np.array([dt * dt / 2, dt])
@@ -76,7 +92,7 @@ class _Track:
         rest = np.eye(2) - np.outer(gain, [1.0, 0.0])
         self.covariance = rest @ self.covariance @ rest.T + noise**2 * np.outer(gain, gain)
         # Brightness of the last seconds: while a spot fades, its ghost must not take over the track.
-        self.peak = max(self.peak, peak)
+        self.peak, self.now = max(self.peak, peak), peak
         self.diameter += 0.5 * (diameter - self.diameter)
         self.hits, self.misses, self.seen_at = self.hits + 1, 0, time
 
@@ -92,6 +108,10 @@ class Tracker:
 
     When a spot fades, its ghost (see `tapetum.track.detect`) may remain for some frames. A spot much dimmer than a
     track was, and away from the track's predicted place, therefore neither continues that track nor begins one near it.
+
+    A probe in the hand shakes: the motion that most tracks share between two frames (see `track.motion`) is taken out
+    before spots are assigned, so that each track is left with its own. One or two tracks alone share any motion; they
+    follow a jump together only where all of them find a spot of their look at the same shift, and no other does.
 
     Parameters
     ----------
@@ -114,6 +134,12 @@ class Tracker:
         Largest height of a ghost, as a fraction of its spot's. 0: there are no ghosts.
     ghost_radius
         Largest distance of a ghost from its spot in pixels.
+    shake
+        Largest motion in pixels that the tracks share between two frames. 0: none is sought.
+    persist
+        (K, N): a track gets its number, and is returned, once it was seen in K of its first or latest N frames.
+    endings
+        Whether a track that ends is returned once more, unseen, with the reason as its event.
 
     Raises
     ------
@@ -130,14 +156,19 @@ class Tracker:
     confirm: int = 3
     ghost_ratio: float = 0.25
     ghost_radius: float = 280.0
+    shake: float = 300.0
+    persist: tuple[int, int] = (1, 1)
+    endings: bool = False
 
     def __post_init__(self) -> None:
         for name in ("acceleration", "speed", "noise", "gate", "max_distance", "confirm"):
             if not (getattr(self, name) > 0 and math.isfinite(getattr(self, name))):
                 raise InputError(f"must be positive, is {getattr(self, name)}", where=f"Tracker.{name}")
-        for name in ("max_coast", "ghost_ratio", "ghost_radius"):
+        for name in ("max_coast", "ghost_ratio", "ghost_radius", "shake"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"must not be negative, is {getattr(self, name)}", where=f"Tracker.{name}")
+        if not 1 <= self.persist[0] <= self.persist[1]:
+            raise InputError(f"must be K of N with 1 <= K <= N, is {self.persist}", where="Tracker.persist")
         self.reset()
 
     def reset(self) -> None:
@@ -163,7 +194,7 @@ class Tracker:
         costs = np.where(fits, squared + np.minimum(likeness**2, 4.0), _NEVER)
         return costs, dim & (distance <= self.ghost_radius)
 
-    def update(self, detections: Detections, time: float) -> list[TrackPoint]:
+    def update(self, detections: Detections, time: float, *, dark: bool = False) -> list[TrackPoint]:
         """Take the spots of the next frame.
 
         Parameters
@@ -172,6 +203,8 @@ class Tracker:
             Spots of the frame. Those marked as ghosts are ignored.
         time
             Of the frame, in seconds; not before that of the frame before.
+        dark
+            Whether the probe's light was off: a spot that is not seen is not missed then.
 
         Returns
         -------
@@ -193,31 +226,111 @@ class Tracker:
         noise = self.noise + 0.02 * diameter
         for track in self._tracks:
             track.predict(dt, self.acceleration)
+        if self.shake > 0 and self._tracks and len(place):
+            self._move_together(place, peak, diameter)
 
         costs, _ = self._fit(place, peak, diameter, noise)
+        costs += _UNNAMED * np.array([[track.number is None] for track in self._tracks]).reshape(-1, 1)
         pairs = {int(r): int(c) for r, c in zip(*linear_sum_assignment(costs), strict=True) if costs[r, c] < _NEVER}
         looks = list(zip(place, peak.tolist(), diameter.tolist(), noise.tolist(), strict=True))
-        seen: dict[int, int] = {}
+        seen: dict[_Track, int] = {}
+        events: dict[_Track, str] = {}
         for row, track in enumerate(self._tracks):
             if row in pairs:
+                events[track] = "found again" if track.misses else ""
                 track.correct(*looks[pairs[row]], time)
-                seen[track.number] = pairs[row]
-            else:
+                seen[track] = pairs[row]
+            elif not dark:
                 track.misses += 1
+            if row in pairs or not dark:
+                track.lately = [*track.lately, row in pairs][-self.persist[1] :]
+        ended = [track for track in self._tracks if not self._lives(track, time)]
         self._tracks = [track for track in self._tracks if self._lives(track, time)]
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
             # A spot like the ghost of a track, even of a new one, begins no track.
             if not self._fit(*(one[n : n + 1] for one in (place, peak, diameter, noise)))[1].any():
-                seen[self._next] = n
-                self._tracks.append(_Track(self._next, *looks[n], time, self.speed))
-                self._next += 1
-        points: list[TrackPoint] = []
+                self._tracks.append(_Track(*looks[n], time, self.speed))
+                seen[self._tracks[-1]] = n
         for track in self._tracks:
-            n = seen.get(track.number)
+            if track.number is None and sum(track.lately) >= self.persist[0]:
+                track.number, self._next = self._next, self._next + 1
+                events[track] = "begun"
+        points: list[TrackPoint] = []
+        for track in [*self._tracks, *(ended if self.endings else ())]:
+            if track.number is None:
+                continue
+            n = seen.get(track)
+            if n is None:
+                other = self._at_its_place(track, seen)
+                # Another where it was last seen is what it became one with, wherever it would be by now.
+                track.hidden = other if track.misses == 1 else track.hidden
+                events[track] = "dark" if dark else "unseen" if other is None else f"hidden by track {other}"
+                if track in ended:
+                    why = "unseen" if track.hidden is None else f"merged with track {track.hidden}"
+                    events[track] = f"ended: {why} for {time - track.seen_at:.2f} s"
             (x, y), (vx, vy) = track.state.tolist() if n is None else (place[n].tolist(), track.state[1].tolist())
-            points.append(TrackPoint(track.number, x, y, vx, vy, None if n is None else int(numbers[n])))
-        return points
+            detection = None if n is None else int(numbers[n])
+            points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, "")))
+        return sorted(points, key=lambda point: point.track)
+
+    def _move_together(self, place: Array, peak: Array, diameter: Array) -> None:
+        """Move all tracks by what they share since the frame before."""
+        expected = np.array([track.state[0] for track in self._tracks])
+        # A place that coasts for long says little about the next.
+        steady = np.array([track.misses <= 2 for track in self._tracks])
+        bright, wide = np.array([(track.now, track.diameter) for track in self._tracks]).T[:, :, None]
+        brighter = np.abs(np.log(np.maximum(peak, 1e-12) / np.maximum(bright, 1e-12)))
+        wider = np.abs(np.log((diameter + 1) / (wide + 1)))
+        if steady.sum() > 2:
+            alike = (brighter < _ALIKE) & (wider < _ALIKE) & steady[:, None]
+            motion = common_motion(expected, place, alike, self.shake)
+        else:
+            motion = None
+        if motion is None:
+            motion = self._jump(expected, place, np.maximum(brighter, wider))
+        if motion is not None:
+            for track, moved in zip(self._tracks, expected @ motion[:, :2].T + motion[:, 2], strict=True):
+                track.state = np.stack([moved, track.state[1]])
+
+    def _jump(self, expected: Array, place: Array, looks: Array) -> Array | None:
+        """The one shift by which well-known tracks, none of which is where expected, find their like.
+
+        `looks` [tracks, spots] says how unlike they look, as a logarithm.
+        """
+        known = np.array([track.number is not None and track.hits >= self.confirm for track in self._tracks])
+        # Before anything has a number, a guess costs nothing.
+        first = not any(track.number is not None for track in self._tracks)
+        known = (known | first) & np.array([track.misses <= _LOST_FOR for track in self._tracks])
+        apart = place[None] - expected[known][:, None]
+        far = np.linalg.norm(apart, axis=2)
+        spread = np.array([math.sqrt(track.covariance[0, 0] + self.noise**2) for track in self._tracks])[known]
+        wide = np.array([track.diameter for track in self._tracks])[known]
+        near = np.minimum(np.maximum(self.gate * spread, 0.5 * wide), self.max_distance)
+        able = (looks[known] < _SAME) & (far <= self.shake)
+        if not able.any() or (far <= near[:, None]).any():
+            return None
+        shifts = apart[able]
+        # [shifts, tracks, spots]: whether a track finds its like at a shift.
+        finds = (np.linalg.norm(shifts[:, None, None] - apart[None], axis=3) <= _SHARED) & able[None]
+        count = finds.any(2).sum(1)
+        if not first and (count.max() < min(2, int(known.sum())) or 2 * count.max() <= known.sum()):
+            return None
+        # Of shifts by which as many find their like, the one by which they look most like themselves.
+        unlike = np.where(finds, looks[known][None], np.inf).min(2)
+        unlike = np.where(np.isfinite(unlike), unlike, 0).sum(1)
+        return np.column_stack([np.eye(2), shifts[np.argmin(np.where(count == count.max(), unlike, np.inf))]])
+
+    @staticmethod
+    def _at_its_place(track: _Track, seen: dict[_Track, int]) -> int | None:
+        """Number of another track that is seen where this one should be."""
+        for other in seen:
+            near = max(3.0, 0.5 * max(track.diameter, other.diameter))
+            if other.number is not None and math.dist(track.state[0], other.state[0]) <= near:
+                return other.number
+        return None
 
     def _lives(self, track: _Track, time: float) -> bool:
+        if track.number is None:
+            return track.misses <= self.persist[1] - self.persist[0]
         few = track.misses <= 2 or time - track.seen_at <= self.max_coast
         return track.misses == 0 or (track.hits >= self.confirm and few)

@@ -1,0 +1,145 @@
+"""The detector of rooms in tracking: lit frames are compared with the latest dark one where the laser is modulated."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.data.crop import find_centre
+from tapetum.detection import Found, find_cameras
+from tapetum.errors import InputError
+from tapetum.record.source import Frame
+from tapetum.track.detections import Detections
+from tapetum.track.ghosts import Ghost
+
+__all__ = ["CameraDetector"]
+
+_EIGHT_BITS = 255.0
+
+
+class CameraDetector:
+    """Finds cameras in frames of a room; a `Detector`.
+
+    Where a source says of its frames whether the laser was on, each lit frame is compared with the latest dark one,
+    whichever of the two comes first; dark frames hold no retro-reflection. Frames of which that is unknown are searched
+    each alone, which finds far less.
+
+    Parameters
+    ----------
+    false_alarms
+        Expected false alarms a frame: what scores lower is left out.
+    largest
+        Largest diameter of a spot in pixels.
+    min_snr
+        Smallest height of a spot over the spread of its surroundings.
+    known_ghost
+        Of the probe's beam splitter, where it was calibrated.
+    ghosts
+        "drop" leaves ghosts out, "mark" returns them with ``ghost`` set.
+    most
+        Most places of a frame that are looked at closely, as of `find_cameras`.
+    apart
+        Seconds that a dark frame may be older than the lit one.
+
+    Attributes
+    ----------
+    notes
+        How many frames were searched alone though a dark one was wanted, by reason.
+
+    Raises
+    ------
+    InputError
+        When an option is out of range.
+    """
+
+    def __init__(
+        self,
+        *,
+        false_alarms: float = 0.01,
+        largest: float = 60.0,
+        min_snr: float = 3.0,
+        known_ghost: Ghost | None = None,
+        ghosts: str = "drop",
+        most: int | None = None,
+        apart: float = 0.5,
+    ) -> None:
+        for name, value in (("false_alarms", false_alarms), ("largest", largest), ("min_snr", min_snr)):
+            if not value > 0:
+                raise InputError(f"must be positive, is {value}", where=name)
+        if ghosts not in ("drop", "mark"):
+            raise InputError(f"unknown value {ghosts!r}", where="ghosts", remedy="use one of drop, mark")
+        self.false_alarms, self.largest, self.min_snr = false_alarms, largest, min_snr
+        self.known_ghost, self.ghosts, self.most, self.apart = known_ghost, ghosts, most, apart
+        self.notes: Counter[str] = Counter()
+        self._dark: tuple[float, NDArray[np.generic]] | None = None
+
+    def __call__(self, frame: Frame, /) -> Detections:
+        image = _levels(frame)
+        if frame.lit is False:
+            self._dark = frame.time, image
+            return Detections.empty()
+        found = self._found(frame, image)
+        return self._detections(frame, found[found.snr >= self.min_snr])
+
+    def _found(self, frame: Frame, image: NDArray[np.generic]) -> Found:
+        dark = None
+        if frame.lit and self._dark is not None:
+            time, dark = self._dark
+            reason = ""
+            if dark.shape != image.shape or dark.dtype != image.dtype:
+                reason = "the dark frame has another size or type"
+            elif not 0 <= frame.time - time <= self.apart:
+                reason = f"the latest dark frame is more than {self.apart:g} s old"
+            if reason:
+                self.notes[reason], dark, self._dark = self.notes[reason] + 1, None, None
+        elif frame.lit:
+            self.notes["no dark frame came before"] += 1
+        options: dict[str, Any] = {"false_alarms": self.false_alarms, "largest": self.largest, "most": self.most}
+        try:
+            return find_cameras(image, dark, swaps=False, **options)
+        except InputError as error:
+            if dark is None or error.where != "dark":
+                raise
+            self.notes["the dark frame cannot be registered"] += 1
+            return find_cameras(image, **options)
+
+    def _detections(self, frame: Frame, found: Found) -> Detections:
+        image = frame.image
+        scale = float(frame.full_scale or _EIGHT_BITS) / _EIGHT_BITS
+        sigma = np.maximum(found.diameter / 4, 0.5)
+        peak = scale * found.flux / (2 * math.pi * sigma**2)
+        reach = np.maximum(4.0, 0.75 * found.diameter)
+        near = zip(found.x.tolist(), found.y.tolist(), reach.tolist(), strict=True)
+        centres = np.array([find_centre(image, near=one) for one in near]).reshape(-1, 2)
+        height, width = image.shape
+        margin = np.minimum.reduce([found.x, found.y, width - 1 - found.x, height - 1 - found.y])
+        ghost = np.zeros(len(found), bool)
+        if self.known_ghost is not None:
+            ghost = self.known_ghost.among(found.x, found.y, peak, found.saturated)
+        columns = {
+            "x": found.x,
+            "y": found.y,
+            "peak_x": centres[:, 0],
+            "peak_y": centres[:, 1],
+            "snr": found.snr,
+            "peak": peak,
+            "diameter": found.diameter,
+            "area": np.ceil(math.pi / 4 * found.diameter**2).astype(np.int64),
+            "saturated": found.saturated.astype(np.int64),
+            "edge": margin < found.diameter / 2,
+            "ghost": ghost,
+        }
+        # Brightest first.
+        spots = Detections.of(columns)[np.argsort(-peak, kind="stable")]
+        return spots if self.ghosts == "mark" else spots.without_ghosts
+
+
+def _levels(frame: Frame) -> NDArray[np.generic]:
+    """The frame's image with its own full scale at 255: uint8 as it is, others as float32."""
+    if frame.image.dtype == np.uint8 and frame.full_scale in (None, 255):
+        return frame.image
+    return frame.image.astype(np.float32) * np.float32(_EIGHT_BITS / float(frame.full_scale or _EIGHT_BITS))

@@ -1,0 +1,151 @@
+"""The ghost of the probe's beam splitter: every retro-reflection has a dim companion at one offset and ratio.
+
+Calibrated with one camera alone in view, it is told from a second camera near a brighter one, which is kept.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.errors import InputError
+from tapetum.files import atomic_file
+from tapetum.track.detections import Detections
+
+__all__ = ["Ghost", "calibrate_ghost"]
+
+_FORMAT = "tapetum-ghost"
+# Half the width of the band of ratios that a ghost may have: twice, for noise and fringes.
+_FACTOR = 2.0
+_DIMMER = 0.5
+_FEWEST = 5
+_LEAST_SHARE = 0.5
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """Where a ghost stands and how bright it is.
+
+    Parameters
+    ----------
+    dx, dy
+        From the retro-reflection to its ghost, in pixels.
+    ratio
+        Height of the ghost over its retro-reflection's, below 1.
+    reach
+        How far from there it may be, in pixels.
+
+    Raises
+    ------
+    InputError
+        When a number is not finite or out of range.
+    """
+
+    dx: float
+    dy: float
+    ratio: float
+    reach: float = 3.0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.dx) and math.isfinite(self.dy) and math.hypot(self.dx, self.dy) > self.reach > 0):
+            what = f"offset ({self.dx}, {self.dy}) px must be finite and farther than its reach, {self.reach} px"
+            raise InputError(what, where="ghost")
+        if not 0 < self.ratio < 1:
+            raise InputError(f"ratio must lie between 0 and 1, is {self.ratio}", where="ghost")
+
+    def among(
+        self, x: NDArray[np.float64], y: NDArray[np.float64], peak: NDArray[np.float64], saturated: NDArray[np.generic]
+    ) -> NDArray[np.bool_]:
+        """Which spots [N] are the ghost of another; one spot has one ghost, the nearest to where it is due.
+
+        Of a saturated spot the true height is unknown: its ghost may be brighter than the ratio says.
+        """
+        ghost = np.zeros(len(x), bool)
+        for n in np.argsort(-peak, kind="stable"):
+            if ghost[n]:
+                continue
+            off = np.hypot(x - x[n] - self.dx, y - y[n] - self.dy)
+            share = peak / max(float(peak[n]), 1e-12) / self.ratio
+            fits = (off <= self.reach) & (share >= 1 / _FACTOR) & (share <= (math.inf if saturated[n] else _FACTOR))
+            fits &= (peak < peak[n]) & ~ghost
+            if fits.any():
+                ghost[np.argmin(np.where(fits, off, np.inf))] = True
+        return ghost
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write it as JSON."""
+        with atomic_file(path) as part:
+            part.write_text(json.dumps({"format": _FORMAT, "version": 1, **asdict(self)}, indent=1) + "\n", "utf-8")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Ghost:
+        """Read what `save` wrote.
+
+        Raises
+        ------
+        InputError
+            When the file is missing, damaged or none of these.
+        """
+        remedy = "give a file that `tapetum track --calibrate-ghost` wrote"
+        if not Path(path).is_file():
+            raise InputError("no such file", where=path, remedy=remedy)
+        try:
+            known = json.loads(Path(path).read_text("utf-8"))
+            if known.get("format") != _FORMAT or known.get("version") != 1:
+                raise InputError("is no calibrated ghost of version 1", where=path, remedy=remedy)
+            return cls(**{name: float(known[name]) for name in ("dx", "dy", "ratio", "reach")})
+        except (ValueError, KeyError, TypeError, AttributeError, OSError) as error:
+            if isinstance(error, InputError):
+                raise
+            raise InputError("is no calibrated ghost", where=path, remedy=remedy) from error
+
+
+def calibrate_ghost(frames: Iterable[Detections]) -> Ghost:
+    """Find the ghost in detections of frames that show one camera, or several, each with its ghost.
+
+    Of every spot and each dimmer one the offset is taken; where most frames agree stands the ghost.
+
+    Parameters
+    ----------
+    frames
+        Spots of each frame, ghosts not dropped.
+
+    Raises
+    ------
+    InputError
+        When no offset with one ratio holds in half of the frames that show two spots or more, and in five at least.
+    """
+    found: list[tuple[int, float, float, float]] = []
+    shown = 0
+    for frame, spots in enumerate(frames):
+        if len(spots) > 0:
+            shown += 1
+        for n in range(len(spots)):
+            for k in np.flatnonzero((spots.peak < _DIMMER * spots.peak[n]) & (spots.saturated == 0)):
+                if spots.saturated[n]:
+                    continue
+                offset = float(spots.x[k] - spots.x[n]), float(spots.y[k] - spots.y[n])
+                found.append((frame, *offset, math.log(float(spots.peak[k] / spots.peak[n]))))
+    pairs = np.array(found).reshape(-1, 4)
+    remedy = "film one camera that is not saturated, alone in view, as it moves through the frame"
+    best: tuple[int, NDArray[np.bool_]] | None = None
+    for one in pairs:
+        near = (np.hypot(*(pairs[:, 1:3] - one[1:3]).T) <= 3) & (np.abs(pairs[:, 3] - one[3]) <= math.log(_FACTOR))
+        count = len(np.unique(pairs[near, 0]))
+        if best is None or count > best[0]:
+            best = count, near
+    if best is None or best[0] < _FEWEST or best[0] < _LEAST_SHARE * shown:
+        held = 0 if best is None else best[0]
+        what = f"no ghost was found: the best offset holds in {held} of {shown} frames that show a spot"
+        raise InputError(what, where="--calibrate-ghost", remedy=remedy)
+    chosen = pairs[best[1]]
+    dx, dy, ratio = np.median(chosen[:, 1:], axis=0)
+    spread = float(np.median(np.hypot(chosen[:, 1] - dx, chosen[:, 2] - dy)))
+    return Ghost(round(float(dx), 3), round(float(dy), 3), round(math.exp(ratio), 5), round(max(2.0, 4 * spread), 2))
