@@ -83,7 +83,8 @@ def judge(seconds: float, seed: int) -> None:
     total: dict[int, list[int]] = defaultdict(lambda: [0, 0, 0, 0, 0])
     for film in films(JUDGED, seconds, seed):
         one = Activity()
-        told = [one.update(asymmetry(image, 255), time) for image, time in zip(film.crops, film.times, strict=True)]
+        found = [asymmetry(image, 255) for image in film.crops]
+        told = [one.update(look and look.value, time) for look, time in zip(found, film.times, strict=True)]
         images = film.imaging > 0.5
         changes = np.flatnonzero(np.diff(images.astype(int))) + 1
         settled = np.ones(len(images), bool)

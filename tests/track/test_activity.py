@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from tapetum.track.activity import EDGES, Activity, Asymmetry, asymmetry
+from tapetum.record.source import Frame
+from tapetum.track import read_tracks, retrack, track_to_file
+from tapetum.track.activity import EDGES, Activity, asymmetry
 
 
 def disc(radius: float = 40.0, height: float = 120.0, *, at: tuple[float, float] = (150.3, 148.6)) -> np.ndarray:
@@ -65,35 +69,31 @@ def test_a_saturated_disc_is_judged_by_its_outline() -> None:
     assert cut.value > EDGES[1]
 
 
-def look(value: float) -> Asymmetry:
-    return Asymmetry(value, 0.0, 40.0)
-
-
 def test_idle_is_only_said_of_a_camera_that_was_seen_imaging() -> None:
     one = Activity()
     # The filter may hide the sensor at this wavelength.
-    assert {one.update(look(2e-4), k / 15) for k in range(60)} == {None}
-    seen = [one.update(look(3e-2), (60 + k) / 15) for k in range(8)]
+    assert {one.update(2e-4, k / 15) for k in range(60)} == {None}
+    seen = [one.update(3e-2, (60 + k) / 15) for k in range(8)]
     assert seen[-1] is True and seen.index(True) <= 4
-    closed = [one.update(look(2e-4), (68 + k) / 15) for k in range(15)]
+    closed = [one.update(2e-4, (68 + k) / 15) for k in range(15)]
     assert closed[-1] is False and True not in closed[8:]
     # Half a second at 15 frames a second.
     assert closed.index(False) < 8
-    opened = [one.update(look(3e-2), (83 + k) / 15) for k in range(8)]
+    opened = [one.update(3e-2, (83 + k) / 15) for k in range(8)]
     assert opened.index(True) < 8
 
 
 def test_nothing_is_said_where_no_return_is_seen() -> None:
     one = Activity()
-    assert [one.update(look(3e-2), k / 15) for k in range(10)][-5:] == [True] * 5
+    assert [one.update(3e-2, k / 15) for k in range(10)][-5:] == [True] * 5
     assert one.update(None, 11 / 15) is None
-    assert one.update(look(3e-2), 12 / 15) is True
+    assert one.update(3e-2, 12 / 15) is True
 
 
 def test_what_was_known_is_forgotten_in_time() -> None:
     one = Activity()
     for k in range(10):
-        one.update(look(3e-2), k / 15)
+        one.update(3e-2, k / 15)
     assert one.imaging > 0.95
     one.update(None, 200.0)
     assert 0.45 < one.imaging < 0.55
@@ -104,8 +104,28 @@ def test_faint_departures_of_a_filter_that_passes_little_are_not_taken_for_idle(
     rng = np.random.default_rng(1)
     one = Activity()
     said = [
-        one.update(look(v), k / 15)
-        for k, v in enumerate(rng.choice([4e-4, 1.5e-3, 4e-3, 1e-2], 300, p=[0.3, 0.3, 0.2, 0.2]))
+        one.update(v, k / 15) for k, v in enumerate(rng.choice([4e-4, 1.5e-3, 4e-3, 1e-2], 300, p=[0.3, 0.3, 0.2, 0.2]))
     ]
     assert said.count(False) <= 3
     assert said.count(True) > 100
+
+
+def test_tracks_say_what_their_camera_does(tmp_path: Path) -> None:
+    states = [True] * 20 + [False] * 20 + [True] * 20
+    frames = [
+        Frame(k, k / 15, noisy(fringed(disc(), 0.6) if on else disc(), seed=k), f"probe[{k}]")
+        for k, on in enumerate(states)
+    ]
+    track_to_file(frames, tmp_path / "t.csv", activity=True, detections=tmp_path / "d.parquet")
+    rows = read_tracks(tmp_path / "t.csv").to_pylist()
+    assert {row["track"] for row in rows} == {1}
+    told = {row["frame"]: row["active"] for row in rows}
+    # After half a second in a state the answer is right.
+    assert all(told[k] is states[k] for k in (*range(8, 20), *range(28, 40), *range(48, 60)))
+    assert all(told[k] is not False for k in range(20)), "idle before it was ever seen to image"
+    again = retrack(tmp_path / "d.parquet").to_pylist()
+    assert [row["active"] for row in again] == [row["active"] for row in rows]
+    # Where nobody asks nothing is said.
+    track_to_file(frames[:3], tmp_path / "n.csv", detections=tmp_path / "e.parquet")
+    assert {row["active"] for row in read_tracks(tmp_path / "n.csv").to_pylist()} == {None}
+    assert {row["active"] for row in retrack(tmp_path / "e.parquet").to_pylist()} == {None}

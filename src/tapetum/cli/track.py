@@ -57,6 +57,12 @@ def track(
         bool,
         typer.Option("--calibrate-ghost", help="Find the beam splitter's ghost of one moving camera: -o NAME.json."),
     ] = False,
+    activity: Annotated[
+        bool,
+        typer.Option(
+            "--activity", help="Say whether a phone's camera images; its filter must overfill the probe's lens."
+        ),
+    ] = False,
     smooth: Smooth = None,
     systematic: Systematic = 1.0,
     stream: Annotated[str, option("NAME", "Which stream of a recording.")] = "probe",
@@ -125,6 +131,7 @@ def track(
             tracker=usual_tracker(detector, options),
             detect_options=chosen_options,
             stream=stream,
+            activity=activity,
             seconds=seconds,
             progress=bar,
         )

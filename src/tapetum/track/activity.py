@@ -191,17 +191,17 @@ class Activity:
     # Joint probability of imaging or idle (rows), and of each way in which its sensor is seen.
     _joint: Array = field(default_factory=lambda: np.full((2, len(_SEEN)), 0.5 / len(_SEEN)))
 
-    def update(self, found: Asymmetry | None, time: float) -> bool | None:
-        """Take the return at a time in seconds, None where there is none to see.
+    def update(self, asymmetry: float | None, time: float) -> bool | None:
+        """Take the asymmetry of a return at a time in seconds; None or NaN where none was seen.
 
         Returns True for imaging, False for idle, and None where it cannot be told.
         """
         stays = 1.0 if self.time is None else 0.5 + 0.5 * math.exp(-2 * max(0.0, time - self.time) / _STAYS)
         self._joint = stays * self._joint + (1 - stays) * self._joint[::-1]
         self.time = time
-        seen = found is not None and math.isfinite(found.value)
-        if found is not None and seen:
-            kind = int(np.searchsorted(EDGES, found.value))
+        seen = asymmetry is not None and math.isfinite(asymmetry)
+        if asymmetry is not None and seen:
+            kind = int(np.searchsorted(EDGES, asymmetry))
             likely = np.array([[chances[kind] for chances in _SEEN.values()], [_IDLE[kind]] * len(_SEEN)])
             self._joint = self._joint * likely ** (1 / _ALIKE)
         self._joint = self._joint / self._joint.sum()

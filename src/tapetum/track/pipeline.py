@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import os
 import threading
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -19,6 +20,7 @@ from tapetum.progress import Progress, quiet
 from tapetum.record.frames import open_frames
 from tapetum.record.reader import taken
 from tapetum.record.source import Frame, Source
+from tapetum.track.activity import Activity, asymmetry
 from tapetum.track.detect import DETECTORS, Detector
 from tapetum.track.detections import Detections
 from tapetum.track.rows import TrackedFrame, about
@@ -32,6 +34,9 @@ __all__ = ["SIDE", "TrackSummary", "track", "track_to_file", "usual_tracker"]
 
 SIDE = 400
 """Side of the square that the models are shown, in pixels (the paper's largest crop)."""
+
+# Sides of the squares in which the symmetry of a spot is measured, in pixels.
+_ASYMMETRY_SIDES = (64, 600)
 
 Frames: TypeAlias = str | os.PathLike[str] | Source | Iterable[Frame]
 
@@ -94,6 +99,16 @@ def _estimates(
     return answers
 
 
+def _add_asymmetries(frame: Frame, found: Detections, answers: Sequence[dict[str, Any]]) -> None:
+    """Add the asymmetry of every spot that is no ghost to its answers."""
+    for k in np.flatnonzero(~found.ghost):
+        side = int(np.clip(4 * found.diameter[k], *_ASYMMETRY_SIDES))
+        seen = asymmetry(
+            crop(frame.image, (float(found.x[k]), float(found.y[k])), side), float(frame.full_scale or math.inf)
+        )
+        answers[int(k)]["asymmetry"] = math.nan if seen is None else seen.value
+
+
 def _plain(value: Any) -> Any:
     return value if value is None or isinstance(value, (str, bool)) else float(value)
 
@@ -119,6 +134,7 @@ def track(
     stream: str = "probe",
     side: int = SIDE,
     batch: int = 16,
+    activity: bool = False,
     progress: Progress = quiet,
 ) -> Iterator[TrackedFrame]:
     """Find the retro-reflections in frames, follow them, and estimate the camera's state by models.
@@ -146,6 +162,9 @@ def track(
         Side of the crops in pixels.
     batch
         Frames per call of the models. 1 gives the least delay; more are faster in all.
+    activity
+        Whether to say of each track if its camera images (`TrackRow.active`), for cameras whose filter's return
+        overfills the probe's aperture, as phones' do.
     progress
         Shows how far the work is.
 
@@ -176,7 +195,7 @@ def track(
     follower = usual_tracker(detector, detect_options) if tracker is None else tracker
     frames = _opened(source, stream)
     shown = progress(taken(frames, threading.Event()), "tracking", total=_count(frames))
-    return _track(shown, find, estimators, follower, side, batch)
+    return _track(shown, find, estimators, follower, side, batch, activity)
 
 
 def _detector(detector: str | Detector, options: Mapping[str, Any] | None, side: int) -> Detector:
@@ -221,12 +240,16 @@ def _track(
     tracker: Tracker,
     side: int,
     batch: int,
+    activity: bool,
 ) -> Iterator[TrackedFrame]:
+    activities: dict[int, Activity] | None = {} if activity else None
     waiting: list[tuple[Frame, Detections]] = []
 
     def finished() -> Iterator[TrackedFrame]:
         for (frame, found), answers in zip(waiting, _estimates(waiting, estimators, side), strict=True):
-            yield TrackedFrame.of(about(frame), found, answers, tracker)
+            if activity:
+                _add_asymmetries(frame, found, answers)
+            yield TrackedFrame.of(about(frame), found, answers, tracker, activities)
         waiting.clear()
 
     # Without models there is nothing to wait for.
@@ -255,6 +278,7 @@ def track_to_file(
     stream: str = "probe",
     side: int = SIDE,
     batch: int = 16,
+    activity: bool = False,
     seconds: float | None = None,
     progress: Progress = quiet,
 ) -> TrackSummary:
@@ -262,7 +286,7 @@ def track_to_file(
 
     Parameters
     ----------
-    source, model, tracker, detector, detect_options, stream, side, batch, progress
+    source, model, tracker, detector, detect_options, stream, side, batch, activity, progress
         As for `track`.
     out
         The table of tracks: .parquet, .csv or .jsonl. An existing file is replaced only on success. After Ctrl-C or a
@@ -299,6 +323,7 @@ def track_to_file(
         detect_options=options,
         side=side,
         batch=batch,
+        activity=activity,
     )
     frames = rows = seen = lost = 0
     numbers: set[int] = set()

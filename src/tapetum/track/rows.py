@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from tapetum.record.source import Frame
+from tapetum.track.activity import Activity
 from tapetum.track.detections import Detections
 from tapetum.track.tables import (
     MOMENT,
@@ -49,6 +50,8 @@ class TrackRow:
         Whether the spot was detected in this frame.
     event
         What happened to the track in this frame (see `TrackPoint`).
+    active
+        Whether the camera images now (see `tapetum.track.activity`); None where it cannot be told or was not asked.
     moment
         Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
@@ -69,14 +72,14 @@ class TrackRow:
     diameter: float | None
     seen: bool
     event: str = ""
+    active: bool | None = None
     moment: Mapping[str, Any] = field(default_factory=dict)
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
     def record(self) -> dict[str, Any]:
         """The row as the columns of the table.
 
-        `active` stays empty: whether a camera records shows in how its return changes with time, which is not evaluated
-        yet. `device` and `device_probability` are absent where no model recognises devices.
+        `device` and `device_probability` are absent where no model recognises devices.
         """
         own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates")}
         return {**own, "event": self.event or None, **self.moment, **self.estimates}
@@ -110,9 +113,14 @@ class TrackedFrame:
 
     @classmethod
     def of(
-        cls, about: Mapping[str, Any], found: Detections, answers: Sequence[Mapping[str, Any]], tracker: Tracker
+        cls,
+        about: Mapping[str, Any],
+        found: Detections,
+        answers: Sequence[Mapping[str, Any]],
+        tracker: Tracker,
+        activities: dict[int, Activity] | None = None,
     ) -> TrackedFrame:
-        """Follow the spots of a frame; `about` holds its frame, time, name and moment."""
+        """Follow the spots of a frame; `about` holds its frame, time, name and moment, `activities` those by track."""
         rows: list[TrackRow] = []
         dark = about["moment"].get("lit") is False and not len(found)
         for point in tracker.update(found, about["time"], dark=dark):
@@ -123,6 +131,9 @@ class TrackedFrame:
             }
             place: dict[str, Any] = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
             place["event"] = point.event
+            if activities is not None:
+                known = activities.setdefault(point.track, Activity())
+                place["active"] = known.update(None if n is None else answers[n].get("asymmetry"), about["time"])
             rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
         return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers))
 
@@ -166,7 +177,9 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
     check_columns(table, schema.names, "detections", "give a table of track_to_file")
     extra = [name for name in table.column_names if name not in schema.names]
     names = estimated(extra) + (["device"] if {"device", "device_probability"} <= set(extra) else [])
-    columns, whole = estimate_columns(names), track_schema(names)
+    columns, whole = {**estimate_columns(names), "asymmetry": pa.float64()}, track_schema(names)
+    asked = "asymmetry" in table.column_names and table["asymmetry"].null_count < table.num_rows
+    activities: dict[int, Activity] | None = {} if asked else None
     follower = Tracker() if tracker is None else tracker
     follower.reset()
     kept: list[pa.RecordBatch] = []
@@ -184,7 +197,8 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
         moment = {name: rows[0].get(name) for name in MOMENT}
         frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}
-        records += [plain(row.record(), whole.names) for row in TrackedFrame.of(frame, found, answers, follower).rows]
+        followed = TrackedFrame.of(frame, found, answers, follower, activities)
+        records += [plain(row.record(), whole.names) for row in followed.rows]
         if len(records) >= _BATCH:
             keep()
     keep()

@@ -41,7 +41,9 @@ _NAME = {"name": pa.string()}
 # Further data of a frame. Tables of older versions lack them.
 MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
 _EVENT = {"event": pa.string()}
-_LATER = {**MOMENT, **_EVENT}
+# Of a detection: see `tapetum.track.activity`.
+_ASYMMETRY = {"asymmetry": pa.float64()}
+_LATER = {**MOMENT, **_EVENT, **_ASYMMETRY}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 _JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
 _SPOT = {name: pa.from_numpy_dtype(kind) for name, kind in Detections.types().items()}
@@ -86,7 +88,7 @@ def track_schema(estimates: Sequence[str] = ()) -> pa.Schema:
 
 def detections_schema(estimates: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of detections, with three for each estimated quantity."""
-    return pa.schema({**_FRAME, **_NAME, **MOMENT, **_SPOT, **estimate_columns(estimates)})
+    return pa.schema({**_FRAME, **_NAME, **MOMENT, **_SPOT, **_ASYMMETRY, **estimate_columns(estimates)})
 
 
 def checked_suffix(path: str | os.PathLike[str]) -> str:
