@@ -27,12 +27,14 @@ demo: setup
 # One test file a process, one thread each: as many processes as there are cores, the longest files first
 # (tests/conftest.py).
 TESTS := -n auto --dist loadfile --no-loadscope-reorder
+# Processes that tests start would each compile the package where no bytecode may be kept.
+ALONE := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1
 
 test: setup
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(TESTS)
+	$(ALONE) $(BIN)/python -m pytest $(TESTS)
 
 test-all: peers
-	OMP_NUM_THREADS=1 $(BIN)/python -m pytest $(TESTS) -m 'slow or not slow'
+	$(ALONE) $(BIN)/python -m pytest $(TESTS) -m 'slow or not slow'
 
 lint: setup
 	$(BIN)/ruff check .

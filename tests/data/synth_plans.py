@@ -27,10 +27,10 @@ def shortened(session: Session, seconds: float) -> Session:
     return replace(session, seconds=seconds, motion=replace(session.motion, sway=3e-3))
 
 
-PIECE = 32
+PIECE = 16
 
 
-def little_plan(videos: int = 2, seconds: float = 3.2, seed: int = 0) -> Plan:
+def little_plan(videos: int = 2, seconds: float = 1.6, seed: int = 0) -> Plan:
     """Some videos of two little parts each."""
     plan = rotation_plan(little_scene(), "small", seed)
     short = tuple(replace(one, session=shortened(one.session, seconds)) for one in plan.videos[:videos])

@@ -45,7 +45,7 @@ def test_it_is_a_dataset_as_any_other(whole: Path):
     assert dataset.tp.targets == ("gaze_x", "gaze_y")
     assert dataset.tp.hash == content_hash(dataset)
     assert dataset["image"].shape[1:] == (40, 40)
-    assert 70 < dataset.sizes["frame"] <= 96
+    assert 35 < dataset.sizes["frame"] <= 48
     told = dataset.tp.recordings
     assert [one["name"] for one in told] == ["rotation-1", "rotation-2"]
     for number, one in enumerate(told):

@@ -92,7 +92,7 @@ def work(sets, tmp_path_factory) -> Workshop:
         target = {"rotation": "gaze", "varied": "gaze", "focusing": "focus", "phones": "phone"}[recipe.set]
         if isinstance(recipe.make("small"), ResNet18):
             target = recipe.make("small").target
-            small = lambda _, t=target: ResNet18(t, crop=36, size=24, epochs=1, batch=16, device="cpu")  # noqa: E731
+            small = lambda _, t=target: ResNet18(t, crop=36, size=24, epochs=1, batch=64, device="cpu")  # noqa: E731
         else:
             aside = recipe.make("small").calibration_fraction
             small = lambda _, t=target, a=aside: ZernikeRidge(  # noqa: E731

@@ -18,7 +18,7 @@ from tapetum.record import HandMotion, Session, open_recording
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrain, "TRAIN_SEEDS", (101,))
-    monkeypatch.setattr(pretrain, "SECONDS", 2.0)
+    monkeypatch.setattr(pretrain, "SECONDS", 1.2)
 
 
 @pytest.mark.usefixtures("tiny")
@@ -49,7 +49,7 @@ def test_an_interrupted_making_goes_on_where_it_stopped(tmp_path: Path) -> None:
 @pytest.mark.usefixtures("tiny")
 def test_what_was_made_before_serves_only_what_it_was_made_for(tmp_path: Path) -> None:
     path = tmp_path / "a.rec"
-    session = Session(2.0, seed=7)
+    session = Session(1.2, seed=7)
     pretrain.labelled_recording(path, session)
     first = open_recording(path).uuid
     pretrain.labelled_recording(path, session)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -24,7 +25,7 @@ SALT = "a test's own salt"
 
 
 def tiny_plan() -> Plan:
-    """Two recordings of a second by a little thin-lens camera, from another salt than the real ones."""
+    """Two recordings of one and a half seconds by a little thin-lens camera, from another salt than the real ones."""
     values = {
         "probe.sensor.pixels": [96, 80],
         "probe.sensor.pitch": "4.4 um",
@@ -34,10 +35,16 @@ def tiny_plan() -> Plan:
     plan = sealed_plan("small", SALT, with_values(load_scene("hand-held"), values))
     # A hand so quiet that the little frame holds what it shows, before a wall that is no brighter than the set's.
     short = [
-        replace(one, session=replace(one.session, seconds=2.0, stray=(), motion=replace(one.session.motion, sway=3e-3)))
+        replace(one, session=replace(one.session, seconds=1.5, stray=(), motion=replace(one.session.motion, sway=3e-3)))
         for one in plan.videos
     ]
     return replace(plan, videos=tuple(short), rules=Rules(side=40, test_fraction=1.0))
+
+
+@pytest.fixture(scope="module")
+def filmed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The recordings of `tiny_plan` as a set."""
+    return synthesise(tiny_plan(), tmp_path_factory.mktemp("sealed") / "set.zarr")
 
 
 @pytest.fixture(scope="module")
@@ -73,11 +80,11 @@ def test_recordings_are_drawn_from_the_salt_within_what_makers_allow() -> None:
     assert not any(sealed.SALT in file.read_text() for file in Path(__file__).parents[1].rglob("*.py"))
 
 
-def test_only_numbers_stay(ridge: ZernikeRidge, tmp_path: Path) -> None:
+def test_only_numbers_stay(ridge: ZernikeRidge, filmed: Path, tmp_path: Path) -> None:
     plan = tiny_plan()
     rows = score_sealed({"ridge": ridge}, tmp_path, size="small", plan=plan)
     assert list(tmp_path.iterdir()) == []
-    dataset = open_dataset(synthesise(plan, tmp_path / "again.zarr"))
+    dataset = open_dataset(filmed)
     truth, said = dataset.tp.values(("gaze_x", "gaze_y")), ridge.predict(dataset, anyway=True).value
     row = rows[0]
     assert row["frames"] == len(truth)
@@ -93,11 +100,18 @@ def test_only_numbers_stay(ridge: ZernikeRidge, tmp_path: Path) -> None:
 
 
 def test_results_are_added_never_replaced(
-    ridge: ZernikeRidge, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ridge: ZernikeRidge,
+    filmed: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(sealed, "sealed_plan", lambda *_: tiny_plan())
     out, kept = tmp_path / "out", save_model(ridge, tmp_path / "ridge")
+    # As an interrupted call leaves them: this one takes them up, while the command films its own below.
+    shutil.copytree(filmed, tmp_path / "work" / f"sealed-{tiny_plan().digest[:12]}.zarr")
     run_sealed(out, Workshop(tmp_path / "work", "small"), {"first": ridge})
+    assert not list((tmp_path / "work").iterdir())
     assert main(["paper", "sealed", "-o", str(out), "--model", str(kept), "--size", "small", "--workers", "1"]) == 0
     rows = read_results(out)
     assert [row["model"] for row in rows] == ["first", kept.name]

@@ -139,7 +139,7 @@ def whole(few, tmp_path_factory):
 
 
 def test_it_learns(small):
-    model = ResNet18(**{**TINY, "epochs": 4, "batch": 10, "shift": 0.5}).fit(small.tp.train)
+    model = ResNet18(**{**TINY, "epochs": 3, "batch": 10, "shift": 0.5}).fit(small.tp.train)
     test = small.tp.test
     truth = test.tp.values(("gaze_x", "gaze_y"))
     prediction = model.predict(test)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
+import multiprocessing
 import os
 import re
 import signal
@@ -10,6 +12,7 @@ import subprocess
 import sys
 import threading
 import time
+from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
@@ -136,36 +139,40 @@ def test_an_exception_before_the_first_frame_leaves_nothing(tmp_path: Path) -> N
     assert list(tmp_path.iterdir()) == []
 
 
-KILLED = """
-import sys, time
-sys.path.insert(0, sys.argv[1])
-from test_recording import SECOND, START, image, writer
-recorder = writer(sys.argv[2])
-for number in range(10_000):
-    moment = number * SECOND // 15
-    for stream in ("probe", "target"):
-        recorder.write(stream, image(number, stream), monotonic_ns=moment, utc_ns=START + moment)
-    print(number, flush=True)
-"""
+def endless(path: Path, sent: Connection) -> None:
+    """Film without an end, and say each frame that was handed over."""
+    recorder = writer(path)
+    for number in range(10_000):
+        moment = number * SECOND // 15
+        for stream in STREAMS:
+            recorder.write(stream, image(number, stream), monotonic_ns=moment, utc_ns=START + moment)
+        sent.send_bytes(number.to_bytes(4))
 
 
 @pytest.mark.parametrize("after", [1, 40])
 def test_kill_9_in_the_middle_of_filming(tmp_path: Path, after: int) -> None:
     path = tmp_path / "a.rec"
-    command = [sys.executable, "-c", KILLED, str(Path(__file__).parent), str(path)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        for line in process.stdout:
-            if int(line) >= after:
-                break
-        process.send_signal(signal.SIGKILL)
-        said = [after, *(int(line) for line in process.stdout if line.endswith("\n"))]
-    assert process.returncode == -signal.SIGKILL
+    # Both fork from one process, which has loaded the libraries.
+    processes = multiprocessing.get_context("forkserver")
+    processes.set_forkserver_preload(["tapetum.record.recording"])
+    told, sent = processes.Pipe(duplex=False)
+    process = processes.Process(target=endless, args=(path, sent))
+    process.start()
+    sent.close()
+    said = -1
+    while said < after:
+        said = int.from_bytes(told.recv_bytes())
+    process.kill()
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            said = int.from_bytes(told.recv_bytes())
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
     recording = open_recording(path)
     assert not recording.finished
-    for stream in ("probe", "target"):
+    for stream in STREAMS:
         # Frames 0 … said were handed over; the newest may be lost, and one more may have been on its way.
-        assert said[-1] <= check(recording, stream) <= said[-1] + 2
+        assert said <= check(recording, stream) <= said + 2
         assert len(list(open_frames(path, stream))) == len(recording.frames(stream))
 
 

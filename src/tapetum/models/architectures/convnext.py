@@ -78,6 +78,9 @@ class ConvNeXtPico(Network):
             self.stages = nn.Sequential(*stages)
             # timm keeps its last layer here.
             self._modules["head"] = _Head(self.width, outputs)
+        # On the meta device there are no values to draw, and torch would import its compiler for it: seconds.
+        if self.head.weight.is_meta:
+            return
         generator = torch.Generator().manual_seed(seed)
         for module in self.modules():
             if isinstance(module, nn.Conv2d | nn.Linear):

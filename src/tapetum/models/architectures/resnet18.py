@@ -58,7 +58,9 @@ class ResNet18Network(Network):
             self.layer4 = _layer(256, 512, 2)
             self.avgpool = nn.AdaptiveAvgPool2d(1)
             self.fc = nn.Linear(self.width, outputs)
-        self._initialise(seed)
+        # On the meta device there are no values to draw, and torch would import its compiler for it: seconds.
+        if not self.fc.weight.is_meta:
+            self._initialise(seed)
 
     def _initialise(self, seed: int) -> None:
         generator = torch.Generator().manual_seed(seed)
