@@ -13,6 +13,7 @@ from tapetum.bench import load_scene
 from tapetum.record import Session, film, label_recording
 from tapetum.record.recording import open_recording
 from tapetum.record.video import VideoWriter
+from tapetum.track.tables import detections_schema, read_table
 
 SCENE = """\
 schema: tapetum/scene/1
@@ -128,7 +129,10 @@ def test_track_a_truncated_video(run, tmp_path: Path) -> None:
     video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])
     ran = run("track", video, "-o", tmp_path / "t.parquet", "--detections", tmp_path / "d.csv")
     assert ran.code == 2 and str(video) in ran.complaint
-    assert list(tmp_path.iterdir()) == [video]
+    # Every readable frame was used: what was written of it is kept, and the message says where.
+    left = tmp_path / "d.unfinished.csv"
+    assert sorted(tmp_path.iterdir()) == [left, video] and str(left) in ran.complaint
+    assert 5 <= len(read_table(left, detections_schema())) < 20
 
 
 def test_a_dataset_of_a_truncated_video(run, chain, tmp_path: Path) -> None:

@@ -159,7 +159,8 @@ def cut_out(layer: Layer, x: NDArray[np.int64], y: NDArray[np.int64]) -> Octave:
     reach = kernels.shape[1] // 2
     near = slice(half - reach, half + reach + 1)
     size = np.argmax(difference[:, near, near].reshape(len(x), -1) @ kernels.reshape(len(SIGMAS), -1).T, axis=1)
-    answer, lit_answer = (_answers(one, size)[:, inner, inner] for one in (difference, lit))
+    answer = _answers(difference, size)[:, inner, inner]
+    lit_answer = answer if difference is lit else _answers(lit, size)[:, inner, inner]
     dark_answer = None if dark is None else _answers(dark, size)[:, inner, inner]
     return Octave(
         layer.step,

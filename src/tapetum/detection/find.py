@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from tapetum.detection.candidates import HALF, SIGMAS, Layer, Octave, cut_out, octaves
 from tapetum.detection.found import Found
@@ -231,15 +232,21 @@ def _centroid(spot: Array, sigma: Array, columns: Array, rows: Array) -> tuple[A
 
 def _one_a_place(x: Array, y: Array, height: Array, diameter: Array, most: int) -> NDArray[np.int64]:
     """Numbers of the candidates, highest first, less those that lie within a higher one; at most so many."""
-    left = np.argsort(-height, kind="stable")
-    kept: list[int] = []
-    while len(left) and len(kept) < most:
-        n = int(left[0])
-        kept.append(n)
-        left = left[1:]
-        reach = np.maximum(0.375 * np.maximum(diameter[n], diameter[left]), 2)
-        left = left[(x[left] - x[n]) ** 2 + (y[left] - y[n]) ** 2 > reach**2]
-    return np.array(kept, dtype=np.int64)
+    order = np.argsort(-height, kind="stable")
+    if not len(order):
+        return order
+    at = np.stack([x, y], 1)[order]
+    reach = np.maximum(0.375 * diameter[order], 1)
+    # Only near pairs matter, and they are few: the higher first, as its place in the order is the lower.
+    pairs = cKDTree(at).query_pairs(2 * float(reach.max()), output_type="ndarray")
+    pairs = np.sort(pairs, axis=1)
+    apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
+    pairs = pairs[apart <= np.maximum(reach[pairs].max(1), 2)]
+    alone = np.ones(len(order), bool)
+    for higher, lower in pairs[np.argsort(pairs[:, 0], kind="stable")].tolist():
+        if alone[higher]:
+            alone[lower] = False
+    return order[alone][:most]
 
 
 def _levels(image: NDArray[np.generic], channel: str, where: str) -> NDArray:
