@@ -37,8 +37,8 @@ def _frames() -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         rows, columns = np.mgrid[int(y) - reach : int(y) + reach + 1, int(x) - reach : int(x) + reach + 1]
         lit[rows, columns] += height * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * sigma**2))
     dark = np.roll(room, (4, -7), (0, 1))
-    eight = (np.clip(one + rng.normal(0, 2, one.shape), 0, 255).astype(np.uint8) for one in (lit, dark))
-    return (*eight, places)
+    lit, dark = (np.clip(one + rng.normal(0, 2, one.shape), 0, 255).astype(np.uint8) for one in (lit, dark))
+    return lit, dark, places
 
 
 def _found(x: np.ndarray, y: np.ndarray, places: np.ndarray) -> int:
@@ -65,7 +65,7 @@ def run(effort: Effort) -> list[Row]:
     finally:
         cv2.setNumThreads(before)
     peer = Figure.rate(timings.typical("peer"), "frames")
-    hits, theirs = _found(found.x, found.y, places), _found(*peers.T, places)
+    hits, theirs = _found(found.x, found.y, places), _found(peers[:, 0], peers[:, 1], places)
     told = f"{hits} of {_COUNT} found and {len(found) - hits} others; the peer, of the lit frame alone, {theirs} and "
     told += f"{len(peers) - theirs} others"
     return [

@@ -222,7 +222,8 @@ def _screened(layer: Layer, most: int) -> tuple[NDArray[np.int64], NDArray[np.in
     x, y = _highest_of_block(answer, row, column)
     own = answer[y, x].astype(np.float32)
     top = own >= patches(answer, x, y, 2).max((1, 2))
-    x, y, row, column, own = (one[top] for one in (x, y, row, column, own))
+    x, y, row, column = (one[top] for one in (x, y, row, column))
+    own = own[top]
     variance = around[row, column] ** 2 + _QUANTUM**2
     if layer.dark is not None and len(x):
         variance += (_LEFT_OF_EDGES * _edges(layer.dark, x, y)) ** 2

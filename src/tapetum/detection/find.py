@@ -7,7 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from tapetum.detection.candidates import HALF, SIGMAS, Layer, Octave, cut_out, octaves
 from tapetum.detection.found import Found
@@ -155,10 +155,14 @@ def _candidates(
     screened = list(octaves(layer, largest, most))
     names = ("x", "y", "snr", "flux", "diameter", "peak")
     step = np.concatenate([np.full(len(x), one.step) for one, x, _, _ in screened] or [np.empty(0)])
-    at_x, at_y, height = (np.concatenate([part[n] for part in screened] or [np.empty(0)]) for n in (1, 2, 3))
+    none = np.empty(0, np.int64)
+    at_x = np.concatenate([none, *(x for _, x, _, _ in screened)])
+    at_y = np.concatenate([none, *(y for _, _, y, _ in screened)])
+    height = np.concatenate([np.empty(0), *(high for *_, high in screened)]).astype(np.float64)
     places = np.stack([(at_x + 0.5) * step - 0.5, (at_y + 0.5) * step - 0.5], 1)
     allowed = np.arange(len(step)) if registered is None else np.flatnonzero(_within(registered, places, lit.shape))
-    kept = allowed[_one_a_place(*places[allowed].T, height[allowed], 4 * step[allowed], most)]
+    x, y = places[allowed].T
+    kept = allowed[_one_a_place(x, y, height[allowed], 4.0 * step[allowed], most)]
     mean = local_mean(lit)
     flow = None if registered is None else registered.coarse
     columns: list[Array] = []
@@ -184,7 +188,8 @@ def _at(grid: NDArray[np.float32], places: Array, shape: tuple[int, ...]) -> Arr
     """Values of a grid that covers a frame [H, W] evenly, at places (x, y, …), [N]."""
     rows, columns = grid.shape[:2]
     row = np.clip((places[:, 1] + 0.5) * rows / shape[0], 0, rows - 1).astype(int)
-    return grid[row, np.clip((places[:, 0] + 0.5) * columns / shape[1], 0, columns - 1).astype(int)]
+    column = np.clip((places[:, 0] + 0.5) * columns / shape[1], 0, columns - 1).astype(int)
+    return grid[row, column].astype(np.float64)
 
 
 def _within(registered: Registered, places: Array, shape: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -238,7 +243,7 @@ def _one_a_place(x: Array, y: Array, height: Array, diameter: Array, most: int) 
     at = np.stack([x, y], 1)[order]
     reach = np.maximum(0.375 * diameter[order], 1)
     # Only near pairs matter, and they are few: the higher first, as its place in the order is the lower.
-    pairs = cKDTree(at).query_pairs(2 * float(reach.max()), output_type="ndarray")
+    pairs = KDTree(at).query_pairs(2 * float(reach.max()), output_type="ndarray")
     pairs = np.sort(pairs, axis=1)
     apart = np.linalg.norm(at[pairs[:, 0]] - at[pairs[:, 1]], axis=1)
     pairs = pairs[apart <= np.maximum(reach[pairs].max(1), 2)]

@@ -170,7 +170,8 @@ def _fresh(octave: Octave, sigma: Array) -> Array:
 
 def _smoothed(stack: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
     """Each patch, smoothed; where patches meet in the stack they mix a little, at their edges."""
-    return np.asarray(cv2.GaussianBlur(stack.reshape(-1, stack.shape[2]), (0, 0), sigma)).reshape(stack.shape)
+    tall = cv2.GaussianBlur(stack.reshape(-1, stack.shape[2]), (0, 0), sigma)
+    return np.asarray(tall, dtype=np.float32).reshape(stack.shape)
 
 
 def _quantile(

@@ -117,7 +117,7 @@ def local_mean(image: NDArray, radius: float = _MATCHED) -> Array:
     height, width = image.shape
     step = max(1, int(radius / 3))
     size = max(1, width // step), max(1, height // step)
-    return np.asarray(cv2.GaussianBlur(_resized(image, size).astype(np.float32), (0, 0), radius / step))
+    return _blurred(_resized(image, size).astype(np.float32), radius / step)
 
 
 def _partners(flow: Array, size: tuple[int, int]) -> tuple[Array, Array]:
@@ -210,13 +210,13 @@ def _resized(image: NDArray, size: tuple[int, int], how: int = cv2.INTER_AREA) -
 def _even(image: Array) -> NDArray[np.uint8]:
     """The frame with equal mean and contrast everywhere, so that light and shadow do not pass for motion."""
     mean = _far_blurred(image, 12)
-    spread = np.sqrt(_far_blurred((image - mean) ** 2, 12)) + 4
+    spread = np.sqrt(_far_blurred(np.square(image - mean), 12)) + 4
     return np.clip(128 + 48 * (image - mean) / spread, 0, 255).astype(np.uint8)
 
 
 def _details(image: Array) -> Array:
     band = _blurred(image, 2) - _far_blurred(image, 8)
-    return np.asarray(band / np.sqrt(_far_blurred(band * band, 16) + 0.5), dtype=np.float32)
+    return np.asarray(band / np.sqrt(_far_blurred(np.square(band), 16) + 0.5), dtype=np.float32)
 
 
 def _matched(lit: NDArray, dark: NDArray) -> NDArray:

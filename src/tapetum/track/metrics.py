@@ -134,7 +134,8 @@ def _hota(numbers: Numbers, alike: Sequence[Array], there: Array, said: Array) -
     for (a, b), likeness in zip(numbers, alike, strict=True):
         one, other = linear_sum_assignment(-fitting[np.ix_(a, b)] * likeness)
         over = likeness[one, other][None] >= _ALPHAS[:, None] - 1e-9
-        np.add.at(hits, (slice(None), a[one], b[other]), over)
+        # A pair of numbers stands once in a frame.
+        hits[:, a[one], b[other]] += over
     found = hits.sum((1, 2))
     deta = found / np.maximum(there.sum() + said.sum() - found, 1)
     pairs = hits / np.maximum(there[None, :, None] + said[None, None] - hits, 1)

@@ -57,7 +57,7 @@ def common_motion(expected: Array, found: Array, alike: NDArray[np.bool_], limit
     side = 2 * int(np.ceil(limit / _AGREE)) + 3
     row, column = ((votes + limit) // _AGREE).astype(int).T + 1
     count = np.bincount(row * side + column, minlength=side * side).reshape(side, side)
-    near = sum(np.roll(count, (a, b), (0, 1)) for a in (-1, 0, 1) for b in (-1, 0, 1))
+    near = np.sum([np.roll(count, (a, b), (0, 1)) for a in (-1, 0, 1) for b in (-1, 0, 1)], axis=0)
     # Of shifts with as many votes the smallest.
     reach = np.arange(side) - side // 2
     best = np.argmax(near - 1e-3 * np.hypot(reach[:, None], reach[None]))
