@@ -66,6 +66,8 @@ _MOST_POWER = 1.03
 _FADING = 0.3
 # Samples of the sensor for each detail of a mask, at an effort of 1.
 _DETAILS = 3.0
+# Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
+_RINGS_BESIDE = 30
 _MOST_PUPIL, _MOST_SENSOR = 2048, 4096
 _LARGEST_MISFIT = 0.02
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
@@ -232,8 +234,9 @@ def traced_mask(
     # At least as finely as a mirror: the mask may be dark where it is tried.
     mirror = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
     least = FAINT * float((mirror.usual.field(tried[:1]).abs() ** 2).max())
+    first = max(mirror.step, next(i for i, effort in enumerate(_LADDER) if effort.rings >= _RINGS_BESIDE))
     found = _climbed(
-        lambda effort: _made(scene, light, surface, effort, mask), tried, accuracy, least=least, first=mirror.step
+        lambda effort: _made(scene, light, surface, effort, mask), tried, accuracy, least=least, first=first
     )
     _check_power(found.usual, tried, 1.0)
     plan = _stated(light, replace(found, error=max(found.error, mirror.error)), least)
