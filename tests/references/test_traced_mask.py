@@ -11,6 +11,8 @@ import torch
 
 from tapetum.bench.load import scene_from_dict
 from tapetum.simulate import Camera
+from tapetum.simulate.faint import FaintPass
+from tapetum.simulate.traced_plan import TracedGroup
 
 from .judge import pixel_places, planes_of
 from .thin import Beam, Effort
@@ -74,6 +76,8 @@ def test_fields_against_plain_sums(
     sines = torch.sin(torch.tensor([rotation], dtype=torch.float64))
     camera = Camera(scene, max(float(sines.norm()), 0.005), dtype=torch.complex128, device="cpu")
     (one,) = camera._lines[0].passes
+    assert isinstance(one, FaintPass)
+    assert isinstance(one._usual, TracedGroup)
     ours = one._usual.field(sines)[0].numpy().ravel()[PIXELS]
     pixels = pixel_places(PIXELS % SIDE, PIXELS // SIDE, (SIDE, SIDE), scene.probe.sensor.pitch)
     beam = Beam(WAVELENGTH, (float(sines[0, 0]), float(sines[0, 1])), 0.0, 0.01)

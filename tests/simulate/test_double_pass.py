@@ -235,6 +235,7 @@ def test_foreshortening_in_any_direction(validated: Validated) -> None:
     unit = tilt[0] / tilt[0].norm()
     matrix = torch.eye(2, dtype=torch.float64) - (1 - cosine) * unit[:, None] * unit[None, :]
     offset = 2 * K * tilt[0] / cosine
+    assert one._spot is not None
     spot = one._spot * phasor(offset[0] * one._v[None, :] + offset[1] * one._v[:, None])
     to_pupil = [phasor(-K / one.pupil.z * torch.outer(axis, one._v)) for axis in (one.pupil.y, one.pupil.x)]
     # The lens takes in cosθ of the light, and sends it onto a picture foreshortened by cosθ.
@@ -284,6 +285,7 @@ def test_a_mask_lies_in_the_sensors_own_coordinates(validated: Validated) -> Non
     cosine = math.sqrt(1 - float((tilt**2).sum()))
     got, (sx, sy) = one.field(tilt)[0], tilt[0] / cosine
     # The mirror's spot, its mask where the gaze puts it, and the pupil by the plain kernel.
+    assert one._spot is not None
     seen = one._spot[0] * mask(one.pupil.z * sx + one._v[None, :], one.pupil.z * sy + one._v[None, :])[0]
     seen = seen * phasor(2 * K * (sx * one._v[None, :] + sy * one._v[:, None]))
     to_x, to_y = (phasor(-K / one.pupil.z * torch.outer(axis, one._v)) for axis in (one.pupil.x, one.pupil.y))

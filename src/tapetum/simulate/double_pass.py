@@ -27,7 +27,7 @@ __all__ = ["DoublePass"]
 _BATCH_BYTES = 192 << 20
 
 
-class DoublePass(SampledPass):
+class DoublePass(SampledPass[ThinPupil]):
     """The retro-reflection of a thin lens before a plane mirror or mask, for any number of gazes.
 
     The spot on the sensor and all fixed kernels are computed once, when the instance is made.

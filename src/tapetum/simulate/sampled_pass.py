@@ -14,6 +14,7 @@ that the pupil leaves out of s. A mirror takes s to -s, an order of direction τ
 from __future__ import annotations
 
 import math
+from typing import Generic, TypeVar
 
 import torch
 
@@ -24,13 +25,13 @@ from tapetum.simulate.surfaces import Mask, Surface
 
 __all__ = ["SampledPass"]
 
-# Gazes computed together.
-_AT_ONCE = 8
+Lens = TypeVar("Lens", bound=Pupil)
+
 # Distance of an order's direction from the pupil's, in half widths of the pupil, within which its light returns.
 _MEETS = 2.05
 
 
-class SampledPass:
+class SampledPass(Generic[Lens]):
     """The retro-reflection of a lens off one plane, for any number of gazes.
 
     Kernels are computed once, and so is the spot where it is the same for all gazes.
@@ -53,12 +54,12 @@ class SampledPass:
 
     def __init__(
         self,
-        pupil: Pupil,
+        pupil: Lens,
         window: SpotWindow,
         plane: Surface | Mask,
         *,
         wavelength: float,
-        at_once: int = _AT_ONCE,
+        at_once: int,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
     ) -> None:
@@ -70,12 +71,14 @@ class SampledPass:
         distance = torch.hypot(self._v[None, :], self._v[:, None])
         # A mask does not send the light of a rim back to that rim.
         seen = window.fade(distance) if self._own or pupil.rim is None else window.fade_with_rim(distance, pupil.rim)
-        self._window = seen * (window.step / (1j * wavelength)) ** 2
+        # What is computed once is computed in double precision.
+        precise = torch.complex128 if pupil.fixed else dtype
+        self._window = (seen * (window.step / (1j * wavelength)) ** 2).to(precise)
         self._spot: torch.Tensor | None = None
         self._kernels: tuple[torch.Tensor, torch.Tensor] | None = None
         if pupil.fixed:
             at = pupil.gazes(torch.zeros(1, 2, dtype=torch.float64, device=self.device), self._own)
-            self._spot = self._entered(at, torch.complex128).to(dtype)
+            self._spot = self._entered(at, precise).to(dtype)
             self._kernels = self._back(at.leaving())
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
@@ -134,7 +137,7 @@ class SampledPass:
         square = self._k * v**2
         down = self._kernel(v, light.rows, dtype) * phasor(square * yy[:, None], dtype)[..., None]
         right = self._kernel(light.columns, v, dtype) * phasor(square * xx[:, None], dtype)[:, None, :]
-        spot = _products(down, wave, right) * self._window.to(dtype)
+        spot = _products(down, wave, right) * self._window
         if self._own and xy is not None:
             spot = spot * phasor(2 * self._k * xy[:, None, None] * v[:, None] * v, dtype)
         return spot
@@ -164,7 +167,8 @@ class SampledPass:
             amplitude = phasor(self._k * (at.place @ tau)) * order.at(at.place)
             if math.isfinite(self.pupil.reach):
                 # Light that misses the pupil altogether would only return as an alias.
-                meets = torch.linalg.vector_norm(direction + 2 * at.middle, dim=-1) < _MEETS * self.pupil.reach
+                apart = torch.hypot(*(direction + 2 * at.middle).unbind(-1))
+                meets = apart < _MEETS * self.pupil.reach
                 if not bool(meets.any()):
                     continue
                 direction, amplitude = torch.where(meets[:, None], direction, 0.0), amplitude * meets

@@ -19,15 +19,8 @@ from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
 from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_bundle import trace_bundle
-from tapetum.simulate.traced_plan import (
-    TracedGroup,
-    TracedMask,
-    Way,
-    any_angle,
-    return_angle,
-    traced_group,
-    traced_mask,
-)
+from tapetum.simulate.traced_light import Way, any_angle, return_angle
+from tapetum.simulate.traced_plan import TracedGroup, TracedMask, traced_group, traced_mask
 
 __all__ = ["TracedLens"]
 

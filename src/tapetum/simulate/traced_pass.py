@@ -15,6 +15,9 @@ from tapetum.simulate.traced_pupil import TracedPupil
 
 __all__ = ["TracedGrids", "TracedPass"]
 
+# Gazes computed together, and working memory of a sample of a mask and of all masks computed together, in bytes.
+_AT_ONCE, _MASK_SAMPLE, _MASK_BYTES = 8, 48, 192 << 20
+
 
 @dataclass(frozen=True)
 class TracedGrids:
@@ -42,7 +45,7 @@ class TracedGrids:
     leaving: int = 0
 
 
-class TracedPass(SampledPass):
+class TracedPass(SampledPass[TracedPupil]):
     """The retro-reflection of a traced lens off one plane, for any number of gazes; kernels are computed once.
 
     Parameters
@@ -81,12 +84,23 @@ class TracedPass(SampledPass):
         self.fits, self.grids, self.surface, self.path = fits.to(torch.device(device)), grids, surface, path
         self.accepted = accepted
         samples = grids.pupil, grids.returning, grids.leaving or grids.pupil
-        options = {"tilt": surface.tilt, "phase": surface.phase, "accepted": accepted}
+        most = _AT_ONCE if mask is None else min(_AT_ONCE, _MASK_BYTES // (_MASK_SAMPLE * grids.sensor**2))
+        pupil = TracedPupil(
+            self.fits,
+            samples,
+            path,
+            wavelength=wavelength,
+            tilt=surface.tilt,
+            phase=surface.phase,
+            accepted=accepted,
+            dtype=dtype,
+        )
         super().__init__(
-            TracedPupil(self.fits, samples, path, wavelength=wavelength, dtype=dtype, **options),
+            pupil,
             SpotWindow(grids.sensor, grids.half_width, grids.flat),
             surface if mask is None else mask,
             wavelength=wavelength,
+            at_once=max(1, most),
             dtype=dtype,
             device=device,
         )

@@ -1,7 +1,7 @@
 """Choose the samples of a traced lens's passes, measure their error, and refuse what they cannot represent.
 
 Unlike a thin lens, a real one has no closed form to plan by. Efforts are tried from coarse to fine: each computes the
-image at some tilts and is compared with the next. Rays give the error that remains (traced_return).
+image at some tilts and is compared with the second next. Rays give the error that remains (traced_light).
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import contextlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Required, TypedDict, Unpack
+from typing import ClassVar, Unpack
 
 import torch
 
@@ -19,13 +19,12 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.optics.sampling import Plan
 from tapetum.simulate.faint import FAINT
-from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
 from tapetum.simulate.surfaces import Mask, Surface
+from tapetum.simulate.traced_light import TracedLight, TracedScene, Way, any_angle, followed, nearer_by, traced_scene
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
-from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
-__all__ = ["TracedGroup", "TracedMask", "TracedPlan", "Way", "any_angle", "return_angle", "traced_group", "traced_mask"]
+__all__ = ["TracedGroup", "TracedMask", "TracedPlan", "traced_group", "traced_mask"]
 
 
 @dataclass(frozen=True)
@@ -58,20 +57,13 @@ _SAFETY = 2.0
 _TRIED = ((0.0, 0.0), (0.08, 0.1), (0.65, 0.65))
 # Error over the accuracy asked for above which planes that cancel each other are not planned again.
 _HOPELESS = 5.0
-# Fresnel zones of the cone of light on the plane above which each place of the pupil has one leaving ray.
-_GEOMETRIC = 2.5
 # No more light can return than entered: an excess is aliasing.
 _MOST_POWER = 1.03
-# Share of the most light that a tilt must return for the claim to hold.
-_FADING = 0.3
 # Samples of the sensor for each detail of a mask, at an effort of 1.
 _DETAILS = 3.0
 # Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
 _RINGS_BESIDE = 30
 _MOST_PUPIL, _MOST_SENSOR = 2048, 4096
-_LARGEST_MISFIT = 0.02
-# RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
-_LARGEST_DEPARTURE = 0.05
 
 
 @dataclass(frozen=True)
@@ -135,36 +127,6 @@ class TracedMask:
     mirror: TracedGroup
 
 
-class Way(TypedDict, total=False):
-    """The light's way: `wavelength` and `probe_focal_length` in metres, which must be given; `curvature` of the light
-    that enters, in 1/m; the probe's `aperture`, where the return overfills it; `dtype` and `device` of the fields."""
-
-    wavelength: Required[float]
-    probe_focal_length: Required[float]
-    curvature: float
-    aperture: ProbeAperture | None
-    dtype: torch.dtype
-    device: torch.device | str
-
-
-def any_angle(fits: PupilFits) -> float:
-    """Largest angle, in radians, of light that comes from anywhere in the spot's rays and leaves the pupil anywhere."""
-    sine, reach = fits.aperture
-    return 2 * fits.spread * sine / reach
-
-
-def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
-    """Largest angle of a ray that returns from the sensor, or from a mirror at one of the depths, reduced to air."""
-    sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
-    found = [trace_return(_nearer(focused, depth), sines, curvature=curvature).angle for depth in depths]
-    return max(float(one.max()) for one in found)
-
-
-def _nearer(focused: FocusedLens, depth: float) -> FocusedLens:
-    """The lens with its sensor moved to a mirror before it."""
-    return replace(focused, image=focused.image - depth)
-
-
 def traced_group(
     focused: FocusedLens,
     fits: PupilFits,
@@ -194,7 +156,7 @@ def traced_group(
     InputError
         For a lens that its polynomials do not fit, light too far out of focus to be followed, and scenes too large.
     """
-    scene = _scene(focused, fits, output, **way)
+    scene = traced_scene(focused, fits, output, **way)
 
     def made(wanted: float) -> TracedGroup:
         found = [_planned(scene, surface, wanted) for surface in surfaces]
@@ -228,8 +190,8 @@ def traced_mask(
     The error is in fractions of the picture's peak, or of a thousandth of a mirror's where that is more: `FaintPass`
     computes such faint pictures by the finer pass.
     """
-    scene = _scene(focused, fits, output, **way)
-    light = _followed(scene, surface, accuracy, correct=False)
+    scene = traced_scene(focused, fits, output, **way)
+    light = followed(scene, accuracy, correct=False)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     # At least as finely as a mirror: the mask may be dark where it is tried.
     mirror = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
@@ -245,43 +207,6 @@ def traced_mask(
 
 
 @dataclass(frozen=True)
-class _Scene:
-    """The lens, and its light's way. Lengths in metres, `curvature` in 1/m.
-
-    Light under angles above `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's
-    middle to its corner, or to the aperture's edge.
-    """
-
-    focused: FocusedLens
-    fits: PupilFits
-    path: ProbePath
-    wavelength: float
-    curvature: float
-    accepted: float | None
-    seen: float
-
-
-@dataclass(frozen=True)
-class _Light:
-    """Light that is followed off one plane.
-
-    `fits` are its pupils, `by_rays` whether rays correct them, for light up to the angle `accepted`; `departure` the
-    RMS of the rays' paths against the model's in metres; `unsure` the error of what is left of it; `angle` the largest
-    at which light leaves, and `bright` and `steepest` the sines of the steepest tilts for which the claim is made, and
-    that is asked for.
-    """
-
-    fits: PupilFits
-    by_rays: bool
-    accepted: float | None
-    departure: float
-    unsure: float
-    angle: float
-    bright: float
-    steepest: float
-
-
-@dataclass(frozen=True)
 class _Step:
     """A step of the ladder, its pass and the finer one that it was measured against, and its error."""
 
@@ -289,44 +214,6 @@ class _Step:
     usual: TracedPass
     finer: TracedPass
     error: float
-
-
-def _scene(
-    focused: FocusedLens,
-    fits: PupilFits,
-    output: Grid,
-    *,
-    wavelength: float,
-    probe_focal_length: float,
-    curvature: float = 0.0,
-    aperture: ProbeAperture | None = None,
-    dtype: torch.dtype = torch.complex64,
-    device: torch.device | str = "cpu",
-) -> _Scene:
-    if fits.misfit > _LARGEST_MISFIT * wavelength:
-        raise InputError(
-            f"its wavefront departs from smooth functions by {fits.misfit / wavelength:.2g} waves",
-            where="target.lens",
-            remedy="stop it down with f_number, or stay nearer to the middle of its field",
-        )
-    # A few places of a pupil of this width determine its effect on the picture.
-    ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64, device=device)
-    path = ProbePath(
-        output,
-        ends,
-        ends,
-        wavelength=wavelength,
-        probe_focal_length=probe_focal_length,
-        aperture=aperture,
-        dtype=dtype,
-        device=device,
-    )
-    seen = math.hypot(output.width, output.height) / 2 / probe_focal_length
-    accepted = None
-    if aperture is not None:
-        # Light under larger angles misses the probe's aperture, at any place in the picture.
-        accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
-    return _Scene(focused, fits, path, wavelength, curvature, accepted, seen)
 
 
 def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> float:
@@ -338,78 +225,25 @@ def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> floa
     return sum(share * plan.expected_error for share, plan in zip(shares, plans, strict=True))
 
 
-def _planned(scene: _Scene, surface: Surface, accuracy: float) -> tuple[TracedPass, TracedPlan]:
+def _planned(scene: TracedScene, surface: Surface, accuracy: float) -> tuple[TracedPass, TracedPlan]:
     if surface.depth:
         # Nearer by the reduced depth t/n, while the light's path is shorter by n t.
         nearer = surface.depth / surface.index
-        focused = _nearer(scene.focused, nearer)
+        focused = nearer_by(scene.focused, nearer)
         fits = fit_pupils(focused, scene.fits.nodes.steepest, curvature=scene.curvature, nodes=scene.fits.nodes)
         longer = 4 * math.pi / scene.wavelength * (surface.index * surface.depth - nearer)
         surface = replace(surface, depth=0.0, index=1.0, phase=-longer)
         scene = replace(scene, focused=focused, fits=fits)
-    light = _followed(scene, surface, accuracy)
+    light = followed(scene, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
     _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
     return found.usual, _stated(light, found)
 
 
-def _followed(scene: _Scene, surface: Surface, accuracy: float, *, correct: bool = True) -> _Light:
-    """Follow rays off a plane as off a mirror, and refuse light whose paths are not known well enough.
-
-    Only what a plane returns by rays can be corrected by them: not what a mask scatters.
-    """
-    focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
-    sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
-    told = check_return(focused, fits, sines, curvature=scene.curvature)
-    departure = float(torch.nan_to_num(told.opd).max())
-    angle = float(told.angle.max())
-    # A phase error changes a picture by at most as much.
-    unsure = 2 * math.pi * departure / wavelength
-    zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
-    if accepted is not None:
-        # Even through a small aperture waves come from some Fresnel zones about the ray that returns straight. For a
-        # return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where rays
-        # turn by √(λ/L): light fades out from twice that, the fourth zone, to four times, the sixteenth.
-        accepted = max(accepted, math.sqrt(wavelength * angle / fits.aperture[1]))
-        if angle <= 2 * accepted:
-            # No ray leaves under an angle that is faded out: follow the whole pupil, and waves beyond its rays.
-            accepted = None
-    pupils, by_rays = fits, False
-    far_out = zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted))
-    if correct and far_out:
-        found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)
-        # Crossing rays have several paths at a place, which the fit misses.
-        if found is not None and found.misfit < departure:
-            pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
-    if not by_rays:
-        accepted = None
-    coarser = f"ask for an accuracy of {unsure:.1g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
-    if unsure > min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE):
-        raise InputError(
-            f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
-            where="target",
-            remedy=f"{coarser}focus nearer to the probe, or stop the lens down with f_number",
-        )
-    steepest = fits.nodes.steepest
-    if scene.path.aperture is not None:
-        missed = (
-            2 * math.pi / wavelength * missed_path(scene.path.aperture, fits.aperture[1], angle, steepest, wavelength)
-        )
-        if missed > accuracy:
-            raise InputError(
-                f"the probe is so near that the way to its aperture is known to {missed / 2 / math.pi:.2g} waves only",
-                where="distance",
-                remedy=f"ask for an accuracy of {missed:.1g}, move the probe away, or narrow its aperture",
-            )
-        unsure = max(unsure, missed)
-    # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
-    # tilts that return enough.
-    lit = float(sines[told.overlap >= _FADING * told.overlap.max()].max())
-    return _Light(pupils, by_rays, accepted, departure, unsure, angle, min(lit, pupils.nodes.steepest), steepest)
-
-
-def _made(scene: _Scene, light: _Light, surface: Surface, effort: _Effort, mask: Mask | None = None) -> TracedPass:
+def _made(
+    scene: TracedScene, light: TracedLight, surface: Surface, effort: _Effort, mask: Mask | None = None
+) -> TracedPass:
     """The pass of an effort."""
     angle = min(light.angle, math.inf if light.accepted is None else 4 * light.accepted)
     if mask is not None:
@@ -454,7 +288,7 @@ def _climbed(
     )
 
 
-def _stated(light: _Light, found: _Step, least: float = 0.0) -> TracedPlan:
+def _stated(light: TracedLight, found: _Step, least: float = 0.0) -> TracedPlan:
     """The plan of a step, with the error that paths and steep tilts leave."""
     claimed = max(found.error, light.unsure)
     if light.bright < 0.95 * light.steepest:
