@@ -70,6 +70,9 @@ _LEAST_WIDTH = 5
 # Share of the accuracy that the sensor's edges may take from a spot's outer rings before they are computed.
 _EDGE_SHARE = 0.5
 
+# Steps in which the reach of the scattered light's tables grows.
+_FARTHER = 1.2
+
 # A mirror's single order.
 _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
 
@@ -168,7 +171,7 @@ class Camera:
         self._steepest = steepest
         self.geometry = self._geometry(light.wavelength, steepest)
         self._plans: list[Plan] = []
-        self._profiles: dict[tuple[float, Scatterer], DiffuseProfile] = {}
+        self._profiles: dict[tuple[float, Scatterer, int], DiffuseProfile] = {}
 
     @cached_property
     def _lines(self) -> list[_Line]:
@@ -250,7 +253,9 @@ class Camera:
             # Without a mirror the scattered light uses the plan of a mirror's light.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
         way = float(self._distance.detach()) if self._finite else None
-        glints = None if lens is None else lens.glints(self.output, wavelength, way, self._dtype.to_real())
+        glints = None
+        if lens is not None:
+            glints = lens.glints(self.output, wavelength, way, self._dtype.to_real(), self._accuracy)
         orders = _orders_of(groups)
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 
@@ -471,24 +476,23 @@ class Camera:
         return torch.stack(images).to(self._device)
 
     def _profile(self, line: _Line, scatterer: Scatterer, place: tuple[float, float]) -> DiffuseProfile:
-        """Scattered light by its distance from a place: kept for those within a pixel of the picture's middle."""
+        """Scattered light by its distance from a place; places about as far from the picture's corners share it."""
         near, reach = corner(self.output) + self.output.pitch, corner(self.output, place)
-        key = (line.wavelength, scatterer)
-        if reach <= near and key in self._profiles:
-            return self._profiles[key]
-        profile = diffuse_profile(
-            line.geometry,
-            float(self._distance.detach()),
-            self.scene.probe.lens.aperture_radius,
-            max(near, reach),
-            albedo=scatterer.diffuse.albedo * scatterer.transmittance,
-            spread=scatterer.diffuse.spread,
-            image_distance=scatterer.image_distance,
-            lit_radius=min(line.geometry.radius, beam_radius(self.scene)),
-        )
-        if reach <= near:
-            self._profiles[key] = profile
-        return profile
+        # Rounded up to a step, so that what is kept does not depend on which place came first.
+        steps = max(0, math.ceil(math.log(reach / near) / math.log(_FARTHER)))
+        key = (line.wavelength, scatterer, steps)
+        if key not in self._profiles:
+            self._profiles[key] = diffuse_profile(
+                line.geometry,
+                float(self._distance.detach()),
+                self.scene.probe.lens.aperture_radius,
+                near * _FARTHER**steps,
+                albedo=scatterer.diffuse.albedo * scatterer.transmittance,
+                spread=scatterer.diffuse.spread,
+                image_distance=scatterer.image_distance,
+                lit_radius=min(line.geometry.radius, beam_radius(self.scene)),
+            )
+        return self._profiles[key]
 
     def window(self, *, margin: bool = False) -> Grid:
         """The smallest square of probe pixels that holds one beam's RR without its faintest rings.

@@ -141,7 +141,12 @@ class TracedLens:
         }
 
     def glints(
-        self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype = torch.float64
+        self,
+        output: Grid,
+        wavelength: float,
+        distance: float | None,
+        dtype: torch.dtype = torch.float64,
+        accuracy: float = 1e-2,
     ) -> Glints | None:
         """The glints of its surfaces; None where these are not said to reflect.
 
@@ -167,6 +172,7 @@ class TracedLens:
             distance=distance,
             probe_radius=probe.aperture_radius,
             probe_focal_length=probe.focal_length,
+            accuracy=accuracy,
             dtype=dtype,
         )
 
