@@ -58,9 +58,9 @@ def tilts(*degrees: tuple[float, float]) -> torch.Tensor:
 
 def exit_power(one: DoublePass, sines: torch.Tensor) -> torch.Tensor:
     """∫|U|² over the exit pupil, in the pupil's areas."""
-    field = one.exit_pupil(sines)
-    inside = one._exit.abs() > 0
-    density = torch.where(inside, field.abs() ** 2 / one._exit.abs().clamp_min(1e-30), torch.zeros(()).double())
+    field, _, _ = one.exit_pupil(sines)
+    inside = one.pupil.exit.abs() > 0
+    density = torch.where(inside, field.abs() ** 2 / one.pupil.exit.abs().clamp_min(1e-30), torch.zeros(()).double())
     # The field carries the weights once and the constant of the last transform.
     scale = (WAVELENGTH * PROBE_FOCAL) ** 2
     return density.sum((1, 2)) * scale / (math.pi * one.geometry.radius**2)
@@ -95,12 +95,12 @@ def test_returning_pupil_is_displaced_by_2z_tan(validated: Validated, focal: flo
     """PHYSICS: 0.349 and 0.698 mm for f = 20 mm. What leaves is the overlap, its middle half as far out."""
     radius = 2e-3
     one = passing(focal, radius, sine=math.sin(math.radians(degrees)))
-    weights = one.exit_pupil(tilts((0, degrees)))[0].abs() ** 2 / one._exit.abs().clamp_min(1e-30)
-    middle = float((weights * one._y[:, None]).sum() / weights.sum())
+    weights = one.exit_pupil(tilts((0, degrees)))[0][0].abs() ** 2 / one.pupil.exit.abs().clamp_min(1e-30)
+    middle = float((weights * one.pupil.y[:, None]).sum() / weights.sum())
     shift = 2 * focal * math.tan(math.radians(degrees))
     what = f"Displacement of the returning pupil, f = {focal * 1e3:g} mm, {degrees:g} deg"
     validated(SECTION, what, abs(2 * middle / shift - 1), 0.03, "2z tan θ", "of the displacement")
-    assert float((weights * one._x[None]).sum() / weights.sum()) == pytest.approx(0, abs=1e-6)
+    assert float((weights * one.pupil.x[None]).sum() / weights.sum()) == pytest.approx(0, abs=1e-6)
 
 
 @pytest.mark.parametrize("degrees", [0.3, 0.8, 1.3])
@@ -139,10 +139,10 @@ def test_exit_curvature(validated: Validated, distance: float) -> None:
     """A ray that entered at x leaves at -x (1 + 2 x_i/f) with slope 2 x x_i/f²: converging, 2/(x_d + f)."""
     want = 2 / (distance + 0.1)
     one = passing(0.1, 4e-3, distance, accuracy=6e-4)
-    row = int(one._y.abs().argmin())
-    inner = (one._x > 0) & (one._x < 2.5e-3)
-    field = (one.exit_pupil(tilts((0, 0)))[0] / one._exit.abs().clamp_min(1e-30))[row, inner].numpy()
-    slope = np.polyfit(one._x[inner].numpy() ** 2, np.unwrap(np.angle(field)), 1)[0]
+    row = int(one.pupil.y.abs().argmin())
+    inner = (one.pupil.x > 0) & (one.pupil.x < 2.5e-3)
+    field = (one.exit_pupil(tilts((0, 0)))[0][0] / one.pupil.exit.abs().clamp_min(1e-30))[row, inner].numpy()
+    slope = np.polyfit(one.pupil.x[inner].numpy() ** 2, np.unwrap(np.angle(field)), 1)[0]
     what = f"Curvature of the leaving wave, f = 100 mm, x_d = {distance:g} m"
     validated(SECTION, what, abs(-2 * slope / K / want - 1), 0.01, "2/(x_d + f)", "of the curvature")
 
@@ -235,16 +235,18 @@ def test_foreshortening_in_any_direction(validated: Validated) -> None:
     unit = tilt[0] / tilt[0].norm()
     matrix = torch.eye(2, dtype=torch.float64) - (1 - cosine) * unit[:, None] * unit[None, :]
     offset = 2 * K * tilt[0] / cosine
+    assert one._spot is not None
     spot = one._spot * phasor(offset[0] * one._v[None, :] + offset[1] * one._v[:, None])
+    to_pupil = [phasor(-K / one.pupil.z * torch.outer(axis, one._v)) for axis in (one.pupil.y, one.pupil.x)]
     # The lens takes in cosθ of the light, and sends it onto a picture foreshortened by cosθ.
-    pupil = one._to_pupil(spot) * one._exit * cosine
+    pupil = (to_pupil[0] @ spot[0] @ to_pupil[1].T) * one.pupil.exit * cosine
 
     def plain(shear: torch.Tensor) -> torch.Tensor:
         values = torch.empty(9, 9, dtype=torch.float64)
         for i, y in enumerate(output.y()):
             for j, x in enumerate(output.x()):
                 u, w = shear @ torch.stack([x, y])
-                phase = -K / PROBE_FOCAL * (one._x[None, :] * u + one._y[:, None] * w)
+                phase = -K / PROBE_FOCAL * (one.pupil.x[None, :] * u + one.pupil.y[:, None] * w)
                 values[i, j] = (pupil * phasor(phase)).sum().abs() ** 2
         return values
 
@@ -283,17 +285,20 @@ def test_a_mask_lies_in_the_sensors_own_coordinates(validated: Validated) -> Non
     cosine = math.sqrt(1 - float((tilt**2).sum()))
     got, (sx, sy) = one.field(tilt)[0], tilt[0] / cosine
     # The mirror's spot, its mask where the gaze puts it, and the pupil by the plain kernel.
-    seen = one._spot * mask(one._z * sx + one._v[None, :], one._z * sy + one._v[None, :])[0]
+    assert one._spot is not None
+    seen = one._spot[0] * mask(one.pupil.z * sx + one._v[None, :], one.pupil.z * sy + one._v[None, :])[0]
     seen = seen * phasor(2 * K * (sx * one._v[None, :] + sy * one._v[:, None]))
-    to_x, to_y = (phasor(-K / one._z * torch.outer(axis, one._v)) for axis in (one._x, one._y))
-    pupil = torch.einsum("yv,vu,xu->yx", to_y, seen, to_x) * one._exit * cosine
+    to_x, to_y = (phasor(-K / one.pupil.z * torch.outer(axis, one._v)) for axis in (one.pupil.x, one.pupil.y))
+    pupil = torch.einsum("yv,vu,xu->yx", to_y, seen, to_x) * one.pupil.exit * cosine
     unit = tilt[0] / tilt[0].norm()
     matrix = torch.eye(2, dtype=torch.float64) - (1 - cosine) * unit[:, None] * unit[None, :]
     want = torch.empty_like(got)
     for i, y in enumerate(output.y()):
         for j, x in enumerate(output.x()):
             u, w = matrix @ torch.stack([x, y])
-            want[i, j] = (pupil * phasor(-K / PROBE_FOCAL * (one._x[None, :] * u + one._y[:, None] * w))).sum()
+            want[i, j] = (
+                pupil * phasor(-K / PROBE_FOCAL * (one.pupil.x[None, :] * u + one.pupil.y[:, None] * w))
+            ).sum()
     error = (got - want).abs().max() / want.abs().max()
     validated(SECTION, "A mask under the tilt (0.045, 0.03): complex field", error, 1e-9, "sums term by term")
     # Another gaze sees another piece of it.

@@ -265,22 +265,22 @@ def test_an_order_is_displaced_and_leaves_at_its_angle(validated: Validated, dis
     z, excess = lens_numbers(focal, distance)
     plan = plan_double_pass(g, 1e-3, finest=p / 4)
     one = DoublePass(g, plan, output, mask=grating(m), dtype=torch.complex128)
-    field = one.exit_pupil(torch.zeros(1, 2, dtype=torch.float64))[0] / one._exit.abs().clamp_min(1e-30)
-    inside = one._exit.abs() > 1e-3 * one._exit.abs().max()
+    field = one.exit_pupil(torch.zeros(1, 2, dtype=torch.float64))[0][0] / one.pupil.exit.abs().clamp_min(1e-30)
+    inside = one.pupil.exit.abs() > 1e-3 * one.pupil.exit.abs().max()
     shift = m * WAVELENGTH * z / p
     # Of two discs, r and the returning one, the far edge of the overlap is the aperture's: take the near edge.
-    column = int(one._x.abs().argmin())
+    column = int(one.pupil.x.abs().argmin())
     profile = torch.where(inside, field.abs() ** 2, torch.zeros(()))[:, column]
-    order = one._y.argsort()
-    y, lit = one._y[order], profile[order]
+    order = one.pupil.y.argsort()
+    y, lit = one.pupil.y[order], profile[order]
     near = float(y[int((lit > 0.25 * float(lit.median())).nonzero()[0])])
     got = near + g.return_radius
     what = f"Order 1 of p = 40 um, f = 50 mm, x_d = {distance:g} m"
     validated(SECTION, f"{what}: displacement", abs(got - shift) / radius, 0.02, "mλz/p", "of r")
     # Around the middle of the beam, where the ray through the lens' middle comes back.
-    some = (one._y - shift).abs() < 0.6e-3
+    some = (one.pupil.y - shift).abs() < 0.6e-3
     phase = np.unwrap(np.angle(field[some][:, column].numpy()))
-    slope = np.polyfit((one._y[some] - shift).numpy(), phase, 2)[1] / K
+    slope = np.polyfit((one.pupil.y[some] - shift).numpy(), phase, 2)[1] / K
     want = -m * WAVELENGTH * excess / (p * focal)
     validated(SECTION, f"{what}: exit angle", abs(slope - want), 1e-8, "-mλ x_i/(p f)", "rad")
 
@@ -300,8 +300,8 @@ def test_an_order_passes_by_its_f_number(validated: Validated, share: float) -> 
     g = geometry(focal, radius, math.inf, 0.0, output)
     plan = plan_double_pass(g, 3e-3, finest=p / 4)
     one = DoublePass(g, plan, output, mask=grating(1), dtype=torch.complex128)
-    field = one.exit_pupil(torch.zeros(1, 2, dtype=torch.float64))[0]
-    density = field.abs() ** 2 / one._exit.abs().clamp_min(1e-30)
+    field = one.exit_pupil(torch.zeros(1, 2, dtype=torch.float64))[0][0]
+    density = field.abs() ** 2 / one.pupil.exit.abs().clamp_min(1e-30)
     power = float(density.sum()) * (WAVELENGTH * PROBE_FOCAL) ** 2 / (math.pi * radius**2)
     what = f"Order 1 at F/# = {share:g} p/2λ, in focus: power that passes the lens"
     want = disc_overlap(radius, radius, WAVELENGTH * focal / p)

@@ -11,7 +11,16 @@ from traced_cases import WAVELENGTH, Case, traced
 
 from tapetum.bench import PrescriptionLens
 from tapetum.errors import InputError
-from tapetum.simulate.pupil_fits import TiltNodes, chebyshev, fit_pupils, on_grid, on_tilt_grid, open_share, values_at
+from tapetum.simulate.pupil_fits import (
+    TiltNodes,
+    chebyshev,
+    fit_pupils,
+    narrowed,
+    on_grid,
+    on_tilt_grid,
+    open_share,
+    values_at,
+)
 from tapetum.simulate.traced_bundle import limiting_surfaces, spot_middles, trace_bundle
 
 SECTION = "Traced lenses"
@@ -131,3 +140,32 @@ def test_a_field_without_light_is_refused() -> None:
     focused, _ = traced(PHONE)
     with pytest.raises(InputError, match="no ray gets through the lens at a tilt of"):
         fit_pupils(focused, 0.98)
+
+
+@pytest.mark.parametrize("case", [Case("phone-b", 15.0), Case("zoom-18-140mm", 4.0, focal_length=0.05)], ids=str)
+def test_bundles_between_the_searched_tilts_hold_the_whole_pupil(case: Case) -> None:
+    focused, _ = traced(case)
+    sines = case.steepest * torch.tensor([0.03, 0.31, 0.57, 0.74, 0.91, 1.0], dtype=torch.float64)
+    bundle = trace_bundle(focused, sines, sloped=False)
+    low, high = bundle.e.amin(1), bundle.e.amax(1)
+    more = 0.2 * (high - low)
+    wide = trace_bundle(focused, sines, box=(low - more, high + more), count=121, sloped=False)
+    for e, passing, lower, upper in zip(wide.e, wide.passing, low, high, strict=True):
+        assert bool((e[passing].amin(0) >= lower).all() and (e[passing].amax(0) <= upper).all())
+    # And little else: rays outside the pupil determine nothing in it.
+    assert float(bundle.passing.double().mean(-1).min()) > 0.4
+
+
+def test_pupils_of_fewer_tilts_are_the_same_pupils() -> None:
+    focused, fits = traced(PHONE)
+    part = narrowed(fits, focused, TiltNodes.up_to(0.4 * fits.nodes.steepest))
+    sines = part.nodes.steepest * torch.tensor([0.0, 0.3, 0.8, 1.0], dtype=torch.float64)
+    bundle = trace_bundle(focused, sines, sloped=False)
+    for one, other, places in ((fits.entering, part.entering, bundle.s), (fits.leaving, part.leaving, bundle.e)):
+        own, theirs = (
+            values_at(fit, nodes.terms(sines), places)[0][:, 0]
+            for fit, nodes in ((one, fits.nodes), (other, part.nodes))
+        )
+        assert float((own - theirs)[bundle.passing].abs().max()) < 1e-3 * WAVELENGTH
+    assert part.misfit < 1.1 * fits.misfit
+    assert part.aperture[0] == pytest.approx(fits.aperture[0], rel=1e-3)

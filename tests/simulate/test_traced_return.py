@@ -168,6 +168,6 @@ def test_a_correction_keeps_the_waves_beyond_the_rays(monkeypatch: pytest.Monkey
     }
     scene = with_values(load_scene("thin-lens"), changes)
     ours = retroreflect(scene).irradiance
-    monkeypatch.setattr("tapetum.simulate.traced_plan.corrected", lambda *given, **named: None)
+    monkeypatch.setattr("tapetum.simulate.traced_light.corrected", lambda *given, **named: None)
     usual = retroreflect(scene).irradiance
     assert 0 < float((ours - usual).abs().max() / usual.max()) < 0.04

@@ -21,7 +21,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.rays import to_plane, trace
 from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
-from tapetum.simulate.surfaces import Surface
+from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_bundle import trace_bundle
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 from tapetum.simulate.traced_plan import TracedGroup, traced_group
@@ -95,7 +95,12 @@ def finer(one: TracedPass, output: Grid, times: float = 2.0, *, window: float = 
 
 
 def bare(
-    fits: PupilFits, grids: TracedGrids, output: Grid, surface: Surface = MIRROR, accepted: float | None = None
+    fits: PupilFits,
+    grids: TracedGrids,
+    output: Grid,
+    surface: Surface = MIRROR,
+    accepted: float | None = None,
+    mask: Mask | None = None,
 ) -> TracedPass:
     """A pass to the far field in double precision."""
     ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64)
@@ -107,7 +112,8 @@ def bare(
         probe_focal_length=PROBE_FOCAL,
         dtype=torch.complex128,
     )
-    return TracedPass(fits, grids, surface, path, wavelength=WAVELENGTH, accepted=accepted, dtype=torch.complex128)
+    options = {"wavelength": WAVELENGTH, "accepted": accepted, "mask": mask, "dtype": torch.complex128}
+    return TracedPass(fits, grids, surface, path, **options)
 
 
 def along_y(*degrees: float) -> torch.Tensor:

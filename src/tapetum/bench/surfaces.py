@@ -143,7 +143,7 @@ class Microlens:
 
 @dataclass(frozen=True, config=STRICT)
 class SensorMask:
-    """A complex reflectance of the sensor plane from a file.
+    """A complex reflectance of the sensor plane from a file, behind a thin or a traced lens; seen in the far field.
 
     Parameters
     ----------

@@ -7,6 +7,7 @@ Distances along a ray may be negative: a ray can start from the entrance pupil, 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import torch
 
@@ -15,8 +16,8 @@ __all__ = ["Lens", "Rays", "before", "normals", "reversed_lens", "sag", "to_plan
 _ITERATIONS = 12
 # Largest residual of a root of a surface's equation, over its semi-diameter; other roots are stray.
 _RESIDUAL = 1e-7
-# Newton's last step, in metres: a billionth of a wave in path.
-_LAST_STEP = 1e-15
+# Newton's last step, in metres: its errors square, so that at any curvature below 1e5/m less than 1e-15 m is left.
+_LAST_STEP = 1e-10
 # Floor of 1 - (1 + κ) c² r², which is zero where a conic turns back; rays below it are not good.
 _TURNING = 1e-4
 
@@ -81,35 +82,12 @@ def sag(lens: Lens, i: int, r_squared: torch.Tensor) -> tuple[torch.Tensor, torc
 
     sag = c r²/(1 + sqrt(1 - (1 + κ) c² r²)) + Σ a_p r^p. The second value is d sag/d(r²): times 2x it is d sag/dx.
     """
-    c, kappa, powers = lens.curvature[i], lens.conic[i], lens.asphere[i]
-    root = torch.sqrt((1 - (1 + kappa) * c**2 * r_squared).clamp_min(_TURNING))
-    value, slope = c * r_squared / (1 + root), c / (2 * root)
-    if _counts(powers):
-        # Two Horner sums with their derivatives: even powers in r², odd ones in r² times r.
-        for coefficients, odd in ((powers[0::2], False), (powers[1::2], True)):
-            if not _counts(coefficients):
-                continue
-            total = torch.zeros_like(r_squared)
-            derivative = torch.zeros_like(r_squared)
-            for a in coefficients.flip(0):
-                derivative = torch.addcmul(total, derivative, r_squared)
-                total = torch.addcmul(a, total, r_squared)
-            rise, steepness = total * r_squared, derivative * r_squared
-            if odd:
-                r = torch.sqrt(r_squared.clamp_min(1e-30))
-                value, slope = value + rise * r, slope + (1.5 * total + steepness) * r
-            else:
-                value, slope = value + rise, slope + total + steepness
-    return value, slope
+    return _sag(_surface(lens, i), r_squared)
 
 
 def normals(lens: Lens, i: int, position: torch.Tensor) -> torch.Tensor:
     """Unit normals [..., 3] of surface i at points [..., 3] of it, towards +z."""
     _, slope = sag(lens, i, position[..., 0] ** 2 + position[..., 1] ** 2)
-    return _normals(position, slope)
-
-
-def _normals(position: torch.Tensor, slope: torch.Tensor) -> torch.Tensor:
     normal = torch.stack([-2 * slope * position[..., 0], -2 * slope * position[..., 1], torch.ones_like(slope)], dim=-1)
     return normal / torch.sqrt((normal**2).sum(-1, keepdim=True))
 
@@ -137,23 +115,37 @@ def trace(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
     where its residual vanishes: beyond the clear aperture of an asphere Newton finds roots that belong to no ray.
     """
     path = torch.zeros_like(position[..., 0])
+    if len(lens) == 0:
+        return Rays(position, direction, path, position.new_zeros(*path.shape, 0), torch.ones_like(path).bool())
     good = torch.ones_like(path, dtype=torch.bool)
     heights: list[torch.Tensor] = []
+    # Coordinates apart: each operation then runs over one dense row of numbers.
+    x, y, z = (one.contiguous() for one in position.unbind(-1))
+    a, b, c = (one.contiguous() for one in direction.expand_as(position).unbind(-1))
     for i in range(len(lens)):
-        vertex = lens.z[i]
-        t = _distance(lens, i, position, direction)
-        position = position + t[..., None] * direction
-        path = path + lens.index[i] * t
-        r_squared = position[..., 0] ** 2 + position[..., 1] ** 2
-        height, slope = sag(lens, i, r_squared)
-        off = (position[..., 2] - vertex - height).detach().abs()
-        turning = (1 - (1 + lens.conic[i]) * lens.curvature[i] ** 2 * r_squared).detach()
-        good = good & (off < _RESIDUAL * lens.semi_diameter[i]) & (turning > _TURNING)
-        heights.append(r_squared / lens.semi_diameter[i] ** 2)
-        direction, passed = _refracted(direction, _normals(position, slope), lens.index[i] / lens.index[i + 1])
+        surface, index = _surface(lens, i), _number(lens.index[i])
+        t = _distance(surface, (x, y, z), (a, b, c))
+        x, y, z = torch.addcmul(x, t, a), torch.addcmul(y, t, b), torch.addcmul(z, t, c)
+        path = path + index * t
+        r_squared = torch.addcmul(x * x, y, y)
+        height, slope = _sag(surface, r_squared)
+        off = (z - surface.z - height).detach().abs()
+        turning = (1 - surface.bend * r_squared).detach()
+        good = good & (off < _RESIDUAL * _plain(surface.semi_diameter)) & (turning > _TURNING)
+        heights.append(r_squared / surface.semi_diameter**2)
+        # Snell's law in vector form, for the normal (-2 slope x, -2 slope y, 1) over its length.
+        ratio, twice = index / _number(lens.index[i + 1]), 2 * slope
+        shorter = torch.rsqrt(torch.addcmul(torch.ones_like(slope), twice * twice, r_squared))
+        cosine = (c - twice * torch.addcmul(x * a, y, b)) * shorter
+        square = 1 - ratio**2 * (1 - cosine * cosine)
+        passed = square > 0
+        root = torch.sqrt(torch.where(passed, square, torch.ones_like(square)))
+        along = (root - ratio * cosine) * shorter
+        across = twice * along
+        a, b, c = ratio * a - across * x, ratio * b - across * y, ratio * c + along
         good = good & passed
-    height = torch.stack(heights, dim=-1) if heights else position.new_zeros(*path.shape, 0)
-    return Rays(position, direction, path, height, good)
+    at, way = torch.stack([x, y, z], -1), torch.stack([a, b, c], -1)
+    return Rays(at, way, path, torch.stack(heights, dim=-1), good)
 
 
 def trace_out(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> Rays:
@@ -208,34 +200,101 @@ def reversed_lens(lens: Lens) -> Lens:
     )
 
 
-def _counts(powers: torch.Tensor) -> bool:
-    """Whether any coefficient adds to the surface, or to a gradient."""
-    return powers.requires_grad or bool((powers != 0).any())
+# Coordinates x, y, z of points, or components of directions, [...] each.
+_Three = tuple[torch.Tensor, torch.Tensor, torch.Tensor]
 
 
-def _distance(lens: Lens, i: int, position: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-    """Along each ray, to surface i."""
-    if not _counts(lens.asphere[i]):
-        return _to_conic(lens, i, position, direction)
+class _Surface(NamedTuple):
+    """One surface's numbers: floats, which are cheaper to compute with, or tensors where gradients are asked for.
+
+    `bend` is (1 + κ) c²; `even` and `odd` are the coefficients of r², r⁴, … and of r³, r⁵, …, empty where all vanish.
+    """
+
+    z: torch.Tensor | float
+    curvature: torch.Tensor | float
+    conic: torch.Tensor | float
+    bend: torch.Tensor | float
+    even: tuple[torch.Tensor, ...]
+    odd: tuple[torch.Tensor, ...]
+    semi_diameter: torch.Tensor | float
+    differentiable: bool
+
+
+def _number(value: torch.Tensor) -> torch.Tensor | float:
+    return value if value.requires_grad else float(value)
+
+
+def _plain(value: torch.Tensor | float) -> float:
+    return float(value.detach()) if isinstance(value, torch.Tensor) else value
+
+
+def _surface(lens: Lens, i: int) -> _Surface:
+    c, kappa, powers = _number(lens.curvature[i]), _number(lens.conic[i]), lens.asphere[i]
+
+    def kept(coefficients: torch.Tensor) -> tuple[torch.Tensor, ...]:
+        # Coefficients count where they add to the surface, or to a gradient; the highest first, as Horner takes them.
+        counts = coefficients.requires_grad or bool((coefficients != 0).any())
+        return coefficients.flip(0).unbind(0) if counts else ()
+
+    return _Surface(
+        _number(lens.z[i]),
+        c,
+        kappa,
+        (1 + kappa) * c**2,
+        kept(powers[0::2]),
+        kept(powers[1::2]),
+        _number(lens.semi_diameter[i]),
+        any(one.requires_grad for one in (lens.z, lens.curvature, lens.conic, lens.asphere)),
+    )
+
+
+def _sag(surface: _Surface, r_squared: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    c = surface.curvature
+    root = torch.sqrt((1 - surface.bend * r_squared).clamp_min(_TURNING))
+    value, slope = c * r_squared / (1 + root), 0.5 * c / root
+    # Two Horner sums with their derivatives: even powers in r², odd ones in r² times r.
+    for coefficients, odd in ((surface.even, False), (surface.odd, True)):
+        if not coefficients:
+            continue
+        total = torch.zeros_like(r_squared) + coefficients[0]
+        derivative = torch.zeros_like(r_squared)
+        for one in coefficients[1:]:
+            derivative = torch.addcmul(total, derivative, r_squared)
+            total = torch.addcmul(one, total, r_squared)
+        rise, steepness = total * r_squared, derivative * r_squared
+        if odd:
+            r = torch.sqrt(r_squared.clamp_min(1e-30))
+            value, slope = value + rise * r, slope + (1.5 * total + steepness) * r
+        else:
+            value, slope = value + rise, slope + total + steepness
+    return value, slope
+
+
+def _distance(surface: _Surface, at: _Three, way: _Three) -> torch.Tensor:
+    """Along each ray, to a surface."""
+    if not surface.even and not surface.odd:
+        return _to_conic(surface, at, way)
     with torch.no_grad():
-        start, way = position.detach(), direction.detach()
-        t = (lens.z[i] - start[..., 2]) / way[..., 2]
-        t = _newton(lens, i, start.reshape(-1, 3), way.expand_as(start).reshape(-1, 3), t.reshape(-1)).reshape(t.shape)
+        start, along = _flat(at), _flat(way)
+        t = _newton(surface, start, along, (surface.z - start[2]) / along[2]).reshape(at[0].shape)
         t = torch.nan_to_num(t)
-    if any(one.requires_grad for one in (position, direction, lens.z, lens.curvature, lens.conic, lens.asphere)):
-        t = t - _step(lens, i, position + t[..., None] * direction, direction)
+    if surface.differentiable or any(one.requires_grad for one in (*at, *way)):
+        t = t - _step(surface, at, way, t)
     return t
 
 
-def _newton(
-    lens: Lens, i: int, start: torch.Tensor, way: torch.Tensor, t: torch.Tensor, steps: int = _ITERATIONS
-) -> torch.Tensor:
-    """Distances [N] to surface i along rays from `start` [N, 3], from guesses t [N]."""
+def _flat(three: _Three) -> _Three:
+    x, y, z = (one.detach().reshape(-1) for one in three)
+    return x, y, z
+
+
+def _newton(surface: _Surface, start: _Three, way: _Three, t: torch.Tensor, steps: int = _ITERATIONS) -> torch.Tensor:
+    """Distances [N] to a surface along rays from `start` ([N] each), from guesses t [N]."""
     # No step exceeds the surface's width: a wild one would end at a root elsewhere.
-    widest = 2 * lens.semi_diameter[i].detach()
+    widest = 2 * _plain(surface.semi_diameter)
     for done in range(1, steps + 1):
-        step = _step(lens, i, start + t[:, None] * way, way)
-        t = t - torch.minimum(torch.maximum(step, -widest), widest)
+        step = _step(surface, start, way, t)
+        t = t - step.clamp(-widest, widest)
         far = ~(step.abs() < _LAST_STEP)
         left = int(far.sum())
         if left == 0:
@@ -243,35 +302,26 @@ def _newton(
         # Most rays converge after a few steps; the others go on without them.
         if 4 * left < len(t) and done < steps:
             rest = far.nonzero()[:, 0]
-            found = _newton(lens, i, start[rest], way[rest], t[rest], steps - done)
-            return t.index_copy(0, rest, found)
+            x, y, z, a, b, c = (one[rest] for one in (*start, *way))
+            return t.index_copy(0, rest, _newton(surface, (x, y, z), (a, b, c), t[rest], steps - done))
     return t
 
 
-def _to_conic(lens: Lens, i: int, position: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
+def _to_conic(surface: _Surface, at: _Three, way: _Three) -> torch.Tensor:
     """The root of a conic's quadratic equation on the vertex's side, counted from the vertex's plane."""
-    c, along = lens.curvature[i], direction[..., 2]
-    start = (lens.z[i] - position[..., 2]) / along
-    x = position[..., 0] + start * direction[..., 0]
-    y = position[..., 1] + start * direction[..., 1]
-    linear = c * (x * direction[..., 0] + y * direction[..., 1]) - along
-    constant = c * (x**2 + y**2)
+    curvature, (a, b, c) = surface.curvature, way
+    start = (surface.z - at[2]) / c
+    x, y = torch.addcmul(at[0], start, a), torch.addcmul(at[1], start, b)
+    linear = curvature * torch.addcmul(x * a, y, b) - c
+    constant = curvature * torch.addcmul(x * x, y, y)
     # Rays that miss also get a place: it is off the surface, so they are not good.
-    root = torch.sqrt((linear**2 - c * (1 + lens.conic[i] * along**2) * constant).clamp_min(1e-12))
-    return start + constant / (root - linear)
+    square = linear * linear - curvature * (1 + surface.conic * (c * c)) * constant
+    return start + constant / (torch.sqrt(square.clamp_min(1e-12)) - linear)
 
 
-def _step(lens: Lens, i: int, at: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:
-    """Newton's step: the equation's value over its derivative along the ray."""
-    value, slope = sag(lens, i, at[..., 0] ** 2 + at[..., 1] ** 2)
-    across = at[..., 0] * direction[..., 0] + at[..., 1] * direction[..., 1]
-    return (at[..., 2] - lens.z[i] - value) / (direction[..., 2] - 2 * slope * across)
-
-
-def _refracted(direction: torch.Tensor, normal: torch.Tensor, ratio: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Snell's law in vector form for normals along +z, and where there is no total reflection."""
-    cosine = (direction * normal).sum(-1)
-    square = 1 - ratio**2 * (1 - cosine**2)
-    passed = square > 0
-    root = torch.sqrt(torch.where(passed, square, torch.ones_like(square)))
-    return ratio * direction + (root - ratio * cosine)[..., None] * normal, passed
+def _step(surface: _Surface, at: _Three, way: _Three, t: torch.Tensor) -> torch.Tensor:
+    """Newton's step at distances t: the equation's value over its derivative along the ray."""
+    (a, b, c), x, y = way, torch.addcmul(at[0], t, way[0]), torch.addcmul(at[1], t, way[1])
+    value, slope = _sag(surface, torch.addcmul(x * x, y, y))
+    across = torch.addcmul(x * a, y, b)
+    return (torch.addcmul(at[2] - surface.z, t, c) - value) / (c - 2 * slope * across)

@@ -19,7 +19,7 @@ from tapetum.bench import PrescriptionLens, Scene
 from tapetum.errors import InputError
 from tapetum.optics.glass import focal_length_at
 from tapetum.optics.grid import Grid, lens_numbers
-from tapetum.optics.grid_sampling import SamplingPlan, plan_double_pass, plan_finer
+from tapetum.optics.grid_sampling import ACCURACIES, SamplingPlan, plan_double_pass, plan_finer
 from tapetum.optics.sampling import (
     DoublePassGeometry,
     Plan,
@@ -55,7 +55,7 @@ from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.stated_error import of_narrow_beam, of_tilted_planes
-from tapetum.simulate.surfaces import Surface
+from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_lens import TracedLens
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.true_paths import check_squash
@@ -69,6 +69,9 @@ _LEAST_WIDTH = 5
 
 # Share of the accuracy that the sensor's edges may take from a spot's outer rings before they are computed.
 _EDGE_SHARE = 0.5
+
+# Steps in which the reach of the scattered light's tables grows.
+_FARTHER = 1.2
 
 # A mirror's single order.
 _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
@@ -154,9 +157,11 @@ class Camera:
         self._directions = directions(light, light.wavelength / (2 * target.lens.aperture_radius))
         self._lens: TracedLens | None = None
         if isinstance(target.lens, PrescriptionLens):
-            if scene.sampling.pupil is not None:
-                what = f"{scene.sampling.pupil} samples cannot be forced on a traced lens, which chooses its own"
-                raise InputError(what, where="sampling.pupil", remedy="leave it out, or change sampling.accuracy")
+            for name, forced in (("pupil", scene.sampling.pupil), ("sensor", scene.sampling.sensor)):
+                if forced is not None:
+                    what = f"{forced} samples cannot be forced on a traced lens, which chooses its own"
+                    where = f"sampling.{name}"
+                    raise InputError(what, where=where, remedy="leave it out, or change sampling.accuracy")
             if any(self._scalar(one).requires_grad for one in (self._focal_length, self._object_distance)):
                 what = "carries gradients, which a traced lens has for the gaze alone"
                 raise InputError(what, where="object_distance", remedy="give a number, or use a thin lens")
@@ -166,7 +171,7 @@ class Camera:
         self._steepest = steepest
         self.geometry = self._geometry(light.wavelength, steepest)
         self._plans: list[Plan] = []
-        self._profiles: dict[tuple[float, Scatterer], DiffuseProfile] = {}
+        self._profiles: dict[tuple[float, Scatterer, int], DiffuseProfile] = {}
 
     @cached_property
     def _lines(self) -> list[_Line]:
@@ -240,7 +245,7 @@ class Camera:
             passes.append(one)
             ends.append(end)
         if scene.target.sensor.mask is not None:
-            passes.append(self._masked(geometry, wavelength, self._focal_at(wavelength)))
+            passes.append(self._masked(geometry, wavelength))
             ends.append(None)
         share = watts / scene.illumination.power * torch.ones((), dtype=torch.float64, device=self._device)
         found = scatterers(scene, wavelength, geometry.image_distance)
@@ -248,7 +253,9 @@ class Camera:
             # Without a mirror the scattered light uses the plan of a mirror's light.
             self._plans.append(plan_round(geometry, max(self._accuracy, 1e-2)))
         way = float(self._distance.detach()) if self._finite else None
-        glints = None if lens is None else lens.glints(self.output, wavelength, way, self._dtype.to_real())
+        glints = None
+        if lens is not None:
+            glints = lens.glints(self.output, wavelength, way, self._dtype.to_real(), self._accuracy)
         orders = _orders_of(groups)
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 
@@ -292,46 +299,53 @@ class Camera:
         one = RoundPass(at, plan, self.output, group, **options)
         return one, thin_end(at, plan, self.output, group, **own, **options)
 
-    def _masked(self, geometry: DoublePassGeometry, wavelength: float, focal: torch.Tensor) -> Pass:
-        sensor, sampling = self.scene.target.sensor, self.scene.sampling
+    def _masked(self, geometry: DoublePassGeometry, wavelength: float) -> Pass:
+        """The pass of a sensor's mask, with its faint pictures by a finer one."""
+        sensor = self.scene.target.sensor
         assert sensor.mask is not None
-        finest, beam = sensor.mask.pitch, beam_radius(self.scene)
+        bare = reflectance_at(sensor, wavelength, self._edge.window)
+        passed = math.sqrt(reaching_sensor(self.scene, wavelength))
+        mask = Mask(lambda x, y: bare(x, y) * passed, sensor.mask.pitch)
+        usual: TracedGroup | DoublePass
+        if self._lens is None:
+            usual, bright, finer = self._thin_mask(geometry, self._focal_at(wavelength), mask)
+        else:
+            given = mask, self.output, wavelength, self._accuracy
+            found = self._lens.mask(*given, dtype=self._dtype, device=self._device)
+            usual, bright, finer = found.usual, found.mirror, lambda: found.finer
+        self._plans.append(usual.plan)
+
+        def mirror(sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+            return sensor.reflectance * passed**2 * bright(sines, centres)
+
+        one = FaintPass(usual, mirror, finer)
+        self._masks.append(one)
+        return one
+
+    def _thin_mask(
+        self, geometry: DoublePassGeometry, focal: torch.Tensor, mask: Mask
+    ) -> tuple[DoublePass, Pass, Callable[[], Pass]]:
+        """As planned, a mirror's in its place, and a finer one."""
+        sampling, beam = self.scene.sampling, beam_radius(self.scene)
         if beam < geometry.radius:
             raise InputError(
                 f"a beam {2 * beam:.4g} m wide does not fill the target's aperture, which is sampled whole with a mask",
                 where="illumination",
                 remedy=f"widen it to {2 * geometry.radius:.4g} m, or use an array for a mask",
             )
-        pixels = self.output.rows * self.output.columns
-        plan = plan_double_pass(
-            geometry,
-            max(self._accuracy, 6e-4),
-            pupil_samples=sampling.pupil,
-            sensor_samples=sampling.sensor,
-            pixels=pixels,
-            finest=finest,
-        )
-        self._plans.append(plan)
-        bare = reflectance_at(sensor, wavelength, self._edge.window)
-        passed = math.sqrt(reaching_sensor(self.scene, wavelength))
+        sized: dict[str, Any] = {"pixels": self.output.rows * self.output.columns, "finest": mask.finest}
+        forced = {"pupil_samples": sampling.pupil, "sensor_samples": sampling.sensor}
+        plan = plan_double_pass(geometry, max(self._accuracy, ACCURACIES[-1]), **forced, **sized)
 
-        def mask(x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-            return bare(x, y) * passed
-
-        def made(plan: SamplingPlan, mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None) -> DoublePass:
-            return DoublePass(
-                geometry, plan, self.output, focal, self._z, mask=mask, dtype=self._dtype, device=self._device
-            )
+        def made(plan: SamplingPlan, mask: Mask | None) -> DoublePass:
+            held = mask and mask.reflectance
+            options: dict[str, Any] = {"dtype": self._dtype, "device": self._device}
+            return DoublePass(geometry, plan, self.output, focal, self._z, mask=held, **options)
 
         def mirror(sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-            return sensor.reflectance * passed**2 * made(plan, None)(sines, centres)
+            return made(plan, None)(sines, centres)
 
-        def finer() -> DoublePass:
-            return made(plan_finer(geometry, self._accuracy, pixels=pixels, finest=finest), mask)
-
-        one = FaintPass(made(plan, mask), mirror, finer)
-        self._masks.append(one)
-        return one
+        return made(plan, mask), mirror, lambda: made(plan_finer(geometry, self._accuracy, **sized), mask)
 
     def _curvature(self) -> torch.Tensor | float:
         """1/R of the light at the target; it follows a distance given as a tensor."""
@@ -462,24 +476,23 @@ class Camera:
         return torch.stack(images).to(self._device)
 
     def _profile(self, line: _Line, scatterer: Scatterer, place: tuple[float, float]) -> DiffuseProfile:
-        """Scattered light by its distance from a place: kept for those within a pixel of the picture's middle."""
+        """Scattered light by its distance from a place; places about as far from the picture's corners share it."""
         near, reach = corner(self.output) + self.output.pitch, corner(self.output, place)
-        key = (line.wavelength, scatterer)
-        if reach <= near and key in self._profiles:
-            return self._profiles[key]
-        profile = diffuse_profile(
-            line.geometry,
-            float(self._distance.detach()),
-            self.scene.probe.lens.aperture_radius,
-            max(near, reach),
-            albedo=scatterer.diffuse.albedo * scatterer.transmittance,
-            spread=scatterer.diffuse.spread,
-            image_distance=scatterer.image_distance,
-            lit_radius=min(line.geometry.radius, beam_radius(self.scene)),
-        )
-        if reach <= near:
-            self._profiles[key] = profile
-        return profile
+        # Rounded up to a step, so that what is kept does not depend on which place came first.
+        steps = max(0, math.ceil(math.log(reach / near) / math.log(_FARTHER)))
+        key = (line.wavelength, scatterer, steps)
+        if key not in self._profiles:
+            self._profiles[key] = diffuse_profile(
+                line.geometry,
+                float(self._distance.detach()),
+                self.scene.probe.lens.aperture_radius,
+                near * _FARTHER**steps,
+                albedo=scatterer.diffuse.albedo * scatterer.transmittance,
+                spread=scatterer.diffuse.spread,
+                image_distance=scatterer.image_distance,
+                lit_radius=min(line.geometry.radius, beam_radius(self.scene)),
+            )
+        return self._profiles[key]
 
     def window(self, *, margin: bool = False) -> Grid:
         """The smallest square of probe pixels that holds one beam's RR without its faintest rings.

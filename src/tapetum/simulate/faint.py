@@ -13,12 +13,12 @@ import torch
 
 from tapetum.errors import InputError
 
-__all__ = ["FaintPass", "Pass"]
+__all__ = ["FAINT", "FaintPass", "Pass"]
 
 Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
 
 # Peak over a mirror's below which a picture counts as faint: there a mirror's error counts 30 times.
-_FAINT = 1e-3
+FAINT = 1e-3
 
 
 class FaintPass:
@@ -42,7 +42,7 @@ class FaintPass:
         if self._bright is None:
             self._bright = float(self._mirror(torch.zeros_like(sines[:1]), None).detach().max())
         peak = image.detach().amax((1, 2))
-        faint = (peak > 0) & (peak < _FAINT * self._bright)
+        faint = (peak > 0) & (peak < FAINT * self._bright)
         which = torch.nonzero(faint)[:, 0]
         if not len(which):
             return image

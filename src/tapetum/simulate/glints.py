@@ -24,6 +24,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from tapetum.optics.focus import FocusedLens
@@ -39,6 +40,8 @@ __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
 _PLACES, _BESIDE = 1201, 1e-4
 # Between the indices of air and of any glass.
 _AIR = 1.1
+# Share of the accuracy, over the peak of a gaze's brightest glint, below which rings are not drawn.
+_NOT_DRAWN = 1e-3
 # Step of the radial profile, in parts of the finest ring's period.
 _FINE = 8
 
@@ -130,6 +133,8 @@ class Glints:
         Pixels of the probe's sensor, and the pictures' type.
     wavelength, distance, probe_radius, probe_focal_length
         λ, d, R_p and f_p, in metres.
+    accuracy
+        Of the picture, in fractions of its peak: a thousandth of it is left out of a glint's faint rings.
     """
 
     def __init__(
@@ -142,6 +147,7 @@ class Glints:
         distance: float,
         probe_radius: float,
         probe_focal_length: float,
+        accuracy: float = 1e-2,
         dtype: torch.dtype = torch.float64,
     ) -> None:
         self._tables, self._dtype = tables, dtype
@@ -154,7 +160,11 @@ class Glints:
             probe_radius, k / (2 * distance), k / probe_focal_length, reach, spacing=finest / _FINE
         )
         strength = reflectance / (distance * wavelength * probe_focal_length) ** 2
-        self._disc = RoundPicture(np.arange(len(values)) * step, abs(values) ** 2 * strength, dtype)
+        radii, profile = np.arange(len(values)) * step, abs(values) ** 2 * strength
+        self._disc = RoundPicture(radii, profile, dtype)
+        # The most irradiance at a distance or beyond, rising, to look up where a glint becomes faint.
+        self._beyond, self._radii = np.maximum.accumulate(profile[::-1]), radii[::-1]
+        self._faint = _NOT_DRAWN * accuracy * float(profile.max())
 
     def places(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """All G glints of tilts [B, 2] (sines).
@@ -179,11 +189,25 @@ class Glints:
         sines = sines.cpu().to(torch.float64)
         x, y = self._output.x(), self._output.y()
         images = torch.zeros(len(sines), len(y), len(x), dtype=self._dtype)
-        for which, place, area in zip(*self.places(sines), strict=True):
-            number = int(which)
+        which, places, areas = self.places(sines)
+        brightest = torch.zeros(len(sines), dtype=areas.dtype).scatter_reduce(0, which, areas.detach(), "amax")
+        reaches = self._reach(self._faint * (brightest[which] / areas.detach()).numpy())
+        for number, place, area, reach in zip(which.tolist(), places, areas, reaches, strict=True):
             at = place if centres is None else place + centres[number].to(place)
-            images[number] += self._disc.at(x - at[0], y - at[1]) * area.to(self._dtype)
+            columns, rows = self._near(x, float(at[0].detach()), reach), self._near(y, float(at[1].detach()), reach)
+            part = self._disc.at(x[columns] - at[0], y[rows] - at[1])
+            images[number, rows, columns] += part * area.to(self._dtype)
         return images
+
+    def _reach(self, faint: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Distances beyond which the profile stays below these irradiances, in metres."""
+        return self._radii[np.searchsorted(self._beyond, faint).clip(0, len(self._radii) - 1)]
+
+    def _near(self, places: torch.Tensor, middle: float, reach: float) -> slice:
+        """Those of equally spaced places that lie within reach of the middle."""
+        first, step = float(places[0]), self._output.pitch
+        low, high = math.floor((middle - reach - first) / step), math.ceil((middle + reach - first) / step)
+        return slice(min(max(low, 0), len(places)), min(max(high + 1, 0), len(places)))
 
 
 def _coated(lens: Lens, i: int) -> bool:

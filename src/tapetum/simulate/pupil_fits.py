@@ -26,6 +26,7 @@ __all__ = [
     "fit_functions",
     "fit_leaving",
     "fit_pupils",
+    "narrowed",
     "on_grid",
     "on_tilt_grid",
     "open_share",
@@ -166,6 +167,41 @@ def fit_pupils(
         max(in_misfit, out_misfit),
         (float((at_nodes @ into.half).max()), float(((at_nodes @ out.centre).abs() + at_nodes @ out.half).max())),
     )
+
+
+def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature: float = 0.0) -> PupilFits:
+    """The same pupils for the tilts of other nodes within `fits.nodes`, with the errors of their own rays.
+
+    A polynomial of the tilt stays one on a part of its range, so nothing is fitted anew. `misfit` is that of the light
+    that enters alone.
+    """
+    tilt = fits.nodes.terms(nodes.sines)
+    bundle = trace_bundle(focused, nodes.sines, curvature=curvature, middle=tilt @ fits.middle, sloped=False)
+    misfit = values_at(fits.entering, tilt, bundle.s)[0][:, 0] - bundle.psi
+    u = (bundle.s - (tilt @ fits.entering.centre)[:, None]) / (tilt @ fits.entering.half)[:, None]
+    inside = bundle.passing & (u.abs() <= 1).all(-1)
+    square = torch.where(inside, misfit**2, torch.zeros_like(misfit)).sum(-1) / inside.sum(-1)
+    spread, defocus, aberration = _landings(bundle)
+    entering, leaving = (_narrowed(one, nodes, tilt) for one in (fits.entering, fits.leaving))
+    at_nodes = chebyshev(nodes.places, nodes.count)
+    return PupilFits(
+        nodes,
+        entering,
+        leaving,
+        nodes.coefficients(tilt @ fits.middle),
+        nodes.coefficients(tilt @ fits.radius),
+        spread,
+        defocus,
+        aberration,
+        float(square.max().sqrt()),
+        (float((at_nodes @ entering.half).max()), fits.aperture[1]),
+    )
+
+
+def _narrowed(fit: Fit, nodes: TiltNodes, tilt: torch.Tensor) -> Fit:
+    turned = nodes.coefficients(tilt)
+    even, odd = (torch.einsum("nt,ktm->knm", turned, one) for one in (fit.even, fit.odd))
+    return Fit(turned @ fit.centre, turned @ fit.half, even, odd, fit.degrees)
 
 
 def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = None) -> tuple[Fit, float]:

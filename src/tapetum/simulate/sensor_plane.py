@@ -22,7 +22,6 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -34,11 +33,10 @@ from scipy.special import fresnel
 from tapetum.bench import TargetSensor
 from tapetum.errors import InputError
 from tapetum.optics.photosites import SHAPES, Photosite, Round, Square, covered
-from tapetum.simulate.surfaces import Order, PlaceSeries
+from tapetum.simulate.surfaces import Order, PlaceSeries, Reflectance
 
 __all__ = ["Reflectance", "orders_of", "reflectance_at", "second_derivative", "widened"]
 
-Reflectance = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 Complex = npt.NDArray[np.complex128]
 Real = npt.NDArray[np.float64]
 

@@ -1,7 +1,9 @@
-"""What reflects behind a lens: planes, and the diffraction orders that each of them returns."""
+"""What reflects behind a lens: planes, the diffraction orders that each of them returns, and masks."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,7 +12,10 @@ import torch
 
 from tapetum.optics.fourier import phasor
 
-__all__ = ["Order", "PlaceSeries", "Surface"]
+__all__ = ["Mask", "Order", "PlaceSeries", "Reflectance", "Surface"]
+
+# Of places x [..., n] and y [..., m], in metres from the optical axis: complex amplitudes [..., m, n].
+Reflectance = Callable[[torch.Tensor, torch.Tensor], torch.Tensor]
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,3 +92,11 @@ class Surface:
     depth: float = 0.0
     index: float = 1.0
     tilt: tuple[float, float] = (0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Mask:
+    """A plane that is sampled: its complex `reflectance` by place, and its `finest` detail in metres, if it has one."""
+
+    reflectance: Reflectance
+    finest: float = math.inf

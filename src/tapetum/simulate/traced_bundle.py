@@ -28,6 +28,13 @@ __all__ += ["trace_bundle"]
 
 # Rays a side of a bundle, and of the coarse one that finds the pupil.
 _COARSE = 49
+# Tilts a sine at which the pupil's box is searched, four times as many where a range holds fewer than the second
+# number; and how many are searched together.
+_BOXES_A_SINE, _FEWEST_BOXES, _BOXES_AT_ONCE = 64, 4, 8
+# Share of the box's half width by which it may be enlarged for tilts between those searched.
+_MOST_MARGIN = 0.05
+# Rays a side up to which each bundle's own box is searched.
+_FEW = 21
 # How far rays extend beyond the pupil's edge, so that its polynomials hold on both sides of it.
 BEYOND = 1.06
 # Farthest exit pupil before the sensor, in focal lengths, in place of one farther away or behind it.
@@ -133,23 +140,97 @@ def trace_bundle(
     InputError
         Where no ray gets through.
     """
-    e = _starts(focused, sines, curvature, count, box)
+    if box is None:
+        ways = _kept_ways(_anywhere(focused), _tilts(sines), curvature, count, _exit_plane(focused), sloped)
+    else:
+        e = _starts(box, count)
+        ways = _followed(focused, e, sines, curvature, count, _exit_plane(focused), sloped)
+    landing, found = _landed(focused, ways.rays)
+    middle = found if middle is None else middle
+    exit_plane = _exit_plane(focused)
+    y0 = torch.stack([torch.zeros_like(middle), middle, torch.full_like(middle, focused.image)], -1)
+    apart = y0[:, None, :] - ways.exit
+    radius = length(apart)
+    s = apart[..., :2] / radius[..., None]
+    # |∂s/∂p| of a direction seen from a plane across the axis.
+    jacobian = ways.stretch * apart[..., 2] ** 2 / radius**4
+    psi = ways.path + radius
+    chief = torch.hypot(middle, torch.full_like(middle, focused.image - exit_plane))
+    good = ways.rays.good & (torch.isfinite(jacobian) if sloped else torch.isfinite(s).all(-1))
+    rays = replace(ways.rays, good=good)
+    return Bundle(ways.e, s, psi, jacobian, landing[..., :2], middle, chief, ways.before, rays)
+
+
+@dataclass(frozen=True)
+class _Ways:
+    """Rays of a bundle up to the plane of the exit pupil; where the sensor stands does not matter.
+
+    `exit` [F, N, 3] is where they meet that plane, `stretch` [F, N] is |∂exit/∂e| (NaN where it was not asked for),
+    `path` [F, N] the whole path there, `before` [F, N] that of the wave before e.
+    """
+
+    e: torch.Tensor
+    rays: Rays
+    before: torch.Tensor
+    exit: torch.Tensor
+    path: torch.Tensor
+    stretch: torch.Tensor
+
+
+def _anywhere(focused: FocusedLens) -> FocusedLens:
+    """The lens with no sensor: the same for a sensor or a filter moved behind it."""
+    return replace(focused, image=0.0)
+
+
+def _tilts(sines: torch.Tensor) -> tuple[float, ...]:
+    return tuple(float(one) for one in sines)
+
+
+# Planes that interfere, and the checks of each, ask for the same bundles of a lens.
+@functools.lru_cache(maxsize=8)
+def _kept_ways(
+    lens: FocusedLens, tilts: tuple[float, ...], curvature: float, count: int, exit_plane: float, sloped: bool
+) -> _Ways:
+    sines = torch.tensor(tilts, dtype=torch.float64)
+    # The mean of few rays depends on where the box ends.
+    boxes = _searched_boxes if count <= _FEW else _pupil_boxes
+    lower, upper = boxes(lens, sines, curvature)
+    more = (upper - lower) / 2 * (BEYOND - 1)
+    return _followed(lens, _starts((lower - more, upper + more), count), sines, curvature, count, exit_plane, sloped)
+
+
+def _followed(
+    focused: FocusedLens,
+    e: torch.Tensor,
+    sines: torch.Tensor,
+    curvature: float,
+    count: int,
+    exit_plane: float,
+    sloped: bool,
+) -> _Ways:
     right = right_half(e).requires_grad_(sloped)
     with torch.set_grad_enabled(sloped):
         start, way, before = _incoming(focused, right, sines, curvature)
-        rays, before = mirrored(trace(focused.lens, start, way), count), _both(before, count)
-        s, psi, landing, middle, chief = _followed(focused, rays, before, middle)
-    jacobian = torch.full_like(psi, torch.nan)
+        rays = trace(focused.lens, start, way)
+        p, back = to_plane(rays.position, rays.direction, exit_plane)
+    stretch = torch.full_like(rays.path, torch.nan)
     if sloped:
-        # Every ray's s depends on its own e alone: two sums give the derivatives of all.
-        own = right_half(s)
-        x = torch.autograd.grad(own[..., 0].sum(), right, retain_graph=True)[0]
-        y = torch.autograd.grad(own[..., 1].sum(), right)[0]
-        jacobian = _both((x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]).abs(), count)
-    found = [one.detach() for one in (e, s, psi, jacobian, landing, middle, chief, before)]
-    where = {name: value.detach() for name, value in vars(rays).items()}
-    where["good"] = rays.good & (torch.isfinite(jacobian) if sloped else torch.isfinite(s).all(-1))
-    return Bundle(*found, rays=Rays(**where))
+        # Every ray's p depends on its own e alone: two sums give the derivatives of all.
+        x = torch.autograd.grad(p[..., 0].sum(), right, retain_graph=True)[0]
+        y = torch.autograd.grad(p[..., 1].sum(), right)[0]
+        stretch = (x[..., 0] * y[..., 1] - x[..., 1] * y[..., 0]).abs()
+    # The index behind the lens is 1: the sensor stands in air.
+    path = (before + rays.path + back).detach()
+    rays = Rays(**{name: value.detach() for name, value in vars(rays).items()})
+    turn = p.new_tensor([-1.0, 1.0, 1.0])
+    return _Ways(
+        e,
+        mirrored(rays, count),
+        _both(before.detach(), count),
+        _both(p.detach(), count, turn),
+        _both(path, count),
+        _both(stretch.detach(), count),
+    )
 
 
 def right_half(values: torch.Tensor) -> torch.Tensor:
@@ -186,19 +267,12 @@ def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> to
     return trace_bundle(focused, sines, count=count, sloped=False).middle
 
 
-def _starts(
-    focused: FocusedLens,
-    sines: torch.Tensor,
-    curvature: float,
-    count: int,
-    box: tuple[torch.Tensor, torch.Tensor] | None,
-) -> torch.Tensor:
-    """Where the rays of each bundle cross the entrance pupil's plane, [F, N, 2]."""
-    lower, upper = _pupil_boxes(focused, sines, curvature) if box is None else box
-    centre, half = (upper + lower) / 2, (upper - lower) / 2 * (BEYOND if box is None else 1.0)
+def _starts(box: tuple[torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:
+    """Where the rays of each bundle cross the entrance pupil's plane, [F, N, 2], within its box."""
+    lower, upper = box
     line = torch.linspace(-1, 1, count, dtype=torch.float64)
     grid = torch.stack(torch.meshgrid(line, line, indexing="xy"), -1).reshape(-1, 2)
-    return centre[:, None, :] + half[:, None, :] * grid
+    return (upper + lower)[:, None, :] / 2 + (upper - lower)[:, None, :] / 2 * grid
 
 
 def _landed(focused: FocusedLens, rays: Rays) -> tuple[torch.Tensor, torch.Tensor]:
@@ -208,22 +282,6 @@ def _landed(focused: FocusedLens, rays: Rays) -> tuple[torch.Tensor, torch.Tenso
     # A stray ray may not have landed at all.
     landed = torch.where(passing, landing[..., 1], torch.zeros_like(landing[..., 1]))
     return landing, (landed.sum(-1) / passing.sum(-1)).detach()
-
-
-def _followed(
-    focused: FocusedLens, rays: Rays, before: torch.Tensor, middle: torch.Tensor | None
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    landing, found = _landed(focused, rays)
-    middle = found if middle is None else middle
-    p, back = to_plane(rays.position, rays.direction, _exit_plane(focused))
-    y0 = torch.stack([torch.zeros_like(middle), middle, torch.full_like(middle, focused.image)], -1)
-    apart = y0[:, None, :] - p
-    radius = length(apart)
-    s = apart[..., :2] / radius[..., None]
-    # The index behind the lens is 1: the sensor stands in air.
-    psi = before + rays.path + back + radius
-    chief = torch.hypot(middle, torch.full_like(middle, focused.image - _exit_plane(focused)))
-    return s, psi, landing[..., :2], middle, chief
 
 
 def _exit_plane(focused: FocusedLens) -> float:
@@ -254,43 +312,78 @@ def _incoming(
 
 
 def _pupil_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
-    """Corners [F, 2] of the boxes that hold the passing rays of each field, smooth from field to field."""
-    # The same for a sensor or a filter moved behind the same lens.
-    anywhere = replace(focused, image=0.0)
-    return _searched_boxes(anywhere, tuple(float(one) for one in sines), curvature)
+    """Corners [F, 2] of the boxes that hold the passing rays of each field.
+
+    They are interpolated between tilts in equal steps, which all bundles of a lens share.
+    """
+    lens, steepest, finer = _anywhere(focused), float(sines.abs().max()), _BOXES_A_SINE
+    while 1e-3 < steepest < _FEWEST_BOXES / finer:
+        finer *= 4
+    place = sines.abs() * finer
+    below = place.floor().long()
+    steps = range(0, int(below.max()) + 3, _BOXES_AT_ONCE)
+    edges = torch.cat([_boxes_from(lens, first, finer, curvature) for first in steps])
+    # Left and right of the axis the box is the same, mirrored.
+    edges = torch.cat([edges[1:2, [0, 2, 1]], edges])
+    bent = (edges[2:] - 2 * edges[1:-1] + edges[:-2]).abs() / 2
+    edges, share = edges[1:], (place - below)[:, None]
+    # Where another rim begins to cut, the edge has a corner, at which the chord errs by at most this.
+    margin = torch.maximum(bent[below], bent[below + 1])
+    wide, down, up = (edges[below] * (1 - share) + edges[below + 1] * share + margin).unbind(-1)
+    narrow = margin.amax(-1) < _MOST_MARGIN * torch.minimum(wide, (down + up) / 2)
+    if not bool(narrow.all()):
+        # The last tilts before the field ends, where the pupil changes fast or is dark: NaN is not less either.
+        return _searched_boxes(lens, sines, curvature)
+    down, up = torch.where(sines < 0, up, down), torch.where(sines < 0, down, up)
+    return torch.stack([-wide, -down], -1), torch.stack([wide, up], -1)
 
 
 @functools.lru_cache(maxsize=64)
-def _searched_boxes(
-    focused: FocusedLens, tilts: tuple[float, ...], curvature: float
-) -> tuple[torch.Tensor, torch.Tensor]:
-    sines = torch.tensor(tilts, dtype=torch.float64)
+def _boxes_from(lens: FocusedLens, first: int, finer: int, curvature: float) -> torch.Tensor:
+    """Half width and reach down and up, [_BOXES_AT_ONCE, 3], of the boxes at some steps of the tilt; NaN where dark."""
+    sines = torch.arange(first, first + _BOXES_AT_ONCE, dtype=torch.float64) / finer
+    edges = torch.full((_BOXES_AT_ONCE, 3), torch.nan, dtype=torch.float64)
+    some = sines < 1
+    if bool(some.any()):
+        lower, upper = _search(lens, sines[some], curvature)
+        edges[some] = torch.stack([upper[:, 0], -lower[:, 1], upper[:, 1]], -1)
+    return edges
+
+
+def _searched_boxes(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
+    lower, upper = _search(focused, sines, curvature)
+    dark = ~torch.isfinite(upper[:, 0])
+    if bool(dark.any()):
+        tilt = float(torch.rad2deg(torch.asin(sines[dark][0])))
+        raise InputError(
+            f"no ray gets through the lens at a tilt of {tilt:.3g} deg",
+            where="target.lens",
+            remedy="stay within the field it covers, or check its semi-diameters",
+        )
+    return lower, upper
+
+
+def _search(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Corners [F, 2] of the boxes, found by two grids of rays, the second within the first one's; NaN where dark."""
     reach = 2.2 * focused.entrance_radius
     lower = torch.full((len(sines), 2), -reach, dtype=torch.float64)
-    upper = -lower
+    upper, lit = -lower, torch.ones(len(sines), 1, dtype=torch.bool)
+    line = torch.linspace(-1, 1, _COARSE, dtype=torch.float64)
+    # Left and right are symmetric: x from the middle on.
+    grid = torch.stack(torch.meshgrid(line[_COARSE // 2 :], line, indexing="xy"), -1).reshape(-1, 2)
     for _ in range(2):
-        line = torch.linspace(-1, 1, _COARSE, dtype=torch.float64)
-        # Left and right are symmetric: x from the middle on.
-        grid = torch.stack(torch.meshgrid(line[_COARSE // 2 :], line, indexing="xy"), -1).reshape(-1, 2)
         centre, half = (upper + lower) / 2, (upper - lower) / 2
         e = centre[:, None, :] + half[:, None, :] * grid
         start, way, _ = _incoming(focused, e, sines, curvature)
         rays = trace(focused.lens, start, way)
-        passing = rays.good & (rays.height <= 1).all(-1)
-        if not bool(passing.any(-1).all()):
-            dark = float(torch.rad2deg(torch.asin(sines[~passing.any(-1)][0])))
-            raise InputError(
-                f"no ray gets through the lens at a tilt of {dark:.3g} deg",
-                where="target.lens",
-                remedy="stay within the field it covers, or check its semi-diameters",
-            )
+        passing = (rays.good & (rays.height <= 1).all(-1))[..., None]
+        lit = lit & passing.any(1)
         # One grid step more on either side: the edge lies between the last ray that passes and the next.
         step = 2 * half / (_COARSE - 1)
-        big = torch.full_like(e, math.inf)
-        lower = torch.where(passing[..., None], e, big).amin(1) - step
-        upper = torch.where(passing[..., None], e, -big).amax(1) + step
+        lower = torch.where(lit, torch.where(passing, e, math.inf).amin(1) - step, lower)
+        upper = torch.where(lit, torch.where(passing, e, -math.inf).amax(1) + step, upper)
         lower[:, 0] = -upper[:, 0]
-    return lower, upper
+    return torch.where(lit, lower, torch.nan), torch.where(lit, upper, torch.nan)
 
 
 def length(vectors: torch.Tensor) -> torch.Tensor:

@@ -17,9 +17,10 @@ from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
-from tapetum.simulate.surfaces import Surface
+from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_bundle import trace_bundle
-from tapetum.simulate.traced_plan import TracedGroup, return_angle, traced_group
+from tapetum.simulate.traced_light import Way, any_angle, return_angle
+from tapetum.simulate.traced_plan import TracedGroup, TracedMask, traced_group, traced_mask
 
 __all__ = ["TracedLens"]
 
@@ -41,16 +42,12 @@ class TracedLens:
     Raises
     ------
     InputError
-        For a lens that lets nothing through, and for what a traced lens does not support: masks, beams narrower than
-        the lens.
+        For a lens that lets nothing through, and for what a traced lens does not support: beams narrower than the lens.
     """
 
     def __init__(self, scene: Scene, object_distance: float, steepest: float) -> None:
         lens = scene.target.lens
         assert isinstance(lens, PrescriptionLens)
-        if scene.target.sensor.mask is not None:
-            what = "a mask cannot be had behind a traced lens"
-            raise InputError(what, where="target.sensor.mask", remedy="use an array, or a thin lens")
         if beam_radius(scene) < lens.aperture_radius:
             raise InputError(
                 f"a beam {2 * beam_radius(scene):.4g} m wide does not fill a traced lens",
@@ -68,8 +65,11 @@ class TracedLens:
             for layer in scene.target.sensor.layers
             if at_wavelength(layer.reflectance, light.wavelength) > 0
         ]
-        self.exit_angle = _return_angle(*self._asked(light.wavelength), tuple(depths or [0.0]))
-        """Largest angle of a returning ray against its field's direction, in radians."""
+        angle = _return_angle(*self._asked(light.wavelength), tuple(depths or [0.0]))
+        if scene.target.sensor.mask is not None:
+            angle = max(angle, any_angle(self._at(light.wavelength)[1]))
+        self.exit_angle = angle
+        """Largest angle of returning light against its field's direction, by rays, in radians."""
         self.return_radius = lens.aperture_radius + self.exit_angle * scene.distance
         """Radius of the widest return at the probe, by rays, in metres."""
 
@@ -105,28 +105,48 @@ class TracedLens:
         device: torch.device,
     ) -> TracedGroup:
         """The passes of planes that interfere, over the `distance` through the probe's aperture or to the far field."""
+        way = self._way(output, wavelength, distance, dtype, device)
+        return traced_group(*self._at(wavelength), surfaces, output, accuracy=accuracy, **way)
+
+    def mask(
+        self,
+        mask: Mask,
+        output: Grid,
+        wavelength: float,
+        accuracy: float,
+        *,
+        dtype: torch.dtype,
+        device: torch.device,
+    ) -> TracedMask:
+        """The passes of a mask on the sensor, to the far field."""
         focused, fits = self._at(wavelength)
+        way = self._way(output, wavelength, None, dtype, device)
+        return traced_mask(focused, fits, Surface(focused.image), mask, output, accuracy=accuracy, **way)
+
+    def _way(
+        self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype, device: torch.device
+    ) -> Way:
         probe = self._scene.probe.lens
         aperture = None
         if distance is not None:
             window = math.hypot(output.width, output.height) / 2 / probe.focal_length
             aperture = ProbeAperture.behind_traced(distance, probe.aperture_radius, wavelength, window)
-        return traced_group(
-            focused,
-            fits,
-            surfaces,
-            output,
-            wavelength=wavelength,
-            probe_focal_length=probe.focal_length,
-            accuracy=accuracy,
-            curvature=self._curvature,
-            aperture=aperture,
-            dtype=dtype,
-            device=device,
-        )
+        return {
+            "wavelength": wavelength,
+            "probe_focal_length": probe.focal_length,
+            "curvature": self._curvature,
+            "aperture": aperture,
+            "dtype": dtype,
+            "device": device,
+        }
 
     def glints(
-        self, output: Grid, wavelength: float, distance: float | None, dtype: torch.dtype = torch.float64
+        self,
+        output: Grid,
+        wavelength: float,
+        distance: float | None,
+        dtype: torch.dtype = torch.float64,
+        accuracy: float = 1e-2,
     ) -> Glints | None:
         """The glints of its surfaces; None where these are not said to reflect.
 
@@ -152,6 +172,7 @@ class TracedLens:
             distance=distance,
             probe_radius=probe.aperture_radius,
             probe_focal_length=probe.focal_length,
+            accuracy=accuracy,
             dtype=dtype,
         )
 

@@ -1,16 +1,16 @@
 """Choose the samples of a traced lens's passes, measure their error, and refuse what they cannot represent.
 
 Unlike a thin lens, a real one has no closed form to plan by. Efforts are tried from coarse to fine: each computes the
-image at some tilts and is compared with the next. Rays give the error that remains (traced_return).
+image at some tilts and is compared with the second next. Rays give the error that remains (traced_light).
 """
 
 from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, Unpack
 
 import torch
 
@@ -18,13 +18,13 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.optics.sampling import Plan
-from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
+from tapetum.simulate.faint import FAINT
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
-from tapetum.simulate.surfaces import Surface
+from tapetum.simulate.surfaces import Mask, Surface
+from tapetum.simulate.traced_light import TracedLight, TracedScene, Way, any_angle, followed, nearer_by, traced_scene
 from tapetum.simulate.traced_pass import TracedGrids, TracedPass
-from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
-__all__ = ["TracedGroup", "TracedPlan", "return_angle", "traced_group"]
+__all__ = ["TracedGroup", "TracedMask", "TracedPlan", "traced_group", "traced_mask"]
 
 
 @dataclass(frozen=True)
@@ -57,16 +57,13 @@ _SAFETY = 2.0
 _TRIED = ((0.0, 0.0), (0.08, 0.1), (0.65, 0.65))
 # Error over the accuracy asked for above which planes that cancel each other are not planned again.
 _HOPELESS = 5.0
-# Fresnel zones of the cone of light on the plane above which each place of the pupil has one leaving ray.
-_GEOMETRIC = 2.5
 # No more light can return than entered: an excess is aliasing.
 _MOST_POWER = 1.03
-# Share of the most light that a tilt must return for the claim to hold.
-_FADING = 0.3
+# Samples of the sensor for each detail of a mask, at an effort of 1.
+_DETAILS = 3.0
+# Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
+_RINGS_BESIDE = 30
 _MOST_PUPIL, _MOST_SENSOR = 2048, 4096
-_LARGEST_MISFIT = 0.02
-# RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
-_LARGEST_DEPARTURE = 0.05
 
 
 @dataclass(frozen=True)
@@ -121,16 +118,13 @@ class TracedGroup:
         return total
 
 
-def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
-    """Largest angle of a ray that returns from the sensor, or from a mirror at one of the depths, reduced to air."""
-    sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
-    found = [trace_return(_nearer(focused, depth), sines, curvature=curvature).angle for depth in depths]
-    return max(float(one.max()) for one in found)
+@dataclass(frozen=True)
+class TracedMask:
+    """A mask's pass as planned, the finer one that its error was measured by, and a mirror's in its place."""
 
-
-def _nearer(focused: FocusedLens, depth: float) -> FocusedLens:
-    """The lens with its sensor moved to a mirror before it."""
-    return replace(focused, image=focused.image - depth)
+    usual: TracedGroup
+    finer: TracedGroup
+    mirror: TracedGroup
 
 
 def traced_group(
@@ -139,13 +133,8 @@ def traced_group(
     surfaces: Sequence[Surface],
     output: Grid,
     *,
-    wavelength: float,
-    probe_focal_length: float,
     accuracy: float,
-    curvature: float = 0.0,
-    aperture: ProbeAperture | None = None,
-    dtype: torch.dtype = torch.complex64,
-    device: torch.device | str = "cpu",
+    **way: Unpack[Way],
 ) -> TracedGroup:
     """Plan the passes of planes that interfere.
 
@@ -157,51 +146,20 @@ def traced_group(
         The planes.
     output
         Pixels of the probe's sensor.
-    wavelength, probe_focal_length
-        In metres.
     accuracy
         Wanted largest error of the irradiance, in fractions of the peak.
-    curvature
-        Of the light that enters, in 1/m.
-    aperture
-        The probe's, where the return overfills it.
-    dtype, device
-        Of the fields.
+    **way
+        The light's, see `Way`.
 
     Raises
     ------
     InputError
         For a lens that its polynomials do not fit, light too far out of focus to be followed, and scenes too large.
     """
-    if fits.misfit > _LARGEST_MISFIT * wavelength:
-        raise InputError(
-            f"its wavefront departs from smooth functions by {fits.misfit / wavelength:.2g} waves",
-            where="target.lens",
-            remedy="stop it down with f_number, or stay nearer to the middle of its field",
-        )
-    # A few places of a pupil of this width determine its effect on the picture.
-    ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64, device=device)
-    path = ProbePath(
-        output,
-        ends,
-        ends,
-        wavelength=wavelength,
-        probe_focal_length=probe_focal_length,
-        aperture=aperture,
-        dtype=dtype,
-        device=device,
-    )
-    seen = math.hypot(output.width, output.height) / 2 / probe_focal_length
-    accepted = None
-    if aperture is not None:
-        # Light under larger angles misses the probe's aperture, at any place in the picture.
-        accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
+    scene = traced_scene(focused, fits, output, **way)
 
     def made(wanted: float) -> TracedGroup:
-        found = [
-            _planned(focused, fits, surface, path, wavelength, wanted, curvature, accepted, seen)
-            for surface in surfaces
-        ]
+        found = [_planned(scene, surface, wanted) for surface in surfaces]
         passes, plans = [one for one, _ in found], [plan for _, plan in found]
         worst = max(plans, key=lambda plan: plan.expected_error)
         if len(passes) > 1:
@@ -217,6 +175,47 @@ def traced_group(
     return group
 
 
+def traced_mask(
+    focused: FocusedLens,
+    fits: PupilFits,
+    surface: Surface,
+    mask: Mask,
+    output: Grid,
+    *,
+    accuracy: float,
+    **way: Unpack[Way],
+) -> TracedMask:
+    """Plan the passes of a mask on a `surface` without a tilt; other arguments and errors as for `traced_group`.
+
+    The error is in fractions of the picture's peak, or of a thousandth of a mirror's where that is more: `FaintPass`
+    computes such faint pictures by the finer pass.
+    """
+    scene = traced_scene(focused, fits, output, **way)
+    light = followed(scene, accuracy, correct=False)
+    tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
+    # At least as finely as a mirror: the mask may be dark where it is tried.
+    mirror = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
+    least = FAINT * float((mirror.usual.field(tried[:1]).abs() ** 2).max())
+    first = max(mirror.step, next(i for i, effort in enumerate(_LADDER) if effort.rings >= _RINGS_BESIDE))
+    found = _climbed(
+        lambda effort: _made(scene, light, surface, effort, mask), tried, accuracy, least=least, first=first
+    )
+    _check_power(found.usual, tried, 1.0)
+    plan = _stated(light, replace(found, error=max(found.error, mirror.error)), least)
+    usual, finer, bare = (TracedGroup([one], plan) for one in (found.usual, found.finer, mirror.usual))
+    return TracedMask(usual, finer, bare)
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A step of the ladder, its pass and the finer one that it was measured against, and its error."""
+
+    step: int
+    usual: TracedPass
+    finer: TracedPass
+    error: float
+
+
 def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> float:
     """Error of planes that interfere, over the peak of their sum: each amplitude errs by half its plane's own."""
     head_on = torch.zeros(1, 2, dtype=torch.float64)
@@ -226,103 +225,62 @@ def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> floa
     return sum(share * plan.expected_error for share, plan in zip(shares, plans, strict=True))
 
 
-def _planned(
-    focused: FocusedLens,
-    fits: PupilFits,
-    surface: Surface,
-    path: ProbePath,
-    wavelength: float,
-    accuracy: float,
-    curvature: float,
-    accepted: float | None,
-    seen: float,
-) -> tuple[TracedPass, TracedPlan]:
+def _planned(scene: TracedScene, surface: Surface, accuracy: float) -> tuple[TracedPass, TracedPlan]:
     if surface.depth:
         # Nearer by the reduced depth t/n, while the light's path is shorter by n t.
         nearer = surface.depth / surface.index
-        focused = _nearer(focused, nearer)
-        fits = fit_pupils(focused, fits.nodes.steepest, curvature=curvature, nodes=fits.nodes)
-        longer = 4 * math.pi / wavelength * (surface.index * surface.depth - nearer)
+        focused = nearer_by(scene.focused, nearer)
+        fits = fit_pupils(focused, scene.fits.nodes.steepest, curvature=scene.curvature, nodes=scene.fits.nodes)
+        longer = 4 * math.pi / scene.wavelength * (surface.index * surface.depth - nearer)
         surface = replace(surface, depth=0.0, index=1.0, phase=-longer)
-    sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
-    told = check_return(focused, fits, sines, curvature=curvature)
-    departure = float(torch.nan_to_num(told.opd).max())
-    angle = float(told.angle.max())
-    # A phase error changes a picture by at most as much.
-    unsure = 2 * math.pi * departure / wavelength
-    zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
-    if accepted is not None:
-        # Even through a small aperture waves come from some Fresnel zones about the ray that returns straight. For a
-        # return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where rays
-        # turn by √(λ/L): light fades out from twice that, the fourth zone, to four times, the sixteenth.
-        accepted = max(accepted, math.sqrt(wavelength * angle / fits.aperture[1]))
-        if angle <= 2 * accepted:
-            # No ray leaves under an angle that is faded out: follow the whole pupil, and waves beyond its rays.
-            accepted = None
-    pupils, by_rays = fits, False
-    if zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted)):
-        found = corrected(focused, fits, curvature=curvature, accepted=accepted)
-        # Crossing rays have several paths at a place, which the fit misses.
-        if found is not None and found.misfit < departure:
-            pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
-    if not by_rays:
-        accepted = None
-    coarser = f"ask for an accuracy of {unsure:.1g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
-    if unsure > min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE):
-        raise InputError(
-            f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
-            where="target",
-            remedy=f"{coarser}focus nearer to the probe, or stop the lens down with f_number",
-        )
+        scene = replace(scene, focused=focused, fits=fits)
+    light = followed(scene, accuracy)
+    tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
+    found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
+    _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
+    return found.usual, _stated(light, found)
 
-    if path.aperture is not None:
-        steepest = fits.nodes.steepest
-        missed = 2 * math.pi / wavelength * missed_path(path.aperture, fits.aperture[1], angle, steepest, wavelength)
-        if missed > accuracy:
-            raise InputError(
-                f"the probe is so near that the way to its aperture is known to {missed / 2 / math.pi:.2g} waves only",
-                where="distance",
-                remedy=f"ask for an accuracy of {missed:.1g}, move the probe away, or narrow its aperture",
-            )
-        unsure = max(unsure, missed)
 
-    def made(effort: _Effort) -> TracedPass:
-        grids = _grids(
-            pupils, surface, effort, wavelength, min(angle, math.inf if accepted is None else 4 * accepted) + seen
-        )
-        return TracedPass(
-            pupils,
-            grids,
-            surface,
-            path,
-            wavelength=wavelength,
-            accepted=accepted,
-            dtype=path.dtype,
-            device=path.device,
-        )
+def _made(
+    scene: TracedScene, light: TracedLight, surface: Surface, effort: _Effort, mask: Mask | None = None
+) -> TracedPass:
+    """The pass of an effort."""
+    angle = min(light.angle, math.inf if light.accepted is None else 4 * light.accepted)
+    if mask is not None:
+        angle = max(angle, any_angle(light.fits))
+    path = scene.path
+    return TracedPass(
+        light.fits,
+        _grids(light.fits, surface, effort, scene.wavelength, angle + scene.seen, mask),
+        surface,
+        path,
+        wavelength=scene.wavelength,
+        accepted=light.accepted,
+        mask=mask,
+        dtype=path.dtype,
+        device=path.device,
+    )
 
-    # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
-    # tilts that return enough.
-    lit = sines[told.overlap >= _FADING * told.overlap.max()].max()
-    bright = min(float(lit), pupils.nodes.steepest)
-    tried = bright * torch.tensor(_TRIED, dtype=torch.float64)
-    limit = sum(abs(order.amplitude) for order in surface.orders) ** 2
-    steps = [(one := made(effort), one.field(tried).abs() ** 2) for effort in _LADDER[:2]]
+
+def _climbed(
+    made: Callable[[_Effort], TracedPass], tried: torch.Tensor, accuracy: float, *, least: float = 0.0, first: int = 0
+) -> _Step:
+    """The first step of the ladder, from `first` on, whose error at the tilts tried is within the accuracy.
+
+    Errors are over each picture's peak, or over `least` where that is more.
+    """
+    steps: list[tuple[TracedPass, torch.Tensor]] = []
     error = math.inf
-    for effort in _LADDER[2:]:
-        best = made(effort)
+    for number, effort in enumerate(_LADDER[first:], first):
+        one = made(effort)
         # Three passes at a time: each holds its grids and kernels.
-        steps = [*steps[-2:], (best, best.field(tried).abs() ** 2)]
+        steps = [*steps[-2:], (one, one.field(tried).abs() ** 2)]
+        if len(steps) < 3:
+            continue
         now, image = steps[0]
-        error = _SAFETY * _apart(image, steps[-1][1])
+        error = _SAFETY * _apart(image, steps[-1][1], least)
         if error <= accuracy:
-            _check_power(now, tried, limit)
-            claimed = max(error, unsure)
-            if bright < 0.95 * fits.nodes.steepest:
-                faint = fits.nodes.steepest * sines.new_tensor([[0.0, 1.0], [0.7, 0.7], [1.0, 0.0]])
-                claimed = max(claimed, _SAFETY * _apart(now.field(faint).abs() ** 2, best.field(faint).abs() ** 2))
-            plan = TracedPlan(now.grids.pupil, now.grids.pupil, now.grids.sensor, departure, by_rays, claimed)
-            return now, plan
+            return _Step(number - 2, now, one, error)
     raise InputError(
         f"{accuracy:g} of the peak is not reached with {steps[0][0].grids.pupil} samples over the pupil",
         where="sampling.accuracy",
@@ -330,14 +288,27 @@ def _planned(
     )
 
 
-def _apart(image: torch.Tensor, better: torch.Tensor) -> float:
-    """Largest difference of images [B, H, W] over each one's own peak; infinite where one is dark."""
-    peak = better.amax((1, 2))
+def _stated(light: TracedLight, found: _Step, least: float = 0.0) -> TracedPlan:
+    """The plan of a step, with the error that paths and steep tilts leave."""
+    claimed = max(found.error, light.unsure)
+    if light.bright < 0.95 * light.steepest:
+        faint = light.steepest * torch.tensor([[0.0, 1.0], [0.7, 0.7], [1.0, 0.0]], dtype=torch.float64)
+        image, better = (one.field(faint).abs() ** 2 for one in (found.usual, found.finer))
+        claimed = max(claimed, _SAFETY * _apart(image, better, least))
+    grids = found.usual.grids
+    return TracedPlan(grids.pupil, grids.pupil, grids.sensor, light.departure, light.by_rays, claimed)
+
+
+def _apart(image: torch.Tensor, better: torch.Tensor, least: float = 0.0) -> float:
+    """Largest difference of images [B, H, W] over each one's own peak, or `least`; infinite where one is dark."""
+    peak = better.amax((1, 2)).clamp_min(least)
     apart = torch.where(peak > 0, (image - better).abs().amax((1, 2)) / peak.clamp_min(1e-30), math.inf)
     return float(apart.max())
 
 
-def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float, angle: float) -> TracedGrids:
+def _grids(
+    fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float, angle: float, mask: Mask | None
+) -> TracedGrids:
     """The samples of an effort for a lens and a plane."""
     nodes = fits.nodes
     sine, reach = fits.aperture
@@ -349,7 +320,12 @@ def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float
     half = blur + effort.rings * ring
     # The return lies about -s, or -s - τ, and is evaluated about s.
     apart = 2 * sine if len(surface.orders) > 1 else 2 * chief + 2 * math.hypot(*surface.tilt)
+    if mask is not None:
+        # Its details turn light too, at any tilt.
+        apart = 2 * float(((at @ fits.middle) / (at @ fits.radius)).abs().max()) + wavelength / mask.finest
     step = 0.8 * wavelength / (2 * sine + 2 * half / radius + apart)
+    if mask is not None:
+        step = min(step, mask.finest / (_DETAILS * effort.finer))
     sensor = math.ceil(2 * half / step)
     turns = 2 * sine * 2 * half / wavelength
     # Faint light far from the spot comes from the pupil's edges: they need more samples than the rays.
@@ -357,14 +333,15 @@ def _grids(fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float
     # Copies of the picture must lie beside it: the sum of the angles seen and sent.
     leaving = max(effort.pupil, math.ceil(1.2 * effort.finer * 2 * reach * angle / wavelength))
     if pupil > _MOST_PUPIL or sensor > _MOST_SENSOR or leaving > _MOST_PUPIL:
+        of_mask = "" if mask is None else f"give the mask a coarser pitch than {mask.finest * 1e6:.3g} um, "
         raise InputError(
             f"light spread over {2 * blur * 1e3:.3g} mm of the sensor needs {pupil} samples over the pupil, {sensor} "
             f"over the spot and {leaving} on the way out; allowed are {_MOST_PUPIL}, {_MOST_SENSOR} and {_MOST_PUPIL}",
             where="target",
-            remedy="focus nearer to the probe, stop the lens down with f_number, or ask for less accuracy",
+            remedy=f"{of_mask}focus nearer to the probe, stop the lens down with f_number, or ask for less accuracy",
         )
-    # The part to interpolate once the defocus is removed.
-    left = effort.rings * ring + fits.aberration
+    # The part to interpolate once the defocus is removed; a mask scatters from all of the spot.
+    left = half if mask is not None else effort.rings * ring + fits.aberration
     returning = max(2 * effort.pupil, math.ceil(3 * effort.finer * 2 * sine * 2 * left / wavelength))
     return TracedGrids(pupil, sensor, half, half - effort.rings * ring / 2, returning, leaving)
 

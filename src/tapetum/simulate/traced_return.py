@@ -24,7 +24,7 @@ from tapetum.simulate.pupil_fits import (
     TiltNodes,
     fit_functions,
     fit_leaving,
-    fit_pupils,
+    narrowed,
     values_at,
 )
 from tapetum.simulate.traced_bundle import (
@@ -215,8 +215,7 @@ def corrected(
         passing = near & (length(back.turned) <= _KEPT * accepted)
     if not bool((passing.sum(-1) >= _FEWEST_RAYS).all()):
         return None
-    # Fit the way in again at the remaining tilts.
-    inwards = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
+    inwards = narrowed(fits, focused, nodes, curvature)
     more = back.path - _model_path(fits, tilt, back)
     rays = _Rays(passing, near)
     if accepted is None:

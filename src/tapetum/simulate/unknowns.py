@@ -73,6 +73,8 @@ def _refusal(scene: Scene, name: str) -> tuple[str, str] | None:
     if name == "object_distance" and math.isinf(target.object_distance):
         return "the target is focused at infinity", "focus where it is not infinite"
     if isinstance(target.lens, PrescriptionLens):
+        if sensor.mask is not None:
+            return "light off a mask is not differentiated behind a traced lens", "take a thin lens, or an array"
         if name not in TRACED and name not in NUISANCES:
             return "not differentiated through a traced lens", "take a thin lens"
         if name in PHOTOSITES and not has_photosites(scene):

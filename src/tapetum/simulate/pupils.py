@@ -1,0 +1,139 @@
+"""What the sampled pass asks of a lens: its light on the way in and on the way out, as seen from the spot.
+
+Directions are sines or slopes of rays from the pupil's samples to the spot's middle u0, in a frame of columns and rows
+on the sensor: the sensor's own, or one turned for a mirror, which looks the same from all sides.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import torch
+
+from tapetum.simulate.probe_path import ProbePath
+
+__all__ = ["Entering", "Gazes", "Leaving", "Pupil"]
+
+
+@dataclass(frozen=True)
+class Entering:
+    """Light that meets the spot; the batch is 1 where it does not depend on the gaze.
+
+    Parameters
+    ----------
+    columns, rows
+        Directions [B or 1, n] and [B or 1, m] of the samples.
+    strength
+        Amplitude for 1 W/m² times a sample's solid angle, [B or 1, m, n].
+    path
+        Ψ there, in metres.
+    """
+
+    columns: torch.Tensor
+    rows: torch.Tensor
+    strength: torch.Tensor
+    path: torch.Tensor
+
+
+@dataclass(frozen=True)
+class Leaving:
+    """The pupil on the way out.
+
+    Parameters
+    ----------
+    columns, rows
+        Directions [B or 1, n] and [B or 1, m] in which to compute the returning light.
+    wave
+        What multiplies it where it leaves, complex [B or 1, rows, columns].
+    x, y
+        Columns and rows of the entrance pupil, in metres.
+    read_at
+        Where in `columns` and `rows`, from -1 to 1, each sample of the pupil lies, [B, rows, columns, 2]; None where
+        the samples are at `columns` and `rows` themselves.
+    unbent
+        Paths in metres of the columns and of the rows that make the light smooth before it is interpolated.
+    """
+
+    columns: torch.Tensor
+    rows: torch.Tensor
+    wave: torch.Tensor
+    x: torch.Tensor
+    y: torch.Tensor
+    read_at: torch.Tensor | None = None
+    unbent: tuple[torch.Tensor, torch.Tensor] | None = None
+
+
+class Gazes(Protocol):
+    """A pupil seen under a batch of tilts."""
+
+    @property
+    def axes(self) -> torch.Tensor:
+        """Rotations [B, 2, 2] from the sensor's x and y to the frame's columns and rows."""
+        ...
+
+    @property
+    def place(self) -> torch.Tensor:
+        """Middles u0 [B, 2] of the spots, in metres from the optical axis, along the sensor's own x and y."""
+        ...
+
+    @property
+    def turn(self) -> torch.Tensor:
+        """Directions t [B, 2] in the frame that are left out of the samples' on either way."""
+        ...
+
+    @property
+    def middle(self) -> torch.Tensor:
+        """Directions [B, 2] in the frame of the pupil's middle."""
+        ...
+
+    @property
+    def bend(self) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor | None]:
+        """C of both ways, in 1/m: its elements [B or 1] of columns, of rows, and of both where they mix."""
+        ...
+
+    def entering(self) -> Entering:
+        """The light on its way in."""
+        ...
+
+    def leaving(self) -> Leaving:
+        """The pupil on the way out."""
+        ...
+
+    def to_probe(
+        self, field: torch.Tensor, x: torch.Tensor, y: torch.Tensor, centres: torch.Tensor | None
+    ) -> torch.Tensor:
+        """Field on the probe's pixels [B, H, W] of what leaves, at columns x and rows y."""
+        ...
+
+
+class Pupil(Protocol):
+    """A lens, and the way from it to the probe's pixels."""
+
+    @property
+    def path(self) -> ProbePath:
+        """From the lens to the pixels."""
+        ...
+
+    @property
+    def fixed(self) -> bool:
+        """Whether spot and directions are the same for all gazes."""
+        ...
+
+    @property
+    def reach(self) -> float:
+        """Half width of the pupil as a direction; infinite where the samples hold all light that misses it."""
+        ...
+
+    @property
+    def rim(self) -> float | None:
+        """Curvature of both ways, k C in rad/m², where a mirror's light beyond the window is added (`SpotWindow`)."""
+        ...
+
+    def returns(self, sines: torch.Tensor) -> torch.Tensor:
+        """Whether anything returns from tilts [B, 2]."""
+        ...
+
+    def gazes(self, sines: torch.Tensor, own: bool) -> Gazes:
+        """Itself under tilts [B, 2], in the sensor's `own` columns and rows or in those that suit it."""
+        ...

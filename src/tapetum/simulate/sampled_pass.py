@@ -1,0 +1,199 @@
+"""The double pass by sampling: into the spot, off any plane, back to the pupil, and on to the probe's pixels.
+
+One engine for thin and traced lenses, each a `Pupil`; `RoundPass` is the fast path of thin lenses before mirrors and
+gratings. With s the directions of the pupil's samples as seen from the spot, and v the place in the spot,
+
+    G(v)  = 1/(iλ) ∫ A(s) exp(ikΨ(s)) exp(ik s·v) d²s                          the spot, about u0
+    U3(s) = 1/(iλ) ∫ R(u0 + v) G(v) exp(ik vᵀCv) exp(ik (s + 2t)·v) d²v        what returns to the pupil
+    U4(s) = A(s) exp(ikΨ(s)) U3(s)                                             and leaves the lens
+
+Only departures from a point image are sampled: C is the curvature of a sphere about the pupil's middle, t a direction
+that the pupil leaves out of s. A mirror takes s to -s, an order of direction τ to -s - τ; a mask is sampled itself.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Generic, TypeVar
+
+import torch
+
+from tapetum.optics.fourier import phasor
+from tapetum.simulate.pupils import Gazes, Leaving, Pupil
+from tapetum.simulate.spot_window import SpotWindow
+from tapetum.simulate.surfaces import Mask, Surface
+
+__all__ = ["SampledPass"]
+
+Lens = TypeVar("Lens", bound=Pupil)
+
+# Distance of an order's direction from the pupil's, in half widths of the pupil, within which its light returns.
+_MEETS = 2.05
+
+
+class SampledPass(Generic[Lens]):
+    """The retro-reflection of a lens off one plane, for any number of gazes.
+
+    Kernels are computed once, and so is the spot where it is the same for all gazes.
+
+    Parameters
+    ----------
+    pupil
+        The lens, and the way from it to the probe's pixels.
+    window
+        The sensor's samples about the spot.
+    plane
+        What reflects.
+    wavelength
+        In metres.
+    at_once
+        Gazes computed together.
+    dtype, device
+        Of the fields.
+    """
+
+    def __init__(
+        self,
+        pupil: Lens,
+        window: SpotWindow,
+        plane: Surface | Mask,
+        *,
+        wavelength: float,
+        at_once: int,
+        dtype: torch.dtype = torch.complex64,
+        device: torch.device | str = "cpu",
+    ) -> None:
+        self.pupil, self.plane, self.dtype, self.device = pupil, plane, dtype, torch.device(device)
+        self._k, self._at_once = 2 * math.pi / wavelength, at_once
+        # A mirror's samples may lie along the tilt, a mask's are its own columns and rows.
+        self._own = isinstance(plane, Mask)
+        self._v = window.places(self.device)
+        distance = torch.hypot(self._v[None, :], self._v[:, None])
+        # A mask does not send the light of a rim back to that rim.
+        seen = window.fade(distance) if self._own or pupil.rim is None else window.fade_with_rim(distance, pupil.rim)
+        # What is computed once is computed in double precision.
+        precise = torch.complex128 if pupil.fixed else dtype
+        self._window = (seen * (window.step / (1j * wavelength)) ** 2).to(precise)
+        self._spot: torch.Tensor | None = None
+        self._kernels: tuple[torch.Tensor, torch.Tensor] | None = None
+        if pupil.fixed:
+            at = pupil.gazes(torch.zeros(1, 2, dtype=torch.float64, device=self.device), self._own)
+            self._spot = self._entered(at, precise).to(dtype)
+            self._kernels = self._back(at.leaving())
+
+    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target; arguments as for `field`."""
+        return torch.cat([u.real**2 + u.imag**2 for u in self._fields(sines, centres)])
+
+    def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+        """Complex amplitude on the probe's pixels for 1 W/m² at the target, [B, H, W], in W^½/m.
+
+        `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
+        sensor, in metres, by default in the middle.
+        """
+        return torch.cat(self._fields(sines, centres))
+
+    def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        """Field that leaves the lens, tilt removed, [B, m, n], at columns x [B or 1, n] and rows y [B or 1, m].
+
+        As the pupil passes it on: per unit area, or times its samples' weights and all constants (`ThinPupil`).
+        """
+        return self._left(self.pupil.gazes(sines.to(self.device, torch.float64), self._own))
+
+    def _fields(self, sines: torch.Tensor, centres: torch.Tensor | None) -> list[torch.Tensor]:
+        sines = sines.to(self.device, torch.float64)
+        if centres is not None:
+            centres = centres.to(self.device, torch.float64)
+        # Most gazes of a phone return nothing: they are not computed.
+        lit = self.pupil.returns(sines).nonzero()[:, 0]
+        parts: list[torch.Tensor] = []
+        for i in range(0, len(lit), self._at_once):
+            some = lit[i : i + self._at_once]
+            at = self.pupil.gazes(sines[some], self._own)
+            parts.append(at.to_probe(*self._left(at), None if centres is None else centres[some]))
+        if len(lit) == len(sines) and parts:
+            return parts
+        shape = len(sines), *self.pupil.path.shape
+        dark = torch.zeros(shape, dtype=self.dtype, device=self.device)
+        return [dark.index_copy(0, lit, torch.cat(parts)) if parts else dark]
+
+    def _left(self, at: Gazes) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+        spot = self._entered(at, self.dtype) if self._spot is None else self._spot
+        leaving = at.leaving()
+        down, right = self._kernels or self._back(leaving)
+        back = _products(down, self._reflected(spot, at), right)
+        if leaving.read_at is not None:
+            planes = torch.view_as_real(back).permute(0, 3, 1, 2)
+            read_at = leaving.read_at.to(self.dtype.to_real())
+            back = torch.nn.functional.grid_sample(planes, read_at, "bicubic", "border", align_corners=True)
+            back = torch.complex(back[:, 0], back[:, 1])
+        return back * leaving.wave, leaving.x, leaving.y
+
+    def _entered(self, at: Gazes, dtype: torch.dtype) -> torch.Tensor:
+        """The spot's light [B or 1, n, n] times both ways' curvature and the window."""
+        light, v, (xx, yy, xy) = at.entering(), self._v, at.bend
+        strength = light.strength.to(dtype if light.strength.is_complex() else dtype.to_real())
+        wave = strength * phasor(self._k * light.path, dtype)
+        square = self._k * v**2
+        down = self._kernel(v, light.rows, dtype) * phasor(square * yy[:, None], dtype)[..., None]
+        right = self._kernel(light.columns, v, dtype) * phasor(square * xx[:, None], dtype)[:, None, :]
+        spot = _products(down, wave, right) * self._window
+        if self._own and xy is not None:
+            spot = spot * phasor(2 * self._k * xy[:, None, None] * v[:, None] * v, dtype)
+        return spot
+
+    def _back(self, leaving: Leaving) -> tuple[torch.Tensor, torch.Tensor]:
+        """Kernels from the plane to the directions in which the returning light is wanted."""
+        down = self._kernel(leaving.rows, self._v, self.dtype)
+        right = self._kernel(self._v, leaving.columns, self.dtype)
+        if leaving.unbent is not None:
+            across, along = leaving.unbent
+            down = down * phasor(self._k * along, self.dtype)[..., None]
+            right = right * phasor(self._k * across, self.dtype)[:, None, :]
+        return down, right
+
+    def _reflected(self, spot: torch.Tensor, at: Gazes) -> torch.Tensor:
+        """The spot's light off the plane: times a mask, or phases that change slowly for each order of a surface."""
+        if isinstance(self.plane, Mask):
+            places = at.place[:, :, None] + self._v
+            spot = spot * self._ramp(2 * at.turn)
+            return spot * self.plane.reflectance(places[:, 0], places[:, 1]).to(self.dtype)
+        tilt = self.plane.tilt
+        total: torch.Tensor | None = None
+        for order in self.plane.orders:
+            tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
+            tau = tau - 2 * torch.tensor(tilt, dtype=torch.float64, device=self.device)
+            direction = (at.axes @ tau[:, None])[..., 0] + 2 * at.turn
+            amplitude = phasor(self._k * (at.place @ tau)) * order.at(at.place)
+            if math.isfinite(self.pupil.reach):
+                # Light that misses the pupil altogether would only return as an alias.
+                apart = torch.hypot(*(direction + 2 * at.middle).unbind(-1))
+                meets = apart < _MEETS * self.pupil.reach
+                if not bool(meets.any()):
+                    continue
+                direction, amplitude = torch.where(meets[:, None], direction, 0.0), amplitude * meets
+            one = self._ramp(direction, amplitude)
+            total = one if total is None else total + one
+        return spot * (torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device) if total is None else total)
+
+    def _ramp(self, direction: torch.Tensor, amplitude: torch.Tensor | None = None) -> torch.Tensor:
+        """Amplitude [B] times exp(ik direction·v), [B, n, n]."""
+        turn = self._k * direction[:, :, None] * self._v
+        column, row = phasor(turn[:, 0], self.dtype), phasor(turn[:, 1], self.dtype)
+        if amplitude is not None:
+            row = row * amplitude[:, None].to(self.dtype)
+        return row[:, :, None] * column[:, None, :]
+
+    def _kernel(self, rows: torch.Tensor, columns: torch.Tensor, dtype: torch.dtype) -> torch.Tensor:
+        """exp(ik row·column), [B or 1, rows, columns]."""
+        kernel = phasor(self._k * rows[..., :, None] * columns[..., None, :], dtype)
+        return kernel if kernel.ndim == 3 else kernel[None]
+
+
+def _products(down: torch.Tensor, field: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
+    """down @ field @ right, in the order that costs fewer multiplications."""
+    v, y = down.shape[-2:]
+    x, u = right.shape[-2:]
+    if v * y * x + v * x * u <= y * x * u + v * y * u:
+        return (down @ field) @ right
+    return down @ (field @ right)

@@ -1,0 +1,204 @@
+"""What rays say of a traced lens before a plane: how far the light's way back is known, and what is refused for it.
+
+The wave's way out is the reverse of its way in. Real rays tell by how much it is not, and correct it where each place
+of the pupil has one leaving ray (traced_return).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Required, TypedDict
+
+import torch
+
+from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.grid import Grid
+from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
+from tapetum.simulate.pupil_fits import PupilFits
+from tapetum.simulate.traced_return import check_return, corrected, trace_return
+
+__all__ = [
+    "TracedLight",
+    "TracedScene",
+    "Way",
+    "any_angle",
+    "followed",
+    "nearer_by",
+    "return_angle",
+    "traced_scene",
+]
+
+# Fresnel zones of the cone of light on the plane above which each place of the pupil has one leaving ray.
+_GEOMETRIC = 2.5
+# Share of the most light that a tilt must return for the claim to hold.
+_FADING = 0.3
+_LARGEST_MISFIT = 0.02
+# RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
+_LARGEST_DEPARTURE = 0.05
+
+
+class Way(TypedDict, total=False):
+    """The light's way: `wavelength` and `probe_focal_length` in metres, which must be given; `curvature` of the light
+    that enters, in 1/m; the probe's `aperture`, where the return overfills it; `dtype` and `device` of the fields."""
+
+    wavelength: Required[float]
+    probe_focal_length: Required[float]
+    curvature: float
+    aperture: ProbeAperture | None
+    dtype: torch.dtype
+    device: torch.device | str
+
+
+def any_angle(fits: PupilFits) -> float:
+    """Largest angle, in radians, of light that comes from anywhere in the spot's rays and leaves the pupil anywhere."""
+    sine, reach = fits.aperture
+    return 2 * fits.spread * sine / reach
+
+
+def return_angle(focused: FocusedLens, fits: PupilFits, depths: Sequence[float], curvature: float) -> float:
+    """Largest angle of a ray that returns from the sensor, or from a mirror at one of the depths, reduced to air."""
+    sines = torch.linspace(0, fits.nodes.steepest, 3, dtype=torch.float64)
+    found = [trace_return(nearer_by(focused, depth), sines, curvature=curvature).angle for depth in depths]
+    return max(float(one.max()) for one in found)
+
+
+def nearer_by(focused: FocusedLens, depth: float) -> FocusedLens:
+    """The lens with its sensor moved to a mirror before it."""
+    return replace(focused, image=focused.image - depth)
+
+
+@dataclass(frozen=True)
+class TracedScene:
+    """The lens, and its light's way. Lengths in metres, `curvature` in 1/m.
+
+    Light under angles above `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's
+    middle to its corner, or to the aperture's edge.
+    """
+
+    focused: FocusedLens
+    fits: PupilFits
+    path: ProbePath
+    wavelength: float
+    curvature: float
+    accepted: float | None
+    seen: float
+
+
+@dataclass(frozen=True)
+class TracedLight:
+    """Light that is followed off one plane.
+
+    `fits` are its pupils, `by_rays` whether rays correct them, for light up to the angle `accepted`; `departure` the
+    RMS of the rays' paths against the model's in metres; `unsure` the error of what is left of it; `angle` the largest
+    at which light leaves, and `bright` and `steepest` the sines of the steepest tilts for which the claim is made, and
+    that is asked for.
+    """
+
+    fits: PupilFits
+    by_rays: bool
+    accepted: float | None
+    departure: float
+    unsure: float
+    angle: float
+    bright: float
+    steepest: float
+
+
+def traced_scene(
+    focused: FocusedLens,
+    fits: PupilFits,
+    output: Grid,
+    *,
+    wavelength: float,
+    probe_focal_length: float,
+    curvature: float = 0.0,
+    aperture: ProbeAperture | None = None,
+    dtype: torch.dtype = torch.complex64,
+    device: torch.device | str = "cpu",
+) -> TracedScene:
+    """The scene of a lens, its pupils and its light's way, see `Way`.
+
+    Raises InputError for a lens that its polynomials do not fit.
+    """
+    if fits.misfit > _LARGEST_MISFIT * wavelength:
+        raise InputError(
+            f"its wavefront departs from smooth functions by {fits.misfit / wavelength:.2g} waves",
+            where="target.lens",
+            remedy="stop it down with f_number, or stay nearer to the middle of its field",
+        )
+    # A few places of a pupil of this width determine its effect on the picture.
+    ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64, device=device)
+    path = ProbePath(
+        output,
+        ends,
+        ends,
+        wavelength=wavelength,
+        probe_focal_length=probe_focal_length,
+        aperture=aperture,
+        dtype=dtype,
+        device=device,
+    )
+    seen = math.hypot(output.width, output.height) / 2 / probe_focal_length
+    accepted = None
+    if aperture is not None:
+        # Light under larger angles misses the probe's aperture, at any place in the picture.
+        accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
+    return TracedScene(focused, fits, path, wavelength, curvature, accepted, seen)
+
+
+def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> TracedLight:
+    """Follow rays off the sensor as off a mirror, and refuse light whose paths are not known well enough.
+
+    Only what a plane returns by rays can be corrected by them: not what a mask scatters.
+    """
+    focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
+    sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
+    told = check_return(focused, fits, sines, curvature=scene.curvature)
+    departure = float(torch.nan_to_num(told.opd).max())
+    angle = float(told.angle.max())
+    # A phase error changes a picture by at most as much.
+    unsure = 2 * math.pi * departure / wavelength
+    zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
+    if accepted is not None:
+        # Even through a small aperture waves come from some Fresnel zones about the ray that returns straight. For a
+        # return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where rays
+        # turn by √(λ/L): light fades out from twice that, the fourth zone, to four times, the sixteenth.
+        accepted = max(accepted, math.sqrt(wavelength * angle / fits.aperture[1]))
+        if angle <= 2 * accepted:
+            # No ray leaves under an angle that is faded out: follow the whole pupil, and waves beyond its rays.
+            accepted = None
+    pupils, by_rays = fits, False
+    far_out = zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted))
+    if correct and far_out:
+        found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)
+        # Crossing rays have several paths at a place, which the fit misses.
+        if found is not None and found.misfit < departure:
+            pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
+    if not by_rays:
+        accepted = None
+    coarser = f"ask for an accuracy of {unsure:.1g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
+    if unsure > min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE):
+        raise InputError(
+            f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
+            where="target",
+            remedy=f"{coarser}focus nearer to the probe, or stop the lens down with f_number",
+        )
+    steepest = fits.nodes.steepest
+    if scene.path.aperture is not None:
+        missed = (
+            2 * math.pi / wavelength * missed_path(scene.path.aperture, fits.aperture[1], angle, steepest, wavelength)
+        )
+        if missed > accuracy:
+            raise InputError(
+                f"the probe is so near that the way to its aperture is known to {missed / 2 / math.pi:.2g} waves only",
+                where="distance",
+                remedy=f"ask for an accuracy of {missed:.1g}, move the probe away, or narrow its aperture",
+            )
+        unsure = max(unsure, missed)
+    # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
+    # tilts that return enough.
+    lit = float(sines[told.overlap >= _FADING * told.overlap.max()].max())
+    return TracedLight(pupils, by_rays, accepted, departure, unsure, angle, min(lit, pupils.nodes.steepest), steepest)

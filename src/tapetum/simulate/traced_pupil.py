@@ -1,0 +1,187 @@
+"""A traced lens as the sampled pass sees it: directions, paths and shares of light by polynomials of its rays.
+
+A(s) is the share of the pupil that no rim covers times the root of |∂e/∂s|, which conserves energy; on the way out it
+is a function of the place e with |∂s/∂e|, and the returning light is read at each place's own direction. What leaves is
+in object space and propagates on from the entrance pupil (probe_path.py; docs/conventions.md, "Real lenses").
+
+A plane tilted by a takes s to -s - 2a cosθ, to first order in a, and lies a·y0 farther at the spot.
+"""
+
+from __future__ import annotations
+
+import math
+
+import torch
+
+from tapetum.optics.fourier import phasor
+from tapetum.simulate.foreshortening import foreshortening
+from tapetum.simulate.probe_path import ProbePath
+from tapetum.simulate.pupil_fits import PupilFits, chebyshev, on_grid, on_tilt_grid, open_share
+from tapetum.simulate.pupils import Entering, Leaving
+
+__all__ = ["TracedPupil"]
+
+_NO_TILT = 1e-11
+# The root of zero has no finite gradient.
+_DARK = 1e-30
+
+
+class TracedPupil:
+    """The pupils of a traced lens, of the light that enters and of the light that leaves.
+
+    Parameters
+    ----------
+    fits
+        The lens's pupils.
+    samples
+        Columns and rows of the entering pupil, of the returning field, which is interpolated, and of the leaving pupil.
+    path
+        From the lens to the probe's pixels.
+    wavelength
+        In metres.
+    tilt
+        a of the plane, in radians.
+    phase
+        Added to what leaves, in radians.
+    accepted
+        Largest angle, in radians, under which light still reaches the picture, for `corrected` fits made for it.
+    dtype
+        Of the fields.
+    """
+
+    fixed = False
+
+    def __init__(
+        self,
+        fits: PupilFits,
+        samples: tuple[int, int, int],
+        path: ProbePath,
+        *,
+        wavelength: float,
+        tilt: tuple[float, float] = (0.0, 0.0),
+        phase: float = 0.0,
+        accepted: float | None = None,
+        dtype: torch.dtype = torch.complex64,
+    ) -> None:
+        self.fits, self.path, self.accepted, self.samples = fits, path, accepted, samples
+        self.k, self.tilt, self.phase, self.dtype = 2 * math.pi / wavelength, tilt, phase, dtype
+        self.real = dtype.to_real()
+        at = chebyshev(fits.nodes.places, fits.nodes.count).to(path.device)
+        self.reach, self.rim = fits.aperture[0], self.k / float((at @ fits.radius).min())
+
+    def returns(self, sines: torch.Tensor) -> torch.Tensor:
+        """Whether anything returns from tilts [B, 2]: beyond the last node the polynomials are invalid."""
+        return _tilt_and_azimuth(sines)[0] <= self.fits.nodes.steepest * (1 + 1e-9)
+
+    def gazes(self, sines: torch.Tensor, own: bool) -> _TracedGazes:
+        """Itself under tilts [B, 2]."""
+        return _TracedGazes(self, sines, own)
+
+
+class _TracedGazes:
+    """A traced lens under a batch of tilts. A mirror's frame has columns across the tilt and rows along it."""
+
+    def __init__(self, pupil: TracedPupil, sines: torch.Tensor, own: bool) -> None:
+        fits = pupil.fits
+        self._pupil, self._sines, self._own = pupil, sines, own
+        size, self._toward = _tilt_and_azimuth(sines)
+        self._returns = pupil.returns(sines).to(torch.float64)
+        self._size = size.clamp_max(fits.nodes.steepest)
+        self._tilt = fits.nodes.terms(self._size)
+        middle, radius = self._tilt @ fits.middle, self._tilt @ fits.radius
+        self._chief = chief = middle / radius
+        tx, ty = self._toward.unbind(-1)
+        plane = torch.tensor(pupil.tilt, dtype=torch.float64, device=sines.device)
+        # A plane tilted away is farther at the spot by this.
+        self._nearer = -(self._toward @ plane) * middle
+        self._shift = self._nearer * chief / torch.sqrt(1 - chief**2)
+        # Where the chief ray meets the plane.
+        self.place = (middle - self._shift)[:, None] * self._toward
+        if own:
+            self.axes = torch.eye(2, dtype=torch.float64, device=sines.device).expand(len(sines), 2, 2)
+        else:
+            self.axes = torch.stack([torch.stack([ty, -tx], -1), torch.stack([tx, ty], -1)], -2)
+        # Of the tilt in the frame.
+        self._x, self._y = (self.axes @ self._toward[..., None])[..., 0].unbind(-1)
+        self.turn = torch.sqrt(1 - chief**2)[:, None] * (self.axes @ plane)
+        self.middle = torch.stack([chief * self._x, chief * self._y], -1)
+        # A sphere about the exit pupil's middle, seen under the chief ray's angle.
+        mx, my = self.middle.unbind(-1)
+        self.bend = (1 - mx**2) / radius, (1 - my**2) / radius, -mx * my / radius
+
+    def entering(self) -> Entering:
+        """The light on its way in."""
+        one, inside = self._pupil, None
+        if self._own:
+            toward = torch.stack([self._x, self._y], -1)
+            columns, rows, values, _, inside = on_grid(one.fits.entering, self._tilt, toward, one.samples[0])
+        else:
+            columns, rows, values = on_tilt_grid(one.fits.entering, self._tilt, one.samples[0])
+        share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:].to(one.real), inside)
+        cell = (columns[:, 1] - columns[:, 0]) * (rows[:, 1] - rows[:, 0])
+        # A tilted pupil receives less light.
+        strength = share * (cell * self._returns * (1 - self._size**2) ** 0.25)[:, None, None]
+        across, down = columns[:, None, :], rows[:, :, None]
+        along = self._x[:, None, None] * across + self._y[:, None, None] * down
+        return Entering(columns, rows, strength, values[:, 0] + self._taken(across**2 + down**2, along))
+
+    def leaving(self) -> Leaving:
+        """The pupil on the way out, on columns and rows of the probe's picture."""
+        one, fits, chief = self._pupil, self._pupil.fits, self._chief
+        rotation, _ = foreshortening(self._sines)
+        turned = (rotation.mT @ self._toward[..., None])[..., 0]
+        x, y, even, odd, inside = on_grid(fits.leaving, self._tilt, turned, one.samples[2])
+        out = torch.sqrt(even[:, 2].clamp_min(_DARK))
+        if odd.shape[1] > 1:
+            out = out * open_share(even[:, 4:].to(one.real), inside) * self._accept(even[:, 3], odd[:, 1])
+        else:
+            out = out * open_share(even[:, 3:].to(one.real), inside)
+        along, across = even[:, 1], odd[:, 0]
+        path = even[:, 0] + self._taken(along**2 + across**2, along) + one.phase / one.k
+        # Defocus adds a phase by the square of the direction: removed before the interpolation, restored after it. What
+        # a mask scatters does not have it.
+        defocus = 0.0 if self._own else fits.defocus
+        path = path - defocus / 2 * ((along + chief[:, None, None]) ** 2 + across**2)
+        tx, ty = self._x[:, None, None], self._y[:, None, None]
+        columns, read_x = self._line(along * tx - across * ty, inside)
+        rows, read_y = self._line(along * ty + across * tx, inside)
+        mx, my = self.middle.unbind(-1)
+        unbent = defocus / 2 * (columns + mx[:, None]) ** 2, defocus / 2 * (rows + my[:, None]) ** 2
+        wave = out.to(one.real) * phasor(one.k * path, one.dtype)
+        return Leaving(columns, rows, wave, x, y, torch.stack([read_x, read_y], -1), unbent)
+
+    def to_probe(
+        self, field: torch.Tensor, x: torch.Tensor, y: torch.Tensor, centres: torch.Tensor | None
+    ) -> torch.Tensor:
+        """Field on the probe's pixels [B, H, W]."""
+        return self._pupil.path.carry(field, x, y, self._sines, centres)
+
+    def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
+        """Fades out light under angles outside the picture."""
+        if self._pupil.accepted is None:
+            return torch.ones_like(along)
+        fade = (torch.hypot(along, across) / self._pupil.accepted - 2) / 2
+        return torch.cos(fade.clamp(0, 1) * (math.pi / 2)) ** 2
+
+    def _line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Equal steps over the places inside, [B, m], and where between them, from -1 to 1, each place lies."""
+        far = torch.full_like(places, math.inf)
+        low = torch.where(inside, places, far).amin((1, 2))
+        wide = torch.where(inside, places, -far).amax((1, 2)) - low
+        line = torch.linspace(0, 1, self._pupil.samples[1], dtype=torch.float64, device=places.device)
+        return low[:, None] + wide[:, None] * line, 2 * (places - low[:, None, None]) / wide[:, None, None] - 1
+
+    def _taken(self, square: torch.Tensor, along: torch.Tensor) -> torch.Tensor:
+        """Path difference of a plane nearer by this much at the spot, about the place where the chief ray meets it."""
+        if self._pupil.tilt == (0.0, 0.0):
+            return torch.zeros((), dtype=torch.float64, device=along.device)
+        height = torch.sqrt((1 - square).clamp_min(_DARK))
+        return -self._nearer[:, None, None] * height - self._shift[:, None, None] * along
+
+
+def _tilt_and_azimuth(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    """Sizes [B] and unit vectors [B, 2] of tilts [B, 2]; zero counts as along y, with a finite gradient."""
+    size = torch.sqrt((sines**2).sum(-1).clamp_min(_NO_TILT**2))
+    along_y = torch.zeros_like(sines)
+    along_y[:, 1] = 1
+    return size, torch.where((size > 2 * _NO_TILT)[:, None], sines / size[:, None], along_y)
