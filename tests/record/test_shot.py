@@ -6,14 +6,16 @@ import json
 from dataclasses import replace
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 import torch
 
 from tapetum.bench import Scene, load_scene, with_values
 from tapetum.errors import InputError
-from tapetum.record import HandMotion
+from tapetum.record import Glint, HandMotion, ProbeShake
 from tapetum.record.laser import BlinkCode, Exposure
 from tapetum.record.noise import counts
+from tapetum.record.patch import bell, moved
 from tapetum.record.returns import returns_of
 from tapetum.record.session import Placed, Session
 from tapetum.record.shot import Shot
@@ -264,3 +266,39 @@ def test_a_phones_cameras_look_where_their_axes_say(monkeypatch: pytest.MonkeyPa
         assert np.hypot(*place[0]) > 5e-3
         assert unit.axis != (0.0, 0.0)
         assert torch.allclose(torch.asin(tilts) - torch.asin(gazing), torch.tensor([unit.axis]).double())
+
+
+def test_a_probe_in_the_hand_moves_all_that_it_sees() -> None:
+    """Cameras and clutter move alike, by the probe's turn times its focal length; the gaze does not."""
+    scene = load_scene("hand-held")
+    still = HandMotion(extent=0.1, sway=0.0)
+    clutter = (Glint((0.36, -0.3), 6000.0, parallax=0.0, sway=0.0, twinkle=0.0),)
+    standing = Session(1.0, 15.0, 4, motion=still, clutter=clutter)
+    pixels = 20.0
+    rms = pixels * scene.probe.sensor.pitch / scene.probe.lens.focal_length
+    held = replace(standing, shake=ProbeShake(rms))
+    one, other = Shot(scene, standing), Shot(scene, held)
+    tables = [shot.truth().filter(pc.equal(shot.truth()["stream"], "probe")) for shot in (one, other)]
+    a, b = (np.stack([table[name].to_numpy() for name in ("x", "y")], 1) for table in tables)
+    by = b - a
+    assert np.std(by) == pytest.approx(pixels, rel=0.5)
+    assert tables[0]["gaze_x"].equals(tables[1]["gaze_x"])
+    frame = int(np.argmax(np.abs(by).sum(1)))
+    size = np.array(scene.probe.sensor.pixels)
+    glint = (size - 1) / 2 + np.array([0.36, -0.3]) * size
+
+    def centroid(image: np.ndarray, near: np.ndarray) -> np.ndarray:
+        x, y = np.rint(near).astype(int)
+        part = image[y - 12 : y + 13, x - 12 : x + 13].astype(float)
+        part = np.maximum(part - np.median(part) - 6, 0)
+        rows, columns = np.indices(part.shape)
+        return np.array([x - 12 + (part * columns).sum() / part.sum(), y - 12 + (part * rows).sum() / part.sum()])
+
+    before = centroid(one.probe(frame, frame + 1)[0], glint)
+    after = centroid(other.probe(frame, frame + 1)[0], glint + by[frame])
+    assert after - before == pytest.approx(by[frame], abs=0.3)
+    # Parts of pixels are moved too, and no light is lost.
+    patch = bell((10.0, 12.0), 5.0, 2.0, 9)
+    shifted = moved(patch, (3.25, -1.5))
+    assert (shifted.left, shifted.top) == (patch.left + 3, patch.top - 2)
+    assert shifted.light.sum() == pytest.approx(patch.light.sum(), rel=1e-6)

@@ -4,8 +4,9 @@ from tapetum.record.clocks import join
 from tapetum.record.clutter import Glint, Lamp, Tape, draw_clutter
 from tapetum.record.film import Session, film
 from tapetum.record.frames import open_frames
+from tapetum.record.imaging import Imaging
 from tapetum.record.laser import BlinkCode, Exposure
-from tapetum.record.motion import HandMotion
+from tapetum.record.motion import HandMotion, ProbeShake
 from tapetum.record.recording import Recording, open_recording
 from tapetum.record.session import Placed
 from tapetum.record.shot import Shot
@@ -24,8 +25,10 @@ __all__ = [
     "Glint",
     "Gradient",
     "HandMotion",
+    "Imaging",
     "Lamp",
     "Placed",
+    "ProbeShake",
     "Recording",
     "RecordingWriter",
     "Session",

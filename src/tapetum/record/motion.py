@@ -11,7 +11,7 @@ from scipy.special import ndtr
 
 from tapetum.errors import InputError
 
-__all__ = ["Hand", "HandMotion", "Waves"]
+__all__ = ["Hand", "HandMotion", "ProbeShake", "Waves"]
 
 Array = npt.NDArray[np.float64]
 
@@ -92,6 +92,31 @@ class Waves:
         """Return both processes at times [T] in seconds: [T, 2]."""
         angle = 2 * np.pi * self.frequency * times[:, None, None] + self.phase
         return np.sqrt(2 / len(self.frequency)) * np.cos(angle).sum(axis=1)
+
+
+@dataclass(frozen=True)
+class ProbeShake:
+    """Rotation of a probe that is held in the hand: all that it sees moves together.
+
+    Parameters
+    ----------
+    rms
+        RMS angle about x and about y, in radians: times its focal length it is the picture's motion.
+    band
+        Frequencies in Hz; by default those of a hand's tremor (see `HandMotion`).
+    """
+
+    rms: float
+    band: tuple[float, float] = (8.0, 12.0)
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.rms) and self.rms >= 0 and 0 < self.band[0] <= self.band[1]):
+            what = f"{self.rms} rad at {self.band} Hz is no shake"
+            raise InputError(what, where="shake", remedy="give radians from 0, and frequencies that rise from above 0")
+
+    def draw(self, seed: int, times: Array) -> Array:
+        """Return the angles at times [T] in seconds, [T, 2] in radians, determined by the seed."""
+        return self.rms * Waves.draw(np.random.default_rng([seed, 2]), self.band)(times)
 
 
 @dataclass(frozen=True)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-__all__ = ["Patch", "add_patch", "bell"]
+__all__ = ["Patch", "add_patch", "bell", "moved"]
 
 
 class Patch(NamedTuple):
@@ -24,6 +25,16 @@ def bell(place: npt.ArrayLike, height: float, sigma: float, reach: int) -> Patch
     offsets = (np.arange(2 * reach + 1) + c - p for c, p in zip((left, top), np.asarray(place), strict=True))
     across, down = (np.exp(-(one**2) / (2 * sigma**2)) for one in offsets)
     return Patch(left, top, (height * down[:, None] * across).astype(np.float32))
+
+
+def moved(patch: Patch, by: npt.ArrayLike) -> Patch:
+    """Return a patch moved by (x, y) pixels; parts of pixels by linear interpolation."""
+    x, y = np.asarray(by, dtype=np.float64)
+    column, row = math.floor(x), math.floor(y)
+    light = np.pad(patch.light, ((0, 1), (0, 1)))
+    for axis, part in ((1, x - column), (0, y - row)):
+        light = (1 - part) * light + part * np.roll(light, 1, axis)
+    return Patch(patch.left + column, patch.top + row, light.astype(np.float32))
 
 
 def add_patch(frame: npt.NDArray[np.float32], patch: Patch, gain: float) -> None:

@@ -12,7 +12,7 @@ from tapetum.record.beats import CameraClock
 from tapetum.record.clutter import Clutter
 from tapetum.record.imaging import Imaging
 from tapetum.record.laser import BlinkCode, Exposure
-from tapetum.record.motion import HandMotion
+from tapetum.record.motion import HandMotion, ProbeShake
 from tapetum.record.stray import Stray
 
 __all__ = ["Placed", "Session"]
@@ -57,6 +57,8 @@ class Session:
         Whether the target sees the probe's laser, and its blink code; None for constant light.
     power_jitter
         Relative RMS of the laser's power from frame to frame.
+    shake
+        How the probe is held; None for one that stands. Its stray light, which its own lens spreads, stays.
     imaging
         When the first target images; None for always as its scene says.
     stray, clutter
@@ -75,6 +77,7 @@ class Session:
     laser: bool = True
     code: BlinkCode | None = None
     power_jitter: float = 0.0
+    shake: ProbeShake | None = None
     imaging: Imaging | None = None
     exposure: Exposure = field(default_factory=Exposure)
     target_exposure: Exposure = field(default_factory=Exposure)
@@ -114,6 +117,7 @@ class Session:
                 "power_jitter": self.power_jitter,
                 "code": self.code and {**asdict(self.code), "word": list(self.code.sent)},
             },
+            "shake": self.shake and asdict(self.shake),
             "imaging": self.imaging and asdict(self.imaging),
             "exposure": {"probe": asdict(self.exposure), "target": asdict(self.target_exposure)},
             "stray": [_named(one) for one in self.stray],

@@ -19,7 +19,7 @@ from tapetum.record.clutter import Painter, Stage
 from tapetum.record.imaging import idle_scene, imaging_scene
 from tapetum.record.motion import Hand
 from tapetum.record.noise import counts
-from tapetum.record.patch import add_patch
+from tapetum.record.patch import add_patch, moved
 from tapetum.record.returns import Flashes, Returns, flashes_of, returns_of
 from tapetum.record.room import Room
 from tapetum.record.session import Placed, Session
@@ -230,6 +230,17 @@ class Shot:
         return hand.gaze(times), place, hand.roll(times), hand.distance(times)
 
     @cached_property
+    def _shaken(self) -> Array:
+        """Angles [T, 2] by which the probe is turned in its frames, in radians."""
+        times, shake = self._camera.beat.times, self.session.shake
+        return np.zeros((len(times), 2)) if shake is None else shake.draw(self.session.seed, times)
+
+    def _seen(self, number: int) -> tuple[Array, Array, Array, Array]:
+        """As `_held`, in the probe's frames: a turn of the probe moves a target as a step aside would."""
+        gaze, place, roll, distance = self._held(number, self._camera.beat.times)
+        return gaze, place + self._shaken * distance[:, None], roll, distance
+
+    @cached_property
     def _imaging(self) -> Array:
         """Share [T] of the probe's exposures in which the first target images."""
         times, seconds = self._camera.beat.times, self._camera.seconds * self._camera.factor
@@ -245,13 +256,12 @@ class Shot:
     @cached_property
     def _idle(self) -> Returns:
         """The return of the first target's own camera while it does not image."""
-        return returns_of(idle_scene(self._scenes[0]), *self._held(0, self._camera.beat.times))[0]
+        return returns_of(idle_scene(self._scenes[0]), *self._seen(0))[0]
 
     @cached_property
     def _returns(self) -> list[list[Returns]]:
         """For every target, the returns of all its cameras."""
-        times = self._camera.beat.times
-        return [returns_of(own, *self._held(n, times)) for n, own in enumerate(self._scenes)]
+        return [returns_of(own, *self._seen(n)) for n, own in enumerate(self._scenes)]
 
     def _phase(self, number: int) -> float:
         """Return the phase of a target's dot projector, in parts of its period."""
@@ -261,9 +271,7 @@ class Shot:
     def _flashes(self) -> list[tuple[int, Flashes]]:
         """Number and flashes of every target with a dot projector."""
         times, exposure = self._camera.beat.times, self._camera.seconds * self._camera.factor
-        found = [
-            flashes_of(own, times, exposure, self._phase(n), self._held(n, times)) for n, own in enumerate(self._scenes)
-        ]
+        found = [flashes_of(own, times, exposure, self._phase(n), self._seen(n)) for n, own in enumerate(self._scenes)]
         return [(n, one) for n, one in enumerate(found) if one is not None]
 
     @cached_property
@@ -297,9 +305,11 @@ class Shot:
         for number, flashes in self._flashes:
             if (patch := flashes.patch(i)) is not None:
                 add_patch(mean, patch, 1.0 if number else float(self._imaging[i]))
+        turned = self._shaken * (self.scene.probe.lens.focal_length / self.scene.probe.sensor.pitch)
         for of_laser, paint in self._painters:
             if power or not of_laser:
-                add_patch(mean, paint(i), exposure * power if of_laser else exposure)
+                patch = moved(paint(i), turned[i]) if self.session.shake is not None else paint(i)
+                add_patch(mean, patch, exposure * power if of_laser else exposure)
         mean = self._ground.seen(mean)
         return counts(mean, self.scene.probe.sensor, self._camera.frame_rng(i))
 
