@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import math
-from pathlib import Path
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 
-from tapetum import Session, film, load_scene, open_frames
+from tapetum import Session, load_scene
+from tapetum.bench import with_values
 from tapetum.errors import InputError
-from tapetum.record.motion import HandMotion
-from tapetum.record.session import Placed
-from tapetum.record.source import Frame
+from tapetum.record import HandMotion, Placed, ProbeShake
+from tapetum.record.shot import Shot
 from tapetum.track import Detections, Tracker, track
+from tapetum.track.ghosts import Ghost
 from tapetum.track.metrics import TrackScores, score_tracks
 from tapetum.track.motion import common_motion
 
@@ -202,24 +201,33 @@ def test_nothing_scores_nothing() -> None:
         score_tracks([([1, 1], np.zeros((2, 2)))], [([], [])], reach=1)
 
 
-def test_three_targets_of_the_virtual_bench_keep_their_numbers_in_the_hand(tmp_path: Path) -> None:
-    """Frames of the bench, each moved as a whole by a hand's shake of 25 px, and the bench's own truth."""
-    still = HandMotion(extent=0.0, sway=0.0)
-    others = tuple(Placed((x, y), motion=still, seed=n) for n, (x, y) in enumerate([(-0.012, 0.005), (0.012, -0.005)]))
-    film(load_scene("hand-held"), tmp_path / "b.rec", Session(seconds=3.0, seed=3, motion=still, others=others))
-    table = pq.read_table(tmp_path / "b.rec" / "truth.parquet").to_pylist()
-    sway = hand(np.random.default_rng(2), 45, 25.0).round().astype(int)
-    truth, frames = [], []
-    for n, frame in enumerate(open_frames(tmp_path / "b.rec")):
-        rows = [row for row in table if row["stream"] == "probe" and row["frame"] == frame.index]
-        names = [row["target"] for row in rows]
-        truth.append((names, [(row["x"] + sway[n][0], row["y"] + sway[n][1]) for row in rows]))
-        moved = np.roll(frame.image, (int(sway[n][1]), int(sway[n][0])), (0, 1))
-        frames.append(Frame(n, frame.time, moved, full_scale=frame.full_scale))
-    # Two of three are dimmer than a quarter of the third at times: without a calibrated ghost nothing is dropped.
-    options = {"ghost_ratio": 0.0, "stray": 0.1}
-    followed_ = track(frames, detect_options=options, tracker=Tracker(ghost_ratio=0.0, persist=(3, 5)))
-    tracks = [([row.track for row in one.rows], [(row.x, row.y) for row in one.rows]) for one in followed_]
-    # The spots are 130 px wide and the truth is the centre of the pupil, not of the light.
-    scores = score_tracks(truth, tracks, reach=120)
-    assert scores.changes == 0 and scores.idf1 >= 0.93, scores
+@pytest.mark.parametrize("shake", [0.0, 30.0])
+def test_three_cameras_of_the_virtual_bench_keep_their_numbers(shake: float) -> None:
+    """Cameras whose gaze wanders, each now bright and now dim, before a probe that stands or shakes in the hand."""
+    scene = with_values(
+        load_scene("hand-held"), {"target.lens.aperture_radius": 2e-3, "probe.sensor.pixels": [1000, 800]}
+    )
+    motion = HandMotion(extent=0.25, sway=1e-3)
+    places = [(-0.008, 0.006), (0.009, -0.005)]
+    others = tuple(Placed(place, motion=motion, seed=n) for n, place in enumerate(places))
+    # Of 30 px.
+    held = ProbeShake(shake * scene.probe.sensor.pitch / scene.probe.lens.focal_length) if shake else None
+    shot = Shot(scene, Session(3.0, 15.0, 8, motion=motion, others=others, shake=held))
+    frames = list(shot.cameras["probe"])
+    truth: list[tuple[list[int], list[tuple[float, float]]]] = [([], []) for _ in frames]
+    for row in shot.truth().to_pylist():
+        if row["stream"] == "probe":
+            truth[row["frame"]][0].append(row["target"])
+            truth[row["frame"]][1].append((row["x"], row["y"]))
+    options = {"known_ghost": Ghost.of(scene)}
+    tracker = Tracker(ghost_ratio=0.0, persist=(3, 5))
+    followed_ = track(frames, detect_options=options, tracker=tracker)
+    tracks = [
+        ([row.track for row in one.rows if row.seen], [(row.x, row.y) for row in one.rows if row.seen])
+        for one in followed_
+    ]
+    # The truth is the centre of the pupil, from which a vignetted spot may lie 26 px.
+    scores = score_tracks(truth, tracks, reach=60)
+    assert scores.changes == 0 and scores.idf1 >= 0.95, scores
+    # None of the cameras is lost as the ghost of a brighter one: by their heights alone a third of the places is.
+    assert scores.missed <= 0.07 * sum(len(names) for names, _ in truth), scores

@@ -51,7 +51,10 @@ def track(
         option("PX", "Largest diameter, of spots 400, of cameras 60: wider ones are walls and lamps.", min=1.0),
     ] = None,
     ghost: Annotated[
-        Path | None, option("FILE", "A calibrated ghost: only what stands at its offset and ratio is dropped.")
+        Path | None,
+        option(
+            "FILE", "A calibrated ghost, NAME.json, or the probe's scene: only what stands at its place is dropped."
+        ),
     ] = None,
     calibrate: Annotated[
         bool,
@@ -114,9 +117,11 @@ def track(
     # What is smoothed takes its name only when it is; until then, and if it cannot be, the tracks are kept beside.
     raw = out if smooth is None else free_name(out, "unsmoothed")
     if ghost is not None:
+        from tapetum.bench import load_scene
         from tapetum.track.ghosts import Ghost
 
-        options["known_ghost"] = Ghost.load(ghost)
+        scene = ghost.suffix.lower() != ".json"
+        options["known_ghost"] = Ghost.of(load_scene(str(ghost))) if scene else Ghost.load(ghost)
     # One of one's own making tells afterwards what it could not use; ghosts that are kept aside are marked.
     chosen, chosen_options = detector, options
     if detector == "cameras":

@@ -29,6 +29,8 @@ __all__ = ["DETECTORS", "LARGEST_FRAME", "Detector", "SpotDetector", "detect"]
 
 LARGEST_FRAME = 2**27
 """Most pixels of a frame: the search keeps some forty bytes for each, here 5 GB."""
+# Heights of stray light over those of the frame's brightest spot, and of rings over their own spot's.
+_STRAY, _RINGS = 0.03, 0.05
 
 
 def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: float) -> NDArray[np.bool_]:
@@ -60,7 +62,7 @@ def detect(
     ghosts: str = "drop",
     ghost_ratio: float = 0.25,
     ghost_radius: float | None = None,
-    stray: float = 0.03,
+    stray: float | None = None,
     largest: float | None = None,
     known_ghost: Ghost | None = None,
 ) -> Detections:
@@ -94,13 +96,14 @@ def detect(
     ghost_radius
         Largest distance of a ghost in pixels; default: 0.35 of the frame's diagonal.
     stray
-        Height, as a fraction of the brightest spot's, below which light anywhere is stray. 0: never.
+        Height, as a fraction of the brightest spot's, below which light anywhere is stray. 0: never; default: 0.03.
     largest
         Largest diameter of a spot in pixels. Wider ones, such as walls and blurred lamps, are removed before ghosts are
         sought. None: no limit.
     known_ghost
         Of this probe's beam splitter, calibrated: then only spots at its offset and ratio are ghosts, `ghost_ratio` and
-        `ghost_radius` do not apply, and `stray` does only within three diameters of a brighter spot.
+        `ghost_radius` do not apply, and `stray`, 0.05 by default for the rings of a defocused beam, does only within
+        three diameters of a brighter spot.
 
     Returns
     -------
@@ -127,6 +130,8 @@ def detect(
         raise InputError(f"must be at least 1, is {max_count}", where="max_count")
     if ghosts not in ("drop", "mark"):
         raise InputError(f"unknown value {ghosts!r}", where="ghosts", remedy="use one of drop, mark")
+    if stray is None:
+        stray = _STRAY if known_ghost is None else _RINGS
     if not (0 <= ghost_ratio <= 1 and 0 <= stray <= 1):
         raise InputError(f"must lie in 0...1, are {ghost_ratio}, {stray}", where="ghost_ratio, stray")
     if largest is not None and not largest > 0:
@@ -146,9 +151,8 @@ def detect(
     if known_ghost is None:
         spots["ghost"] = _ghosts(spots, ghost_ratio, radius, stray)
     else:
-        spots["ghost"] = known_ghost.among(spots["x"], spots["y"], spots["peak"], spots["saturated"]) | _halos(
-            spots, stray
-        )
+        columns = (spots[name] for name in ("x", "y", "peak", "saturated", "diameter"))
+        spots["ghost"] = known_ghost.among(*columns) | _halos(spots, stray)
     if ghosts == "drop":
         spots = {name: values[~spots["ghost"]] for name, values in spots.items()}
     reach = np.maximum(4.0, 0.75 * spots["diameter"])

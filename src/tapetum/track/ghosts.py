@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tapetum.bench import Scene
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.track.detections import Detections
@@ -25,6 +26,10 @@ _FORMAT = "tapetum-ghost"
 # Half the width of the band of ratios that a ghost may have: twice, for noise and fringes.
 _FACTOR = 2.0
 _DIMMER = 0.5
+# How far from its place the middle of a smeared ghost may lie, as a share of the way to its bright spot.
+_ON_THE_WAY = 0.6
+# The second beam's light has another gaze, so that its spot may be cut elsewhere: in pixels.
+_REACH_OF_A_SCENE = 15.0
 _FEWEST = 5
 _LEAST_SHARE = 0.5
 
@@ -61,11 +66,18 @@ class Ghost:
             raise InputError(f"ratio must lie between 0 and 1, is {self.ratio}", where="ghost")
 
     def among(
-        self, x: NDArray[np.float64], y: NDArray[np.float64], peak: NDArray[np.float64], saturated: NDArray[np.generic]
+        self,
+        x: NDArray[np.float64],
+        y: NDArray[np.float64],
+        peak: NDArray[np.float64],
+        saturated: NDArray[np.generic],
+        diameter: NDArray[np.float64] | None = None,
     ) -> NDArray[np.bool_]:
         """Which spots [N] are the ghost of another; one spot has one ghost, the nearest to where it is due.
 
-        Of a saturated spot the true height is unknown: its ghost may be brighter than the ratio says.
+        Of a saturated spot the true height is unknown: its ghost may be brighter than the ratio says. The outline of a
+        faint ghost may run into what its bright spot left; a spot wider than the bright one, in `diameter` (pixels), is
+        its ghost too where it covers the place.
         """
         ghost = np.zeros(len(x), bool)
         for n in np.argsort(-peak, kind="stable"):
@@ -73,11 +85,30 @@ class Ghost:
                 continue
             off = np.hypot(x - x[n] - self.dx, y - y[n] - self.dy)
             share = peak / max(float(peak[n]), 1e-12) / self.ratio
-            fits = (off <= self.reach) & (share >= 1 / _FACTOR) & (share <= (math.inf if saturated[n] else _FACTOR))
+            near = off <= self.reach
+            if diameter is not None:
+                covers = np.minimum(diameter / 2, _ON_THE_WAY * math.hypot(self.dx, self.dy))
+                near |= (diameter > diameter[n]) & (off <= covers)
+            fits = near & (share >= 1 / _FACTOR) & (share <= (math.inf if saturated[n] else _FACTOR))
             fits &= (peak < peak[n]) & ~ghost
             if fits.any():
                 ghost[np.argmin(np.where(fits, off, np.inf))] = True
         return ghost
+
+    @classmethod
+    def of(cls, scene: Scene) -> Ghost:
+        """The ghost that a scene's second beam makes, at infinity's focus of its probe.
+
+        Raises
+        ------
+        InputError
+            When the scene has no second beam.
+        """
+        beam, probe = scene.illumination.second_beam, scene.probe
+        if beam is None or beam.ratio == 0:
+            raise InputError("has none, so that there is no ghost", where="illumination.second_beam")
+        dx, dy = (-probe.lens.focal_length * math.tan(angle) / probe.sensor.pitch for angle in beam.angle)
+        return cls(dx, dy, beam.ratio, _REACH_OF_A_SCENE)
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write it as JSON."""
