@@ -30,7 +30,7 @@ __all__ = ["DETECTORS", "LARGEST_FRAME", "Detector", "SpotDetector", "detect"]
 LARGEST_FRAME = 2**27
 """Most pixels of a frame: the search keeps some forty bytes for each, here 5 GB."""
 # Heights of stray light over those of the frame's brightest spot, and of rings over their own spot's.
-_STRAY, _RINGS = 0.03, 0.05
+_STRAY, _RINGS = 0.03, 0.07
 
 
 def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: float) -> NDArray[np.bool_]:
@@ -102,7 +102,7 @@ def detect(
         sought. None: no limit.
     known_ghost
         Of this probe's beam splitter, calibrated: then only spots at its offset and ratio are ghosts, `ghost_ratio` and
-        `ghost_radius` do not apply, and `stray`, 0.05 by default for the rings of a defocused beam, does only within
+        `ghost_radius` do not apply, and `stray`, 0.07 by default for the rings of a defocused beam, does only within
         three diameters of a brighter spot.
 
     Returns

@@ -26,7 +26,8 @@ _FORMAT = "tapetum-ghost"
 # Half the width of the band of ratios that a ghost may have: twice, for noise and fringes.
 _FACTOR = 2.0
 _DIMMER = 0.5
-# How far from its place the middle of a smeared ghost may lie, as a share of the way to its bright spot.
+# How far from its place the middle of a smeared ghost may lie, as a share of its diameter and of the way to its bright
+# spot.
 _ON_THE_WAY = 0.6
 # The second beam's light has another gaze, so that its spot may be cut elsewhere: in pixels.
 _REACH_OF_A_SCENE = 15.0
@@ -75,9 +76,9 @@ class Ghost:
     ) -> NDArray[np.bool_]:
         """Which spots [N] are the ghost of another; one spot has one ghost, the nearest to where it is due.
 
-        Of a saturated spot the true height is unknown: its ghost may be brighter than the ratio says. The outline of a
-        faint ghost may run into what its bright spot left; a spot wider than the bright one, in `diameter` (pixels), is
-        its ghost too where it covers the place.
+        Of a saturated spot the true height is unknown: its ghost may be brighter than the ratio says. A ghost that
+        touches its bright spot is cut, or runs into what that left; with `diameter` (pixels) a spot that touches it is
+        its ghost where it covers the place, and so is one wider than it.
         """
         ghost = np.zeros(len(x), bool)
         for n in np.argsort(-peak, kind="stable"):
@@ -87,8 +88,9 @@ class Ghost:
             share = peak / max(float(peak[n]), 1e-12) / self.ratio
             near = off <= self.reach
             if diameter is not None:
-                covers = np.minimum(diameter / 2, _ON_THE_WAY * math.hypot(self.dx, self.dy))
-                near |= (diameter > diameter[n]) & (off <= covers)
+                away = math.hypot(self.dx, self.dy)
+                touching = (diameter > diameter[n]) | ((diameter + diameter[n]) / 2 > away)
+                near |= touching & (off <= _ON_THE_WAY * np.minimum(diameter, away))
             fits = near & (share >= 1 / _FACTOR) & (share <= (math.inf if saturated[n] else _FACTOR))
             fits &= (peak < peak[n]) & ~ghost
             if fits.any():
