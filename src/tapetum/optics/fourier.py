@@ -135,8 +135,8 @@ class BandLimitedFourier:
         parts = torch.cat([nodes.real, nodes.imag], -1)
         if self._lift_y is not None:
             parts = self._lift_y @ parts
-        real, imaginary = parts.split(nodes.shape[-1], -1)
-        return torch.addcmul(real.square(), imaginary, imaginary)
+        parts = parts.square() if parts.requires_grad else parts.square_()
+        return parts[..., : nodes.shape[-1]] + parts[..., nodes.shape[-1] :]
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Transform [..., Y, X] to [..., V, U]."""

@@ -109,7 +109,8 @@ class PhoneCamera:
             return camera(sines, centres, equivalent=equivalent)
         # All beams at once: a few frames are no work for the processor.
         beams = camera.beams(sines, centres)
-        tilts, places = (torch.cat([beam[i].to(torch.float64) for beam in beams]) for i in (0, 1))
+        tilts = torch.cat([one.double() for one, _, _ in beams])
+        places = torch.cat([one.double() for _, one, _ in beams])
         # Windows start on whole pixels; the rest of each place is rendered.
         apart = torch.tensor([output.columns - window.columns, output.rows - window.rows]).to(places) / 2
         corner = (apart + places.detach() / output.pitch).round()
@@ -120,7 +121,8 @@ class PhoneCamera:
             return torch.zeros(len(sines), output.rows, output.columns, dtype=camera.real, device=camera.device)
         images = camera.render(tilts[here], (places - (corner - apart) * output.pitch)[here], equivalent=equivalent)
         total = images.new_zeros(len(sines), output.rows, output.columns)
-        for number, image in zip(here.tolist(), images, strict=True):
+        for one, image in zip(here, images, strict=True):
+            number = int(one)
             x, y = int(left[number]), int(top[number])
             rows = slice(max(y, 0), min(y + window.rows, output.rows))
             columns = slice(max(x, 0), min(x + window.columns, output.columns))

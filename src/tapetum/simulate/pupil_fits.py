@@ -304,11 +304,18 @@ def on_grid(
     at = centre[:, 1:2] * toward
     x, y = at[:, 0:1] + wide[:, 0:1] * unit, at[:, 1:2] + wide[:, 1:2] * unit
 
-    def scaled(columns: torch.Tensor, rows: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def scaled(
+        columns: torch.Tensor, rows: torch.Tensor, dtype: torch.dtype = torch.float64
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         tx, ty = toward[:, :1] / half, toward[:, 1:] / half
-        along = (columns * tx[:, 1:])[:, None, :] + (rows * ty[:, 1:] - centre[:, 1:] / half[:, 1:])[:, :, None]
-        across = (rows * tx[:, :1])[:, :, None] - (columns * ty[:, :1])[:, None, :]
-        return across, along
+        parts = (
+            columns * tx[:, 1:],
+            rows * ty[:, 1:] - centre[:, 1:] / half[:, 1:],
+            columns * ty[:, :1],
+            rows * tx[:, :1],
+        )
+        right, down, left, up = (part.to(dtype) for part in parts)
+        return up[:, :, None] - left[:, None, :], right[:, None, :] + down[:, :, None]
 
     # Rotated or not, this many columns and rows determine a polynomial of the degree, so few places are evaluated.
     order = max(fit.degrees) + 1
@@ -322,7 +329,7 @@ def on_grid(
     lower = lift.to(dtype)
     path = lift @ even[:, 0] @ lift.T
     others, odd = (lower @ one.to(dtype) @ lower.T for one in (even[:, 1:], odd))
-    across, along = scaled(x, y)
+    across, along = scaled(x, y, dtype)
     return x, y, path, others, odd, (across.abs() <= 1) & (along.abs() <= 1)
 
 

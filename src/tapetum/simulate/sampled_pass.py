@@ -110,7 +110,8 @@ class SampledPass(Generic[Lens]):
         lit = self.pupil.returns(sines).nonzero()[:, 0]
         dtype = self.dtype.to_real() if squared else self.dtype
         images = torch.zeros(len(sines), *self.pupil.path.shape, dtype=dtype, device=self.device)
-        for some in lit.split(self._at_once) if len(lit) else ():
+        for i in range(0, len(lit), self._at_once):
+            some = lit[i : i + self._at_once]
             at = self.pupil.gazes(sines[some], self._own)
             moved = None if centres is None else centres[some]
             images[some] = at.to_probe(*self._left(at), moved, squared=squared)
