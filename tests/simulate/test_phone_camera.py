@@ -126,3 +126,26 @@ def test_one_camera_and_a_phone_open_alike() -> None:
     scene = phone("phone-01")
     assert isinstance(open_camera(scene, 0.02, output=Grid(5, 5, 4e-5)), PhoneCamera)
     assert isinstance(open_camera(load_scene("thin-lens"), 0.02, output=Grid(5, 5, 4e-5)), Camera)
+
+
+@pytest.mark.parametrize("accuracy", [0.1, 1e-2])
+def test_windows_hold_what_the_whole_sensor_sees(accuracy: float) -> None:
+    """Each return on its own pixels, against all cameras on all pixels; off the middle, and partly off the sensor."""
+    grid = Grid(420, 420, 4.4e-6)
+    beam = {"angle": ["0.12 deg", "-0.1 deg"], "ratio": 0.3}
+    scene = phone(several(), **{"sampling.accuracy": accuracy, "illumination.second_beam": beam})
+    camera = PhoneCamera(scene, 0.05, output=grid, device="cpu")
+    assert all(one.output.rows < grid.rows for one, _ in camera.units)
+    whole = PhoneCamera.__new__(PhoneCamera)
+    whole.scene, whole.output = scene, grid
+    whole.units = [(one.on(grid), unit) for one, unit in camera.units]
+    tilts = TILT.expand(3, 2)
+    centres = torch.tensor([[0.0, 0.0], [1.234e-4, -2.5e-4], [9.3e-4, 1e-5]], dtype=torch.float64)
+    found, like = camera(tilts, centres), whole(tilts, centres)
+    assert found.shape == like.shape == (3, 420, 420)
+    apart = float(((found - like).abs().amax((1, 2)) / like.amax((1, 2))).max())
+    assert float(found[2].max()) > 0
+    # Far beyond the sensor nothing is computed.
+    assert float(camera(TILT, torch.tensor([[0.1, 0.0]], dtype=torch.float64)).max()) == 0
+    # A tenth of the accuracy for each camera and beam.
+    assert 0 < apart < 0.2 * accuracy

@@ -96,11 +96,14 @@ def test_fits_meet_other_rays_than_theirs(validated: Any) -> None:
 def test_pupils_on_any_grid_are_the_same_pupil() -> None:
     _, fits = traced(PHONE)
     tilt = fits.nodes.terms(torch.tensor([0.05], dtype=torch.float64))
-    across, along, values = on_tilt_grid(fits.entering, tilt, 40)
-    x, y, even, _, inside = on_grid(fits.entering, tilt, torch.tensor([[0.0, 1.0]], dtype=torch.float64), 40)
-    assert torch.allclose(across.abs(), x.abs()) and torch.allclose(along, y)
-    shown = inside[:, None].expand_as(even)
-    assert torch.allclose(even[shown], values[shown], rtol=1e-9, atol=1e-12)
+    across, along, path, values = on_tilt_grid(fits.entering, tilt, 40)
+    x, y, psi, even, _, inside = on_grid(fits.entering, tilt, torch.tensor([[0.0, 1.0]], dtype=torch.float64), 40)
+    assert torch.allclose(across, x[:, 20:].abs()) and torch.allclose(along, y)
+    for columns in (torch.arange(20, 40), torch.arange(19, -1, -1)):
+        shown = inside[..., columns]
+        assert torch.allclose(psi[..., columns][shown], path[shown], rtol=1e-9, atol=1e-15)
+        shown = shown[:, None].expand_as(values)
+        assert torch.allclose(even[..., columns][shown], values[shown], rtol=1e-9, atol=1e-12)
     turned = on_grid(fits.entering, tilt, torch.tensor([[1.0, 0.0]], dtype=torch.float64), 40)
     assert torch.allclose(turned[0], y)
 
@@ -111,6 +114,11 @@ def test_open_share_is_the_area_inside_a_rim() -> None:
     share = open_share(height[None, None])
     assert float(share.sum()) * (1 / 45) ** 2 == pytest.approx(math.pi * 0.8**2, rel=5e-4)
     assert float(share.min()) == 0 and float(share.max()) == 1
+    # Half of it, beside its mirror image, and under a second rim that cuts the first.
+    both = torch.stack([height, (line[None, :] ** 2 + (line[:, None] - 0.7) ** 2) / 0.6**2])[None]
+    whole = open_share(both)
+    assert 0 < float(whole.sum()) < 0.7 * float(share.sum())
+    torch.testing.assert_close(open_share(both[..., 45:], mirrored=True), whole[..., 45:])
 
 
 def test_nodes_interpolate() -> None:

@@ -231,9 +231,9 @@ def along_energy(one: TracedPass, degrees: float) -> float:
 
     sines = along_y(degrees)
     tilt = one.fits.nodes.terms(sines[:, 1])
-    x, y, even, _, inside = on_grid(one.fits.leaving, tilt, torch.tensor([[0.0, 1.0]], dtype=torch.float64), 400)
+    x, y, _, even, _, inside = on_grid(one.fits.leaving, tilt, torch.tensor([[0.0, 1.0]], dtype=torch.float64), 400)
     cell = float((x[0, 1] - x[0, 0]) * (y[0, 1] - y[0, 0]))
-    return float((open_share(even[:, 3:], inside) ** 2).sum()) * cell * math.sqrt(1 - float(sines[0, 1]) ** 2)
+    return float((open_share(even[:, 2:], inside) ** 2).sum()) * cell * math.sqrt(1 - float(sines[0, 1]) ** 2)
 
 
 def test_a_layer_is_the_sensor_moved(validated: Any) -> None:

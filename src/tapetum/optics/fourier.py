@@ -21,7 +21,7 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
     """
     if dtype == torch.complex64 and phase.dtype == torch.float64:
         turns = phase * (0.5 / math.pi)
-        phase = ((turns - turns.round()) * (2 * math.pi)).float()
+        phase = (turns - turns.round()).float() * (2 * math.pi)
     found = torch.complex(torch.cos(phase), torch.sin(phase))
     return found if dtype is None else found.to(dtype)
 
@@ -126,6 +126,17 @@ class BandLimitedFourier:
         if self._lift_y is not None:
             nodes = _lifted(self._lift_y, nodes)
         return nodes if down is None else nodes * down[..., :, None]
+
+    def lift_squared(self, nodes: torch.Tensor) -> torch.Tensor:
+        """Absolute square of `lift`, real [..., V, U]."""
+        if self._lift_x is not None:
+            nodes = _lifted(self._lift_x, nodes.mT).mT
+        # Real parts beside each other, then imaginary ones: the squares are then of contiguous numbers.
+        parts = torch.cat([nodes.real, nodes.imag], -1)
+        if self._lift_y is not None:
+            parts = self._lift_y @ parts
+        parts = parts.square() if parts.requires_grad else parts.square_()
+        return parts[..., : nodes.shape[-1]] + parts[..., nodes.shape[-1] :]
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Transform [..., Y, X] to [..., V, U]."""

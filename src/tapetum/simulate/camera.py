@@ -6,6 +6,7 @@ stands here chooses among them, adds up their light and states the error of the 
 
 from __future__ import annotations
 
+import copy
 import itertools
 import math
 from collections.abc import Callable, Sequence
@@ -377,6 +378,21 @@ class Camera:
         return total
 
     @property
+    def accuracy(self) -> float:
+        """Wanted largest error of the irradiance, in fractions of the peak."""
+        return self._accuracy
+
+    @property
+    def real(self) -> torch.dtype:
+        """Type of the pictures of mirrors."""
+        return self._dtype.to_real()
+
+    @property
+    def device(self) -> torch.device:
+        """Where it computes."""
+        return self._device
+
+    @property
     def finite(self) -> bool:
         """Whether light is carried over the distance and through the probe's aperture; found without planning."""
         return self._finite
@@ -494,22 +510,38 @@ class Camera:
             )
         return self._profiles[key]
 
-    def window(self, *, margin: bool = False) -> Grid:
+    def window(self, *, margin: bool = False, left_out: float | None = None) -> Grid:
         """The smallest square of probe pixels that holds one beam's RR without its faintest rings.
 
-        With `margin` it also holds the second beam's RR while the first lies within a quarter of the window.
+        With `margin` it also holds the second beam's RR while the first lies within a quarter of the window. With
+        `left_out` it is so wide that rings and fringes beyond stay below this fraction of the peak.
         """
         g, second = self.geometry, self.scene.illumination.second_beam
         exit_angle = self._picture_angle() if self._lens is None else self._lens.exit_angle
-        angle = exit_angle + _RINGS_SHOWN * g.wavelength / (2 * g.radius)
+        rings, fringes = float(_RINGS_SHOWN), 4.0
+        if left_out is not None:
+            # The envelopes of an Airy pattern's rings, 8/(π (πn)³), and of the fringes beyond a straight edge,
+            # λd/(2πx)².
+            rings = max(rings, (8 / (math.pi * left_out)) ** (1 / 3) / math.pi)
+            fringes = max(fringes, 1 / (2 * math.pi * math.sqrt(left_out)))
+        angle = exit_angle + rings * g.wavelength / (2 * g.radius)
         if self._finite:
             # At most the width of the probe's aperture, and the fringes at its edge.
             distance, radius = float(self._distance.detach()), self.scene.probe.lens.aperture_radius
-            angle = min(angle, (radius + g.radius) / distance + 4 * math.sqrt(g.wavelength / distance))
+            angle = min(angle, (radius + g.radius) / distance + fringes * math.sqrt(g.wavelength / distance))
         if margin:
             angle = 1.25 * angle + (math.hypot(*second.angle) if second is not None else 0.0)
         side = 2 * math.ceil(self.scene.probe.lens.focal_length * angle / self.output.pitch) + 1
         return Grid(side, side, self.output.pitch)
+
+    def on(self, output: Grid) -> Camera:
+        """The same on other pixels, planned for them at the first use."""
+        other = copy.copy(self)
+        for planned in ("_lines", "plan"):
+            other.__dict__.pop(planned, None)
+        other.output, other._plans, other._masks, other._profiles, other._edge_error = output, [], [], {}, 0.0
+        other.geometry = other._geometry(self.scene.illumination.wavelength, self._steepest)
+        return other
 
     def _picture_angle(self) -> float:
         """Half-angle of the widest picture of all returns behind a thin lens, by rays, in radians."""

@@ -15,6 +15,9 @@ from tapetum.simulate.foreshortening import foreshortening
 
 __all__ = ["PhoneCamera", "Unit", "open_camera", "phone_scenes", "seen_from_probe"]
 
+# Irradiance beyond the pixels computed of a return, in the accuracy asked for.
+_LEFT_OUT = 0.1
+
 
 @dataclass(frozen=True)
 class Unit:
@@ -64,6 +67,8 @@ class PhoneCamera:
     Overlapping returns of two cameras would interfere in fringes of λ f_p over their distance, a few pixels wide. The
     slightest motion averages them out, so they are left out.
 
+    Each camera is computed on the pixels about its return, see `Camera.window`; those beyond get none of its light.
+
     Parameters
     ----------
     scene
@@ -74,10 +79,14 @@ class PhoneCamera:
 
     def __init__(self, scene: Scene, steepest: float, *, output: Grid | None = None, **options: Any) -> None:
         self.scene, self.output = scene, output or sensor_grid(scene)
-        self.units = [
-            (Camera(unit.scene, steepest + math.hypot(*unit.axis), output=self.output, **options), unit)
-            for unit in phone_scenes(scene)
-        ]
+        self.units: list[tuple[Camera, Unit]] = []
+        for unit in phone_scenes(scene):
+            camera = Camera(unit.scene, steepest + math.hypot(*unit.axis), output=self.output, **options)
+            window = camera.window(left_out=_LEFT_OUT * camera.accuracy)
+            # Each return covers few of the sensor's pixels.
+            if window.rows < self.output.rows and window.columns < self.output.columns:
+                camera = camera.on(window)
+            self.units.append((camera, unit))
 
     def __call__(
         self, sines: torch.Tensor, centres: torch.Tensor | None = None, *, equivalent: bool = False
@@ -87,9 +96,38 @@ class PhoneCamera:
         total: torch.Tensor | None = None
         for camera, unit in self.units:
             at = scale * seen_from_probe(torch.tensor([unit.place], device=sines.device), sines.double())
-            image = camera(unit.sines(sines), at if centres is None else centres + at, equivalent=equivalent)
+            at = at if centres is None else centres + at
+            image = self._seen(camera, unit.sines(sines), at, equivalent)
             total = image if total is None else total + image
         assert total is not None
+        return total
+
+    def _seen(self, camera: Camera, sines: torch.Tensor, centres: torch.Tensor, equivalent: bool) -> torch.Tensor:
+        """One camera's light on all pixels, computed on the camera's own about each beam's return."""
+        output, window = self.output, camera.output
+        if (window.rows, window.columns) == (output.rows, output.columns):
+            return camera(sines, centres, equivalent=equivalent)
+        # All beams at once: a few frames are no work for the processor.
+        beams = camera.beams(sines, centres)
+        tilts = torch.cat([one.double() for one, _, _ in beams])
+        places = torch.cat([one.double() for _, one, _ in beams])
+        # Windows start on whole pixels; the rest of each place is rendered.
+        apart = torch.tensor([output.columns - window.columns, output.rows - window.rows]).to(places) / 2
+        corner = (apart + places.detach() / output.pitch).round()
+        left, top = corner.to(torch.long).unbind(-1)
+        meets = (left > -window.columns) & (left < output.columns) & (top > -window.rows) & (top < output.rows)
+        here = meets.nonzero()[:, 0]
+        if not len(here):
+            return torch.zeros(len(sines), output.rows, output.columns, dtype=camera.real, device=camera.device)
+        images = camera.render(tilts[here], (places - (corner - apart) * output.pitch)[here], equivalent=equivalent)
+        total = images.new_zeros(len(sines), output.rows, output.columns)
+        for one, image in zip(here, images, strict=True):
+            number = int(one)
+            x, y = int(left[number]), int(top[number])
+            rows = slice(max(y, 0), min(y + window.rows, output.rows))
+            columns = slice(max(x, 0), min(x + window.columns, output.columns))
+            part = image[rows.start - y : rows.stop - y, columns.start - x : columns.stop - x]
+            total[number % len(sines), rows, columns] += beams[number // len(sines)][2] * part
         return total
 
     @property

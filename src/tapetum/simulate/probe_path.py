@@ -139,9 +139,11 @@ class ProbePath:
         assert total is not None
         return total
 
-    def to_image(self, gathered: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        """From the first transform's nodes, all rows gathered, to the field on the pixels: [B, H, W]."""
-        return self._through(self._first.lift(gathered), centres)
+    def to_image(self, gathered: torch.Tensor, centres: torch.Tensor | None, *, squared: bool = False) -> torch.Tensor:
+        """From the first transform's nodes, all rows gathered, to the field on the pixels, or its square: [B, H, W]."""
+        if squared and self.aperture is None:
+            return self._first.lift_squared(gathered)
+        return self._through(self._first.lift(gathered), centres, squared)
 
     def carry(
         self,
@@ -150,8 +152,10 @@ class ProbePath:
         y: torch.Tensor,
         sines: torch.Tensor,
         centres: torch.Tensor | None,
+        *,
+        squared: bool = False,
     ) -> torch.Tensor:
-        """Field on the pixels, [B, H, W], of pupils [B, n, n] with their own columns x and rows y [B, n].
+        """Field on the pixels, or its square, [B, H, W], of pupils [B, n, n] with their own columns and rows [B, n].
 
         `pupil` is the field that leaves per unit area, tilt removed; x and y are in coordinates turned by the rotation
         R of `foreshortening`.
@@ -170,13 +174,16 @@ class ProbePath:
             pupil = pupil * phasor(self.chirp * square, self.dtype)
         elif centres is not None:
             pupil = pupil * self._ramp(centres, x, y)
-        # A pupil off its middle adds a linear phase to the picture: apply it after the sum over nodes.
         columns = self._kernel(-self._kappa * t[:, 0, 0, None] * (x - middle_x), self._first.ux)
         mix, down = self._rest(t, y - middle_y)
+        gathered = down @ ((pupil @ columns) * mix)
+        if squared and self.aperture is None:
+            return self._first.lift_squared(gathered)
+        # A pupil off its middle adds a linear phase to the picture: apply it after the sum over nodes.
         wide, high = self._seen
         sideways = phasor(-self._kappa * (t[:, 0, 0, None] * middle_x + t[:, 1, 0, None] * middle_y) * wide, self.dtype)
         upwards = phasor(-self._kappa * t[:, 1, 1, None] * middle_y * high, self.dtype)
-        return self._through(self._first.lift(down @ ((pupil @ columns) * mix), upwards, sideways), centres)
+        return self._through(self._first.lift(gathered, upwards, sideways), centres, squared)
 
     def _rest(self, t: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """The phase between the two products and the second product's kernel: y (t10 qx + t11 qy)."""
@@ -188,14 +195,14 @@ class ProbePath:
         """exp(i row·column) [B, rows, columns], of rows [B, rows] in radians per metre and columns in metres."""
         return phasor(rows[:, :, None] * columns, self.dtype)
 
-    def _through(self, first: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+    def _through(self, first: torch.Tensor, centres: torch.Tensor | None, squared: bool = False) -> torch.Tensor:
         if self.aperture is None:
             return first
         passed = first * self._passed
         if centres is not None:
             # The beam returns to the probe's middle, under an angle.
             passed = passed * self._ramp(centres, *self._seen)
-        return self._second(passed)
+        return self._second.lift_squared(self._second.at_nodes(passed)) if squared else self._second(passed)
 
     def _ramp(self, centres: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         """Moves the picture by centres [B, 2], for columns and rows [n] or [B, n]."""

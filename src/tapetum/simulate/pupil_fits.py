@@ -285,12 +285,13 @@ def values_at(fit: Fit, tilt: torch.Tensor, places: torch.Tensor) -> tuple[torch
 
 
 def on_grid(
-    fit: Fit, tilt: torch.Tensor, toward: torch.Tensor, count: int
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    fit: Fit, tilt: torch.Tensor, toward: torch.Tensor, count: int, dtype: torch.dtype = torch.float64
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """A fit's functions on `count` columns and rows about its pupil, for any azimuth of the tilt.
 
-    `tilt` [B, T] are `TiltNodes.terms`, `toward` [B, 2] unit vectors of the tilts. Returns x and y [B, n], even and odd
-    functions [B, K, n, n], and where places lie inside the fit's box [B, n, n].
+    `tilt` [B, T] are `TiltNodes.terms`, `toward` [B, 2] unit vectors of the tilts. Returns x and y [B, n], the first
+    even function [B, n, n] in float64, the others [B, K - 1, n, n] and the odd functions [B, K, n, n] in `dtype`, and
+    where places lie inside the fit's box [B, n, n].
     """
     unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
     centre, half = tilt @ fit.centre, tilt @ fit.half
@@ -303,48 +304,87 @@ def on_grid(
     at = centre[:, 1:2] * toward
     x, y = at[:, 0:1] + wide[:, 0:1] * unit, at[:, 1:2] + wide[:, 1:2] * unit
 
-    def scaled(columns: torch.Tensor, rows: torch.Tensor) -> torch.Tensor:
-        along = columns[:, None, :] * toward[:, 0, None, None] + rows[:, :, None] * toward[:, 1, None, None]
-        across = rows[:, :, None] * toward[:, 0, None, None] - columns[:, None, :] * toward[:, 1, None, None]
-        return torch.stack(
-            [across / half[:, 0, None, None], (along - centre[:, 1, None, None]) / half[:, 1, None, None]], -1
+    def scaled(
+        columns: torch.Tensor, rows: torch.Tensor, dtype: torch.dtype = torch.float64
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        tx, ty = toward[:, :1] / half, toward[:, 1:] / half
+        parts = (
+            columns * tx[:, 1:],
+            rows * ty[:, 1:] - centre[:, 1:] / half[:, 1:],
+            columns * ty[:, :1],
+            rows * tx[:, :1],
         )
+        right, down, left, up = (part.to(dtype) for part in parts)
+        return up[:, :, None] - left[:, None, :], right[:, None, :] + down[:, :, None]
 
     # Rotated or not, this many columns and rows determine a polynomial of the degree, so few places are evaluated.
     order = max(fit.degrees) + 1
     nodes = torch.cos(torch.pi * (torch.arange(order, dtype=torch.float64, device=tilt.device) + 0.5) / order)
-    few = scaled(at[:, 0:1] + wide[:, 0:1] * nodes, at[:, 1:2] + wide[:, 1:2] * nodes).flatten(1, 2)
+    few = torch.stack(scaled(at[:, 0:1] + wide[:, 0:1] * nodes, at[:, 1:2] + wide[:, 1:2] * nodes), -1).flatten(1, 2)
     shape = (len(tilt), -1, order, order)
     lift = 2 / order * chebyshev(nodes, order)
     lift[:, 0] /= 2
     lift = chebyshev(unit, order) @ lift.T
-    even = lift @ _even(fit, tilt, few).reshape(shape) @ lift.T
-    odd = lift @ _odd(fit, tilt, few).reshape(shape) @ lift.T
-    return x, y, even, odd, (scaled(x, y).abs() <= 1).all(-1)
+    even, odd = _even(fit, tilt, few).reshape(shape), _odd(fit, tilt, few).reshape(shape)
+    lower = lift.to(dtype)
+    path = lift @ even[:, 0] @ lift.T
+    others, odd = (lower @ one.to(dtype) @ lower.T for one in (even[:, 1:], odd))
+    across, along = scaled(x, y, dtype)
+    return x, y, path, others, odd, (across.abs() <= 1) & (along.abs() <= 1)
 
 
-def on_tilt_grid(fit: Fit, tilt: torch.Tensor, count: int) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """A fit's even functions on columns across the tilt and rows along it: [B, n], [B, n] and [B, K, n, n].
+def on_tilt_grid(
+    fit: Fit, tilt: torch.Tensor, count: int, dtype: torch.dtype = torch.float64
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
+    """A fit's even functions on columns across the tilt and rows along it.
 
-    It covers the whole box, at the cost of two small matrix products a function.
+    The grid has `count` columns and rows over the whole box, an even number; those on one side of the middle are
+    returned, from it outwards, which the others mirror: columns [B, n/2], rows [B, n], the first function [B, n, n/2]
+    in float64, and the others [B, K - 1, n, n/2] in `dtype`.
     """
     unit = (torch.arange(count, dtype=torch.float64, device=tilt.device) + 0.5) * 2 / count - 1
     centre, half = tilt @ fit.centre, tilt @ fit.half
     table = _table(fit.even, fit.degrees[0], 0, tilt)
-    polynomials = chebyshev(unit, fit.degrees[0] + 1)
-    across = polynomials[:, 0::2][:, : table.shape[-2]]
-    values = polynomials @ (across @ table).mT
-    return centre[:, :1] + half[:, :1] * unit, centre[:, 1:] + half[:, 1:] * unit, values
+    along = chebyshev(unit, fit.degrees[0] + 1)
+    across = along[count // 2 :, 0::2][:, : table.shape[-2]]
+    path = along @ (across @ table[:, 0]).mT
+    others = along.to(dtype) @ (across.to(dtype) @ table[:, 1:].to(dtype)).mT
+    return half[:, :1] * unit[count // 2 :], centre[:, 1:] + half[:, 1:] * unit, path, others
 
 
-def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None) -> torch.Tensor:
-    """Share of each sample [B, n, n] that no rim covers, for heights [B, K, n, n]; rims count as straight there."""
+def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None, *, mirrored: bool = False) -> torch.Tensor:
+    """Share of each sample [B, n, m] that no rim covers, for heights [B, K, n, m]; rims count as straight there.
+
+    `mirrored`: beside the first column lies its mirror image.
+    """
+    lit = heights < 1
+    # An edge crosses few squares, and each of those has a diagonal neighbour beyond the edge.
+    crossed = torch.zeros_like(lit)
+    for one, other in (((1, 0), (0, 1)), ((1, 1), (0, 0))):
+        (a, b), (c, d) = (tuple(slice(k, -1 if k == 0 else None) for k in at) for at in (one, other))
+        apart = lit[..., a, b] ^ lit[..., c, d]
+        crossed[..., a, b] |= apart
+        crossed[..., c, d] |= apart
+    if mirrored:
+        apart = lit[..., 1:, 0] ^ lit[..., :-1, 0]
+        crossed[..., 1:, 0] |= apart
+        crossed[..., :-1, 0] |= apart
     # Where no rim covers anything there are no heights.
-    total = heights.new_ones(len(heights), *heights.shape[2:]) if inside is None else inside.to(heights.dtype)
-    for height in heights.unbind(1):
-        gx, gy = torch.gradient(height, dim=(2, 1))
-        total = torch.minimum(total, _covered(1 - height, gx.abs(), gy.abs()))
-    return total
+    batch, rims, rows, columns = heights.shape
+    total = heights.new_ones(batch, rows, columns, dtype=torch.bool) if inside is None else inside
+    for one in (lit | crossed).unbind(1):
+        total = total & one
+    number = (crossed & total[:, None]).flatten().nonzero()[:, 0]
+    column, row = number % columns, number // columns % rows
+    flat = heights.flatten()
+    above, below = (row > 0).long(), (row < rows - 1).long()
+    before, after = (column > 0).long(), (column < columns - 1).long()
+    gy = (flat[number + columns * below] - flat[number - columns * above]) / (above + below)
+    wide = 1 + after if mirrored else before + after
+    gx = (flat[number + after] - flat[number - before]) / wide
+    share = _covered(1 - flat[number], gx.abs(), gy.abs())
+    at = number // (rims * rows * columns) * (rows * columns) + number % (rows * columns)
+    return total.to(heights.dtype).flatten().scatter_reduce(0, at, share, "amin").reshape(batch, rows, columns)
 
 
 def chebyshev(u: torch.Tensor, count: int) -> torch.Tensor:
@@ -435,10 +475,6 @@ def _least_squares(matrix: torch.Tensor, values: torch.Tensor, used: torch.Tenso
 
 def _covered(value: torch.Tensor, gx: torch.Tensor, gy: torch.Tensor) -> torch.Tensor:
     """Share of a unit square where value + gx u + gy w > 0 for u, w in -½ … ½: exact for a straight edge."""
-    share = (value > 0).to(value.dtype)
-    # An edge crosses few squares.
-    some = (2 * value.abs() < gx + gy).nonzero(as_tuple=True)
-    value, gx, gy = value[some], gx[some], gy[some]
     a, b = torch.maximum(gx, gy).clamp_min(1e-12), torch.minimum(gx, gy)
     # An edge along the samples has no second slope: use a tiny one.
     b = torch.maximum(b, 1e-5 * a)
@@ -448,4 +484,4 @@ def _covered(value: torch.Tensor, gx: torch.Tensor, gy: torch.Tensor) -> torch.T
 
     near, far = (a + b) / 2, (a - b) / 2
     crossed = (ramp(value + near) - ramp(value + far) - ramp(value - far) + ramp(value - near)) / (a * b)
-    return share.index_put(some, crossed.clamp(0, 1))
+    return torch.where(2 * value.abs() < gx + gy, crossed.clamp(0, 1), (value > 0).to(value.dtype))

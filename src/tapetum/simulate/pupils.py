@@ -28,12 +28,16 @@ class Entering:
         Amplitude for 1 W/m² times a sample's solid angle, [B or 1, m, n].
     path
         Ψ there, in metres.
+    mirrored
+        Whether the columns, and whether the rows, are those on one side of the middle, from it outwards, for equal
+        light on both sides; a sample in the middle itself has half its strength.
     """
 
     columns: torch.Tensor
     rows: torch.Tensor
     strength: torch.Tensor
     path: torch.Tensor
+    mirrored: tuple[bool, bool] = (False, False)
 
 
 @dataclass(frozen=True)
@@ -53,6 +57,8 @@ class Leaving:
         the samples are at `columns` and `rows` themselves.
     unbent
         Paths in metres of the columns and of the rows that make the light smooth before it is interpolated.
+    mirrored
+        Whether light returns equally on both sides of the middle column, so that the columns may be those on one side.
     """
 
     columns: torch.Tensor
@@ -62,6 +68,7 @@ class Leaving:
     y: torch.Tensor
     read_at: torch.Tensor | None = None
     unbent: tuple[torch.Tensor, torch.Tensor] | None = None
+    mirrored: bool = False
 
 
 class Gazes(Protocol):
@@ -101,9 +108,15 @@ class Gazes(Protocol):
         ...
 
     def to_probe(
-        self, field: torch.Tensor, x: torch.Tensor, y: torch.Tensor, centres: torch.Tensor | None
+        self,
+        field: torch.Tensor,
+        x: torch.Tensor,
+        y: torch.Tensor,
+        centres: torch.Tensor | None,
+        *,
+        squared: bool = False,
     ) -> torch.Tensor:
-        """Field on the probe's pixels [B, H, W] of what leaves, at columns x and rows y."""
+        """Field on the probe's pixels [B, H, W] of what leaves, at columns x and rows y; or its absolute square."""
         ...
 
 

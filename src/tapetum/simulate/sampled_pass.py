@@ -29,6 +29,8 @@ Lens = TypeVar("Lens", bound=Pupil)
 
 # Distance of an order's direction from the pupil's, in half widths of the pupil, within which its light returns.
 _MEETS = 2.05
+# Samples a block of the kernels.
+_BLOCK = 16
 
 
 class SampledPass(Generic[Lens]):
@@ -83,7 +85,7 @@ class SampledPass(Generic[Lens]):
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target; arguments as for `field`."""
-        return torch.cat([u.real**2 + u.imag**2 for u in self._fields(sines, centres)])
+        return self._images(sines, centres, squared=True)
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude on the probe's pixels for 1 W/m² at the target, [B, H, W], in W^½/m.
@@ -91,7 +93,7 @@ class SampledPass(Generic[Lens]):
         `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
         sensor, in metres, by default in the middle.
         """
-        return torch.cat(self._fields(sines, centres))
+        return self._images(sines, centres, squared=False)
 
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, m, n], at columns x [B or 1, n] and rows y [B or 1, m].
@@ -100,28 +102,26 @@ class SampledPass(Generic[Lens]):
         """
         return self._left(self.pupil.gazes(sines.to(self.device, torch.float64), self._own))
 
-    def _fields(self, sines: torch.Tensor, centres: torch.Tensor | None) -> list[torch.Tensor]:
+    def _images(self, sines: torch.Tensor, centres: torch.Tensor | None, *, squared: bool) -> torch.Tensor:
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
         # Most gazes of a phone return nothing: they are not computed.
         lit = self.pupil.returns(sines).nonzero()[:, 0]
-        parts: list[torch.Tensor] = []
+        dtype = self.dtype.to_real() if squared else self.dtype
+        images = torch.zeros(len(sines), *self.pupil.path.shape, dtype=dtype, device=self.device)
         for i in range(0, len(lit), self._at_once):
             some = lit[i : i + self._at_once]
             at = self.pupil.gazes(sines[some], self._own)
-            parts.append(at.to_probe(*self._left(at), None if centres is None else centres[some]))
-        if len(lit) == len(sines) and parts:
-            return parts
-        shape = len(sines), *self.pupil.path.shape
-        dark = torch.zeros(shape, dtype=self.dtype, device=self.device)
-        return [dark.index_copy(0, lit, torch.cat(parts)) if parts else dark]
+            moved = None if centres is None else centres[some]
+            images[some] = at.to_probe(*self._left(at), moved, squared=squared)
+        return images
 
     def _left(self, at: Gazes) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-        spot = self._entered(at, self.dtype) if self._spot is None else self._spot
         leaving = at.leaving()
+        spot = self._entered(at, self.dtype, leaving.mirrored) if self._spot is None else self._spot
         down, right = self._kernels or self._back(leaving)
-        back = _products(down, self._reflected(spot, at), right)
+        back = _products(down, self._reflected(spot, at, leaving.mirrored), right)
         if leaving.read_at is not None:
             planes = torch.view_as_real(back).permute(0, 3, 1, 2)
             read_at = leaving.read_at.to(self.dtype.to_real())
@@ -129,30 +129,48 @@ class SampledPass(Generic[Lens]):
             back = torch.complex(back[:, 0], back[:, 1])
         return back * leaving.wave, leaving.x, leaving.y
 
-    def _entered(self, at: Gazes, dtype: torch.dtype) -> torch.Tensor:
-        """The spot's light [B or 1, n, n] times both ways' curvature and the window."""
+    def _entered(self, at: Gazes, dtype: torch.dtype, half: bool = False) -> torch.Tensor:
+        """The spot's light [B or 1, n, n] times both ways' curvature and the window; `half`: columns from 0 on."""
         light, v, (xx, yy, xy) = at.entering(), self._v, at.bend
         strength = light.strength.to(dtype if light.strength.is_complex() else dtype.to_real())
         wave = strength * phasor(self._k * light.path, dtype)
-        square = self._k * v**2
-        down = self._kernel(v, light.rows, dtype) * phasor(square * yy[:, None], dtype)[..., None]
-        right = self._kernel(light.columns, v, dtype) * phasor(square * xx[:, None], dtype)[:, None, :]
-        spot = _products(down, wave, right) * self._window
+        # Light that is mirrored is so in the spot too.
+        on_columns, on_rows = (v[len(v) // 2 :] if mirrored else v for mirrored in light.mirrored)
+        down, right = self._kernel(on_rows, light.rows, dtype), self._kernel(on_columns, light.columns, dtype).mT
+        if light.mirrored[1]:
+            down = (2 * down.real).to(dtype)
+        if light.mirrored[0]:
+            right = (2 * right.real).to(dtype)
+        down = down * phasor(self._k * on_rows**2 * yy[:, None], dtype)[..., None]
+        right = right * phasor(self._k * on_columns**2 * xx[:, None], dtype)[:, None, :]
+        spot = _products(down, wave, right)
+        if light.mirrored[1]:
+            spot = _unfolded(spot, -2, len(v))
+        if light.mirrored[0] and not half:
+            spot = _unfolded(spot, -1, len(v))
+        spot = spot * self._window[:, -spot.shape[-1] :]
         if self._own and xy is not None:
             spot = spot * phasor(2 * self._k * xy[:, None, None] * v[:, None] * v, dtype)
         return spot
 
     def _back(self, leaving: Leaving) -> tuple[torch.Tensor, torch.Tensor]:
         """Kernels from the plane to the directions in which the returning light is wanted."""
-        down = self._kernel(leaving.rows, self._v, self.dtype)
-        right = self._kernel(self._v, leaving.columns, self.dtype)
+        v = self._v
+        down = self._kernel(v, leaving.rows, self.dtype).mT
+        if leaving.mirrored:
+            v = v[len(v) // 2 :]
+            # Both sides; the middle column is but one.
+            both = torch.where(v == 0, 1.0, 2.0).to(self.dtype.to_real())[:, None]
+            right = (both * self._kernel(v, leaving.columns, self.dtype).real).to(self.dtype)
+        else:
+            right = self._kernel(v, leaving.columns, self.dtype)
         if leaving.unbent is not None:
             across, along = leaving.unbent
             down = down * phasor(self._k * along, self.dtype)[..., None]
             right = right * phasor(self._k * across, self.dtype)[:, None, :]
         return down, right
 
-    def _reflected(self, spot: torch.Tensor, at: Gazes) -> torch.Tensor:
+    def _reflected(self, spot: torch.Tensor, at: Gazes, half: bool) -> torch.Tensor:
         """The spot's light off the plane: times a mask, or phases that change slowly for each order of a surface."""
         if isinstance(self.plane, Mask):
             places = at.place[:, :, None] + self._v
@@ -172,7 +190,8 @@ class SampledPass(Generic[Lens]):
                 if not bool(meets.any()):
                     continue
                 direction, amplitude = torch.where(meets[:, None], direction, 0.0), amplitude * meets
-            one = self._ramp(direction, amplitude)
+            # The ramps of a mirror that returns half a spot are 1.
+            one = amplitude[:, None, None].to(self.dtype) if half else self._ramp(direction, amplitude)
             total = one if total is None else total + one
         return spot * (torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device) if total is None else total)
 
@@ -184,10 +203,19 @@ class SampledPass(Generic[Lens]):
             row = row * amplitude[:, None].to(self.dtype)
         return row[:, :, None] * column[:, None, :]
 
-    def _kernel(self, rows: torch.Tensor, columns: torch.Tensor, dtype: torch.dtype) -> torch.Tensor:
-        """exp(ik row·column), [B or 1, rows, columns]."""
-        kernel = phasor(self._k * rows[..., :, None] * columns[..., None, :], dtype)
-        return kernel if kernel.ndim == 3 else kernel[None]
+    def _kernel(self, v: torch.Tensor, columns: torch.Tensor, dtype: torch.dtype) -> torch.Tensor:
+        """exp(ik v·column), [B or 1, v, columns], for equally spaced v."""
+        # Products of few phasors: of each block's first v, and of the steps within a block.
+        coarse, fine = v[::_BLOCK], v[:_BLOCK] - v[0]
+        first = phasor(self._k * coarse[:, None] * columns[:, None, :], dtype)
+        steps = phasor(self._k * fine[:, None] * columns[:, None, :], dtype)
+        return (first[:, :, None] * steps[:, None]).flatten(1, 2)[:, : len(v)]
+
+
+def _unfolded(half: torch.Tensor, dim: int, count: int) -> torch.Tensor:
+    """The whole of `count` samples of a mirrored half, from the middle outwards."""
+    other = half.flip(dim).narrow(dim, 0, count - half.shape[dim])
+    return torch.cat([other, half], dim)
 
 
 def _products(down: torch.Tensor, field: torch.Tensor, right: torch.Tensor) -> torch.Tensor:

@@ -62,7 +62,12 @@ class ThinPupil:
         # The way in includes all constants, so that the hot loop has only products and phases.
         strength = weights * (path.constant / image_distance**2)
         entering = defocus + geometry.curvature / 2 * square
-        self.entering = Entering(self.columns, self.rows, strength[None], entering[None])
+        # Round light: a quarter of the disc stands for the whole, its rows and columns in the middle for half.
+        right, down = slice(len(self.x) // 2, None), slice(len(self.y) // 2, None)
+        share = _halved_middle(len(self.y))[:, None] * _halved_middle(len(self.x))
+        quarter = strength[down, right] * share.to(device)
+        columns, rows = self.columns[:, right], self.rows[:, down]
+        self.entering = Entering(columns, rows, quarter[None], entering[None, down, right], (True, True))
         k = 2 * torch.pi / geometry.wavelength
         self.exit = (weights * phasor(k * defocus + path.chirp * square)).to(dtype)
 
@@ -105,9 +110,15 @@ class _ThinGazes:
         return Leaving(one.columns, one.rows, wave, one.x[None], one.y[None])
 
     def to_probe(
-        self, field: torch.Tensor, x: torch.Tensor, y: torch.Tensor, centres: torch.Tensor | None
+        self,
+        field: torch.Tensor,
+        x: torch.Tensor,
+        y: torch.Tensor,
+        centres: torch.Tensor | None,
+        *,
+        squared: bool = False,
     ) -> torch.Tensor:
-        """Field on the probe's pixels [B, H, W]; the columns x and rows y are the path's own."""
+        """Field on the probe's pixels [B, H, W], or its square; the columns x and rows y are the path's own."""
         path, sines = self._pupil.path, self._sines
         # A tilted pupil's light spreads over a foreshortened picture.
         field = field * torch.sqrt(cosines(sines))[:, None, None].to(field.dtype)
@@ -115,7 +126,15 @@ class _ThinGazes:
             gathered = path.gather_unturned(field, sines, centres)
         else:
             gathered = path.gather(field, slice(0, y.shape[-1]), sines if self._shortened else None, centres)
-        return path.to_image(gathered, centres)
+        return path.to_image(gathered, centres, squared=squared)
 
     def _framed(self, vectors: torch.Tensor) -> torch.Tensor:
         return (self.axes @ vectors[..., None])[..., 0]
+
+
+def _halved_middle(count: int) -> torch.Tensor:
+    """Weights of the samples from the middle of `count` on: 1, and one half for a sample in the middle."""
+    weights = torch.ones(count - count // 2, dtype=torch.float64)
+    if count % 2:
+        weights[0] = 0.5
+    return weights

@@ -91,6 +91,9 @@ class TracedPass(SampledPass[TracedPupil]):
             path,
             wavelength=wavelength,
             tilt=surface.tilt,
+            straight=mask is None
+            and surface.tilt == (0.0, 0.0)
+            and all(order.direction == (0.0, 0.0) for order in surface.orders),
             phase=surface.phase,
             accepted=accepted,
             dtype=dtype,
@@ -109,4 +112,4 @@ class TracedPass(SampledPass[TracedPupil]):
         """Power [B] that 1 W/m² sends into the lens at tilts [B, 2], in watts."""
         light = self.pupil.gazes(sines.to(self.device, torch.float64), self._own).entering()
         cell = (light.columns[:, 1] - light.columns[:, 0]) * (light.rows[:, 1] - light.rows[:, 0])
-        return (light.strength**2).sum((1, 2)) / cell
+        return (light.strength**2).sum((1, 2)) / cell * 2 ** sum(light.mirrored)

@@ -24,6 +24,8 @@ __all__ = ["TracedPupil"]
 _NO_TILT = 1e-11
 # The root of zero has no finite gradient.
 _DARK = 1e-30
+# Samples beyond a place that its interpolation reads.
+_MARGIN = 2
 
 
 class TracedPupil:
@@ -41,6 +43,9 @@ class TracedPupil:
         In metres.
     tilt
         a of the plane, in radians.
+    straight
+        Whether the plane is a mirror across the optical axis: what returns is then symmetric across the tilt, as is
+        what enters.
     phase
         Added to what leaves, in radians.
     accepted
@@ -59,11 +64,14 @@ class TracedPupil:
         *,
         wavelength: float,
         tilt: tuple[float, float] = (0.0, 0.0),
+        straight: bool = False,
         phase: float = 0.0,
         accepted: float | None = None,
         dtype: torch.dtype = torch.complex64,
     ) -> None:
-        self.fits, self.path, self.accepted, self.samples = fits, path, accepted, samples
+        self.fits, self.path, self.accepted, self.straight = fits, path, accepted, straight
+        # Even, so that columns on one side of the middle mirror those on the other.
+        self.samples = samples[0] + samples[0] % 2, samples[1], samples[2]
         self.k, self.tilt, self.phase, self.dtype = 2 * math.pi / wavelength, tilt, phase, dtype
         self.real = dtype.to_real()
         at = chebyshev(fits.nodes.places, fits.nodes.count).to(path.device)
@@ -114,47 +122,65 @@ class _TracedGazes:
         one, inside = self._pupil, None
         if self._own:
             toward = torch.stack([self._x, self._y], -1)
-            columns, rows, values, _, inside = on_grid(one.fits.entering, self._tilt, toward, one.samples[0])
+            columns, rows, path, values, _, inside = on_grid(
+                one.fits.entering, self._tilt, toward, one.samples[0], one.real
+            )
         else:
-            columns, rows, values = on_tilt_grid(one.fits.entering, self._tilt, one.samples[0])
-        share = torch.sqrt(values[:, 1].clamp_min(_DARK)) * open_share(values[:, 2:].to(one.real), inside)
+            columns, rows, path, values = on_tilt_grid(one.fits.entering, self._tilt, one.samples[0], one.real)
+        share = torch.sqrt(values[:, 0].clamp_min(_DARK))
+        share = share * open_share(values[:, 1:], inside, mirrored=not self._own)
         cell = (columns[:, 1] - columns[:, 0]) * (rows[:, 1] - rows[:, 0])
         # A tilted pupil receives less light.
-        strength = share * (cell * self._returns * (1 - self._size**2) ** 0.25)[:, None, None]
-        across, down = columns[:, None, :], rows[:, :, None]
-        along = self._x[:, None, None] * across + self._y[:, None, None] * down
-        return Entering(columns, rows, strength, values[:, 0] + self._taken(across**2 + down**2, along))
+        dimmed = cell * self._returns * (1 - self._size**2) ** 0.25
+        strength = share * dimmed[:, None, None].to(one.real)
+        if one.tilt != (0.0, 0.0):
+            across, down = columns[:, None, :], rows[:, :, None]
+            along = self._x[:, None, None] * across + self._y[:, None, None] * down
+            path = path + self._taken(across**2 + down**2, along)
+        return Entering(columns, rows, strength, path, (not self._own, False))
 
     def leaving(self) -> Leaving:
         """The pupil on the way out, on columns and rows of the probe's picture."""
         one, fits, chief = self._pupil, self._pupil.fits, self._chief
         rotation, _ = foreshortening(self._sines)
         turned = (rotation.mT @ self._toward[..., None])[..., 0]
-        x, y, even, odd, inside = on_grid(fits.leaving, self._tilt, turned, one.samples[2])
-        out = torch.sqrt(even[:, 2].clamp_min(_DARK))
+        x, y, path, even, odd, inside = on_grid(fits.leaving, self._tilt, turned, one.samples[2], one.real)
+        out = torch.sqrt(even[:, 1].clamp_min(_DARK))
         if odd.shape[1] > 1:
-            out = out * open_share(even[:, 4:].to(one.real), inside) * self._accept(even[:, 3], odd[:, 1])
+            out = out * open_share(even[:, 3:], inside) * self._accept(even[:, 2], odd[:, 1])
         else:
-            out = out * open_share(even[:, 3:].to(one.real), inside)
-        along, across = even[:, 1], odd[:, 0]
-        path = even[:, 0] + self._taken(along**2 + across**2, along) + one.phase / one.k
+            out = out * open_share(even[:, 2:], inside)
+        along, across = even[:, 0], odd[:, 0]
+        if one.tilt != (0.0, 0.0):
+            path = path + self._taken(along**2 + across**2, along)
         # Defocus adds a phase by the square of the direction: removed before the interpolation, restored after it. What
         # a mask scatters does not have it.
         defocus = 0.0 if self._own else fits.defocus
-        path = path - defocus / 2 * ((along + chief[:, None, None]) ** 2 + across**2)
-        tx, ty = self._x[:, None, None], self._y[:, None, None]
-        columns, read_x = self._line(along * tx - across * ty, inside)
-        rows, read_y = self._line(along * ty + across * tx, inside)
+        path = (path + one.phase / one.k) - defocus / 2 * ((along + chief[:, None, None].to(one.real)) ** 2 + across**2)
+        wave = out * phasor(one.k * path, one.dtype)
+        mirrored = one.straight and not self._own
+        if mirrored:
+            columns, read_x = self._half_line(across.abs(), inside)
+            rows, read_y = self._line(along, inside)
+        else:
+            tx, ty = self._x[:, None, None].to(one.real), self._y[:, None, None].to(one.real)
+            columns, read_x = self._line(along * tx - across * ty, inside)
+            rows, read_y = self._line(along * ty + across * tx, inside)
         mx, my = self.middle.unbind(-1)
         unbent = defocus / 2 * (columns + mx[:, None]) ** 2, defocus / 2 * (rows + my[:, None]) ** 2
-        wave = out.to(one.real) * phasor(one.k * path, one.dtype)
-        return Leaving(columns, rows, wave, x, y, torch.stack([read_x, read_y], -1), unbent)
+        return Leaving(columns, rows, wave, x, y, torch.stack([read_x, read_y], -1), unbent, mirrored)
 
     def to_probe(
-        self, field: torch.Tensor, x: torch.Tensor, y: torch.Tensor, centres: torch.Tensor | None
+        self,
+        field: torch.Tensor,
+        x: torch.Tensor,
+        y: torch.Tensor,
+        centres: torch.Tensor | None,
+        *,
+        squared: bool = False,
     ) -> torch.Tensor:
-        """Field on the probe's pixels [B, H, W]."""
-        return self._pupil.path.carry(field, x, y, self._sines, centres)
+        """Field on the probe's pixels [B, H, W], or its square."""
+        return self._pupil.path.carry(field, x, y, self._sines, centres, squared=squared)
 
     def _accept(self, along: torch.Tensor, across: torch.Tensor) -> torch.Tensor:
         """Fades out light under angles outside the picture."""
@@ -165,16 +191,23 @@ class _TracedGazes:
 
     def _line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Equal steps over the places inside, [B, m], and where between them, from -1 to 1, each place lies."""
-        far = torch.full_like(places, math.inf)
-        low = torch.where(inside, places, far).amin((1, 2))
-        wide = torch.where(inside, places, -far).amax((1, 2)) - low
+        low = torch.where(inside, places, math.inf).amin((1, 2))
+        wide = torch.where(inside, places, -math.inf).amax((1, 2)) - low
         line = torch.linspace(0, 1, self._pupil.samples[1], dtype=torch.float64, device=places.device)
-        return low[:, None] + wide[:, None] * line, 2 * (places - low[:, None, None]) / wide[:, None, None] - 1
+        scale = (2 / wide)[:, None, None]
+        return low[:, None] + wide[:, None] * line, places * scale - (low[:, None, None] * scale + 1)
+
+    def _half_line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """As `_line` for places read by their distance from the middle, with a margin beyond it to interpolate."""
+        wide = torch.where(inside, places, 0.0).amax((1, 2))
+        count = (self._pupil.samples[1] + 1) // 2
+        line = torch.arange(-_MARGIN, count, dtype=torch.float64, device=places.device) / (count - 1)
+        first, last = line[0], line[-1]
+        scale = (2 / (last - first) / wide)[:, None, None].to(places)
+        return wide[:, None] * line, places * scale - (2 * first / (last - first) + 1).to(places)
 
     def _taken(self, square: torch.Tensor, along: torch.Tensor) -> torch.Tensor:
         """Path difference of a plane nearer by this much at the spot, about the place where the chief ray meets it."""
-        if self._pupil.tilt == (0.0, 0.0):
-            return torch.zeros((), dtype=torch.float64, device=along.device)
         height = torch.sqrt((1 - square).clamp_min(_DARK))
         return -self._nearer[:, None, None] * height - self._shift[:, None, None] * along
 
