@@ -161,7 +161,10 @@ def main() -> None:
             "alarms": [round(a, 4), round(b, 4)],
             "scenes": sorted({one.scene for one in cases}),
             "frames": len(cases),
-            "recall_by_other_scenes": {str(rate): round(value, 3) for rate, value in recall.items()},
+            # The looks of a frame alone were chosen with these scenes in view.
+            "recall_by_other_scenes" if kind == "pair" else "recall_in_view": {
+                str(rate): round(value, 3) for rate, value in recall.items()
+            },
         }
     with atomic_file(OUT) as part:
         part.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
