@@ -180,16 +180,18 @@ class Activity:
 
     Attributes
     ----------
-    imaging
-        Probability that it images, by the returns so far.
     time
         Of the latest return, in seconds; None before the first.
     """
 
-    imaging: float = 0.5
     time: float | None = None
     # Joint probability of imaging or idle (rows), and of each way in which its sensor is seen.
     _joint: Array = field(default_factory=lambda: np.full((2, len(_SEEN)), 0.5 / len(_SEEN)))
+
+    @property
+    def imaging(self) -> float:
+        """Probability that it images, by the returns so far."""
+        return float(self._joint[0].sum())
 
     def update(self, asymmetry: float | None, time: float) -> bool | None:
         """Take the asymmetry of a return at a time in seconds; None or NaN where none was seen.
@@ -205,7 +207,6 @@ class Activity:
             likely = np.array([[chances[kind] for chances in _SEEN.values()], [_IDLE[kind]] * len(_SEEN)])
             self._joint = self._joint * likely ** (1 / _ALIKE)
         self._joint = self._joint / self._joint.sum()
-        self.imaging = float(self._joint[0].sum())
         if not seen:
             return None
         if self.imaging >= _SURE:
