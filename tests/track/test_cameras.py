@@ -19,7 +19,6 @@ from tapetum.record.source import Frame
 from tapetum.track import Detections, detect, read_tracks, track, track_to_file
 from tapetum.track.cameras import CameraDetector
 from tapetum.track.ghosts import Ghost, calibrate_ghost
-from tapetum.track.pipeline import usual_tracker
 
 CAMERAS = [(120.0, 80.0, 150.0), (300.0, 210.0, 110.0), (230.0, 120.0, 75.0)]
 
@@ -68,7 +67,7 @@ def test_a_modulated_video_is_compared_lit_with_dark(first_lit: bool, full: int)
     frames, shifts = modulated(24, first_lit, full=full)
     detector = CameraDetector()
     ids: dict[int, set[int]] = {}
-    for one in track(frames, detector=detector, tracker=usual_tracker("cameras")):
+    for one in track(frames, detector=detector):
         if one.moment["lit"] is False:
             assert len(one.detections) == 0
             continue

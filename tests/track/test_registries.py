@@ -10,9 +10,10 @@ import pytest
 
 from tapetum.errors import InputError
 from tapetum.record.source import Frame
-from tapetum.track import Detections, detect, read_tracks, track, track_to_file
+from tapetum.track import Detections, Tracker, detect, read_tracks, track, track_to_file
 from tapetum.track.detect import DETECTORS, SpotDetector
 from tapetum.track.formats import FORMATS, Format
+from tapetum.track.pipeline import make_detector
 
 
 def frames(count: int) -> list[Frame]:
@@ -39,6 +40,29 @@ def test_a_detector_sees_every_frame_in_order_with_all_that_is_known_of_it(monke
     assert own.shown == list(range(6)) and found == [1, 0] * 3
     monkeypatch.setitem(DETECTORS, "lit", lambda **options: LitOnly())
     assert [len(one.detections) for one in track(frames(4), detector="lit")] == [1, 0, 1, 0]
+
+
+class Patient(LitOnly):
+    """Wants a track to be seen three times before it counts."""
+
+    usual_largest = 9.0
+
+    def __init__(self, largest: float = 0.0) -> None:
+        super().__init__()
+        self.largest = largest
+
+    def tracker(self) -> Tracker:
+        return Tracker(persist=(3, 5))
+
+
+def test_a_detector_brings_the_tracker_and_the_size_that_suit_it(monkeypatch) -> None:
+    lit = [Frame(n, n / 10, frames(1)[0].image, lit=True) for n in range(4)]
+    assert [len(one.rows) for one in track(lit, detector=Patient())] == [0, 0, 1, 1]
+    assert [len(one.rows) for one in track(lit, detector=LitOnly())] == [1] * 4
+    monkeypatch.setitem(DETECTORS, "patient", Patient)
+    made = make_detector("patient")
+    assert isinstance(made, Patient) and made.largest == 9.0
+    assert [len(one.rows) for one in track(lit, detector="patient")] == [0, 0, 1, 1]
 
 
 def test_the_one_of_single_frames_is_detect_with_its_options(tmp_path: Path) -> None:

@@ -20,9 +20,6 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
-_USUAL: dict[str, dict[str, float]] = {"spots": {"min_snr": 6.0, "largest": 400.0}, "cameras": {}}
-
-
 def track(
     source: Annotated[
         Path,
@@ -80,7 +77,6 @@ def track(
 
     --detector cameras compares lit frames with dark ones where the source knows which is which.
     """
-    one_of(detector, tuple(_USUAL), "--detector")
     if false_alarms is not None and detector != "cameras":
         raise InputError("is of the detector of cameras", where="--false-alarms-per-frame", remedy="--detector cameras")
     if detections is not None and detections.resolve() == out.resolve():
@@ -91,18 +87,17 @@ def track(
         raise InputError("is the source itself", where="--out", remedy="name another file")
     for path in (out, detections):
         check_output(path, force)
-    options: dict[str, Any] = {
-        **_USUAL[detector],
-        **_given(min_snr=min_snr, largest=largest, false_alarms=false_alarms),
-    }
+    from tapetum.track.detect import DETECTORS
+
+    one_of(detector, tuple(DETECTORS), "--detector")
+    options = _given(min_snr=min_snr, largest=largest, false_alarms=false_alarms)
     if calibrate:
         _calibrate(source, out, detector, options, stream, seconds, as_json)
         return
     from tapetum.files import free_name
     from tapetum.track import track_to_file, write_tracks
-    from tapetum.track.cameras import CameraDetector
     from tapetum.track.formats import FORMATS
-    from tapetum.track.pipeline import usual_tracker
+    from tapetum.track.pipeline import make_detector
     from tapetum.track.tables import checked_suffix
 
     if source.suffix.lower() in FORMATS and source.is_file():
@@ -122,19 +117,16 @@ def track(
 
         scene = ghost.suffix.lower() != ".json"
         options["known_ghost"] = Ghost.of(load_scene(str(ghost))) if scene else Ghost.load(ghost)
-    # One of one's own making tells afterwards what it could not use; ghosts that are kept aside are marked.
-    chosen, chosen_options = detector, options
-    if detector == "cameras":
-        chosen, chosen_options = CameraDetector(**options, ghosts="drop" if detections is None else "mark"), None
+    # Ghosts that are kept aside are marked.
+    options["ghosts"] = "drop" if detections is None else "mark"
+    find = make_detector(detector, options)
     with says_what_is_kept():
         summary = track_to_file(
             source,
             raw,
             model=[find_model(name, device) for name in models or ()],
             detections=detections,
-            detector=chosen,
-            tracker=usual_tracker(detector, options),
-            detect_options=chosen_options,
+            detector=find,
             stream=stream,
             activity=activity,
             seconds=seconds,
@@ -149,7 +141,7 @@ def track(
             remedy = "; ".join(filter(None, (error.remedy, f"the tracks as they are stand in {raw}")))
             raise InputError(error.what, where=error.where, remedy=remedy) from error
         raw.unlink()
-    for reason, count in getattr(chosen, "notes", {}).items():
+    for reason, count in getattr(find, "notes", {}).items():
         frames = f"{count} lit frame{'' if count == 1 else 's'}"
         typer.echo(f"note: {frames} searched alone, which finds less: {reason}", err=True)
     if as_json:
@@ -172,12 +164,12 @@ def _calibrate(
         raise InputError("cannot hold a ghost", where=out, remedy="name it NAME.json")
     from tapetum.record.frames import open_frames
     from tapetum.record.reader import taken
-    from tapetum.track.detect import DETECTORS
     from tapetum.track.ghosts import calibrate_ghost
+    from tapetum.track.pipeline import make_detector
 
     # The rule of the bench would drop whatever is dim near a brighter one, marked or not.
     free = {"ghost_ratio": 0.0, "stray": 0.0} if detector == "spots" else {}
-    find = DETECTORS[detector](**options, **free, ghosts="mark")
+    find = make_detector(detector, {**options, **free, "ghosts": "mark"})
     frames = taken(open_frames(source, stream), threading.Event(), seconds)
     found = calibrate_ghost(find(frame) for frame in frames)
     found.save(out)
@@ -203,9 +195,9 @@ def _smoothed(table: pa.Table, way: str | None, systematic: float) -> pa.Table:
 def _again(source: Path, out: Path, detector: str, smooth: str | None, systematic: float) -> None:
     """Track stored detections again, with their estimates."""
     from tapetum.track import retrack, write_tracks
-    from tapetum.track.pipeline import usual_tracker
+    from tapetum.track.pipeline import make_detector, usual_tracker
 
-    tracks = _smoothed(retrack(source, tracker=usual_tracker(detector)), smooth, systematic)
+    tracks = _smoothed(retrack(source, tracker=usual_tracker(make_detector(detector))), smooth, systematic)
     write_tracks(tracks, out)
     number = len(set(tracks["track"].to_pylist()))
     typer.echo(f"{out}: {number} track{'' if number == 1 else 's'} in {tracks.num_rows} rows, from kept detections")

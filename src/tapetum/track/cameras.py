@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from tapetum.errors import InputError
 from tapetum.record.source import Frame
 from tapetum.track.detections import Detections
 from tapetum.track.ghosts import Ghost
+from tapetum.track.tracker import Tracker
 
 __all__ = ["CameraDetector"]
 
@@ -56,11 +57,13 @@ class CameraDetector:
         When an option is out of range.
     """
 
+    usual_largest: ClassVar[float] = 60.0
+
     def __init__(
         self,
         *,
         false_alarms: float = 0.01,
-        largest: float = 60.0,
+        largest: float = usual_largest,
         min_snr: float = 3.0,
         known_ghost: Ghost | None = None,
         ghosts: str = "drop",
@@ -76,6 +79,14 @@ class CameraDetector:
         self.known_ghost, self.ghosts, self.most, self.apart = known_ghost, ghosts, most, apart
         self.notes: Counter[str] = Counter()
         self._dark: tuple[float, NDArray[np.generic]] | None = None
+
+    def tracker(self) -> Tracker:
+        """Return a tracker for a room, where there are false alarms.
+
+        A track gets its number when it was seen in three of five frames, and its end is told. The tracker's own guard
+        against ghosts is for those that are dropped by their brightness alone, on a bench.
+        """
+        return Tracker(ghost_ratio=0.0, persist=(3, 5), endings=True)
 
     def __call__(self, frame: Frame, /) -> Detections:
         image = _levels(frame)

@@ -4,7 +4,8 @@ A spot may be an Airy pattern five pixels wide or a saturated, ringed beam of se
 fringes, and reflections of reflections beside it. Each becomes one detection: light is sought at two scales, the
 brightest place first, and everything within the reach of a spot's second moments belongs to it.
 
-`Detector` is the interface that tracking uses; `SpotDetector` is its one implementation.
+`Detector` is the interface that tracking uses, `SpotDetector` its implementation for a dark bench; that for a room is
+in `cameras`.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from tapetum.track.cameras import CameraDetector
 from tapetum.track.detections import Detections
 from tapetum.track.ghosts import Ghost
 from tapetum.track.spots import make_maps, search
+from tapetum.track.tracker import Tracker
 
 __all__ = ["DETECTORS", "LARGEST_FRAME", "Detector", "SpotDetector", "detect"]
 
@@ -181,7 +183,11 @@ def _checked(image: NDArray[np.generic]) -> NDArray[Any]:
 
 
 class Detector(Protocol):
-    """What tracking asks of a detector: the spots of each frame. It gets the frames of a source in order, each once."""
+    """What tracking asks of a detector: the spots of each frame. It gets the frames of a source in order, each once.
+
+    It may have a method `tracker()`, which returns the `Tracker` that suits it, and an attribute `usual_largest`, the
+    largest diameter of a spot that it looks for by default, in pixels.
+    """
 
     def __call__(self, frame: Frame, /) -> Detections: ...
 
@@ -198,6 +204,10 @@ class SpotDetector:
             remedy = f"use {', '.join(known)}"
             raise InputError(f"unknown option {', '.join(unknown)}", where="detect_options", remedy=remedy)
         self.options = options
+
+    def tracker(self) -> Tracker:
+        """Return a tracker; where the ghost is known it needs no guard of its own against ghosts."""
+        return Tracker() if self.options.get("known_ghost") is None else Tracker(ghost_ratio=0.0)
 
     def __call__(self, frame: Frame, /) -> Detections:
         return detect(frame.image, **{"full_scale": frame.full_scale, **self.options})

@@ -30,7 +30,7 @@ from tapetum.track.tracker import Tracker
 if TYPE_CHECKING:
     from tapetum.models import Predictor
 
-__all__ = ["SIDE", "TrackSummary", "track", "track_to_file", "usual_tracker"]
+__all__ = ["SIDE", "TrackSummary", "make_detector", "track", "track_to_file", "usual_tracker"]
 
 SIDE = 400
 """Side of the square that the models are shown, in pixels (the paper's largest crop)."""
@@ -192,34 +192,36 @@ def track(
         raise InputError(f"batch {batch} and side {side} must be at least 1", where="track")
     find = _detector(detector, detect_options, side)
     estimators = _loaded(model)
-    follower = usual_tracker(detector, detect_options) if tracker is None else tracker
+    follower = usual_tracker(find) if tracker is None else tracker
     frames = _opened(source, stream)
     shown = progress(taken(frames, threading.Event()), "tracking", total=_count(frames))
     return _track(shown, find, estimators, follower, side, batch, activity)
 
 
+def make_detector(name: str, options: Mapping[str, Any] | None = None, side: int = SIDE) -> Detector:
+    """Make a detector of `DETECTORS`; InputError for an unknown name or option.
+
+    Models cannot see spots wider than their crops of this `side` as a whole: these are left out by default.
+    """
+    kind = DETECTORS[one_of(name, tuple(DETECTORS), "detector")]
+    usual = {"largest": min(float(side), getattr(kind, "usual_largest", math.inf))}
+    return kind(**{**usual, **(options or {})})
+
+
 def _detector(detector: str | Detector, options: Mapping[str, Any] | None, side: int) -> Detector:
     """Return a detector by its name and options, or the one that was given."""
     if isinstance(detector, str):
-        make = DETECTORS[one_of(detector, tuple(DETECTORS), "detector")]
-        # Models cannot see spots wider than the crops as a whole.
-        usual = {"largest": float(side)} if detector == "spots" else {}
-        return make(**{**usual, **(options or {})})
+        return make_detector(detector, options, side)
     if options:
         what = "belong to a detector by its name"
         raise InputError(what, where="detect_options", remedy="give the detector its options where it is made")
     return detector
 
 
-def usual_tracker(detector: str | Detector, options: Mapping[str, Any] | None = None) -> Tracker:
-    """Return the tracker that suits a detector by its name and options.
-
-    A room's detector has false alarms: a track gets its number when it was seen in three of five frames, and its end is
-    told. The tracker's own guard against ghosts is for those that are dropped by their brightness alone, on a bench.
-    """
-    if detector == "cameras":
-        return Tracker(ghost_ratio=0.0, persist=(3, 5), endings=True)
-    return Tracker(ghost_ratio=0.0) if (options or {}).get("known_ghost") is not None else Tracker()
+def usual_tracker(detector: Detector) -> Tracker:
+    """Return the tracker that suits a detector: its own `tracker()`, or one with the usual options."""
+    own = getattr(detector, "tracker", None)
+    return Tracker() if own is None else own()
 
 
 def _opened(source: Frames, stream: str) -> Source | Iterable[Frame]:
