@@ -57,6 +57,8 @@ class _Prepared:
     tilt: torch.Tensor
     moves: dict[str, torch.Tensor] = field(default_factory=dict[str, torch.Tensor])
     exit: torch.Tensor | None = None
+    # Of a single order that is the same for every gaze; it is taken out of the order and put into `exit`.
+    amplitude: complex = 1.0
 
     @property
     def tilted(self) -> bool:
@@ -187,17 +189,20 @@ class RoundPass:
             del moving["image_distance"]
         moves = {name: value - value.detach() for name, value in moving.items() if value.requires_grad}
         bend = self._k / 2 * (1 / z - 1 / values["focal_length"]) + self._path.chirp
-        prepared = _Prepared(z, tables, bend, surface.orders, surface.phase, tilt, moves)
+        orders, amplitude = surface.orders, 1.0 + 0j
+        if len(orders) == 1 and orders[0].series is None:
+            amplitude, orders = orders[0].amplitude, (replace(orders[0], amplitude=1.0),)
+        prepared = _Prepared(z, tables, bend, orders, surface.phase, tilt, moves, amplitude=amplitude)
         if self.plan.columns * self.plan.rows <= _SAMPLES_KEPT:
             prepared = replace(prepared, exit=self._leaving(prepared, slice(0, self.plan.rows)))
         return prepared
 
     def _leaving(self, one: _Prepared, rows: slice) -> torch.Tensor:
-        """Factor of the lens on the way out: weight, phase and constants, [rows, columns]."""
+        """Factor of the lens on the way out: weight, phase, constants, a single order's amplitude; [rows, columns]."""
         if one.exit is not None:
             return one.exit[rows]
         across = phasor(one.bend * self._x**2).to(self.dtype)
-        down = (phasor(one.bend * self._y[rows] ** 2) * self._path.constant).to(self.dtype)
+        down = (phasor(one.bend * self._y[rows] ** 2) * self._path.constant * one.amplitude).to(self.dtype)
         weights = self._disc.weights(rows, torch.float64 if self.differentiable else self._real)
         return (weights * self._values["radius"] ** 2).to(self._real) * down[:, None] * across[None, :]
 
@@ -208,7 +213,7 @@ class RoundPass:
         sensor, in metres, by default in the middle.
         """
         u = self.field(sines, centres)
-        return u.real**2 + u.imag**2
+        return torch.addcmul(u.real.square(), u.imag, u.imag)
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
@@ -293,7 +298,9 @@ class RoundPass:
                     value = value * amplitude
                 of_orders = value if of_orders is None else of_orders + value
             if of_orders is not None:
-                term = of_orders * self._leaving(one, rows)
+                leaving = self._leaving(one, rows)
+                kept = of_orders.requires_grad or leaving.requires_grad
+                term = of_orders * leaving if kept else of_orders.mul_(leaving)
                 total = term if total is None else total + term
         if total is None:
             shape = (len(sines), len(self._y[rows]), len(self._x))
