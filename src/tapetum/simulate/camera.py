@@ -455,7 +455,8 @@ class Camera:
                 part = weight * seen * self._scattered(line, scatterer, centres)
                 total = part if total is None else total + part.to(total.dtype)
             if line.glints is not None:
-                part = weight * line.glints(sines, None if middle else centres).to(self._device)
+                beside = None if total is None else total.detach().amax((1, 2)) / weight.detach()
+                part = weight * line.glints(sines, None if middle else centres, beside).to(self._device)
                 total = part if total is None else total + part.to(total.dtype)
         if total is None:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
