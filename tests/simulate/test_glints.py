@@ -167,7 +167,8 @@ def test_glints_drawn_at_once_are_those_drawn_one_by_one(grid: Grid, validated: 
     assert peaks[3] == 0 and not one(sines, centres)[3].any()
     lit = peaks > 0
     apart = np.abs(one(sines, centres).numpy() - wanted).max((1, 2))[lit] / peaks[lit]
-    validated(SECTION, "glints drawn at once", float(apart.max()), 1.5e-4, "each glint's profile", "of the peak")
+    what = f"glints drawn at once on pixels of {grid.pitch * 1e6:g} um"
+    validated(SECTION, what, float(apart.max()), 1.5e-4, "each glint's profile", "of the peak")
 
 
 def mirror_scene(lens: PrescriptionLens, depth: float, **values: Any) -> Scene:

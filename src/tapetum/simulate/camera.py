@@ -489,7 +489,7 @@ class Camera:
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]
-        images = [self._profile(line, scatterer, place).on(self.output, place) for place in places]
+        images = [self._profile(line, scatterer, place).on(self.output, place, self.real) for place in places]
         return torch.stack(images).to(self._device)
 
     def _profile(self, line: _Line, scatterer: Scatterer, place: tuple[float, float]) -> DiffuseProfile:

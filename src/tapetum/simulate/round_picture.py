@@ -81,7 +81,9 @@ class BandLimitedDisc:
 
     def side(self, width: float) -> int:
         """Pixels a side of the next picture at least so many wide that transforms fast."""
-        return next_fast_len(max(math.ceil(width), 16), real=True)
+        side = next_fast_len(max(math.ceil(width), 16), real=True)
+        assert side is not None
+        return side
 
     def samples(self, side: int) -> int:
         """Samples of a picture of so many pixels a side."""
