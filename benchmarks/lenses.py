@@ -9,16 +9,20 @@ from tapetum.bench import PrescriptionLens, with_values
 from tapetum.optics.grid import Grid
 from tapetum.optics.rays import trace
 from tapetum.simulate import Camera
+from tapetum.simulate.phone import PhoneCamera
 
 from .measure import Contender, Effort, Figure, Row, in_turns
 
-TITLE = "Real lenses: tracing 29 surfaces, and images of 400 × 400 pixels"
+TITLE = "Real lenses: tracing 29 surfaces, images of 400 × 400 pixels, and frames of a phone"
 PEERS = ("torch",)
 _CASES = (
     ("cmount-12mm-f1.4", "3.8 mm", 1e-2, 15.0),
     ("phone-c", None, 1e-2, 4.0),
     ("zoom-18-140mm", "50 mm", 5e-2, 3.0),
 )
+
+# A phone of three cameras, and the sine of the steepest tilt that it is planned for.
+_PHONE, _STEEPEST = "phone-06", 0.12
 
 
 def run(effort: Effort) -> list[Row]:
@@ -67,4 +71,40 @@ def run(effort: Effort) -> list[Row]:
                 f"tilts up to {steepest:g}°; {traced.plan.columns} samples over the pupil",
             )
         )
-    return rows
+    return [*rows, _phone(effort)]
+
+
+def _phone(effort: Effort) -> Row:
+    """Frames of a phone as the set Phones films them, both beams, tilts up to 5°; a camera's part of each."""
+    scene = with_values(tp.load_scene("phones"), {"target.name": _PHONE})
+    dice = torch.Generator().manual_seed(1)
+    count = effort.of(8, 2)
+    tilts = _STEEPEST * (torch.rand(count, 2, generator=dice, dtype=torch.float64) - 0.5)
+    places = 1e-4 * torch.randn(count, 2, generator=dice, dtype=torch.float64)
+    phone = PhoneCamera(scene, _STEEPEST)
+    beam = scene.illumination.second_beam
+    assert beam is not None
+    settings = {"accuracy": scene.sampling.accuracy, "propagation": "far field", "target.sensor.pixels": [1296, 972]}
+    settings["illumination.second_beam"] = {"ratio": beam.ratio, "angle": list(beam.angle)}
+    thin: list[Camera] = []
+    for camera, unit in phone.units:
+        lens = unit.scene.target.lens
+        same = {"target.lens.focal_length": lens.focal_length, "target.lens.aperture_radius": lens.aperture_radius}
+        one = with_values(tp.load_scene("thin-lens"), {**same, **settings})
+        thin.append(Camera(one, _STEEPEST, output=camera.output))
+    work = count * len(thin)
+    timings = in_turns(
+        {
+            "ours": Contender(lambda: phone(tilts, places), work=work),
+            "peer": Contender(lambda: [one(tilts, places) for one in thin], work=work),
+        },
+        effort.rounds,
+    )
+    return Row(
+        f"{_PHONE}, {len(thin)} cameras with filters and glints, a camera's part of a frame",
+        Figure.duration(timings.typical("ours")),
+        "our thin lenses of the same f and apertures",
+        Figure.duration(timings.typical("peer")),
+        timings.speed_up("ours", "peer"),
+        f"both beams, tilts up to 5°, {phone.output.columns} × {phone.output.rows} pixels",
+    )

@@ -8,6 +8,7 @@ engine's own limits.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -42,6 +43,7 @@ KINDS = (
     "traced, sensor",
     "traced, layers",
     "all at once",
+    "traced, mask",
 )
 _LENSES = (
     ("compact-6mm-f1.9", None),
@@ -80,11 +82,14 @@ class _Dice:
         return [self.even(-most, most), self.even(-most, most)]
 
 
-def draw(seed: int, number: int, folder: Path) -> tuple[str, Plain]:
-    """Kind and plain values of a scene; a mask's file goes into the folder."""
-    dice, kind = _Dice(seed, number), KINDS[number % len(KINDS)]
+def draw(seed: int, number: int, folder: Path, kinds: Sequence[str] = KINDS) -> tuple[str, Plain]:
+    """Kind and plain values of a scene; a mask's file goes into the folder.
+
+    Kinds take turns: of a seed from before the newest ones, a number is the scene that it was with the `kinds` of then.
+    """
+    dice, kind = _Dice(seed, number), kinds[number % len(kinds)]
     if kind.startswith("traced"):
-        return kind, _traced(dice, kind)
+        return kind, _traced(dice, kind, folder)
     every = kind == "all at once"
     patterned = kind in ("square photosites", "colours", "mask") or (every and dice.chance(0.4))
     curved = kind in ("round photosites", "microlenses")
@@ -260,7 +265,7 @@ def _mask(dice: _Dice, folder: Path, unit: float) -> Plain:
     return {"file": str(file), "pitch": pitch}
 
 
-def _traced(dice: _Dice, kind: str) -> Plain:
+def _traced(dice: _Dice, kind: str, folder: Path) -> Plain:
     name, focal = dice.one(_LENSES)
     wavelength = dice.even(530e-9, 850e-9)
     own = {"compact-6mm-f1.9": 6.0e-3, "cmount-12mm-f1.4": 12e-3, "photo-50mm-f1.8": 12e-3, "la1509": 20e-3}
@@ -293,6 +298,10 @@ def _traced(dice: _Dice, kind: str) -> Plain:
         sensor["layers"] = _layers(dice, "tilted layers" if dice.chance(0.4) else "layers", wavelength, number, length)
         for layer in sensor["layers"]:
             layer["depth"] = min(layer["depth"], 2e-4)
+    if kind == "traced, mask":
+        # On the mask, and seldom beside it.
+        tilt *= 0.25
+        sensor["mask"] = _mask(dice, folder, wavelength * number)
     light: Plain = {"mode": "collimated", "wavelength": wavelength, "power": 1e-3, "diameter": 4 * length}
     if dice.chance(0.3):
         del light["diameter"]

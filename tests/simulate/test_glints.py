@@ -6,8 +6,10 @@ import math
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from scipy.interpolate import CubicSpline
 from traced_cases import along_y
 
 from tapetum.bench import PrescriptionLens, Scene, Target, load_scene, with_values
@@ -16,6 +18,7 @@ from tapetum.bench.surfaces import Layer
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
+from tapetum.optics.radial import disc_transform
 from tapetum.optics.rays import Lens
 from tapetum.simulate.budget import link_budget
 from tapetum.simulate.camera import Camera
@@ -130,10 +133,42 @@ def test_only_rings_far_below_the_accuracy_are_left_out() -> None:
     tilts = along_y(3.0, 8.0)
     whole, drawn = (glints(tables, output=grid, accuracy=accuracy)(tilts) for accuracy in (1e-12, 0.1))
     count = len(tables)
-    left = (whole - drawn).amax((1, 2)) / whole.amax((1, 2))
-    assert float((drawn - whole).max()) <= 0
-    # Each glint may leave out a thousandth of the accuracy, of the brightest one's peak.
+    peak, apart = whole.amax((1, 2)), whole - drawn
+    left, more = apart.amax((1, 2)) / peak, -apart.amin((1, 2)) / peak
+    # Each glint may leave out a thousandth of the accuracy, of the brightest one's peak; what lies beyond one end of a
+    # periodic picture comes in at the other, and is as faint.
     assert float(left.min()) > 0 and float(left.max()) < count * 1e-3 * 0.1
+    assert float(more.max()) < 1e-3 * 0.1
+    # Beside brighter light fewer rings count.
+    beside = 30 * peak
+    fewer = glints(tables, output=grid, accuracy=0.1)(tilts, None, beside)
+    assert int((fewer > 0).sum()) < 0.5 * int((drawn > 0).sum())
+    assert float(((whole - fewer).abs().amax((1, 2)) / beside).max()) < count * 3e-4 * 0.1
+
+
+@pytest.mark.parametrize("grid", [Grid(241, 301, 2.2e-6), Grid(60, 45, 9e-6)], ids=["fine", "coarse"])
+def test_glints_drawn_at_once_are_those_drawn_one_by_one(grid: Grid, validated: Any) -> None:
+    """Against the profile of each glint at every pixel's distance; gazes of many glints, of few, and off the pixels."""
+    tables = glint_tables(focused("phone-b"), WAVELENGTH)
+    one = glints(tables, output=grid, accuracy=1e-2)
+    sines = torch.cat([along_y(0.0, 3.0, 8.0, 80.0), along_y(5.0)])
+    centres = 1e-4 * torch.tensor([[0, 0], [1.23, -2], [-0.7, 0.4], [0, 0], [4, 1]], dtype=torch.float64)
+    k, finest = 2 * math.pi / WAVELENGTH, WAVELENGTH * FOCAL / (2 * APERTURE)
+    values, step = disc_transform(APERTURE, k / (2 * DISTANCE), k / FOCAL, 2e-3, spacing=finest / 40)
+    profile = np.abs(values) ** 2 / (DISTANCE * WAVELENGTH * FOCAL) ** 2
+    drawn = CubicSpline(np.arange(len(values)) * step, profile)
+    wanted = np.zeros((len(sines), grid.rows, grid.columns))
+    which, places, areas = one.places(sines)
+    for number, (x, y), area in zip(which.tolist(), places + centres[which], areas.tolist(), strict=True):
+        across, down = grid.x().numpy() - float(x), grid.y().numpy() - float(y)
+        wanted[number] += area * drawn(np.hypot(across[None, :], down[:, None]))
+    # Where the brightest glint lies beside the pixels, only its rings are in the picture.
+    peaks = profile.max() * torch.zeros(5, dtype=areas.dtype).scatter_reduce(0, which, areas, "amax").numpy()
+    assert peaks[3] == 0 and not one(sines, centres)[3].any()
+    lit = peaks > 0
+    apart = np.abs(one(sines, centres).numpy() - wanted).max((1, 2))[lit] / peaks[lit]
+    what = f"glints drawn at once on pixels of {grid.pitch * 1e6:g} um"
+    validated(SECTION, what, float(apart.max()), 1.5e-4, "each glint's profile", "of the peak")
 
 
 def mirror_scene(lens: PrescriptionLens, depth: float, **values: Any) -> Scene:
@@ -172,7 +207,7 @@ def test_waves_off_a_mirror_before_the_focus_are_its_glint(name: str, depth: flo
     sines = torch.sin(torch.deg2rad(degrees))
     image = Camera(scene, STEEPEST, output=PIXELS)(sines).double()
     at_focus = lens.focused(WAVELENGTH, DISTANCE)
-    own = glints(glint_tables(at_focus, WAVELENGTH), 0.02)(sines)
+    own = glints(glint_tables(at_focus, WAVELENGTH), 0.02, accuracy=scene.sampling.accuracy)(sines)
     scale = scene.probe.transmission * irradiance(scene)
     assert float(own[3].max()) > 0
     assert torch.allclose(image[3], own[3] * scale, rtol=1e-4, atol=1e-6 * float(own[3].max()) * scale)

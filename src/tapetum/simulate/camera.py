@@ -455,7 +455,8 @@ class Camera:
                 part = weight * seen * self._scattered(line, scatterer, centres)
                 total = part if total is None else total + part.to(total.dtype)
             if line.glints is not None:
-                part = weight * line.glints(sines, None if middle else centres).to(self._device)
+                beside = None if total is None else total.detach().amax((1, 2)) / weight.detach()
+                part = weight * line.glints(sines, None if middle else centres, beside).to(self._device)
                 total = part if total is None else total + part.to(total.dtype)
         if total is None:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
@@ -488,7 +489,7 @@ class Camera:
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]
-        images = [self._profile(line, scatterer, place).on(self.output, place) for place in places]
+        images = [self._profile(line, scatterer, place).on(self.output, place, self.real) for place in places]
         return torch.stack(images).to(self._device)
 
     def _profile(self, line: _Line, scatterer: Scatterer, place: tuple[float, float]) -> DiffuseProfile:

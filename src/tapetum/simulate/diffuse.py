@@ -146,16 +146,22 @@ class DiffuseProfile:
         return RoundPicture(self.radii, self.irradiance)
 
     @cached_property
+    def _single(self) -> RoundPicture:
+        return RoundPicture(self.radii, self.irradiance, torch.float32)
+
+    @cached_property
     def _width(self) -> float:
         """Half-width at half maximum, by the first place below it."""
         below = np.nonzero(self.irradiance < self.irradiance.max() / 2)[0]
         return float(self.radii[max(below[0], 1)]) if len(below) else self._picture.end
 
-    def on(self, output: Grid, centre: tuple[float, float] = (0.0, 0.0)) -> torch.Tensor:
-        """Return the picture [H, W] about a place (x, y) in metres, as `diffuse_return`."""
+    def on(
+        self, output: Grid, centre: tuple[float, float] = (0.0, 0.0), dtype: torch.dtype = torch.float64
+    ) -> torch.Tensor:
+        """Return the picture [H, W] about a place (x, y) in metres, as `diffuse_return`; float32 is faster."""
         x, y, pitch = output.x() - centre[0], output.y() - centre[1], output.pitch
         if pitch < self._width:
-            return self._picture.at(x, y)
+            return (self._picture if dtype == torch.float64 else self._single).at(x, y)
         parts = min(_MOST_PARTS, math.ceil(3 * pitch / self._width))
         offsets = ((torch.arange(parts, dtype=torch.float64) + 0.5) / parts - 0.5) * pitch
         columns, rows = ((one.abs() <= self._picture.end + pitch).nonzero()[:, 0] for one in (x, y))
@@ -163,7 +169,7 @@ class DiffuseProfile:
         image = torch.zeros(len(y), len(x), dtype=torch.float64)
         means = self._picture.at(*fine).reshape(len(rows), parts, len(columns), parts).mean((1, 3))
         image[rows[:, None], columns] = means
-        return image
+        return image.to(dtype)
 
 
 def diffuse_profile(

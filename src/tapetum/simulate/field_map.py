@@ -5,14 +5,17 @@ A thin lens is free of distortion: tan θ. For a traced lens, a polynomial of th
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
 
 from tapetum.bench import PrescriptionLens
 from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
 from tapetum.simulate.pupil_fits import TiltNodes
 from tapetum.simulate.traced_bundle import spot_middles
 
@@ -21,6 +24,9 @@ __all__ = ["FieldMap", "field_map"]
 _COUNT = 21
 _NEWTON = 6
 _BISECTIONS = 12
+# Tangents of the tilts up to which a wider map is tried, over that of the sensor's corner without distortion; and how
+# far beyond the corner the field ends, in fractions of its sine.
+_WIDER, _BEYOND = (1.03, 1.2), 1e-4
 # Sine of the steepest tilt to be tried.
 _STEEPEST = 0.95
 # Largest misfit, over the height at the field's edge; beyond it the field is shortened by this factor. Far beyond a
@@ -101,9 +107,34 @@ def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float,
         except InputError:
             return math.nan
 
-    low, high = 0.0, min(_STEEPEST, 1.1 * half_diagonal / lens.focal_length)
-    reached = height(high)
-    if not reached < half_diagonal:
+    steepest = _beyond_corner(focused, half_diagonal)
+    if steepest is None:
+        steepest = _by_halving(height, min(_STEEPEST, 1.1 * half_diagonal / lens.focal_length), half_diagonal)
+    while not (found := _traced(focused, steepest)).holds:
+        steepest *= _SHORTER
+    return found
+
+
+def _traced(focused: FocusedLens, steepest: float) -> FieldMap:
+    nodes = TiltNodes.up_to(steepest)
+    return FieldMap(nodes, nodes.coefficients(spot_middles(focused, nodes.sines, count=_COUNT)))
+
+
+def _beyond_corner(focused: FocusedLens, half_diagonal: float) -> float | None:
+    """Sine of a tilt just beyond that of the sensor's corner, by a wider map; None where no wider one is had."""
+    for wider in _WIDER:
+        with contextlib.suppress(InputError):
+            found = _traced(focused, math.sin(math.atan(wider * half_diagonal / focused.focal_length)))
+            # It raises where the map does not reach the corner.
+            if found.holds:
+                return float(found.sine(torch.tensor(half_diagonal, dtype=torch.float64))) * (1 + _BEYOND)
+    return None
+
+
+def _by_halving(height: Callable[[float], float], high: float, half_diagonal: float) -> float:
+    """As `_beyond_corner`, or up to `high` where a tilt has the height of the corner; else the last that has one."""
+    low = 0.0
+    if not height(high) < half_diagonal:
         for _ in range(_BISECTIONS):
             middle = (low + high) / 2
             if height(middle) < half_diagonal:
@@ -111,9 +142,4 @@ def field_map(lens: PrescriptionLens, wavelength: float, object_distance: float,
             else:
                 high = middle
         high = low if math.isnan(height(high)) else high
-    while True:
-        nodes = TiltNodes.up_to(high)
-        found = FieldMap(nodes, nodes.coefficients(spot_middles(focused, nodes.sines, count=_COUNT)))
-        if found.holds:
-            return found
-        high *= _SHORTER
+    return high

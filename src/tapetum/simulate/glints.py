@@ -22,9 +22,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 import torch
 
 from tapetum.optics.focus import FocusedLens
@@ -32,7 +32,7 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.radial import disc_transform
 from tapetum.optics.rays import Lens, before, normals, sag, to_plane, trace, trace_out
 from tapetum.simulate.foreshortening import foreshortening
-from tapetum.simulate.round_picture import RoundPicture
+from tapetum.simulate.round_picture import BandLimitedDisc
 
 __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
 
@@ -40,8 +40,13 @@ __all__ = ["GlintTable", "Glints", "glint_table", "glint_tables"]
 _PLACES, _BESIDE = 1201, 1e-4
 # Between the indices of air and of any glass.
 _AIR = 1.1
-# Share of the accuracy, over the peak of a gaze's brightest glint, below which rings are not drawn.
-_NOT_DRAWN = 1e-3
+# Share of the accuracy, over the peak of a gaze's brightest glint, below which rings are not drawn; over the peak of
+# all its light, where more returns than glints.
+_NOT_DRAWN, _NOT_SEEN = 1e-3, 3e-4
+# At least the shadow of the aperture is drawn: fractions of a glint's peak that its rings stay below.
+_SHADOW = 0.05
+# Samples of the pictures of glints that are drawn together.
+_AT_ONCE = 1 << 22
 # Step of the radial profile, in parts of the finest ring's period.
 _FINE = 8
 
@@ -70,14 +75,19 @@ class GlintTable:
     area: torch.Tensor
     passes: torch.Tensor
 
+    @cached_property
+    def _between(self) -> tuple[torch.Tensor, torch.Tensor]:
+        """Sines [N - 1] that light passes between each two places; no sine lies between infinities."""
+        both = self.passes[:-1] & self.passes[1:]
+        low, high = self.sine[:-1], self.sine[1:]
+        # Half-open, so that a tilt that falls on a node counts once.
+        return torch.where(both, torch.minimum(low, high), math.inf), torch.maximum(low, high)
+
     def at(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Glints of tilts [B] (sines): the index of each one's tilt, its place e and its area, [G] each."""
         low, high = self.sine[:-1], self.sine[1:]
-        both = self.passes[:-1] & self.passes[1:]
-        s = sines[:, None]
-        # Half-open, so that a tilt that falls on a node counts once.
-        meets = both & (((low <= s) & (s < high)) | ((high <= s) & (s < low)))
-        which, k = meets.nonzero(as_tuple=True)
+        lower, upper = self._between
+        which, k = ((lower <= sines[:, None]) & (sines[:, None] < upper)).nonzero(as_tuple=True)
         t = (sines[which] - low[k]) / (high[k] - low[k])
         e = self.e[k] + t * (self.e[k + 1] - self.e[k])
         # The area is smooth where it is finite, its inverse elsewhere.
@@ -161,10 +171,10 @@ class Glints:
         )
         strength = reflectance / (distance * wavelength * probe_focal_length) ** 2
         radii, profile = np.arange(len(values)) * step, abs(values) ** 2 * strength
-        self._disc = RoundPicture(radii, profile, dtype)
+        self._disc = BandLimitedDisc(radii, profile, output.pitch, finest, dtype)
         # The most irradiance at a distance or beyond, rising, to look up where a glint becomes faint.
         self._beyond, self._radii = np.maximum.accumulate(profile[::-1]), radii[::-1]
-        self._faint = _NOT_DRAWN * accuracy * float(profile.max())
+        self._accuracy, self._peak = accuracy, float(profile.max())
 
     def places(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """All G glints of tilts [B, 2] (sines).
@@ -180,34 +190,55 @@ class Glints:
         seen = ((rotation @ triangle)[which] @ at[..., None])[..., 0]
         return which, -self._scale * seen, area
 
-    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+    def __call__(
+        self, sines: torch.Tensor, centres: torch.Tensor | None = None, beside: torch.Tensor | None = None
+    ) -> torch.Tensor:
         """Irradiance [B, H, W] on the probe's pixels for 1 W/m² at the target.
 
         `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
-        sensor, in metres, by default in the middle.
+        sensor, in metres, by default in the middle. `beside` [B] is the peak of the other light that returns, also for
+        1 W/m² at the target: rings far below it are not drawn.
         """
-        sines = sines.cpu().to(torch.float64)
-        x, y = self._output.x(), self._output.y()
-        images = torch.zeros(len(sines), len(y), len(x), dtype=self._dtype)
+        sines, grid = sines.cpu().to(torch.float64), self._output
+        images = torch.zeros(len(sines), grid.rows, grid.columns, dtype=self._dtype)
         which, places, areas = self.places(sines)
-        brightest = torch.zeros(len(sines), dtype=areas.dtype).scatter_reduce(0, which, areas.detach(), "amax")
-        reaches = self._reach(self._faint * (brightest[which] / areas.detach()).numpy())
-        for number, place, area, reach in zip(which.tolist(), places, areas, reaches, strict=True):
-            at = place if centres is None else place + centres[number].to(place)
-            columns, rows = self._near(x, float(at[0].detach()), reach), self._near(y, float(at[1].detach()), reach)
-            part = self._disc.at(x[columns] - at[0], y[rows] - at[1])
-            images[number, rows, columns] += part * area.to(self._dtype)
+        if not len(which):
+            return images
+        at = places if centres is None else places + centres.cpu()[which].to(places)
+        # All glints of a gaze in a row; those that it lacks are dark, at the place of its first.
+        order, count = which.argsort(stable=True), torch.bincount(which, minlength=len(sines))
+        number = torch.arange(int(count.max())).expand(len(sines), -1)
+        row = (count.cumsum(0) - count)[:, None] + torch.where(number < count[:, None], number, 0)
+        row = order[row.clamp_max(len(which) - 1)]
+        area = torch.where(number < count[:, None], areas[row], 0.0)
+        x = at[row, 0] / grid.pitch + (grid.columns - 1) / 2
+        y = at[row, 1] / grid.pitch + (grid.rows - 1) / 2
+        lit = count.nonzero()[:, 0]
+        reach = self._reach(area.detach().amax(1), beside)[lit]
+        wide = torch.maximum(*(one[lit].detach().amax(1) - one[lit].detach().amin(1) for one in (x, y)))
+        side = self._disc.side(float((wide + 2 * reach).max()))
+        # Pictures of one size about the middle of each gaze's glints, on whole pixels; of these the part on the sensor.
+        middle = [(one.detach().amax(1) + one.detach().amin(1) + 1 - side) / 2 for one in (x, y)]
+        low = torch.stack([torch.round(one) for one in middle], -1).long()
+        first, last = low.clamp_min(0), torch.minimum(low + side, torch.tensor([grid.columns, grid.rows]))
+        lit = lit[(last > first).all(-1)[lit]]
+        size = [int(one) for one in (last - first)[lit].amax(0)] if len(lit) else [0, 0]
+        for some in lit.split(max(1, _AT_ONCE // self._disc.samples(side))):
+            start = first[some]
+            at_x, at_y = x[some] - start[:, :1], y[some] - start[:, 1:]
+            pictures = self._disc.draw(side, area[some], at_x, at_y, columns=size[0], rows=size[1])
+            for i, picture in zip(some.tolist(), pictures, strict=True):
+                (left, top), (right, bottom) = first[i].tolist(), last[i].tolist()
+                images[i, top:bottom, left:right] = picture[: bottom - top, : right - left]
         return images
 
-    def _reach(self, faint: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Distances beyond which the profile stays below these irradiances, in metres."""
-        return self._radii[np.searchsorted(self._beyond, faint).clip(0, len(self._radii) - 1)]
-
-    def _near(self, places: torch.Tensor, middle: float, reach: float) -> slice:
-        """Those of equally spaced places that lie within reach of the middle."""
-        first, step = float(places[0]), self._output.pitch
-        low, high = math.floor((middle - reach - first) / step), math.ceil((middle + reach - first) / step)
-        return slice(min(max(low, 0), len(places)), min(max(high + 1, 0), len(places)))
+    def _reach(self, brightest: torch.Tensor, beside: torch.Tensor | None) -> torch.Tensor:
+        """Distances [B] in pixels beyond which rings of glints are faint, of gazes whose largest areas are [B]."""
+        faint = torch.full_like(brightest, _NOT_DRAWN * self._peak)
+        if beside is not None:
+            faint = torch.maximum(faint, _NOT_SEEN * beside.cpu().to(faint) / brightest)
+        faint = (self._accuracy * faint).clamp_max(_SHADOW * self._peak)
+        return torch.from_numpy(self._radii[np.searchsorted(self._beyond, faint.numpy())] / self._output.pitch)
 
 
 def _coated(lens: Lens, i: int) -> bool:

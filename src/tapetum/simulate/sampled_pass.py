@@ -14,7 +14,7 @@ that the pupil leaves out of s. A mirror takes s to -s, an order of direction τ
 from __future__ import annotations
 
 import math
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 import torch
 
@@ -29,8 +29,8 @@ Lens = TypeVar("Lens", bound=Pupil)
 
 # Distance of an order's direction from the pupil's, in half widths of the pupil, within which its light returns.
 _MEETS = 2.05
-# Samples a block of the kernels.
-_BLOCK = 16
+# Samples a block of the kernels, and orders whose ramps are added at once.
+_BLOCK, _ORDERS = 16, 64
 
 
 class SampledPass(Generic[Lens]):
@@ -174,34 +174,46 @@ class SampledPass(Generic[Lens]):
         """The spot's light off the plane: times a mask, or phases that change slowly for each order of a surface."""
         if isinstance(self.plane, Mask):
             places = at.place[:, :, None] + self._v
-            spot = spot * self._ramp(2 * at.turn)
+            spot = spot * self._ramps(2 * at.turn[:, None], torch.ones_like(at.turn[:, :1]))
             return spot * self.plane.reflectance(places[:, 0], places[:, 1]).to(self.dtype)
-        tilt = self.plane.tilt
-        total: torch.Tensor | None = None
-        for order in self.plane.orders:
-            tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
-            tau = tau - 2 * torch.tensor(tilt, dtype=torch.float64, device=self.device)
-            direction = (at.axes @ tau[:, None])[..., 0] + 2 * at.turn
-            amplitude = phasor(self._k * (at.place @ tau)) * order.at(at.place)
-            if math.isfinite(self.pupil.reach):
-                # Light that misses the pupil altogether would only return as an alias.
-                apart = torch.hypot(*(direction + 2 * at.middle).unbind(-1))
-                meets = apart < _MEETS * self.pupil.reach
-                if not bool(meets.any()):
-                    continue
-                direction, amplitude = torch.where(meets[:, None], direction, 0.0), amplitude * meets
+        amplitudes, directions = self._orders(at)
+        if half:
             # The ramps of a mirror that returns half a spot are 1.
-            one = amplitude[:, None, None].to(self.dtype) if half else self._ramp(direction, amplitude)
-            total = one if total is None else total + one
-        return spot * (torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device) if total is None else total)
+            return spot * amplitudes.sum(-1)[:, None, None].to(self.dtype)
+        total = torch.zeros(1, 1, 1, dtype=self.dtype, device=self.device)
+        for i in range(0, amplitudes.shape[-1], _ORDERS):
+            total = total + self._ramps(directions[:, i : i + _ORDERS], amplitudes[:, i : i + _ORDERS])
+        return spot * total
 
-    def _ramp(self, direction: torch.Tensor, amplitude: torch.Tensor | None = None) -> torch.Tensor:
-        """Amplitude [B] times exp(ik direction·v), [B, n, n]."""
-        turn = self._k * direction[:, :, None] * self._v
-        column, row = phasor(turn[:, 0], self.dtype), phasor(turn[:, 1], self.dtype)
-        if amplitude is not None:
-            row = row * amplitude[:, None].to(self.dtype)
-        return row[:, :, None] * column[:, None, :]
+    def _orders(self, at: Gazes) -> tuple[torch.Tensor, torch.Tensor]:
+        """Amplitudes [B, M] of a surface's orders, and directions [B, M, 2] against which they return; at the spot."""
+        assert isinstance(self.plane, Surface)
+        given: dict[str, Any] = {"dtype": torch.float64, "device": self.device}
+        tau = torch.tensor([order.direction for order in self.plane.orders], **given).reshape(-1, 2)
+        tau = tau - 2 * torch.tensor(self.plane.tilt, **given)
+        directions = tau @ at.axes.mT + 2 * at.turn[:, None]
+        amplitudes = phasor(self._k * (at.place @ tau.mT))
+        if own := [order.at(at.place) for order in self.plane.orders]:
+            precise: dict[str, Any] = {"dtype": torch.complex128, "device": self.device}
+            amplitudes = amplitudes * torch.stack(
+                [torch.as_tensor(a, **precise).expand(len(amplitudes)) for a in own], -1
+            )
+        if math.isfinite(self.pupil.reach):
+            # Light that misses the pupil altogether would only return as an alias.
+            apart = torch.hypot(*(directions + 2 * at.middle[:, None]).unbind(-1))
+            meets = apart < _MEETS * self.pupil.reach
+            some = meets.any(0)
+            directions = torch.where(meets[..., None], directions, 0.0)[:, some]
+            amplitudes = (amplitudes * meets)[:, some]
+        return amplitudes, directions
+
+    def _ramps(self, directions: torch.Tensor, amplitudes: torch.Tensor) -> torch.Tensor:
+        """Sums [B, n, n] of amplitudes [B, M] times exp(ik direction·v), of directions [B, M, 2]."""
+        turn = self._k * directions[..., None] * self._v
+        columns, rows = phasor(turn[:, :, 0], self.dtype), phasor(turn[:, :, 1], self.dtype)
+        if amplitudes.shape[-1] == 1:
+            return (rows * amplitudes[..., None].to(self.dtype)).mT * columns
+        return (rows * amplitudes[..., None].to(self.dtype)).mT @ columns
 
     def _kernel(self, v: torch.Tensor, columns: torch.Tensor, dtype: torch.dtype) -> torch.Tensor:
         """exp(ik v·column), [B or 1, v, columns], for equally spaced v."""

@@ -107,8 +107,10 @@ class TracedGroup:
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Irradiance [B, H, W] in W/m² for 1 W/m² at the target; arguments as for `TracedPass.field`."""
-        if len(self.passes) == 1:
-            return self.passes[0](sines, centres)
+        # Beyond a filter's cut-off a sensor's light is left alone.
+        lit = [one for one in self.passes if bool(one.pupil.returns(sines).any())] or self.passes[:1]
+        if len(lit) == 1:
+            return lit[0](sines, centres)
         u = self.field(sines, centres)
         return u.real**2 + u.imag**2
 
