@@ -23,6 +23,7 @@ __all__ = [
     "PupilFits",
     "TiltNodes",
     "chebyshev",
+    "edge_weights",
     "fit_functions",
     "fit_leaving",
     "fit_pupils",
@@ -413,6 +414,18 @@ def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None, *, mir
     share = _covered(1 - flat[number], gx.abs(), gy.abs())
     at = number // (rims * rows * columns) * (rows * columns) + number % (rows * columns)
     return total.to(heights.dtype).flatten().scatter_reduce(0, at, share, "amin").reshape(batch, rows, columns)
+
+
+def edge_weights(share: torch.Tensor) -> torch.Tensor:
+    """Weights of samples [B, n, m] near an edge for the shares of their squares inside it.
+
+    A share is the mean over a square: light that the edge diffracts is damped by sin(q/2)/(q/2), q being the change of
+    phase from sample to sample. A 24th of the second differences makes up for it, but for terms in q⁴.
+    """
+    # What lies beyond the first and the last sample is as they are: dark, or a mirror image.
+    wide = torch.nn.functional.pad(share[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
+    beside = wide[:, 1:-1, :-2] + wide[:, 1:-1, 2:] + wide[:, :-2, 1:-1] + wide[:, 2:, 1:-1]
+    return share + (4 * share - beside) / 24
 
 
 def chebyshev(u: torch.Tensor, count: int) -> torch.Tensor:

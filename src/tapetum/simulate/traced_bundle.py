@@ -7,7 +7,8 @@ to the plane of the exit pupil, to the point p. With y0 the middle of the spot o
     Ψ = path(e … p) + |y0 - p| phase of the light from e, referred to y0, in metres
 
 and the field on the sensor at y0 + v is ∫ A exp(ikΨ(s)) exp(ik(s·v + v·Cv/2)) d²s, C = (1 - s_c s_cᵀ)/R: only the
-departure from a point image is sampled. Of light in focus only the pupil's rim feels C: `rim_curvature`. The lens is rotationally symmetric: tilts are along y.
+departure from a point image is sampled. In focus only light of the pupil's rim feels C: `rim_curvature`. The lens is
+rotationally symmetric: tilts are along y.
 
 One file of more than 400 lines, because tracing a bundle and searching the box of rays to trace share their starts.
 """

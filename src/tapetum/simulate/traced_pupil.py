@@ -16,7 +16,7 @@ import torch
 from tapetum.optics.fourier import phasor
 from tapetum.simulate.foreshortening import foreshortening
 from tapetum.simulate.probe_path import ProbePath
-from tapetum.simulate.pupil_fits import PupilFits, on_grid, on_tilt_grid, open_share
+from tapetum.simulate.pupil_fits import PupilFits, edge_weights, on_grid, on_tilt_grid, open_share
 from tapetum.simulate.pupils import Entering, Leaving
 
 __all__ = ["TracedPupil"]
@@ -129,7 +129,7 @@ class _TracedGazes:
         else:
             columns, rows, path, values = on_tilt_grid(one.fits.entering, self._tilt, one.samples[0], one.real)
         share = torch.sqrt(values[:, 0].clamp_min(_DARK))
-        share = share * open_share(values[:, 1:], inside, mirrored=not self._own)
+        share = share * edge_weights(open_share(values[:, 1:], inside, mirrored=not self._own))
         cell = (columns[:, 1] - columns[:, 0]) * (rows[:, 1] - rows[:, 0])
         # A tilted pupil receives less light.
         dimmed = cell * self._returns * (1 - self._size**2) ** 0.25
@@ -148,9 +148,9 @@ class _TracedGazes:
         x, y, path, even, odd, inside = on_grid(fits.leaving, self._tilt, turned, one.samples[2], one.real)
         out = torch.sqrt(even[:, 1].clamp_min(_DARK))
         if odd.shape[1] > 1:
-            out = out * open_share(even[:, 3:], inside) * self._accept(even[:, 2], odd[:, 1])
+            out = out * edge_weights(open_share(even[:, 3:], inside)) * self._accept(even[:, 2], odd[:, 1])
         else:
-            out = out * open_share(even[:, 2:], inside)
+            out = out * edge_weights(open_share(even[:, 2:], inside))
         along, across = even[:, 0], odd[:, 0]
         if one.tilt != (0.0, 0.0):
             path = path + self._taken(along**2 + across**2, along)
