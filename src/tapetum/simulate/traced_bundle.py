@@ -282,7 +282,8 @@ def rim_curvature(focused: FocusedLens) -> float:
     """
     place, slope = _rim_crossing(_anywhere(focused))
     middle = 1 / (focused.image - _exit_plane(focused))
-    found = middle if math.isnan(place) else 1 / ((focused.image - place) * (1 + slope**2) ** 1.5)
+    # Parallel rays cross nowhere.
+    found = middle if not math.isfinite(place) else 1 / ((focused.image - place) * (1 + slope**2) ** 1.5)
     return min(max(found, _RIM_CURVATURES[0] * middle), _RIM_CURVATURES[1] * middle)
 
 
@@ -306,9 +307,9 @@ def _rim_crossing(lens: FocusedLens) -> tuple[float, float]:
         y = y + (1 - torch.sqrt(sent(y).height[:, 0, rim])) / rate
     rays = sent(y)
     place, _ = to_plane(rays.position, rays.direction, 0.0)
-    (_, low, high), slopes = place[:, 0, 1].tolist(), rays.direction[:, 0, 1] / rays.direction[:, 0, 2]
-    straight, less, more = slopes.tolist()
-    return (low - high) / (more - less) if more != less else math.nan, straight
+    slope = rays.direction[:, 0, 1] / rays.direction[:, 0, 2]
+    crossing = float((place[1, 0, 1] - place[2, 0, 1]) / (slope[2] - slope[1]))
+    return crossing, float(slope[0])
 
 
 def _starts(box: tuple[torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:
