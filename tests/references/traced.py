@@ -1,6 +1,7 @@
 """The judge's traced lens: rays to the stop's image before the sensor, and from there waves with exact distances.
 
-In the stop's image the pupil's edge is sharp; on any other plane it has fringes, which rays know nothing of.
+In the stop's image the pupil's edge is sharp; on any other plane it has fringes, which rays know nothing of. The image
+has aberrations: each ray has its own, where it crosses the ray beside it from the same place in the stop.
 Light from the probe, and light that a pixel of the probe would send, are each a bundle of rays of their own through the
 whole lens. Rays are laid out by their azimuth and distance from the pupil's middle up to the edge that the surfaces
 leave. What each pixel receives is the sum of both fields' product over the sensor (reciprocity).
@@ -9,6 +10,7 @@ leave. What each pixel receives is the sum of both fields' product over the sens
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -21,7 +23,7 @@ from .rays import Traced, focused
 from .thin import Beam, Effort
 from .way import Probe
 
-__all__ = ["traced_amplitudes"]
+__all__ = ["rim_curvatures", "traced_amplitudes"]
 
 # Dark rings that the sum over the sensor holds beyond the rays, at a window of 1; it fades out over the outer half.
 _RINGS = 14.0
@@ -150,14 +152,15 @@ def _height(lens: Traced, s: Real, curvature: float, e: Real) -> Real:
 
 
 def _wave(lens: Traced, s: Real, curvature: float, spokes: int, rings: int, k: float) -> _Wave:
-    """Rays in the paraxial exit pupil; where that lies within the lens, as if it did not."""
+    """Rays in their images of the stop; where these lie within the lens, as if they did not."""
     middle, edge = _edges(lens, s, curvature, spokes)
     nodes, weights = legendre(rings)
     away = edge[:, None] * (nodes + 1) / 2
     turn = (2 * math.pi * np.arange(spokes) / spokes)[:, None]
     e = np.stack([middle[0] + away * np.cos(turn), middle[1] + away * np.sin(turn)], -1).reshape(-1, 2)
     area = (away * edge[:, None] / 2 * weights * (2 * math.pi / spokes)).ravel()
-    reference = lens.exit_pupil()
+    toward = np.stack([np.cos(turn), np.sin(turn)], -1).repeat(rings, 1).reshape(-1, 2)
+    reference = _stop_images(lens, s, curvature, e, toward)
 
     def ends(at: Real) -> tuple[Real, Real, Real]:
         position, direction, before, _ = _started(lens, s, curvature, at)
@@ -177,6 +180,52 @@ def _wave(lens: Traced, s: Real, curvature: float, spokes: int, rings: int, k: f
     strength = area * np.sqrt(power * grown) * direction[:, 2]
     good = np.isfinite(path + strength) & (area > 0)
     return _Wave(position[good], direction[good], path[good], strength[good])
+
+
+def _stop_images(lens: Traced, s: Real, curvature: float, e: Real, toward: Real) -> Real:
+    """z where each ray crosses the one from the same place in the stop under a direction turned `toward` [N, 2].
+
+    A place in the sensor beside another by v is reached from there by a way longer by s·v + v²/2R, R the distance of
+    this crossing: the paraxial image of the stop gives it for the light near the axis only.
+    """
+    paraxial = lens.exit_pupil()
+
+    def ray(at: Real, direction: Real) -> Real:
+        """Place in the stop, place on the paraxial image's plane and slopes, [N, 6]."""
+        position, towards, _, _ = _started(lens, direction, curvature, at)
+        towards = np.ascontiguousarray(towards)
+        stop, end = lens.trace(position, towards, stop_at=lens.stop), lens.trace(position, towards)
+        slope = end.direction[:, :2] / end.direction[:, 2:]
+        place = end.position[:, :2] + (paraxial - end.position[:, 2:]) * slope
+        return np.concatenate([stop.position[:, :2], place, slope], 1)
+
+    def changes(of: Callable[[Real], Real], step: float) -> Real:
+        """By differences along x and y: [N, 6, 2]."""
+        return np.stack([(of(step * one) - of(-step * one)) / (2 * step) for one in np.eye(2)], -1)
+
+    by_place = changes(lambda by: ray(e + by, s), 1e-4 * lens.focal_length)
+    by_turn = changes(lambda by: ray(e, s + by), 1e-4)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        a, b, c, d = by_place[:, 0, 0], by_place[:, 0, 1], by_place[:, 1, 0], by_place[:, 1, 1]
+        x, y = -np.einsum("nij,nj->in", by_turn[:, :2], toward)
+        moved = np.stack([d * x - b * y, a * y - c * x], 1) / (a * d - b * c)[:, None]
+        change = np.einsum("nij,nj->ni", by_place[:, 2:], moved) + np.einsum("nij,nj->ni", by_turn[:, 2:], toward)
+        place, slope = change[:, :2], change[:, 2:]
+        # Curvatures from a fifth of the paraxial image's to three times it: beyond, rays hardly cross.
+        away = lens.image - paraxial
+        nearer = (place * slope).sum(1) / (slope**2).sum(1)
+        return lens.image - away / np.clip(away / (away + nearer), 0.2, 3.0)
+
+
+def rim_curvatures(lens: Traced, s: Real, spokes: int) -> Real:
+    """C along s, in 1/m, of the path from places of the pupil's rim to the sensor: s·v + C v²/2."""
+    middle, edge = _edges(lens, s, 0.0, spokes)
+    turn = 2 * math.pi * np.arange(spokes) / spokes
+    toward = np.stack([np.cos(turn), np.sin(turn)], 1)
+    e = middle + edge[:, None] * toward
+    position, direction, _, _ = _started(lens, s, 0.0, e)
+    cosine = lens.trace(position, np.ascontiguousarray(direction)).direction[:, 2]
+    return cosine**3 / (lens.image - _stop_images(lens, s, 0.0, e, toward))
 
 
 def _landing(wave: _Wave, place: float) -> tuple[Real, float]:

@@ -105,8 +105,8 @@ def thin_lens(case: Case, degrees: float, output: Grid, grids: TracedGrids) -> t
     [
         (100 / 6, math.inf, 0.0, TracedGrids(325, 462, 8.4e-4, 6.3e-4, 325), 2e-6),
         (100 / 6, math.inf, 0.5, TracedGrids(325, 462, 8.4e-4, 6.3e-4, 325), 2e-6),
-        (100 / 3, 1.0, 0.0, TracedGrids(700, 330, 1.2e-3, 9e-4, 400), 1.1e-5),
-        (100 / 3, 1.0, 0.3, TracedGrids(700, 330, 1.2e-3, 9e-4, 400), 1.1e-5),
+        (100 / 3, 1.0, 0.0, TracedGrids(700, 330, 1.2e-3, 9e-4, 800), 1.1e-5),
+        (100 / 3, 1.0, 0.3, TracedGrids(700, 330, 1.2e-3, 9e-4, 800), 1.1e-5),
     ],
 )
 def test_la1509_is_a_thin_lens_with_its_aberration(

@@ -23,6 +23,7 @@ __all__ = [
     "PupilFits",
     "TiltNodes",
     "chebyshev",
+    "edge_weights",
     "fit_functions",
     "fit_leaving",
     "fit_pupils",
@@ -31,6 +32,7 @@ __all__ = [
     "on_tilt_grid",
     "open_share",
     "values_at",
+    "with_rim",
 ]
 
 # Degrees of the polynomials: a phase needs many, an edge must not oscillate between its rays.
@@ -106,9 +108,10 @@ class PupilFits:
 
     `entering` holds functions of s: Ψ, |∂e/∂s|, and the height at each surface that stops rays; `leaving` functions of
     e: Ψ, s along the tilt, |∂s/∂e|, heights, and the odd s across. `middle` and `radius` [T] are coefficients of y0 and
-    R. `spread` is the largest distance of a ray's landing from y0. Landings about y0 are linear in s, with slope
-    `defocus` about the middle of s, and depart from it by at most `aberration`. `misfit` is the worst RMS of Ψ against
-    the rays that pass; `aperture` the pupil's largest half width in s and reach in e.
+    R, `bend` [T, 2] those of C across and along the tilt. `spread` is the largest distance of a ray's landing from y0.
+    Landings about y0 are linear in s, with slope `defocus` about the middle of s, and depart from it by at most
+    `aberration`. `misfit` is the worst RMS of Ψ against the rays that pass; `aperture` the pupil's largest half width
+    in s and reach in e.
     """
 
     nodes: TiltNodes
@@ -116,6 +119,7 @@ class PupilFits:
     leaving: Fit
     middle: torch.Tensor
     radius: torch.Tensor
+    bend: torch.Tensor
     spread: float
     defocus: float
     aberration: float
@@ -128,7 +132,8 @@ class PupilFits:
         if middle is self.middle:
             return self
         entering, leaving, radius = self.entering.to(device), self.leaving.to(device), self.radius.to(device)
-        return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius)
+        bend = self.bend.to(device)
+        return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius, bend=bend)
 
 
 def fit_pupils(
@@ -161,6 +166,7 @@ def fit_pupils(
         out,
         nodes.coefficients(entering.middle),
         nodes.coefficients(entering.radius),
+        nodes.coefficients(_chief_bend(entering)),
         spread,
         defocus,
         aberration,
@@ -190,12 +196,29 @@ def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature:
         leaving,
         nodes.coefficients(tilt @ fits.middle),
         nodes.coefficients(tilt @ fits.radius),
+        nodes.coefficients(tilt @ fits.bend),
         spread,
         defocus,
         aberration,
         float(square.max().sqrt()),
         (float((at_nodes @ entering.half).max()), fits.aperture[1]),
     )
+
+
+def with_rim(fits: PupilFits, curvature: float) -> PupilFits:
+    """The same pupils with the C of the light that returns from the rim, which is `curvature` head on, in 1/m.
+
+    In focus only light far from the spot feels C, and it comes from the rim: to v from where the rim lies across v, so
+    that s is along v. A mirror takes s to -s, so the rim's light returns where both lie in the pupil. Between the
+    pupil's middle, where C is 1/z, and the rim it is taken as linear in s².
+    """
+    at = chebyshev(fits.nodes.places, fits.nodes.count)
+    middle, radius = at @ fits.middle, at @ fits.radius
+    apart = ((at @ fits.entering.centre)[:, 1].abs() / (at @ fits.entering.half)[:, 1]).clamp(max=1)
+    # Squared half widths of what the pupil and its mirror image share, over the pupil's own.
+    shared = torch.stack([1 - apart**2, (1 - apart) ** 2], -1)
+    inner = 1 / torch.sqrt(radius**2 - middle**2)[:, None]
+    return replace(fits, bend=fits.nodes.coefficients(inner + (curvature - inner) * shared))
 
 
 def _narrowed(fit: Fit, nodes: TiltNodes, tilt: torch.Tensor) -> Fit:
@@ -224,6 +247,12 @@ def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = N
         ],
         [(leaving.s[..., 0], MAP_DEGREE)],
     )
+
+
+def _chief_bend(bundle: Bundle) -> torch.Tensor:
+    """C under the chief ray's angle, [T, 2] in 1/m: (1 - s_c s_cᵀ)/R."""
+    chief = bundle.middle / bundle.radius
+    return torch.stack([torch.ones_like(chief), 1 - chief**2], -1) / bundle.radius[:, None]
 
 
 def _landings(bundle: Bundle) -> tuple[float, float, float]:
@@ -385,6 +414,18 @@ def open_share(heights: torch.Tensor, inside: torch.Tensor | None = None, *, mir
     share = _covered(1 - flat[number], gx.abs(), gy.abs())
     at = number // (rims * rows * columns) * (rows * columns) + number % (rows * columns)
     return total.to(heights.dtype).flatten().scatter_reduce(0, at, share, "amin").reshape(batch, rows, columns)
+
+
+def edge_weights(share: torch.Tensor) -> torch.Tensor:
+    """Weights of samples [B, n, m] near an edge for the shares of their squares inside it.
+
+    A share is the mean over a square: light that the edge diffracts is damped by sin(q/2)/(q/2), q being the change of
+    phase from sample to sample. A 24th of the second differences makes up for it, but for terms in q⁴.
+    """
+    # What lies beyond the first and the last sample is as they are: dark, or a mirror image.
+    wide = torch.nn.functional.pad(share[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]
+    beside = wide[:, 1:-1, :-2] + wide[:, 1:-1, 2:] + wide[:, :-2, 1:-1] + wide[:, 2:, 1:-1]
+    return share + (4 * share - beside) / 24
 
 
 def chebyshev(u: torch.Tensor, count: int) -> torch.Tensor:

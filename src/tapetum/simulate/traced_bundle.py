@@ -7,7 +7,8 @@ to the plane of the exit pupil, to the point p. With y0 the middle of the spot o
     Ψ = path(e … p) + |y0 - p| phase of the light from e, referred to y0, in metres
 
 and the field on the sensor at y0 + v is ∫ A exp(ikΨ(s)) exp(ik(s·v + v·Cv/2)) d²s, C = (1 - s_c s_cᵀ)/R: only the
-departure from a point image is sampled. The lens is rotationally symmetric: tilts are along y.
+departure from a point image is sampled. In focus only light of the pupil's rim feels C: `rim_curvature`. The lens is
+rotationally symmetric: tilts are along y.
 
 One file of more than 400 lines, because tracing a bundle and searching the box of rays to trace share their starts.
 """
@@ -26,7 +27,7 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.rays import Rays, to_plane, trace
 
 __all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "mirrored", "right_half", "spot_middles"]
-__all__ += ["trace_bundle"]
+__all__ += ["rim_curvature", "trace_bundle"]
 
 # Rays a side of a bundle, and of the coarse one that finds the pupil.
 _COARSE = 49
@@ -41,6 +42,10 @@ _FEW = 21
 BEYOND = 1.06
 # Farthest exit pupil before the sensor, in focal lengths, in place of one farther away or behind it.
 _FARTHEST_PUPIL = 40.0
+# Sine of the tilts between which rays from a place of the rim cross, and steps of the search for these rays.
+_LITTLE_TILT, _STEPS = 1e-3, 5
+# Least and largest curvature of the rim's light over that of the light in the pupil's middle.
+_RIM_CURVATURES = (0.2, 3.0)
 
 
 class Passing(Protocol):
@@ -267,6 +272,44 @@ def spot_middles(focused: FocusedLens, sines: torch.Tensor, *, count: int) -> to
     Parameters and errors are the same. Without derivatives it takes half the time.
     """
     return trace_bundle(focused, sines, count=count, sloped=False).middle
+
+
+def rim_curvature(focused: FocusedLens) -> float:
+    """C of light from the pupil's rim about the sensor's middle, along s, in 1/m.
+
+    Light from a place of the rim seems to come from where the rays through it cross behind the lens, at the distance L
+    before the sensor along the axis: C is cos³θ/L. The stop's paraxial image has the L of light near the axis alone.
+    """
+    place, slope = _rim_crossing(_anywhere(focused))
+    middle = 1 / (focused.image - _exit_plane(focused))
+    # Parallel rays cross nowhere.
+    found = middle if not math.isfinite(place) else 1 / ((focused.image - place) * (1 + slope**2) ** 1.5)
+    return min(max(found, _RIM_CURVATURES[0] * middle), _RIM_CURVATURES[1] * middle)
+
+
+@functools.lru_cache(maxsize=32)
+def _rim_crossing(lens: FocusedLens) -> tuple[float, float]:
+    """z where rays through one place of the rim, under tilts of either sign, cross; and the slope of those head on."""
+    sines = torch.tensor([0.0, -_LITTLE_TILT, _LITTLE_TILT], dtype=torch.float64)
+    _, upper = _searched_boxes(lens, sines[:1], 0.0)
+
+    def sent(y: torch.Tensor) -> Rays:
+        e = torch.stack([torch.zeros_like(y), y], -1)[:, None]
+        start, way, _ = _incoming(lens, e, sines, 0.0)
+        return trace(lens.lens, start, way)
+
+    # Just beyond the edge head on: the highest ray is that at the surface whose rim stops it.
+    y = upper[0, 1].expand(3)
+    beyond, inside = sent(y).height, sent(0.9 * y).height
+    rim = int(beyond[0, 0].argmax())
+    rate = (torch.sqrt(beyond[:, 0, rim]) - torch.sqrt(inside[:, 0, rim])) / (0.1 * y)
+    for _ in range(_STEPS):
+        y = y + (1 - torch.sqrt(sent(y).height[:, 0, rim])) / rate
+    rays = sent(y)
+    place, _ = to_plane(rays.position, rays.direction, 0.0)
+    slope = rays.direction[:, 0, 1] / rays.direction[:, 0, 2]
+    crossing = float((place[1, 0, 1] - place[2, 0, 1]) / (slope[2] - slope[1]))
+    return crossing, float(slope[0])
 
 
 def _starts(box: tuple[torch.Tensor, torch.Tensor], count: int) -> torch.Tensor:

@@ -17,7 +17,8 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
-from tapetum.simulate.pupil_fits import PupilFits
+from tapetum.simulate.pupil_fits import PupilFits, with_rim
+from tapetum.simulate.traced_bundle import rim_curvature
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
 __all__ = [
@@ -155,13 +156,16 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     Only what a plane returns by rays can be corrected by them: not what a mask scatters.
     """
     focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
+    zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
+    if zones <= _GEOMETRIC:
+        # Out of focus light is told by its rays, in focus by the pupil's rim.
+        fits = with_rim(fits, rim_curvature(focused))
     sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
     told = check_return(focused, fits, sines, curvature=scene.curvature)
     departure = float(torch.nan_to_num(told.opd).max())
     angle = float(told.angle.max())
     # A phase error changes a picture by at most as much.
     unsure = 2 * math.pi * departure / wavelength
-    zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
     if accepted is not None:
         # Even through a small aperture waves come from some Fresnel zones about the ray that returns straight. For a
         # return that spreads as if from L behind the pupil, L its radius over the angle, the first zone ends where rays

@@ -63,7 +63,7 @@ _MOST_POWER = 1.03
 _DETAILS = 3.0
 # Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
 _RINGS_BESIDE = 30
-_MOST_PUPIL, _MOST_SENSOR = 2048, 4096
+_MOST_PUPIL, _MOST_SENSOR = 3072, 4096
 
 
 @dataclass(frozen=True)
@@ -344,9 +344,9 @@ def _grids(
             where="target",
             remedy=f"{of_mask}focus nearer to the probe, stop the lens down with f_number, or ask for less accuracy",
         )
-    # The part to interpolate once the defocus is removed; a mask scatters from all of the spot.
-    left = half if mask is not None else effort.rings * ring + fits.aberration
-    returning = max(2 * effort.pupil, math.ceil(3 * effort.finer * 2 * sine * 2 * left / wavelength))
+    # Removing the defocus leaves the light of rays smooth, but not what the rim diffracts: that comes from all of the
+    # spot, as what a mask scatters does.
+    returning = max(2 * effort.pupil, math.ceil(3 * effort.finer * 2 * sine * 2 * half / wavelength))
     return TracedGrids(pupil, sensor, half, half - effort.rings * ring / 2, returning, leaving)
 
 

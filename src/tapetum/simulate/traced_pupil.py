@@ -16,7 +16,7 @@ import torch
 from tapetum.optics.fourier import phasor
 from tapetum.simulate.foreshortening import foreshortening
 from tapetum.simulate.probe_path import ProbePath
-from tapetum.simulate.pupil_fits import PupilFits, chebyshev, on_grid, on_tilt_grid, open_share
+from tapetum.simulate.pupil_fits import PupilFits, edge_weights, on_grid, on_tilt_grid, open_share
 from tapetum.simulate.pupils import Entering, Leaving
 
 __all__ = ["TracedPupil"]
@@ -74,8 +74,9 @@ class TracedPupil:
         self.samples = samples[0] + samples[0] % 2, samples[1], samples[2]
         self.k, self.tilt, self.phase, self.dtype = 2 * math.pi / wavelength, tilt, phase, dtype
         self.real = dtype.to_real()
-        at = chebyshev(fits.nodes.places, fits.nodes.count).to(path.device)
-        self.reach, self.rim = fits.aperture[0], self.k / float((at @ fits.radius).min())
+        # Only head on does a rim's light return to that rim.
+        head_on = fits.nodes.terms(torch.zeros(1, dtype=torch.float64)).to(path.device)
+        self.reach, self.rim = fits.aperture[0], self.k * float((head_on @ fits.bend)[0, 1])
 
     def returns(self, sines: torch.Tensor) -> torch.Tensor:
         """Whether anything returns from tilts [B, 2]: beyond the last node the polynomials are invalid."""
@@ -113,9 +114,9 @@ class _TracedGazes:
         self._x, self._y = (self.axes @ self._toward[..., None])[..., 0].unbind(-1)
         self.turn = torch.sqrt(1 - chief**2)[:, None] * (self.axes @ plane)
         self.middle = torch.stack([chief * self._x, chief * self._y], -1)
-        # A sphere about the exit pupil's middle, seen under the chief ray's angle.
-        mx, my = self.middle.unbind(-1)
-        self.bend = (1 - mx**2) / radius, (1 - my**2) / radius, -mx * my / radius
+        across, along = (self._tilt @ fits.bend).unbind(-1)
+        x, y = self._x, self._y
+        self.bend = across * y**2 + along * x**2, across * x**2 + along * y**2, (along - across) * x * y
 
     def entering(self) -> Entering:
         """The light on its way in."""
@@ -128,7 +129,7 @@ class _TracedGazes:
         else:
             columns, rows, path, values = on_tilt_grid(one.fits.entering, self._tilt, one.samples[0], one.real)
         share = torch.sqrt(values[:, 0].clamp_min(_DARK))
-        share = share * open_share(values[:, 1:], inside, mirrored=not self._own)
+        share = share * edge_weights(open_share(values[:, 1:], inside, mirrored=not self._own))
         cell = (columns[:, 1] - columns[:, 0]) * (rows[:, 1] - rows[:, 0])
         # A tilted pupil receives less light.
         dimmed = cell * self._returns * (1 - self._size**2) ** 0.25
@@ -147,9 +148,9 @@ class _TracedGazes:
         x, y, path, even, odd, inside = on_grid(fits.leaving, self._tilt, turned, one.samples[2], one.real)
         out = torch.sqrt(even[:, 1].clamp_min(_DARK))
         if odd.shape[1] > 1:
-            out = out * open_share(even[:, 3:], inside) * self._accept(even[:, 2], odd[:, 1])
+            out = out * edge_weights(open_share(even[:, 3:], inside)) * self._accept(even[:, 2], odd[:, 1])
         else:
-            out = out * open_share(even[:, 2:], inside)
+            out = out * edge_weights(open_share(even[:, 2:], inside))
         along, across = even[:, 0], odd[:, 0]
         if one.tilt != (0.0, 0.0):
             path = path + self._taken(along**2 + across**2, along)

@@ -319,10 +319,9 @@ def _accepted_box(
 
 def _model_path(fits: PupilFits, tilt: torch.Tensor, back: Returned) -> torch.Tensor:
     """Path [F, N] of rays in the double pass of waves: it is stationary, so small departures do not count."""
-    middle, radius = tilt @ fits.middle, tilt @ fits.radius
-    chief = middle / radius
+    middle = tilt @ fits.middle
     v = back.mirror - torch.stack([torch.zeros_like(middle), middle], -1)[:, None, :]
-    bend = ((v**2).sum(-1) - (chief[:, None] * v[..., 1]) ** 2) / radius[:, None]
+    bend = ((tilt @ fits.bend)[:, None] * v**2).sum(-1)
     even, odd = values_at(fits.leaving, tilt, back.e)
     s_in, s_out = back.bundle.s, torch.stack([odd[:, 0], even[:, 1]], -1)
     return back.bundle.psi + even[:, 0] + ((s_in + s_out) * v).sum(-1) + bend
