@@ -15,6 +15,7 @@ from tapetum.bench.scene import PhoneTarget
 from tapetum.data.synth import KINDS, SIZES, Plan, focusing_plan, make_plan, phones_plan, rotation_plan
 from tapetum.data.synth.plan import PIECE
 from tapetum.errors import InputError
+from tapetum.record import Shot
 
 
 def phone_scene() -> Scene:
@@ -122,3 +123,11 @@ def test_unknown_names_are_told():
         with pytest.raises(InputError, match=word):
             make_plan(*arguments)
     assert KINDS == ("rotation", "focusing", "phones")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", range(11))
+def test_every_phone_of_the_paper_s_set_can_be_filmed(number: int) -> None:
+    """At the paper's size targets turn farther than in a short film, and each camera must be known that far."""
+    video = make_plan("phones", "paper").videos[number]
+    assert Shot(video.scene, video.session).probe(0, 1).max() > 0

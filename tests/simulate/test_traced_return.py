@@ -12,6 +12,7 @@ from traced_cases import WAVELENGTH, Case, along_y, energy, finer, picture, plan
 from tapetum.bench import PrescriptionLens, load_scene, with_values
 from tapetum.simulate import retroreflect
 from tapetum.simulate.pupil_fits import fit_pupils
+from tapetum.simulate.traced_light import _rounded_up
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
 SECTION = "Traced lenses"
@@ -171,3 +172,8 @@ def test_a_correction_keeps_the_waves_beyond_the_rays(monkeypatch: pytest.Monkey
     monkeypatch.setattr("tapetum.simulate.traced_light.corrected", lambda *given, **named: None)
     usual = retroreflect(scene).irradiance
     assert 0 < float((ours - usual).abs().max() / usual.max()) < 0.04
+
+
+@pytest.mark.parametrize(("error", "asked"), [(0.1125, 0.12), (0.1, 0.1), (0.0349, 0.035), (1.01e-3, 1.1e-3)])
+def test_the_accuracy_that_a_refusal_names_is_enough(error: float, asked: float) -> None:
+    assert _rounded_up(error) == pytest.approx(asked) and _rounded_up(error) >= error

@@ -17,7 +17,7 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
-from tapetum.simulate.pupil_fits import PupilFits, with_rim
+from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, with_rim
 from tapetum.simulate.traced_bundle import rim_curvature
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
@@ -150,6 +150,12 @@ def traced_scene(
     return TracedScene(focused, fits, path, wavelength, curvature, accepted, seen)
 
 
+def _rounded_up(error: float) -> float:
+    """An error to two digits that is no smaller: what may be asked for instead."""
+    digit = 10 ** (math.floor(math.log10(error)) - 1)
+    return math.ceil(error / digit) * digit
+
+
 def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> TracedLight:
     """Follow rays off the sensor as off a mirror, and refuse light whose paths are not known well enough.
 
@@ -176,15 +182,20 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
             accepted = None
     pupils, by_rays = fits, False
     far_out = zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted))
+    allowed = min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE)
     if correct and far_out:
         found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)
+        if found is not None and 2 * math.pi * found.misfit / wavelength > allowed:
+            # Fitted to all tilts, the paths of those that return may be interpolated too coarsely.
+            nearer = fit_pupils(focused, found.nodes.steepest, curvature=scene.curvature)
+            found = corrected(focused, nearer, curvature=scene.curvature, accepted=accepted) or found
         # Crossing rays have several paths at a place, which the fit misses.
         if found is not None and found.misfit < departure:
             pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength
     if not by_rays:
         accepted = None
-    coarser = f"ask for an accuracy of {unsure:.1g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
-    if unsure > min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE):
+    coarser = f"ask for an accuracy of {_rounded_up(unsure):g}, " if unsure <= 2 * math.pi * _LARGEST_DEPARTURE else ""
+    if unsure > allowed:
         raise InputError(
             f"light does not come back the way it went, by {unsure / 2 / math.pi:.2g} waves",
             where="target",
@@ -199,7 +210,7 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
             raise InputError(
                 f"the probe is so near that the way to its aperture is known to {missed / 2 / math.pi:.2g} waves only",
                 where="distance",
-                remedy=f"ask for an accuracy of {missed:.1g}, move the probe away, or narrow its aperture",
+                remedy=f"ask for an accuracy of {_rounded_up(missed):g}, move the probe away, or narrow its aperture",
             )
         unsure = max(unsure, missed)
     # Near the cut-off the peak fades with the returning light, the error with the entering light: the claim is for
