@@ -257,6 +257,13 @@ def test_foreshortening_in_any_direction(validated: Validated) -> None:
     validated(
         SECTION, f"{what}, the way of masks", (mirror(tilt)[0] - plain(matrix)).abs().max() / peak, 1e-4, "the same"
     )
+    # A picture moved by its centre, as a second beam's is, keeps its shape.
+    moved = torch.tensor([[2 * output.pitch, -3 * output.pitch]], dtype=torch.float64)
+    what = f"{what}, 2 and 3 pixels aside"
+    for way, one_pass in (("", one), (", the way of masks", mirror)):
+        aside = one_pass(tilt, moved)[0]
+        apart = (aside[:-3, 2:] - one_pass(tilt)[0][3:, :-2]).abs().max() / peak
+        validated(SECTION, f"{what}{way}", apart, 1e-9, "the picture in the middle")
     # Without foreshortening the picture is another one: the test can fail.
     assert float((fast - plain(torch.eye(2, dtype=torch.float64))).abs().max()) > 1e-3 * peak
 

@@ -315,6 +315,9 @@ def test_a_batch_is_its_parts_and_centres_move_the_picture() -> None:
     apart = torch.cat([one.field(many[i : i + 1]) for i in range(len(many))])
     assert torch.allclose(together, apart, atol=1e-9 * float(apart.abs().max()))
     assert bool((one.field(along_y(9.0)) == 0).all())
+    centres = torch.tensor([[2.0, -3.0]], dtype=torch.float64).expand(len(many), 2) * output.pitch
+    aside, middle = one(many, centres)[:, :-3, 2:], one(many)[:, 3:, :-2]
+    assert torch.allclose(aside, middle, rtol=0, atol=1e-9 * float(middle.max()))
 
 
 def test_tilts_that_return_nothing_are_dark_among_others() -> None:

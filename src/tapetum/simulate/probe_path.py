@@ -108,23 +108,23 @@ class ProbePath:
 
         `tilts` [B, 2], where given, foreshorten the picture; `centres` [B, 2] move it, in metres.
         """
-        if centres is not None and self.aperture is None:
-            pupil = pupil * self._ramp(centres, self._x, self._y[rows])
-        if tilts is None:
-            return self._first.at_nodes(pupil, rows.start)
         # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation acts
         # on the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
-        _, t = foreshortening(tilts)
+        t = None if tilts is None else foreshortening(tilts)[1]
+        if centres is not None and self.aperture is None:
+            pupil = pupil * self._ramp(_seen_at(centres, t), self._x, self._y[rows])
+        if t is None:
+            return self._first.at_nodes(pupil, rows.start)
         mix, down = self._rest(t, self._y[rows])
         return down @ (self._first.across(pupil, t[:, 0, 0]) * mix)
 
     def gather_unturned(self, pupil: torch.Tensor, tilts: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         """As `gather`, of all rows of a pupil whose coordinates are not turned by the rotation R: behind a mask."""
+        rotation, t = foreshortening(tilts)
         if centres is not None and self.aperture is None:
-            pupil = pupil * self._ramp(centres, self._x, self._y)
+            pupil = pupil * self._ramp(_seen_at(centres, rotation @ t), self._x, self._y)
         # M unchanged: x (m00 qx + m01 qy) + y (m10 qx + m11 qy). Three of its four phases fit into the products. The
         # one of y and qx changes slowly, by the square of the tilt: a few Chebyshev nodes in qx suffice.
-        rotation, t = foreshortening(tilts)
         m = self._kappa * (rotation @ t)
         qx, qy = self._first.ux, self._first.uy
         turn = float(m[:, 1, 0].detach().abs().max() * self._y.detach().abs().max() * (qx.max() - qx.min()) / 2)
@@ -173,7 +173,7 @@ class ProbePath:
             square = x[:, None, :] ** 2 + y[:, :, None] ** 2 - along**2
             pupil = pupil * phasor(self.chirp * square, self.dtype)
         elif centres is not None:
-            pupil = pupil * self._ramp(centres, x, y)
+            pupil = pupil * self._ramp(_seen_at(centres, t), x, y)
         columns = self._kernel(-self._kappa * t[:, 0, 0, None] * (x - middle_x), self._first.ux)
         mix, down = self._rest(t, y - middle_y)
         gathered = down @ ((pupil @ columns) * mix)
@@ -205,7 +205,12 @@ class ProbePath:
         return self._second.lift_squared(self._second.at_nodes(passed)) if squared else self._second(passed)
 
     def _ramp(self, centres: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
-        """Moves the picture by centres [B, 2], for columns and rows [n] or [B, n]."""
+        """Moves the picture by centres [B, 2], as the pupil sees them, for columns and rows [n] or [B, n]."""
         shift = self._to_pixels * centres.to(self.device, torch.float64)
         column, row = phasor(shift[:, :1] * x, self.dtype), phasor(shift[:, 1:] * y, self.dtype)
         return column[:, None, :] * row[:, :, None]
+
+
+def _seen_at(centres: torch.Tensor, matrix: torch.Tensor | None) -> torch.Tensor:
+    """Places [B, 2] of the picture as a pupil sees them whose foreshortening is a matrix [B, 2, 2]."""
+    return centres if matrix is None else (matrix @ centres.to(matrix)[..., None])[..., 0]

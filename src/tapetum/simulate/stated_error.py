@@ -21,10 +21,19 @@ def of_narrow_beam(geometries: Sequence[DoublePassGeometry], lit: float, sine: f
     It is an ellipse whose rings are narrower along the tilt. The phase at its rim, π/2 for each ring in the spot's
     radius, changes by the square of the sine (measured against sums over exact distances: up to twice that square in
     focus, somewhat less than the phase's change out of focus). Zero for a beam as wide as the lens.
+
+    The light returns 2z tanθ aside. Where the lens's edge cuts it, what is left is narrow: the ellipse's longer half
+    axis adds to its width w, and the area of a sliver goes with w^3/2, the peak with w³. Infinite where none is left.
     """
-    narrow = [one for one in geometries if lit < one.radius]
-    rings = [one.spot_radius / one.airy_step * (lit / one.radius) ** 2 for one in narrow]
-    return max((sine**2 * (2 + math.pi / 2 * one) for one in rings), default=0.0)
+    missed = [0.0]
+    for one in geometries:
+        if lit < one.radius:
+            rings = one.spot_radius / one.airy_step * (lit / one.radius) ** 2
+            aside = 2 * one.image_distance * sine / math.sqrt(1 - sine**2)
+            left, longer = one.radius + lit - aside, lit * sine**2 / 2
+            cut = 0.0 if left >= 2 * lit else 3 * longer / left if left > 0 else math.inf
+            missed.append(sine**2 * (2 + math.pi / 2 * rings) + cut)
+    return max(missed)
 
 
 def of_tilted_planes(geometries: Sequence[DoublePassGeometry], tilt: float, sine: float) -> float:
