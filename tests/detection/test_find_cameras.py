@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 
 import tapetum as tp
+from tapetum.detection import find_each
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.errors import InputError
@@ -83,6 +85,51 @@ def test_swapped_frames_are_said() -> None:
     lit = exposed(glint(empty, 222.0, 111.0, 120, 1.2), 1)
     found = tp.find_cameras(exposed(empty, 2), lit)
     assert found.swapped and len(found) == 0
+
+
+def test_frames_searched_at_once_come_in_order() -> None:
+    places = [(60 + 40 * n, 100) for n in range(6)]
+    pairs = [(exposed(glint(room(n), *at, 110, 1.2), n), exposed(room(n), 50 + n)) for n, at in enumerate(places)]
+    read: list[int] = []
+
+    def source() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for n, pair in enumerate(pairs):
+            read.append(n)
+            yield pair
+
+    found = find_each(source(), threads=2, false_alarms=math.inf)
+    first = next(found)
+    assert len(read) <= 4
+    for one, (x, y) in zip([first, *found], places, strict=True):
+        assert math.hypot(one.x[0] - x, one.y[0] - y) < 0.5
+    with pytest.raises(InputError, match="cannot be registered"):
+        list(find_each([(room(0), room(40))]))
+
+
+def test_the_flow_is_known_to_a_quarter_of_a_pixel() -> None:
+    """A large frame, of which the flow is sought at an eighth of the size, turned and bent as by a hand."""
+    wide = cv2.resize(room(11, 486, 648), (2592, 1944), interpolation=cv2.INTER_CUBIC)
+    texture = cv2.GaussianBlur(np.random.default_rng(3).normal(0, 1, wide.shape).astype(np.float32), (0, 0), 3)
+    wide = wide + 60 * texture
+    way = cv2.getRotationMatrix2D((1296, 972), 0.8, 1.003)
+    way[:, 2] += (14, -9)
+    y, x = np.mgrid[:1944:8, :2592:8]
+    bend = 2 * np.sin(x / 300) * np.cos(y / 250)
+    towards = np.stack([way[n, 0] * x + way[n, 1] * y + way[n, 2] - (x, y)[n] + bend for n in (0, 1)], -1)
+    rows, columns = np.mgrid[:1944, :2592].astype(np.float32)
+    flow = cv2.resize(towards.astype(np.float32), (2592, 1944), interpolation=cv2.INTER_CUBIC)
+    lit = cv2.remap(wide, columns + flow[..., 0], rows + flow[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    lit, dark = (
+        np.clip(g + np.random.default_rng(n).normal(0, 2, g.shape), 0, 255).astype(np.uint8)
+        for n, g in enumerate((lit, wide))
+    )
+    found = register(lit, dark)
+    missed = np.hypot(*np.moveaxis((found.flow - flow)[100:-100:8, 100:-100:8], -1, 0))
+    assert np.median(missed) < 0.25
+    at_x, at_y = np.array([300, 1500, 2400]), np.array([400, 1000, 1800])
+    patches = found.patches(dark, at_x, at_y, 20)
+    for n, (px, py) in enumerate(zip(at_x, at_y, strict=True)):
+        assert np.abs(patches[n] - found.dark[py - 20 : py + 21, px - 20 : px + 21]).mean() < 0.6
 
 
 def test_a_colour_is_searched_by_name() -> None:
