@@ -247,10 +247,11 @@ def screened(layer: Layer, most: int) -> Place:
     x, y = _highest_of_block(answer, row, column, block)
     own = answer[y, x].astype(np.float32)
     top = own >= patches(answer, x, y, 2).max((1, 2))
-    x, y, own, found, number = (one[top] for one in (x, y, own, flat[number], number))
+    x, y, number = x[top], y[top], number[top]
+    found = flat[number]
     if layer.base is not None and len(x):
         variance = variance.ravel()[number] + (_LEFT_OF_EDGES * _edges(layer.base, x, y, layer.cell > 1)) ** 2
-        found = own / np.sqrt(variance)
+        found = own[top] / np.sqrt(variance)
     kept = np.argsort(-found, kind="stable")[:most]
     return Place(layer.cell * x[kept], layer.cell * y[kept], np.asarray(found[kept], dtype=np.float32))
 

@@ -202,9 +202,10 @@ def _candidates(
     middle = (at + 0.5) * step[:, None] - 0.5
     shape = octaves[0].shape
     allowed = np.arange(len(at)) if registered is None else np.flatnonzero(_within(registered, middle, shape))
-    kept = allowed[_one_a_place(*middle[allowed].T, height[allowed], 4.0 * step[allowed], most)]
+    x, y = middle[allowed].T
+    kept = allowed[_one_a_place(x, y, height[allowed], 4.0 * step[allowed], most)]
     of = np.repeat(np.arange(len(octaves)), count)[kept]
-    cut = cut_out((one, *at[kept[of == n]].T) for n, one in enumerate(octaves))
+    cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
     if cut is None:
         return {name: np.empty(0) for name in names}, np.empty((0, len(OF_A_FRAME) + (3 if registered else 0)))
     table = _measured(cut)

@@ -116,26 +116,22 @@ class Registered:
         knots = np.linspace(-half, half, 2 + half // 2, dtype=np.float32)
         step = np.arange(-half, half + 1, dtype=np.float32)
         on_x, on_y = (
-            np.float32((at[:, None] + knots + 0.5) * (n / of) - 0.5)
+            ((at[:, None] + knots + 0.5) * (n / of) - 0.5).astype(np.float32)
             for at, n, of in ((x, columns, width), (y, rows, height))
         )
-        maps = np.broadcast_arrays(on_x[:, None], on_y[:, :, None])
-        flow, light = (
-            np.asarray(cv2.remap(grid, *pair, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
-            for grid, pair in (
-                (self.coarse, [one.reshape(-1, len(knots)) for one in maps]),
-                # The light varies over more than a patch.
-                (self.grid[..., 2:], [np.ascontiguousarray(one[:, len(knots) // 2, :1]) for one in maps]),
-            )
-        )
-        flow = flow.reshape(len(x), len(knots), len(knots), 2) * np.float32(width / self.taken.shape[1])
-        between = np.maximum(1 - np.abs(step[:, None] - knots) / (knots[1] - knots[0]), 0)
+        # A row of the map for each patch, as the sides of a map are limited.
+        rows_x, rows_y = (one.reshape(len(x), -1) for one in np.broadcast_arrays(on_x[:, None], on_y[:, :, None]))
+        flow = _taken(self.coarse, rows_x, rows_y).reshape(len(x), len(knots), len(knots), 2)
+        flow = flow * np.float32(width / self.taken.shape[1])
+        between = np.maximum(1 - np.abs(step[:, None] - knots) / (knots[1] - knots[0]), 0).astype(np.float32)
         from_x, from_y = (between @ flow[..., n] @ between.T for n in (0, 1))
         from_x += x[:, None, None].astype(np.float32) + step
         from_y += y[:, None, None].astype(np.float32) + step[:, None]
-        found = _taken(image, *(one.reshape(-1, len(step)) for one in (from_x, from_y))).reshape(from_x.shape)
-        gain, offset = light.reshape(len(x), 2).T[:, :, None, None]
-        return found * gain + offset
+        found = _taken(image, from_x.reshape(len(x), -1), from_y.reshape(len(x), -1)).reshape(from_x.shape)
+        # The light varies over more than a patch.
+        middle = slice(len(knots) // 2, len(knots) // 2 + 1)
+        gain, offset = _taken(self.grid[..., 2:], on_x[:, middle], on_y[:, middle])[:, 0].T[:, :, None, None]
+        return np.asarray(found * gain + offset, dtype=np.float32)
 
 
 def register(lit: NDArray, dark: NDArray) -> Registered:
@@ -318,7 +314,7 @@ def _even(image: Array) -> NDArray[np.uint8]:
     apart = image - mean
     scale = 48 / (np.sqrt(local_mean(np.square(apart), 12)) + 4)
     apart *= _resized(scale, (image.shape[1], image.shape[0]), cv2.INTER_LINEAR)
-    return np.asarray(cv2.add(apart, 128, dtype=cv2.CV_8U))
+    return np.clip(128 + apart, 0, 255).astype(np.uint8)
 
 
 def _details(image: Array) -> Array:
@@ -339,4 +335,4 @@ def _light(lit: Array, dark: Array, over: float) -> tuple[Array, Array]:
         local_mean(one, MATCHED / max(step, over)) for one in (*small, small[0] * small[1], small[1] * small[1])
     )
     gain = np.clip((product - of_lit * of_dark + 25) / (square - of_dark**2 + 25), 0.5, 2)
-    return gain, of_lit - gain * of_dark
+    return gain.astype(np.float32), (of_lit - gain * of_dark).astype(np.float32)
