@@ -25,8 +25,8 @@ _MARGIN = 48
 class Drawn:
     """A lit and a dark frame [H, W], uint8, and where cameras are, [N, 2] x and y, with their widths and heights.
 
-    `sigma` is the standard deviation of the spots in pixels, `snr` their matched-filter signal-to-noise ratio against
-    the frame's noise alone, both [N].
+    `sigma` is the standard deviation of the spots in pixels, `snr` their height over the noise's standard deviation at
+    mid-grey, both [N].
     """
 
     lit: Array
@@ -242,7 +242,7 @@ def draw(
     shape: tuple[int, int] = (480, 640),
     cameras: int = 0,
     snr: tuple[float, float] = (8, 60),
-    sigma: tuple[float, float] = (0.7, 5.0),
+    sigma: tuple[float, float] = (0.6, 4.0),
     tape: bool = True,
 ) -> Drawn:
     """Draw a lit and a dark frame of a scene.
@@ -281,9 +281,8 @@ def draw(
     places = rng.uniform((20, 20), (shape[1] - 20, shape[0] - 20), (cameras, 2))
     wides = np.exp(rng.uniform(*np.log(sigma), cameras))
     ratios = np.exp(rng.uniform(*np.log(snr), cameras))
-    # A spot of height h and standard deviation s has the matched-filter ratio h s √π / noise.
     for (x, y), s, ratio in zip(places, wides, ratios, strict=True):
-        with_camera(lit, x, y, ratio * spread / (s * math.sqrt(math.pi)), s)
+        with_camera(lit, x, y, ratio * spread, s)
     frames = []
     hot = rng.uniform((0, 0), (shape[1], shape[0]), (40, 2)).astype(int), rng.uniform(30, 255, 40)
     for one in (lit, dark):

@@ -32,6 +32,7 @@ __all__ = [
     "cut_out",
     "differences_of_gaussians",
     "layers",
+    "patches",
     "screened",
 ]
 
@@ -59,6 +60,8 @@ _AROUND = 7
 _HIGHEST_OF_NOISE = {1: 2.3, 2: 1.9}
 # The difference of box means that screens answers a glint by about so much of what a difference of Gaussians does.
 _SCREENED = 2
+# The last octave of bytes: in the means of 64 pixels and more, rounding would be most of the noise.
+_WHOLE = 4
 # Level of no difference, in bytes.
 _ZERO = 64
 
@@ -215,6 +218,8 @@ def layers(lit: NDArray, registered: Registered | None, largest: float) -> list[
     while min(small.shape) >= 16 and 4 * SIGMAS[0] * 2 * found[-1].step <= largest:
         cut_dark = None if dark is None else _cutter(dark)
         found.append(Layer(2 * found[-1].step, _shape(small), _cutter(small), cut_dark, small, dark))
+        if found[-1].step == _WHOLE:
+            small, dark = small.astype(np.float32), None if dark is None else dark.astype(np.float32)
         small, dark = _halved(small), None if dark is None else _halved(dark)
     return [one for one in found if 4 * SIGMAS[0] * one.step <= largest]
 

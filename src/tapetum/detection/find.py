@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, cut_out, layers, screened
+from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, cut_out, layers, patches, screened
 from tapetum.detection.found import Found
-from tapetum.detection.looks import OF_A_FRAME, looks
+from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR, looks
 from tapetum.detection.registration import MATCHED, Registered, local_mean, register
 from tapetum.detection.score import load_score
 from tapetum.errors import InputError, one_of
@@ -31,6 +31,9 @@ _FULL = 255.0
 _MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
+
+# Of a pixel's light, what a neighbour has at least where a lens draws it: a spot of 0.4 pixels shows 0.13 of it.
+_SHARED = 0.1
 
 Array = NDArray[np.float64]
 
@@ -102,12 +105,12 @@ def find_cameras(
         # What stands behind a hundred other places is rarely among the likeliest.
         most = _MOST_OF_A_PAIR
     octaves = layers(first, registered, largest)
-    found, measured = _candidates(octaves, registered, most)
+    found, measured = _candidates(octaves, registered, most, first)
     log_odds = score.log_odds(measured)
     alarms = score.false_alarms(log_odds)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
-        turned = score.log_odds(_candidates([one.swapped() for one in octaves], registered, most)[1])
+        turned = score.log_odds(_candidates([one.swapped() for one in octaves], registered, most, first, True)[1])
         swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
@@ -183,19 +186,20 @@ def candidates_with_looks(
         As for `find_cameras`.
     """
     registered = None if dark is None else register(lit, dark)
-    return _candidates(layers(lit, registered, largest), registered, most)
+    return _candidates(layers(lit, registered, largest), registered, most, lit)
 
 
 def _candidates(
-    octaves: list[Layer], registered: Registered | None, most: int | None
+    octaves: list[Layer], registered: Registered | None, most: int | None, lit: NDArray, swapped: bool = False
 ) -> tuple[dict[str, Array], Array]:
     if most is None:
         most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
     names = ("x", "y", "snr", "flux", "diameter", "peak")
+    width = len(OF_A_FRAME) + (0 if registered is None else len(OF_A_PAIR))
     places = [screened(one, most) for one in octaves]
     count = [len(one.x) for one in places]
     if not sum(count):
-        return {name: np.empty(0) for name in names}, np.empty((0, len(OF_A_FRAME) + (3 if registered else 0)))
+        return {name: np.empty(0) for name in names}, np.empty((0, width))
     step = np.repeat([one.step for one in octaves], count).astype(np.float64)
     at = np.concatenate([np.stack([one.x, one.y], 1) for one in places])
     height = np.concatenate([one.height for one in places]).astype(np.float64)
@@ -207,13 +211,16 @@ def _candidates(
     of = np.repeat(np.arange(len(octaves)), count)[kept]
     cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
     if cut is None:
-        return {name: np.empty(0) for name in names}, np.empty((0, len(OF_A_FRAME) + (3 if registered else 0)))
+        return {name: np.empty(0) for name in names}, np.empty((0, width))
     table = _measured(cut)
     # The mean of the frame is that of the octave that was screened, which is smaller.
     wide = octaves[min(1, len(octaves) - 1)]
     mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
     features = looks(cut, _at(mean, table, shape), _FULL, None if registered is None else registered.coarse)
     kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
+    kept = kept[~_stuck(table[kept], lit, registered, swapped)]
+    if not len(kept):
+        return {name: np.empty(0) for name in names}, np.empty((0, width))
     table, features = table[kept], features[kept]
     # Below the median, for up to half of the candidates may be cameras.
     low, middle = np.quantile(table[:, 2], [0.2, 0.5])
@@ -233,6 +240,31 @@ def _within(registered: Registered, places: Array, shape: tuple[int, ...]) -> ND
     """Whether the dark frame shows places (x, y, …) and a pixel around, [N]."""
     from_x, from_y = (places[:, n] + _at(registered.coarse[..., n], places, shape) for n in (0, 1))
     return (from_x >= 1) & (from_y >= 1) & (from_x <= shape[1] - 2) & (from_y <= shape[0] - 2)
+
+
+def _stuck(places: Array, lit: NDArray, registered: Registered | None, swapped: bool) -> NDArray[np.bool_]:
+    """Whether places (x, y, …) are single pixels of the sensor that are too bright, [N].
+
+    Of a pair by hand: a bright pixel that the dark frame shows too, though what it sees has moved. Of one frame alone:
+    a pixel whose light no neighbour shares, as no lens makes it.
+    """
+    at, image, other = places[:, :2], lit, None
+    if registered is not None:
+        flow = np.stack([_at(registered.coarse[..., n], places, lit.shape) for n in (0, 1)], 1)
+        image, other = (registered.taken, lit) if swapped else (lit, registered.taken)
+        at = at + flow if swapped else at
+    x, y = (np.clip(np.rint(one), 0, end - 1).astype(np.int64) for one, end in zip(at.T, lit.shape[::-1], strict=True))
+    best = patches(image, x, y, 1).reshape(-1, 9).argmax(1)
+    x, y = x + best % 3 - 1, y + best // 3 - 1
+    around = np.maximum.reduce(np.abs(np.mgrid[-2:3, -2:3]))
+    near = patches(image, x, y, 2)
+    rim = np.median(near[:, around == 2], axis=1)
+    height, beside = near[:, 2, 2] - rim, near[:, around == 1].max(1) - rim
+    if registered is None or other is None:
+        return beside < _SHARED * height
+    same = patches(other, x, y, 2)
+    moved = np.hypot(*flow.T) > 1
+    return moved & (beside < 0.5 * height) & (same[:, 2, 2] - np.median(same[:, around == 2], axis=1) > 0.5 * height)
 
 
 def _measured(cut: Cut) -> Array:

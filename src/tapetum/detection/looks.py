@@ -37,11 +37,12 @@ height: over the spread of the surroundings; outlier: that beside the other cand
 local brightness; isolation and alone: beside what the same filter finds within 12 and 20 pixels; elongation and fill:
 of the pixels over 40 % of its peak; inside: 0 at the frame's edge; size; saturated: 1 where a pixel is at full scale.
 """
-OF_A_PAIR = ("vanishes", "fresh", "motion")
+OF_A_PAIR = ("vanishes", "fresh", "motion", "partner")
 """Besides, where there is a dark frame.
 
 vanishes: the share of the lit frame's answer that the dark one lacks nearby; fresh: what is left after the surroundings
-alone are registered once more; motion: how unequal the flow is nearby.
+alone are registered once more; motion: how unequal the flow is nearby; partner: how strongly the dark frame alone shows
+something of the same size nearby, as where a thing moved.
 """
 _SHAPE = 10
 _AGAIN, _REACH = 12, 4
@@ -90,6 +91,7 @@ def looks(cut: Cut, bright: Array, full_scale: float, flow: NDArray[np.float32] 
         np.clip(1 - np.maximum(of_dark, 0) / np.maximum(lit_height, 1), -1, 1),
         _fresh(cut),
         np.log(0.3 + _uneven(flow, cut)),
+        np.log((np.maximum(-cut.answer.min((1, 2)), 0) + 0.5) / (np.maximum(height, 0.1) + 0.5)),
     ]
     return np.stack(own, 1)
 
