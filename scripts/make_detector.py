@@ -123,18 +123,6 @@ def judged(cases: list[Case], scores: list[np.ndarray]) -> tuple[dict[float, flo
     return recall, (float(at), float(-slope))
 
 
-def drawn(pair: bool) -> list[Case]:
-    """Drawn scenes of every kind, of seeds that nothing else uses, some with cameras; each kind is a scene."""
-    cases = []
-    for kind in KINDS:
-        for seed in range(TRAINING.start, TRAINING.stop):
-            scene = draw(kind, seed, cameras=(seed % 3) * (seed % 2) * 2)
-            labels = {"scene": f"drawn: {kind}", "points": scene.places.tolist(), "unsure": [], "tolerance": 4}
-            with contextlib.suppress(InputError):
-                cases.append(case(labels, scene.lit, scene.dark if pair else None))
-    return cases
-
-
 def main() -> None:
     if len(sys.argv) != 2:
         sys.exit("usage: python scripts/make_detector.py FOLDER")

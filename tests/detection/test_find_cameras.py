@@ -80,6 +80,38 @@ def test_an_empty_room_rarely_alarms() -> None:
     assert sum(alarms) == 0
 
 
+@pytest.mark.parametrize("pair", [True, False], ids=["by hand", "alone"])
+def test_stuck_pixels_are_no_cameras(pair: bool) -> None:
+    """Bright pixels of the sensor itself; the camera among them is found all the same."""
+    rng = np.random.default_rng(8)
+    soft = np.full((300, 400), 70.0, np.float32) if not pair else room(9)
+    lit, dark = exposed(glint(soft, 210.3, 140.6, 110, 0.8), 1), exposed(soft, 2, (6, -4), 0.3)
+    rows, columns = rng.integers(10, 290, 30), rng.integers(10, 390, 30)
+    level = rng.integers(40, 200, 30)
+    for one in (lit, dark):
+        one[rows, columns] = np.minimum(one[rows, columns].astype(int) + level, 255)
+    found = tp.find_cameras(lit, dark if pair else None, false_alarms=0.1)
+    stuck = np.hypot(found.x[:, None] - columns, found.y[:, None] - rows).min(1, initial=1e9) < 1.5
+    assert not stuck.any()
+    assert np.hypot(found.x - 210.3, found.y - 140.6).min(initial=1e9) < 0.3
+
+
+@pytest.mark.parametrize("diameter", [4, 10, 30, 80])
+def test_centroids_come_near_the_bound(diameter: int) -> None:
+    """Against the Cramér-Rao bound of a Gaussian spot in white noise, √(2/π) of the noise over the height."""
+    sigma, height, noise = diameter / 4, 60.0, 2.0
+    missed = []
+    for seed in range(12):
+        rng = np.random.default_rng([diameter, seed])
+        x, y = rng.uniform(200, 440), rng.uniform(150, 330)
+        picture = glint(np.full((480, 640), 40.0, np.float32), x, y, height, sigma)
+        lit = np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).round().astype(np.uint8)
+        found = tp.find_cameras(lit, false_alarms=math.inf, largest=100)
+        nearest = np.hypot(found.x - x, found.y - y).argmin()
+        missed += [found.x[nearest] - x, found.y[nearest] - y]
+    assert np.sqrt(np.mean(np.square(missed))) < 1.8 * math.sqrt(2 / math.pi) * noise / height
+
+
 def test_swapped_frames_are_said() -> None:
     empty = room(3)
     lit = exposed(glint(empty, 222.0, 111.0, 120, 1.2), 1)

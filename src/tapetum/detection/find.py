@@ -34,6 +34,8 @@ _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
 
 # Of a pixel's light, what a neighbour has at least where a lens draws it: a spot of 0.4 pixels shows 0.13 of it.
 _SHARED = 0.1
+# Diameter below which a candidate may be a single pixel: on a wide spot the noise of one counts for nothing.
+_SMALL = 7.0
 
 Array = NDArray[np.float64]
 
@@ -243,12 +245,12 @@ def _within(registered: Registered, places: Array, shape: tuple[int, ...]) -> ND
 
 
 def _stuck(places: Array, lit: NDArray, registered: Registered | None, swapped: bool) -> NDArray[np.bool_]:
-    """Whether places (x, y, …) are single pixels of the sensor that are too bright, [N].
+    """Whether candidates (x, y, snr, flux, diameter, …) are single pixels of the sensor that are too bright, [N].
 
     Of a pair by hand: a bright pixel that the dark frame shows too, though what it sees has moved. Of one frame alone:
     a pixel whose light no neighbour shares, as no lens makes it.
     """
-    at, image, other = places[:, :2], lit, None
+    at, image, other, flow = places[:, :2], lit, None, np.zeros((len(places), 2))
     if registered is not None:
         flow = np.stack([_at(registered.coarse[..., n], places, lit.shape) for n in (0, 1)], 1)
         image, other = (registered.taken, lit) if swapped else (lit, registered.taken)
@@ -260,11 +262,17 @@ def _stuck(places: Array, lit: NDArray, registered: Registered | None, swapped: 
     near = patches(image, x, y, 2)
     rim = np.median(near[:, around == 2], axis=1)
     height, beside = near[:, 2, 2] - rim, near[:, around == 1].max(1) - rim
+    small = places[:, 4] < _SMALL
     if registered is None or other is None:
-        return beside < _SHARED * height
+        return small & (beside < _SHARED * height)
     same = patches(other, x, y, 2)
     moved = np.hypot(*flow.T) > 1
-    return moved & (beside < 0.5 * height) & (same[:, 2, 2] - np.median(same[:, around == 2], axis=1) > 0.5 * height)
+    return (
+        small
+        & moved
+        & (beside < 0.5 * height)
+        & (same[:, 2, 2] - np.median(same[:, around == 2], axis=1) > 0.5 * height)
+    )
 
 
 def _measured(cut: Cut) -> Array:
