@@ -273,14 +273,20 @@ def draw(
     lit = lit * (1 + rng.uniform(0, 0.15) * np.clip(0.5 + 0.5 * _fractal(rng, wide, 2.0), 0, 1))
     lit, dark = (one[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN].copy() for one in (lit, dark))
     if tape and rng.random() < 0.2:
-        box = cv2.boxPoints((rng.uniform((40, 40), (600, 440)), rng.uniform((40, 8), (120, 24)), rng.uniform(0, 180)))
+        box = cv2.boxPoints(
+            (
+                rng.uniform((40, 40), (600, 440)).tolist(),
+                rng.uniform((40, 8), (120, 24)).tolist(),
+                rng.uniform(0, 180),
+            )
+        )
         strip = np.zeros(shape, np.float32)
         cv2.fillPoly(strip, [box.astype(np.int32)], float(rng.uniform(60, 250)))
         lit += cv2.GaussianBlur(strip, (0, 0), soft)
     spread = rng.uniform(1.0, 2.5) if kind != "noise" else rng.uniform(3, 10)
     places = rng.uniform((20, 20), (shape[1] - 20, shape[0] - 20), (cameras, 2))
-    wides = np.exp(rng.uniform(*np.log(sigma), cameras))
-    ratios = np.exp(rng.uniform(*np.log(snr), cameras))
+    wides = np.exp(rng.uniform(math.log(sigma[0]), math.log(sigma[1]), cameras))
+    ratios = np.exp(rng.uniform(math.log(snr[0]), math.log(snr[1]), cameras))
     for (x, y), s, ratio in zip(places, wides, ratios, strict=True):
         with_camera(lit, x, y, ratio * spread, s)
     frames = []
