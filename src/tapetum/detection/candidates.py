@@ -5,6 +5,8 @@ of each four pixels takes the octave's place, so that nothing is filtered at ful
 of pixels is compared with those of the blocks around it and, in a difference, with what an error of the registration
 would make of the dark frame's own edges there. It is cheap, and only the highest places are cut out of the frames. On
 these patches a difference of Gaussians answers a spot of its own size and neither slopes nor wide steps.
+
+Over 400 lines, as the screen and the patches share the octaves' geometry.
 """
 
 from __future__ import annotations
