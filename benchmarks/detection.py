@@ -8,12 +8,14 @@ import cv2
 import numpy as np
 
 import tapetum as tp
+from tapetum.detection import find_each
 
 from .measure import Contender, Effort, Figure, Row, in_turns
 
-TITLE = "Cameras in a room: frames of 2592 × 1944 pixels, 8 bit, drawn, 30 glints of 3 to 20 pixels; one thread"
+TITLE = "Cameras in a room: frames of 2592 × 1944 pixels, 8 bit, drawn, 30 glints of 3 to 20 pixels"
 PEERS = ("opencv-python-headless",)
 _COUNT = 30
+_AT_ONCE = 6
 
 
 def _room(rng: np.random.Generator) -> np.ndarray:
@@ -56,6 +58,8 @@ def run(effort: Effort) -> list[Row]:
             {
                 "frame": Contender(lambda: tp.find_cameras(lit), repeats=effort.of(3, 1)),
                 "pair": Contender(lambda: tp.find_cameras(lit, dark, swaps=False), repeats=effort.of(3, 1)),
+                "frames": Contender(lambda: _several((lit, None)), work=_AT_ONCE),
+                "pairs": Contender(lambda: _several((lit, dark), swaps=False), work=_AT_ONCE),
                 "peer": Contender(lambda: blobs.detect(lit)),
             },
             effort.rounds,
@@ -77,8 +81,18 @@ def run(effort: Effort) -> list[Row]:
             timings.speed_up(name, "peer"),
             told if name == "pair" else "",
         )
-        for name, case, what in (("frame", "one frame alone", "frames"), ("pair", "lit and dark, registered", "pairs"))
+        for name, case, what in (
+            ("frame", "one frame alone, one thread", "frames"),
+            ("frames", "one frame alone, two at once", "frames"),
+            ("pair", "lit and dark, registered, one thread", "pairs"),
+            ("pairs", "lit and dark, registered, two at once", "pairs"),
+        )
     ]
+
+
+def _several(frame: tuple[np.ndarray, np.ndarray | None], **options: bool) -> None:
+    for _ in find_each([frame] * _AT_ONCE, threads=2, **options):
+        pass
 
 
 def _bright() -> cv2.SimpleBlobDetector.Params:

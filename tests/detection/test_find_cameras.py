@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import re
+from collections.abc import Iterator
 from pathlib import Path
 
 import cv2
@@ -12,6 +13,8 @@ import numpy as np
 import pytest
 
 import tapetum as tp
+from drawn_scenes import KINDS, draw
+from tapetum.detection import find_each
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.errors import InputError
@@ -78,11 +81,92 @@ def test_an_empty_room_rarely_alarms() -> None:
     assert sum(alarms) == 0
 
 
+@pytest.mark.parametrize("pair", [True, False], ids=["by hand", "alone"])
+def test_stuck_pixels_are_no_cameras(pair: bool) -> None:
+    """Bright pixels of the sensor itself; the camera among them is found all the same."""
+    rng = np.random.default_rng(8)
+    soft = np.full((300, 400), 70.0, np.float32) if not pair else room(9)
+    lit, dark = exposed(glint(soft, 210.3, 140.6, 110, 0.8), 1), exposed(soft, 2, (6, -4), 0.3)
+    rows, columns = rng.integers(10, 290, 30), rng.integers(10, 390, 30)
+    level = rng.integers(40, 200, 30)
+    for one in (lit, dark):
+        one[rows, columns] = np.minimum(one[rows, columns].astype(int) + level, 255)
+    found = tp.find_cameras(lit, dark if pair else None, false_alarms=0.1)
+    stuck = np.hypot(found.x[:, None] - columns, found.y[:, None] - rows).min(1, initial=1e9) < 1.5
+    assert not stuck.any()
+    assert np.hypot(found.x - 210.3, found.y - 140.6).min(initial=1e9) < 0.3
+
+
+@pytest.mark.parametrize("diameter", [4, 10, 30, 80])
+def test_centroids_come_near_the_bound(diameter: int) -> None:
+    """Against the Cramér-Rao bound of a Gaussian spot in white noise, √(2/π) of the noise over the height.
+
+    Below two thousandths of the diameter pixels of the octave show through.
+    """
+    sigma, height, noise = diameter / 4, 60.0, 2.0
+    missed = []
+    for seed in range(12):
+        rng = np.random.default_rng([diameter, seed])
+        x, y = rng.uniform(200, 440), rng.uniform(150, 330)
+        picture = glint(np.full((480, 640), 40.0, np.float32), x, y, height, sigma)
+        lit = np.clip(picture + rng.normal(0, noise, picture.shape), 0, 255).round().astype(np.uint8)
+        found = tp.find_cameras(lit, false_alarms=math.inf, largest=100)
+        nearest = np.hypot(found.x - x, found.y - y).argmin()
+        missed += [found.x[nearest] - x, found.y[nearest] - y]
+    bound = math.sqrt(2 / math.pi) * noise / height
+    assert np.sqrt(np.mean(np.square(missed))) < max(1.8 * bound, 0.002 * diameter)
+
+
 def test_swapped_frames_are_said() -> None:
     empty = room(3)
     lit = exposed(glint(empty, 222.0, 111.0, 120, 1.2), 1)
     found = tp.find_cameras(exposed(empty, 2), lit)
     assert found.swapped and len(found) == 0
+
+
+def test_frames_searched_at_once_come_in_order() -> None:
+    places = [(60 + 40 * n, 100) for n in range(6)]
+    pairs = [(exposed(glint(room(n), *at, 110, 1.2), n), exposed(room(n), 50 + n)) for n, at in enumerate(places)]
+    read: list[int] = []
+
+    def source() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        for n, pair in enumerate(pairs):
+            read.append(n)
+            yield pair
+
+    found = find_each(source(), threads=2, false_alarms=math.inf)
+    first = next(found)
+    assert len(read) <= 4
+    for one, (x, y) in zip([first, *found], places, strict=True):
+        assert math.hypot(one.x[0] - x, one.y[0] - y) < 0.5
+    with pytest.raises(InputError, match="cannot be registered"):
+        list(find_each([(room(0), room(40))]))
+
+
+def test_the_flow_is_known_to_a_quarter_of_a_pixel() -> None:
+    """A large frame, of which the flow is sought at an eighth of the size, turned and bent as by a hand."""
+    wide = cv2.resize(room(11, 486, 648), (2592, 1944), interpolation=cv2.INTER_CUBIC)
+    texture = cv2.GaussianBlur(np.random.default_rng(3).normal(0, 1, wide.shape).astype(np.float32), (0, 0), 3)
+    wide = wide + 60 * texture
+    way = cv2.getRotationMatrix2D((1296, 972), 0.8, 1.003)
+    way[:, 2] += (14, -9)
+    y, x = np.mgrid[:1944:8, :2592:8]
+    bend = 2 * np.sin(x / 300) * np.cos(y / 250)
+    towards = np.stack([way[n, 0] * x + way[n, 1] * y + way[n, 2] - (x, y)[n] + bend for n in (0, 1)], -1)
+    rows, columns = np.mgrid[:1944, :2592].astype(np.float32)
+    flow = cv2.resize(towards.astype(np.float32), (2592, 1944), interpolation=cv2.INTER_CUBIC)
+    lit = cv2.remap(wide, columns + flow[..., 0], rows + flow[..., 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+    lit, dark = (
+        np.clip(g + np.random.default_rng(n).normal(0, 2, g.shape), 0, 255).astype(np.uint8)
+        for n, g in enumerate((lit, wide))
+    )
+    found = register(lit, dark)
+    missed = np.hypot(*np.moveaxis((found.flow - flow)[100:-100:8, 100:-100:8], -1, 0))
+    assert np.median(missed) < 0.25
+    at_x, at_y = np.array([300, 1500, 2400]), np.array([400, 1000, 1800])
+    patches = found.patches(dark, at_x, at_y, 20)
+    for n, (px, py) in enumerate(zip(at_x, at_y, strict=True)):
+        assert np.abs(patches[n] - found.dark[py - 20 : py + 21, px - 20 : px + 21]).mean() < 0.6
 
 
 def test_a_colour_is_searched_by_name() -> None:
@@ -136,6 +220,14 @@ def test_flat_frames_hold_nothing(level: int) -> None:
     assert len(tp.find_cameras(flat)) == len(tp.find_cameras(flat, flat)) == 0
 
 
+@pytest.mark.parametrize("kind", [one for one in KINDS if one != "people"])
+def test_pairs_of_empty_scenes_do_not_alarm(kind: str) -> None:
+    """By hand, of seeds that nothing was chosen or fitted on. Retro-reflective tape and moving people still do."""
+    for seed in (9001, 9002):
+        scene = draw(kind, seed, shape=(360, 480), tape=False)
+        assert len(tp.find_cameras(scene.lit, scene.dark, swaps=False)) == 0
+
+
 def test_false_alarms_fall_with_the_score() -> None:
     for pair in (True, False):
         alarms = load_score(pair).false_alarms([-10.0, 0.0, 2.0, 6.0])
@@ -145,7 +237,7 @@ def test_false_alarms_fall_with_the_score() -> None:
 @needs_real
 @pytest.mark.slow
 def test_real_cat_eyes_by_weights_of_other_scenes() -> None:
-    """Cross-validated by scene, at 0.1, 0.5 and 1 false alarms a frame: 0.97, 1.00, 1.00 when this was written."""
+    """Cross-validated by scene, at 0.1, 0.5 and 1 false alarms a frame: 0.956, 0.983, 1.00 when this was written."""
     import make_detector
 
     pairs = json.loads((REAL / "labels.json").read_text())["pairs"]

@@ -6,8 +6,8 @@ difference (candidates.py), measures how each looks (looks.py) and says how like
 
 from __future__ import annotations
 
-from tapetum.detection.find import find_cameras
+from tapetum.detection.find import find_cameras, find_each
 from tapetum.detection.found import Found
 from tapetum.detection.registration import Registered, register
 
-__all__ = ["Found", "Registered", "find_cameras", "register"]
+__all__ = ["Found", "Registered", "find_cameras", "find_each", "register"]

@@ -1,24 +1,45 @@
 """Small bright places of a frame or of a difference of frames, at every size that a retro-reflection can have.
 
-A screen first: a difference of box means, in the frame's own type, at every octave; the highest answer of each block of
-pixels is compared with those of the blocks around it and, in a difference, with what an error of the registration would
-make of the dark frame's own edges there. It is cheap, and only the highest places are cut out of the frames. On these
-patches a difference of Gaussians answers a spot of its own size and neither slopes nor wide steps.
+A screen first, in the frame's own type: at every octave a difference of box means; for the smallest spots the highest
+of each four pixels takes the octave's place, so that nothing is filtered at full size. The highest answer of each block
+of pixels is compared with those of the blocks around it and, in a difference, with what an error of the registration
+would make of the dark frame's own edges there. It is cheap, and only the highest places are cut out of the frames. On
+these patches a difference of Gaussians answers a spot of its own size and neither slopes nor wide steps.
+
+Over 400 lines, as the screen and the patches share the octaves' geometry.
 """
 
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Protocol
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["HALF", "SIGMAS", "Layer", "Octave", "cut_out", "difference_of_gaussians", "octaves", "patches"]
+from tapetum.detection.registration import Registered
+
+__all__ = [
+    "DARK_REACH",
+    "HALF",
+    "LIT_REACH",
+    "SIGMAS",
+    "Cut",
+    "Layer",
+    "Place",
+    "cut_out",
+    "differences_of_gaussians",
+    "layers",
+    "patches",
+    "screened",
+]
 
 Array = NDArray[np.float32]
+Whole = NDArray[np.int64]
 
 SIGMAS = (0.8, 1.13, 1.6)
 """Standard deviations of the inner Gaussian within an octave, in its pixels."""
@@ -27,73 +48,102 @@ HALF = 20
 _RATIO = 1.6
 # Beyond the patches, so that filters need not guess what lies there; half the side of the wide Gaussian's kernel.
 _MARGIN = 8
+# How far from a place the answers to the lit and to the dark frame are looked at.
+LIT_REACH, DARK_REACH = 12, 4
 _LARGE = 10
 _QUANTUM = 0.3
 # What a registration leaves of an edge: a quarter of its height, a pixel away.
 _LEFT_OF_EDGES = 0.25
-_LEAST = 1.5
 _BLOCK = 8
 _ALONE = 3.0
 # Blocks around one with whose answers its own is compared: 7 x 7 of them, 56 pixels.
 _AROUND = 7
-# The highest of 64 answers to white noise stands 2.3 standard deviations high.
-_HIGHEST_OF_NOISE = 2.3
+# The highest of 64 answers to white noise stands 2.3 standard deviations high, of 16 highest of four 1.9.
+_HIGHEST_OF_NOISE = {1: 2.3, 2: 1.9}
 # The difference of box means that screens answers a glint by about so much of what a difference of Gaussians does.
-_SCREENED = 4
+_SCREENED = 2
+# The last octave of bytes: in the means of 64 pixels and more, rounding would be most of the noise.
+_WHOLE = 4
+# Level of no difference, in bytes.
+_ZERO = 64
+
+
+class Cutter(Protocol):
+    """Cuts squares [N, 2·half + 1, 2·half + 1] about places x, y out of a frame."""
+
+    def __call__(self, x: Whole, y: Whole, half: int, /) -> Array: ...
 
 
 @dataclass(frozen=True)
 class Layer:
-    """What is searched at one octave, uint8 or float32.
+    """A frame, or a registered pair, at one octave.
 
     Parameters
     ----------
     step
         Pixels of the frame in one of the octave.
-    difference, lit, dark
-        [h, w] lit minus dark, or lit itself; the lit frame; and the registered dark frame where there is one.
+    shape
+        Rows and columns of the octave.
+    lit, dark
+        Cut patches out of the lit frame and, where there is one, out of the registered dark frame.
+    bright, base
+        [h, w] what is screened of the lit and of the dark frame, both uint8 or both float32.
+    cell
+        Pixels of the octave in one of these.
     """
 
     step: int
-    difference: NDArray
-    lit: NDArray
-    dark: NDArray | None
+    shape: tuple[int, int]
+    lit: Cutter
+    dark: Cutter | None
+    bright: NDArray
+    base: NDArray | None
+    cell: int = 1
 
-    def halved(self) -> Layer:
-        """The next octave."""
-        lit = _halved(self.lit)
-        difference = lit if self.difference is self.lit else _halved(self.difference)
-        return Layer(2 * self.step, difference, lit, None if self.dark is None else _halved(self.dark))
+    def swapped(self) -> Layer:
+        """The pair the other way round."""
+        assert self.dark is not None and self.base is not None
+        return Layer(self.step, self.shape, self.dark, self.lit, self.base, self.bright, self.cell)
 
 
 @dataclass(frozen=True)
-class Octave:
-    """Candidates of one octave, N of them, and the patches [N, 2 HALF + 1, 2 HALF + 1] about them.
+class Place:
+    """Places of an octave, [N] each: whole pixels of it, and the height over what the screen answers around."""
+
+    x: Whole
+    y: Whole
+    height: Array
+
+
+@dataclass(frozen=True)
+class Cut:
+    """Candidates of all octaves, N of them, and the patches about them, in pixels of their octaves.
 
     Parameters
     ----------
     step
-        Pixels of the frame in one of the octave.
+        [N] pixels of the frame in one of the octave.
     x, y
         [N] whole pixels of the octave.
     shape
-        Rows and columns of the octave.
+        [N, 2] rows and columns of the octave.
     height
         [N] height over the spread of its surroundings.
     size
-        [N] which of `SIGMAS`.
+        [N] which of `SIGMAS`, in rising order.
     difference, lit, dark
-        What was searched, the lit frame, and the dark frame where there is one.
+        [N, 2 HALF + 1, 2 HALF + 1] what is searched, the lit frame, and the dark frame where there is one.
     answer, lit_answer, dark_answer
-        What the difference of Gaussians of each candidate's size makes of them.
+        What the difference of Gaussians of each candidate's size makes of them, to HALF, `LIT_REACH` and `DARK_REACH`
+        pixels from the place.
     """
 
-    step: int
-    x: NDArray[np.int64]
-    y: NDArray[np.int64]
-    shape: tuple[int, int]
+    step: Whole
+    x: Whole
+    y: Whole
+    shape: Whole
     height: Array
-    size: NDArray[np.int64]
+    size: Whole
     difference: Array
     lit: Array
     dark: Array | None
@@ -102,13 +152,46 @@ class Octave:
     dark_answer: Array | None
 
 
-def difference_of_gaussians(image: Array, sigma: float) -> Array:
-    """Gaussian of `sigma` minus one 1.6 times as wide, [H, W]."""
-    narrow, wide = (cv2.GaussianBlur(image, (0, 0), s) for s in (sigma, _RATIO * sigma))
-    return np.asarray(cv2.subtract(narrow, wide), dtype=np.float32)
+def differences_of_gaussians(stack: Array, size: Whole, margin: int = 0) -> Array:
+    """Gaussian of each patch's own size minus one 1.6 times as wide, [N, h - 2 margin, w - 2 margin].
+
+    Parameters
+    ----------
+    stack
+        [N, side, side], mirrored outside.
+    size
+        [N] which of `SIGMAS`, in rising order.
+    margin
+        Pixels at each edge that are not wanted.
+    """
+    side = stack.shape[1]
+    found = np.empty((len(stack), side - 2 * margin, side - 2 * margin), np.float32)
+    for n in range(len(SIGMAS)):
+        first, last = np.searchsorted(size, (n, n + 1))
+        if last > first:
+            # Products of matrices: several times faster than filters on small patches.
+            along, down = _filters(n, side, margin)
+            both = stack[first:last] @ along
+            np.matmul(down, np.concatenate(np.split(both, 2, axis=2), axis=1), out=found[first:last])
+    return found
 
 
-def patches(image: NDArray, x: NDArray[np.int64], y: NDArray[np.int64], half: int) -> Array:
+@functools.cache
+def _filters(size: int, side: int, margin: int) -> tuple[Array, Array]:
+    """Both Gaussians along rows, beside each other, [side, 2 n], and what subtracts them down columns, [n, 2 side]."""
+    found = []
+    for sigma in (SIGMAS[size], _RATIO * SIGMAS[size]):
+        reach = min(_MARGIN, math.ceil(3 * sigma))
+        weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+        at = _mirrored(np.arange(margin, side - margin)[:, None] + np.arange(-reach, reach + 1), side)
+        matrix = np.zeros((side - 2 * margin, side))
+        np.add.at(matrix, (np.arange(len(at))[:, None], at), weights / weights.sum())
+        found.append(matrix.astype(np.float32))
+    narrow, wide = found
+    return np.ascontiguousarray(np.concatenate([narrow, wide]).T), np.concatenate([narrow, -wide], axis=1)
+
+
+def patches(image: NDArray, x: Whole, y: Whole, half: int) -> Array:
     """Squares of 2·half + 1 pixels about places of an image [H, W]: [N, 2·half + 1, 2·half + 1]; edges are mirrored."""
     height, width = image.shape
     inside = (half <= y) & (y < height - half) & (half <= x) & (x < width - half) & (half >= _LARGE)
@@ -124,56 +207,108 @@ def patches(image: NDArray, x: NDArray[np.int64], y: NDArray[np.int64], half: in
     return found
 
 
-def octaves(
-    layer: Layer, largest: float, most: int
-) -> Iterator[tuple[Layer, NDArray[np.int64], NDArray[np.int64], Array]]:
-    """Screen a frame octave by octave, from the smallest spots up.
+def layers(lit: NDArray, registered: Registered | None, largest: float) -> list[Layer]:
+    """Octaves of a frame [H, W], or of a pair, uint8 or float32, up to spots of a diameter of `largest` pixels."""
+    small, dark = _halved(lit), None
+    if registered is None:
+        found = [Layer(1, _shape(lit), _cutter(lit), None, lit, None)]
+    else:
+        # In a difference, whose level is known, the highest pixels serve as well as means, at a quarter of the time.
+        base, dark = registered.moved(_pooled(registered.taken), _halved(registered.taken))
+        of_dark = functools.partial(registered.patches, registered.taken)
+        found = [Layer(1, _shape(lit), _cutter(lit), of_dark, _pooled(lit), base, 2)]
+    while min(small.shape) >= 16 and 4 * SIGMAS[0] * 2 * found[-1].step <= largest:
+        cut_dark = None if dark is None else _cutter(dark)
+        found.append(Layer(2 * found[-1].step, _shape(small), _cutter(small), cut_dark, small, dark))
+        if found[-1].step == _WHOLE:
+            small, dark = small.astype(np.float32), None if dark is None else dark.astype(np.float32)
+        small, dark = _halved(small), None if dark is None else _halved(dark)
+    return [one for one in found if 4 * SIGMAS[0] * one.step <= largest]
 
-    Parameters
-    ----------
-    layer
-        The first octave.
-    largest
-        Largest diameter of a spot, in pixels of it.
-    most
-        About how many places of an octave are wanted; the highest are kept.
 
-    Yields
-    ------
-    layer, x, y, height
-        The octave and, [N] each, whole pixels of it and the height over what the screen answers around.
+def screened(layer: Layer, most: int) -> Place:
+    """Screen an octave for about so many places as are wanted; the highest are kept."""
+    image = layer.bright
+    if layer.base is not None:
+        # What is much darker in the lit frame does not matter: bytes may end there.
+        whole = image.dtype == np.uint8
+        image = cv2.addWeighted(image, 1, layer.base, -1, _ZERO) if whole else cv2.subtract(image, layer.base)
+    answer = _contrast(np.asarray(image), sharp=layer.cell > 1)
+    block = _BLOCK // layer.cell
+    peaks = _block_maxima(answer, block)
+    highest = peaks.astype(np.float32)
+    cut = 3 * float(np.median(highest[::2, ::2])) + 1
+    around = cv2.blur(np.minimum(highest, cut), (_AROUND, _AROUND)) / _HIGHEST_OF_NOISE[layer.cell]
+    variance = np.square(around) + _QUANTUM**2
+    height = highest / np.sqrt(variance)
+    if layer.base is None:
+        # In one frame alone, a place that stands alone is worth a closer look more than one of many.
+        ring = np.ones((5, 5), np.uint8)
+        ring[1:4, 1:4] = 0
+        height *= np.clip(highest / np.maximum(np.asarray(cv2.dilate(peaks, ring)), 0.5), 1 / _ALONE, _ALONE)
+    flat = height.ravel()
+    limit = min(_SCREENED * most, flat.size)
+    # The numbers of the highest: by their least height, which is found many times faster than they are.
+    number = np.flatnonzero(flat >= max(np.partition(flat, flat.size - limit)[flat.size - limit], 1e-6))
+    row, column = np.divmod(number, height.shape[1])
+    x, y = _highest_of_block(answer, row, column, block)
+    own = answer[y, x].astype(np.float32)
+    top = own >= patches(answer, x, y, 2).max((1, 2))
+    x, y, number = x[top], y[top], number[top]
+    found = flat[number]
+    if layer.base is not None and len(x):
+        variance = variance.ravel()[number] + (_LEFT_OF_EDGES * _edges(layer.base, x, y, layer.cell > 1)) ** 2
+        found = own[top] / np.sqrt(variance)
+    kept = np.argsort(-found, kind="stable")[:most]
+    return Place(layer.cell * x[kept], layer.cell * y[kept], np.asarray(found[kept], dtype=np.float32))
+
+
+def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
+    """Cut the patches about places of octaves, and find which size answers each place best; None where there is none.
+
+    Of an octave that was screened at half size the places move to the highest pixel near.
     """
-    while min(layer.lit.shape) >= 16 and 4 * SIGMAS[0] * layer.step <= largest:
-        yield layer, *_screened(layer, most)
-        layer = layer.halved()
-
-
-def cut_out(layer: Layer, x: NDArray[np.int64], y: NDArray[np.int64]) -> Octave:
-    """Cut the patches about places of an octave, and find which size answers each place best."""
     half = HALF + _MARGIN
-    lit = patches(layer.lit, x, y, half)
-    difference = lit if layer.difference is layer.lit else patches(layer.difference, x, y, half)
-    dark = None if layer.dark is None else patches(layer.dark, x, y, half)
-    inner = slice(_MARGIN, -_MARGIN)
+    steps, at, shapes, of_lit, of_dark = [], [], [], [], []
+    for layer, x, y in chosen:
+        if not len(x):
+            continue
+        if layer.cell > 1:
+            x, y = _highest_near(layer, x, y)
+        of_lit.append(layer.lit(x, y, half))
+        if layer.dark is not None:
+            of_dark.append(layer.dark(x, y, half))
+        steps.append(np.full(len(x), layer.step))
+        at.append(np.stack([x, y]))
+        shapes.append(np.tile(layer.shape, (len(x), 1)))
+    if not steps:
+        return None
+    lit, dark = np.concatenate(of_lit), np.concatenate(of_dark) if of_dark else None
+    difference = lit if dark is None else lit - dark
     kernels = _kernels()
-    reach = kernels.shape[1] // 2
-    near = slice(half - reach, half + reach + 1)
-    size = np.argmax(difference[:, near, near].reshape(len(x), -1) @ kernels.reshape(len(SIGMAS), -1).T, axis=1)
-    answer = _answers(difference, size)[:, inner, inner]
-    lit_answer = answer if difference is lit else _answers(lit, size)[:, inner, inner]
-    dark_answer = None if dark is None else _answers(dark, size)[:, inner, inner]
-    return Octave(
-        layer.step,
+    middle = slice(half - _MARGIN, half + _MARGIN + 1)
+    size = np.argmax(difference[:, middle, middle].reshape(len(lit), -1) @ kernels.reshape(len(SIGMAS), -1).T, axis=1)
+    # By size, so that those of one size are one image below another.
+    order = np.argsort(size, kind="stable")
+    size, lit, difference = size[order], lit[order], lit[order] if dark is None else difference[order]
+    dark = None if dark is None else dark[order]
+    inner = slice(_MARGIN, -_MARGIN)
+    x, y = np.concatenate(at, 1)[:, order]
+    answer = _answers(difference, size, HALF)
+    near = slice(HALF - LIT_REACH, HALF + LIT_REACH + 1)
+    dark_answer = None if dark is None else _answers(dark, size, DARK_REACH)
+    return Cut(
+        np.concatenate(steps)[order],
         x,
         y,
-        (layer.lit.shape[0], layer.lit.shape[1]),
+        np.concatenate(shapes)[order],
         _heights(answer, dark_answer),
         size,
         difference[:, inner, inner],
         lit[:, inner, inner],
         None if dark is None else dark[:, inner, inner],
         answer,
-        lit_answer,
+        answer[:, near, near] if dark is None else _answers(lit, size, LIT_REACH),
         dark_answer,
     )
 
@@ -186,19 +321,16 @@ def _heights(answer: Array, of_dark: Array | None) -> Array:
     spread = 1.25 * np.minimum(size, cut[:, None, None]).mean((1, 2))
     variance = spread**2 + _QUANTUM**2
     if of_dark is not None:
-        near = slice(HALF - 2, HALF + 3)
+        near = slice(DARK_REACH - 2, DARK_REACH + 3)
         variance += (_LEFT_OF_EDGES * np.abs(of_dark[:, near, near]).max((1, 2))) ** 2
     return np.maximum(answer[:, HALF, HALF] / np.sqrt(variance), 1e-3).astype(np.float32)
 
 
-def _answers(stack: Array, size: NDArray[np.int64]) -> Array:
-    """Difference of Gaussians of each patch at its own size: patches below one another are one image."""
-    found = np.empty_like(stack)
-    for n, sigma in enumerate(SIGMAS):
-        if (mine := np.flatnonzero(size == n)).size:
-            chosen = stack[mine]
-            found[mine] = difference_of_gaussians(chosen.reshape(-1, stack.shape[2]), sigma).reshape(chosen.shape)
-    return found
+def _answers(stack: Array, size: Whole, reach: int) -> Array:
+    """Difference of Gaussians of each patch at its own size, to so many pixels from the middle; sizes rise."""
+    middle, far = stack.shape[1] // 2, reach + _MARGIN
+    near = slice(middle - far, middle + far + 1)
+    return differences_of_gaussians(stack[:, near, near], size, _MARGIN)
 
 
 @functools.cache
@@ -206,89 +338,92 @@ def _kernels() -> Array:
     """Differences of Gaussians as kernels, [sizes, side, side]."""
     points = np.zeros((2 * _MARGIN + 1, 2 * _MARGIN + 1), np.float32)
     points[_MARGIN, _MARGIN] = 1
-    return np.stack([difference_of_gaussians(points, sigma) for sigma in SIGMAS])
+    sizes = np.arange(len(SIGMAS))
+    return differences_of_gaussians(np.repeat(points[None], len(sizes), axis=0), sizes)
 
 
-def _screened(layer: Layer, most: int) -> tuple[NDArray[np.int64], NDArray[np.int64], Array]:
-    answer = _contrast(layer.difference)
-    highest = _block_maxima(answer).astype(np.float32)
-    cut = 3 * float(np.median(highest)) + 1
-    around = cv2.blur(np.minimum(highest, cut), (_AROUND, _AROUND)) / _HIGHEST_OF_NOISE
-    height = highest / np.sqrt(around**2 + _QUANTUM**2)
-    number = np.flatnonzero(height.ravel() > _LEAST)
-    if len(number) > (limit := _SCREENED * most):
-        number = number[np.argpartition(-height.ravel()[number], limit)[:limit]]
-    row, column = np.divmod(number, height.shape[1])
-    x, y = _highest_of_block(answer, row, column)
-    own = answer[y, x].astype(np.float32)
-    top = own >= patches(answer, x, y, 2).max((1, 2))
-    x, y, row, column = (one[top] for one in (x, y, row, column))
-    own = own[top]
-    variance = around[row, column] ** 2 + _QUANTUM**2
-    if layer.dark is not None and len(x):
-        variance += (_LEFT_OF_EDGES * _edges(layer.dark, x, y)) ** 2
-    # In one frame alone, a place that stands alone is worth a closer look more than one of many.
-    ring = np.ones((5, 5), np.uint8)
-    ring[1:4, 1:4] = 0
-    others = np.maximum(np.asarray(cv2.dilate(highest, ring))[row, column], 0.5)
-    heights = own / np.sqrt(variance)
-    if layer.dark is None:
-        heights = heights * np.clip(own / others, 1 / _ALONE, _ALONE)
-    kept = np.argsort(-heights, kind="stable")[:most]
-    return x[kept], y[kept], np.asarray(heights[kept], dtype=np.float32)
+def _highest_near(layer: Layer, x: Whole, y: Whole) -> tuple[Whole, Whole]:
+    """The pixels with the highest mean of 3 x 3 among the cell at places and those around it."""
+    reach = 2
+    spot = layer.lit(x, y, reach + 2)
+    if layer.dark is not None:
+        spot = spot - layer.dark(x, y, reach + 2)
+    mean = np.asarray(cv2.blur(spot.reshape(-1, spot.shape[2]), (3, 3))).reshape(spot.shape)
+    best = mean[:, 2:-2, 2:-2].reshape(len(x), -1).argmax(1)
+    side = 2 * reach + 1
+    height, width = layer.shape
+    return np.clip(x + best % side - reach, 0, width - 1), np.clip(y + best // side - reach, 0, height - 1)
 
 
-def _contrast(image: NDArray) -> NDArray:
-    """How far a mean over 3 x 3 pixels stands above one over some 7 x 7, [H, W], in the image's own type; 0 below."""
-    narrow = cv2.blur(image, (3, 3))
-    answer = np.asarray(cv2.subtract(narrow, cv2.blur(narrow, (5, 5))))
+def _contrast(image: NDArray, sharp: bool) -> NDArray:
+    """How far a mean over 3 x 3 pixels stands above one over some 7 x 7, [H, W], in the image's own type; 0 below.
+
+    Sharp: how far a pixel stands above the mean over 5 x 5.
+    """
+    narrow = image if sharp else np.asarray(cv2.blur(image, (3, 3)))
+    wide = np.asarray(cv2.blur(narrow, (5, 5)))
+    answer = np.asarray(cv2.subtract(narrow, wide, dst=wide))
     return answer if answer.dtype == np.uint8 else np.maximum(answer, 0)
 
 
-def _edges(dark: NDArray, x: NDArray[np.int64], y: NDArray[np.int64]) -> Array:
+def _edges(dark: NDArray, x: Whole, y: Whole, sharp: bool) -> Array:
     """Largest contrast, of either sign, of the dark frame within two pixels of places, [N]."""
     near = patches(dark, x, y, 5)
     shape = near.shape
     near = near.reshape(-1, shape[2])
-    narrow = cv2.blur(near, (3, 3))
+    narrow = near if sharp else cv2.blur(near, (3, 3))
     contrast = cv2.absdiff(narrow, cv2.blur(narrow, (5, 5))).reshape(shape)
     return contrast[:, 3:-3, 3:-3].max((1, 2))
 
 
-def _block_maxima(image: NDArray) -> NDArray:
-    """Largest value of each block, [ceil(H / 8), ceil(W / 8)]."""
+def _block_maxima(image: NDArray, block: int) -> NDArray:
+    """Largest value of each block, [ceil(H / block), ceil(W / block)]."""
     height, width = image.shape
-    rows, columns = -(-height // _BLOCK), -(-width // _BLOCK)
-    if (rows * _BLOCK, columns * _BLOCK) != image.shape:
+    rows, columns = -(-height // block), -(-width // block)
+    if (rows * block, columns * block) != image.shape:
         image = np.asarray(
             cv2.copyMakeBorder(
-                image, 0, rows * _BLOCK - height, 0, columns * _BLOCK - width, cv2.BORDER_CONSTANT, value=[0]
+                image, 0, rows * block - height, 0, columns * block - width, cv2.BORDER_CONSTANT, value=[0]
             )
         )
     # Maxima over rows of memory are fast: over the columns they are taken of the transposed.
-    tall = image.reshape(rows, _BLOCK, -1).max(1)
-    return np.ascontiguousarray(tall.T).reshape(columns, _BLOCK, rows).max(1).T
+    tall = image.reshape(rows, block, -1).max(1)
+    return np.ascontiguousarray(np.ascontiguousarray(tall.T).reshape(columns, block, rows).max(1).T)
 
 
-def _highest_of_block(
-    image: NDArray, row: NDArray[np.int64], column: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _highest_of_block(image: NDArray, row: Whole, column: Whole, block: int) -> tuple[Whole, Whole]:
     """Where the largest value of blocks lies, x and y, [N] each."""
     height, width = image.shape
-    step = np.arange(_BLOCK)
-    y = np.minimum(row[:, None, None] * _BLOCK + step[:, None], height - 1)
-    x = np.minimum(column[:, None, None] * _BLOCK + step, width - 1)
-    at = image[y, x].reshape(len(row), _BLOCK * _BLOCK).argmax(1)
-    return np.minimum(column * _BLOCK + at % _BLOCK, width - 1), np.minimum(row * _BLOCK + at // _BLOCK, height - 1)
+    step = np.arange(block)
+    y = np.minimum(row[:, None, None] * block + step[:, None], height - 1)
+    x = np.minimum(column[:, None, None] * block + step, width - 1)
+    at = image[y, x].reshape(len(row), block * block).argmax(1)
+    return np.minimum(column * block + at % block, width - 1), np.minimum(row * block + at // block, height - 1)
 
 
-def _mirrored(at: NDArray[np.int64], end: int) -> NDArray[np.int64]:
+def _mirrored(at: Whole, end: int) -> Whole:
     """Numbers of pixels, mirrored at 0 and `end` - 1."""
     period = max(1, 2 * (end - 1))
     folded = np.abs(at) % period
     return np.minimum(folded, period - folded)
 
 
+def _shape(image: NDArray) -> tuple[int, int]:
+    return image.shape[0], image.shape[1]
+
+
+def _cutter(image: NDArray) -> Cutter:
+    return functools.partial(patches, image)
+
+
 def _halved(image: NDArray) -> NDArray:
     size = max(1, image.shape[1] // 2), max(1, image.shape[0] // 2)
     return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+
+
+def _pooled(image: NDArray) -> NDArray:
+    """The highest of each 2 x 2 pixels; an odd last row or column is left out."""
+    rows, columns = image.shape[0] // 2, image.shape[1] // 2
+    tall = np.asarray(cv2.max(image[0 : 2 * rows : 2], image[1 : 2 * rows : 2]))
+    left, right = cv2.split(np.ascontiguousarray(tall[:, : 2 * columns]).reshape(rows, columns, 2))
+    return np.asarray(cv2.max(left, right))

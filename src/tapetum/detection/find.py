@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from tapetum.detection.candidates import HALF, SIGMAS, Layer, Octave, cut_out, octaves
+from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, cut_out, layers, patches, screened
 from tapetum.detection.found import Found
-from tapetum.detection.looks import OF_A_FRAME, looks
-from tapetum.detection.registration import Registered, local_mean, register
+from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR, looks
+from tapetum.detection.registration import MATCHED, Registered, local_mean, register
 from tapetum.detection.score import load_score
 from tapetum.errors import InputError, one_of
 
-__all__ = ["CHANNELS", "LARGEST_FRAME", "candidates_with_looks", "find_cameras"]
+__all__ = ["CHANNELS", "LARGEST_FRAME", "candidates_with_looks", "find_cameras", "find_each"]
 
 CHANNELS = ("mean", "red", "green", "blue")
 """What of a colour frame is searched: the mean of all three, or the one that the laser's wavelength falls into."""
@@ -26,11 +28,14 @@ _OUTLIER = OF_A_FRAME.index("outlier")
 _SATURATED = OF_A_FRAME.index("saturated")
 _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
-# Level of no difference, in bytes.
-_ZERO = 64
 _MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
+
+# Of a pixel's light, what a neighbour has at least where a lens draws it: a spot of 0.4 pixels shows 0.13 of it.
+_SHARED = 0.1
+# Diameter below which a candidate may be a single pixel: on a wide spot the noise of one counts for nothing.
+_SMALL = 7.0
 
 Array = NDArray[np.float64]
 
@@ -58,12 +63,12 @@ def find_cameras(
     largest
         Largest diameter of a spot in pixels.
     most
-        Most candidates that are looked at closely; default: 100 of a pair, 200 of one frame alone.
+        Most candidates that are looked at closely; default: 100, of one frame alone at more than one false alarm 200.
     channel
         Of a colour frame: mean, red, green or blue. The mean holds the glint of a white flash and, in all three,
         of a near-infrared lamp; for a red laser "red" has less of the room's own light in it.
     swaps
-        Whether to look, where nothing is likely in a pair, if the two are swapped. It doubles the time.
+        Whether to look, where nothing is likely in a pair, if the two are swapped. It takes half the time again.
 
     Returns
     -------
@@ -98,13 +103,16 @@ def find_cameras(
     if second is not None and first.dtype != second.dtype:
         first, second = first.astype(np.float32), second.astype(np.float32)
     registered = None if second is None else register(first, second)
-    found, measured = _candidates(first, registered, largest, most)
+    if most is None and registered is None and false_alarms <= 1:
+        # What stands behind a hundred other places is rarely among the likeliest.
+        most = _MOST_OF_A_PAIR
+    octaves = layers(first, registered, largest)
+    found, measured = _candidates(octaves, registered, most, first)
     log_odds = score.log_odds(measured)
     alarms = score.false_alarms(log_odds)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
-        other_way = Registered(first, -registered.coarse, registered.correlation)
-        turned = score.log_odds(_candidates(registered.dark, other_way, largest, most)[1])
+        turned = score.log_odds(_candidates([one.swapped() for one in octaves], registered, most, first, True)[1])
         swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
@@ -124,6 +132,49 @@ def find_cameras(
     )
 
 
+def find_each(
+    frames: Iterable[tuple[NDArray[np.generic], NDArray[np.generic] | None]], *, threads: int = 2, **options: Any
+) -> Iterator[Found]:
+    """Find cameras in many frames, several at once: `find_cameras` of each lit frame and its dark one, or None.
+
+    OpenCV and numpy release the interpreter, so that threads share the work; at most twice as many frames as threads
+    are held.
+
+    Parameters
+    ----------
+    frames
+        Lit and dark frames, as for `find_cameras`; read as they are wanted.
+    threads
+        How many frames are searched at once.
+    **options
+        As for `find_cameras`.
+
+    Yields
+    ------
+    Found
+        In the order of the frames.
+
+    Raises
+    ------
+    InputError
+        What `find_cameras` raises, at the frame's turn.
+    """
+    if threads < 1:
+        raise InputError(f"must be at least 1, is {threads}", where="threads")
+    waiting: deque[Future[Found]] = deque()
+    with ThreadPoolExecutor(threads) as workers:
+        try:
+            for lit, dark in frames:
+                waiting.append(workers.submit(find_cameras, lit, dark, **options))
+                if len(waiting) >= 2 * threads:
+                    yield waiting.popleft().result()
+            while waiting:
+                yield waiting.popleft().result()
+        finally:
+            for one in waiting:
+                one.cancel()
+
+
 def candidates_with_looks(
     lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
 ) -> tuple[dict[str, Array], Array]:
@@ -137,46 +188,41 @@ def candidates_with_looks(
         As for `find_cameras`.
     """
     registered = None if dark is None else register(lit, dark)
-    return _candidates(lit, registered, largest, most)
+    return _candidates(layers(lit, registered, largest), registered, most, lit)
 
 
 def _candidates(
-    lit: NDArray, registered: Registered | None, largest: float, most: int | None
+    octaves: list[Layer], registered: Registered | None, most: int | None, lit: NDArray, swapped: bool = False
 ) -> tuple[dict[str, Array], Array]:
     if most is None:
         most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
-    if registered is None:
-        layer = Layer(1, lit, lit, None)
-    elif lit.dtype == np.uint8:
-        # What is much darker in the lit frame does not matter: bytes may end there.
-        layer = Layer(1, np.asarray(cv2.addWeighted(lit, 1, registered.dark, -1, _ZERO)), lit, registered.dark)
-    else:
-        layer = Layer(1, np.asarray(cv2.subtract(lit, registered.dark)), lit, registered.dark)
-    screened = list(octaves(layer, largest, most))
     names = ("x", "y", "snr", "flux", "diameter", "peak")
-    step = np.concatenate([np.full(len(x), one.step) for one, x, _, _ in screened] or [np.empty(0)])
-    none = np.empty(0, np.int64)
-    at_x = np.concatenate([none, *(x for _, x, _, _ in screened)])
-    at_y = np.concatenate([none, *(y for _, _, y, _ in screened)])
-    height = np.concatenate([np.empty(0), *(high for *_, high in screened)]).astype(np.float64)
-    places = np.stack([(at_x + 0.5) * step - 0.5, (at_y + 0.5) * step - 0.5], 1)
-    allowed = np.arange(len(step)) if registered is None else np.flatnonzero(_within(registered, places, lit.shape))
-    x, y = places[allowed].T
+    width = len(OF_A_FRAME) + (0 if registered is None else len(OF_A_PAIR))
+    places = [screened(one, most) for one in octaves]
+    count = [len(one.x) for one in places]
+    if not sum(count):
+        return {name: np.empty(0) for name in names}, np.empty((0, width))
+    step = np.repeat([one.step for one in octaves], count).astype(np.float64)
+    at = np.concatenate([np.stack([one.x, one.y], 1) for one in places])
+    height = np.concatenate([one.height for one in places]).astype(np.float64)
+    middle = (at + 0.5) * step[:, None] - 0.5
+    shape = octaves[0].shape
+    allowed = np.arange(len(at)) if registered is None else np.flatnonzero(_within(registered, middle, shape))
+    x, y = middle[allowed].T
     kept = allowed[_one_a_place(x, y, height[allowed], 4.0 * step[allowed], most)]
-    mean = local_mean(lit)
-    flow = None if registered is None else registered.coarse
-    columns: list[Array] = []
-    measured: list[Array] = []
-    for one, *_ in screened:
-        mine = kept[step[kept] == one.step]
-        if len(mine):
-            cut = cut_out(one, at_x[mine], at_y[mine])
-            columns.append(_measured(cut))
-            measured.append(looks(cut, _at(mean, columns[-1], lit.shape), _FULL, flow))
-    if not columns:
-        return {name: np.empty(0) for name in names}, np.empty((0, len(OF_A_FRAME) + (3 if flow is not None else 0)))
-    table, features = np.vstack(columns), np.vstack(measured)
+    of = np.repeat(np.arange(len(octaves)), count)[kept]
+    cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
+    if cut is None:
+        return {name: np.empty(0) for name in names}, np.empty((0, width))
+    table = _measured(cut)
+    # The mean of the frame is that of the octave that was screened, which is smaller.
+    wide = octaves[min(1, len(octaves) - 1)]
+    mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
+    features = looks(cut, _at(mean, table, shape), _FULL, None if registered is None else registered.coarse)
     kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
+    kept = kept[~_stuck(table[kept], lit, registered, swapped)]
+    if not len(kept):
+        return {name: np.empty(0) for name in names}, np.empty((0, width))
     table, features = table[kept], features[kept]
     # Below the median, for up to half of the candidates may be cameras.
     low, middle = np.quantile(table[:, 2], [0.2, 0.5])
@@ -198,40 +244,73 @@ def _within(registered: Registered, places: Array, shape: tuple[int, ...]) -> ND
     return (from_x >= 1) & (from_y >= 1) & (from_x <= shape[1] - 2) & (from_y <= shape[0] - 2)
 
 
-def _measured(octave: Octave) -> Array:
+def _stuck(places: Array, lit: NDArray, registered: Registered | None, swapped: bool) -> NDArray[np.bool_]:
+    """Whether candidates (x, y, snr, flux, diameter, …) are single pixels of the sensor that are too bright, [N].
+
+    Of a pair by hand: a bright pixel that the dark frame shows too, though what it sees has moved. Of one frame alone:
+    a pixel whose light no neighbour shares, as no lens makes it.
+    """
+    at, image, other, flow = places[:, :2], lit, None, np.zeros((len(places), 2))
+    if registered is not None:
+        flow = np.stack([_at(registered.coarse[..., n], places, lit.shape) for n in (0, 1)], 1)
+        image, other = (registered.taken, lit) if swapped else (lit, registered.taken)
+        at = at + flow if swapped else at
+    x, y = (np.clip(np.rint(one), 0, end - 1).astype(np.int64) for one, end in zip(at.T, lit.shape[::-1], strict=True))
+    best = patches(image, x, y, 1).reshape(-1, 9).argmax(1)
+    x, y = x + best % 3 - 1, y + best // 3 - 1
+    around = np.maximum.reduce(np.abs(np.mgrid[-2:3, -2:3]))
+    near = patches(image, x, y, 2)
+    rim = np.median(near[:, around == 2], axis=1)
+    height, beside = near[:, 2, 2] - rim, near[:, around == 1].max(1) - rim
+    small = places[:, 4] < _SMALL
+    if registered is None or other is None:
+        return small & (beside < _SHARED * height)
+    same = patches(other, x, y, 2)
+    moved = np.hypot(*flow.T) > 1
+    return (
+        small
+        & moved
+        & (beside < 0.5 * height)
+        & (same[:, 2, 2] - np.median(same[:, around == 2], axis=1) > 0.5 * height)
+    )
+
+
+def _measured(cut: Cut) -> Array:
     """Place, height, flux, diameter and peak of each candidate, [N, 6], in pixels of the frame."""
     half = 6
-    sigma = np.array(SIGMAS)[octave.size]
+    sigma = np.array(SIGMAS)[cut.size]
     inner = slice(HALF - half, HALF + half + 1)
-    patch = octave.difference[:, inner, inner].astype(np.float64)
-    rows, columns = np.mgrid[-half : half + 1, -half : half + 1]
-    radius = np.hypot(rows, columns)
+    patch = cut.difference[:, inner, inner]
+    along = np.arange(-half, half + 1)
+    radius = np.hypot(along[:, None], along)
     rim = np.median(patch[:, radius > half - 1.5], axis=1)
-    spot = np.maximum(patch - rim[:, None, None], 0) * (radius[None] <= (2 * sigma + 1)[:, None, None])
-    light = np.maximum(spot.sum((1, 2)), 1e-9)
-    x, y = _centroid(np.maximum(patch - rim[:, None, None], 0), sigma, columns, rows)
-    step = octave.step
+    spot = np.maximum(patch - rim[:, None, None], 0)
+    light = np.maximum((spot * (radius <= (2 * sigma + 1)[:, None, None])).sum((1, 2)), 1e-9)
+    x, y = _centroid(spot, sigma, along)
+    step = cut.step
     middle = slice(HALF - 1, HALF + 2)
-    peak = octave.lit[:, middle, middle].max((1, 2))
-    places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((octave.x, x), (octave.y, y)))
+    peak = cut.lit[:, middle, middle].max((1, 2))
+    places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((cut.x, x), (cut.y, y)))
     # The filter of width s answers a Gaussian of sigma s most.
-    found = [*places, octave.height, light * step**2, 4 * sigma * step, peak]
+    found = [*places, cut.height, light * step**2, 4 * sigma * step, peak]
     return np.stack(found, 1).astype(np.float64)
 
 
-def _centroid(spot: Array, sigma: Array, columns: Array, rows: Array) -> tuple[Array, Array]:
-    """Centroid [N] of spots [N, h, w] through a Gaussian window of their own width, which follows it.
+def _centroid(spot: NDArray[np.float32], sigma: Array, along: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Centroid [N] of spots [N, side, side] through a Gaussian window of their own width, which follows it.
 
     Of a Gaussian the window shows half the way to its centre: so each step goes twice as far (as in SExtractor's
     windowed positions). What lies farther out, an edge that registration left, hardly counts.
     """
     x, y = np.zeros(len(spot)), np.zeros(len(spot))
-    wide = 2 * sigma[:, None, None] ** 2
+    wide = 2 * sigma[:, None] ** 2
     for _ in range(4):
-        window = spot * np.exp(-((columns - x[:, None, None]) ** 2 + (rows - y[:, None, None]) ** 2) / wide)
-        light = np.maximum(window.sum((1, 2)), 1e-9)
-        x = np.clip(x + 2 * ((window * columns).sum((1, 2)) / light - x), -3, 3)
-        y = np.clip(y + 2 * ((window * rows).sum((1, 2)) / light - y), -3, 3)
+        in_x, in_y = (np.exp(-((along - at[:, None]) ** 2) / wide) for at in (x, y))
+        rows = (spot @ in_x[:, :, None].astype(np.float32))[..., 0]
+        columns = (in_y[:, None].astype(np.float32) @ spot)[:, 0]
+        light = np.maximum((rows * in_y).sum(1), 1e-9)
+        x = np.clip(x + 2 * ((columns * in_x) @ along / light - x), -3, 3)
+        y = np.clip(y + 2 * ((rows * in_y) @ along / light - y), -3, 3)
     return x, y
 
 

@@ -7,6 +7,7 @@ and people walk. A common shift comes first (phase correlation), then a dense op
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -16,21 +17,23 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["Registered", "local_mean", "register"]
+__all__ = ["MATCHED", "Registered", "local_mean", "register"]
 
 Array = NDArray[np.float32]
 
 # Longest side at which the flow is sought: above it costs time and gains nothing, for it is smoothed anyway. Frames are
 # halved until they fit, which is exact and fast.
-_FLOW_SIDE = 1000
+_FLOW_SIDE, _FINE_SIDE = 500, 1000
 _SHIFT_SIDE = 512
+# Of the correction: the standard deviation of its window in pixels, and what keeps it small where frames show little.
+_AROUND, _EVEN, _LEAST_POWER = 8.0, 0.03, 0.2
 # The details of two frames of one scene correlate by 0.6 to 0.99 after registration, in heavy noise by 0.3 to 0.46;
 # those of unrelated frames by 0.2 to 0.4, for the flow bends anything a little. It then is rough: a tenth of its
 # gradients exceeds 0.24 to 0.7 pixels a pixel, in frames of one scene 0.01 to 0.3, the most in heavy noise.
 _SAME_SCENE, _ROUGH = 0.5, 0.4
 _UNLIKE, _BENT = 0.35, 0.23
 # Radius, in pixels, over which gain and offset of the two exposures are matched.
-_MATCHED = 25.0
+MATCHED = 25.0
 # Largest flow, in pixels, that may be left.
 _STILL = 0.05
 # Gains of 0.5 to 2 in bytes.
@@ -42,32 +45,93 @@ _PRESET = cv2.DISOPTICAL_FLOW_PRESET_FAST
 class Registered:
     """A dark frame registered to a lit one.
 
+    The frame itself is resampled only where it is asked for: a search needs it whole at half size alone.
+
     Parameters
     ----------
-    dark
-        [H, W] the dark frame at the lit frame's places and in its brightness, of the lit frame's type.
-    coarse
-        [h, w, 2] the flow, in pixels of the frame, on a grid that covers the frame evenly.
+    taken
+        [H, W] the dark frame as it was taken.
+    grid
+        [h, w, 4] on a grid that covers the frame evenly: the flow in x and y, in pixels of the frame; and the gain and
+        the offset, in grey levels, from the dark frame's brightness to the lit one's.
     correlation
         Of the details of both, from -1 to 1.
     """
 
-    dark: NDArray
-    coarse: Array
+    taken: NDArray
+    grid: Array
     correlation: float
+
+    @property
+    def coarse(self) -> Array:
+        """[h, w, 2] the flow, in pixels of the frame, on a grid that covers the frame evenly."""
+        return self.grid[..., :2]
 
     @property
     def flow(self) -> Array:
         """[H, W, 2] how far from each place of the lit frame its partner lies in the dark one, x and y, in pixels."""
-        height, width = self.dark.shape
+        height, width = self.taken.shape
         return np.asarray(_resized(self.coarse, (width, height), cv2.INTER_LINEAR), dtype=np.float32)
 
     @property
     def seen(self) -> NDArray[np.bool_]:
         """[H, W] where the dark frame shows the place at all."""
-        height, width = self.dark.shape
+        height, width = self.taken.shape
         from_x, from_y = _partners(self.coarse, (width, height))
         return (from_x >= 0) & (from_y >= 0) & (from_x <= width - 1) & (from_y <= height - 1)
+
+    @functools.cached_property
+    def still(self) -> bool:
+        """Whether nothing moved, so that the dark frame need not be resampled."""
+        return bool(np.abs(self.coarse).max() < _STILL)
+
+    @functools.cached_property
+    def dark(self) -> NDArray:
+        """[H, W] the dark frame at the lit frame's places and in its brightness, of the lit frame's type."""
+        return self.moved(self.taken)[0]
+
+    def moved(self, *images: NDArray) -> list[NDArray]:
+        """The dark frame, or smaller copies of it of one size [h, w], at the lit frame's places and brightness."""
+        size = images[0].shape[1], images[0].shape[0]
+        if not self.still:
+            over = np.array(size) / self.taken.shape[::-1]
+            maps = _partners(self.coarse * over.astype(np.float32), size)
+            images = tuple(_taken(one, *maps) for one in images)
+        gain, offset = (np.ascontiguousarray(self.grid[..., n]) for n in (2, 3))
+        # Whole numbers stay whole: an eighth of the time, and a rounded level is less than the frames' own noise.
+        if whole := self.taken.dtype == np.uint8:
+            gain = np.round(_UNIT * gain).astype(np.uint8)
+            offset = np.clip(np.round(offset + 128), 0, 255).astype(np.uint8)
+        wide, base = (_resized(one, size, cv2.INTER_LINEAR) for one in (gain, offset))
+        even = (cv2.multiply(one, wide, scale=1 / _UNIT if whole else 1) for one in images)
+        return [np.asarray(cv2.addWeighted(one, 1, base, 1, -128) if whole else cv2.add(one, base)) for one in even]
+
+    def patches(self, image: NDArray, x: NDArray[np.int64], y: NDArray[np.int64], half: int) -> Array:
+        """Squares of what `moved` makes of an image about places of the lit one, [N, 2·half + 1, 2·half + 1].
+
+        The image's edges go on outside.
+        """
+        (height, width), (rows, columns) = image.shape, self.grid.shape[:2]
+        # The flow is smooth: every few pixels it is looked up, and straight lines are drawn between.
+        knots = np.linspace(-half, half, 2 + half // 2, dtype=np.float32)
+        step = np.arange(-half, half + 1, dtype=np.float32)
+        on_x, on_y = (
+            ((at[:, None] + knots + 0.5) * (n / of) - 0.5).astype(np.float32)
+            for at, n, of in ((x, columns, width), (y, rows, height))
+        )
+        # A row of the map for each patch, as the sides of a map are limited.
+        rows_x, rows_y = (one.reshape(len(x), -1) for one in np.broadcast_arrays(on_x[:, None], on_y[:, :, None]))
+        flow = _taken(self.coarse, rows_x, rows_y).reshape(len(x), len(knots), len(knots), 2)
+        flow = flow * np.float32(width / self.taken.shape[1])
+        between = np.maximum(1 - np.abs(step[:, None] - knots) / (knots[1] - knots[0]), 0).astype(np.float32)
+        from_x, from_y = (between @ flow[..., n] @ between.T for n in (0, 1))
+        from_x += x[:, None, None].astype(np.float32) + step
+        from_y += y[:, None, None].astype(np.float32) + step[:, None]
+        found = _taken(image, from_x.reshape(len(x), -1), from_y.reshape(len(x), -1)).reshape(from_x.shape)
+        # The light varies over more than a patch.
+        middle = slice(len(knots) // 2, len(knots) // 2 + 1)
+        gain, offset = _taken(self.grid[..., 2:], on_x[:, middle], on_y[:, middle])[:, 0].T[:, :, None, None]
+        return np.asarray(found * gain + offset, dtype=np.float32)
 
 
 def register(lit: NDArray, dark: NDArray) -> Registered:
@@ -91,31 +155,34 @@ def register(lit: NDArray, dark: NDArray) -> Registered:
         sizes = " and ".join(f"{a.shape[1]} x {a.shape[0]}" for a in (lit, dark))
         raise InputError(f"lit and dark have {sizes} pixels", where="dark", remedy="give two frames of one camera")
     height, width = lit.shape
-    share = 0.5 ** max(0, math.ceil(math.log2(max(height, width) / _FLOW_SIDE)))
-    size = max(16, round(width * share)), max(16, round(height * share))
-    small = [np.asarray(_resized(g, size), dtype=np.float32) for g in (lit, dark)]
-    flow = _flow(*small)
-    from_x, from_y = _partners(flow, size)
+    fine, size = (_fitted(width, height, side) for side in (_FINE_SIDE, _FLOW_SIDE))
+    small = [np.asarray(_resized(g, fine), dtype=np.float32) for g in (lit, dark)]
+    smaller = [_resized(g, size) for g in small]
+    flow = _flow(*smaller)
+    rough = _roughness(flow) * flow.shape[1] / size[0]
+    flow = (flow * (np.array(fine) / size)).astype(np.float32)
+    moved = _taken(small[1], *_partners(flow, fine))
+    light = [_resized(one, fine, cv2.INTER_LINEAR) for one in _light(small[0], moved, width / fine[0])]
+    flow = _refined(flow, small[0], light[0] * moved + light[1])
+    from_x, from_y = _partners((flow * (np.array(size) / fine)).astype(np.float32), size)
     seen = (from_x >= 0) & (from_y >= 0) & (from_x <= size[0] - 1) & (from_y <= size[1] - 1)
-    a, b = (_details(g)[seen] for g in (small[0], _taken(small[1], from_x, from_y)))
+    a, b = (_details(g)[seen] for g in (smaller[0], _taken(smaller[1], from_x, from_y)))
     correlation = _correlation(a, b) if seen.sum() > 100 else 0.0
     flat = min(float(np.ptp(g)) for g in small) == 0
-    rough = _roughness(flow)
     other = (correlation < _SAME_SCENE and rough > _ROUGH) or (correlation < _UNLIKE and rough > _BENT)
     if other and not flat:
         what = f"cannot be registered to the lit frame: their details correlate by {correlation:.2f}"
         remedy = "give a dark frame of the same scene, taken within a second, moved by less than a third of the frame"
         raise InputError(what, where="dark", remedy=remedy)
-    coarse = flow * np.array([width / size[0], height / size[1]], np.float32)
-    # A probe that stands still needs no resampling, which would cost as much as all the rest.
-    moved = dark if np.abs(coarse).max() < _STILL else _taken(dark, *_partners(coarse, (width, height)))
-    return Registered(_matched(lit, moved), coarse, correlation)
+    coarse = (flow * (np.array([width, height]) / fine)).astype(np.float32)
+    light = [_resized(one, flow.shape[1::-1]) for one in light]
+    return Registered(dark, np.dstack([coarse, *light]), correlation)
 
 
-def local_mean(image: NDArray, radius: float = _MATCHED) -> Array:
+def local_mean(image: NDArray, radius: float = MATCHED) -> Array:
     """Mean about each of a grid of places that covers an image [H, W] evenly: a Gaussian of that standard deviation."""
     height, width = image.shape
-    step = max(1, int(radius / 3))
+    step = 2 ** max(0, int(math.log2(radius / 3)))
     size = max(1, width // step), max(1, height // step)
     return _blurred(_resized(image, size).astype(np.float32), radius / step)
 
@@ -148,7 +215,7 @@ def _correlation(a: Array, b: Array) -> float:
 
 
 def _flow(lit: Array, dark: Array) -> Array:
-    """Where each place of `lit` lies in `dark`, [H, W, 2], in pixels."""
+    """Where places of `lit` lie in `dark`, [H / 2, W / 2, 2], in pixels of the two."""
     small = [_even(_blurred(g, 1.0)) for g in (lit, dark)]
     size = lit.shape[1], lit.shape[0]
     start = _shift(*small)
@@ -160,8 +227,31 @@ def _flow(lit: Array, dark: Array) -> Array:
         borderMode=cv2.BORDER_REPLICATE,
     )
     found = cv2.DISOpticalFlow.create(_PRESET).calc(small[0], moved, None)  # pyright: ignore
-    parts = [cv2.GaussianBlur(cv2.medianBlur(np.ascontiguousarray(found[..., n]), 5), (0, 0), 4) for n in (0, 1)]
+    # The preset seeks it on every fourth pixel: half the grid holds it all.
+    half = cv2.split(_resized(found, (max(8, size[0] // 2), max(8, size[1] // 2))))
+    parts = [cv2.GaussianBlur(cv2.medianBlur(one, 3), (0, 0), 2) for one in half]
     return np.dstack([part + start[n] for n, part in enumerate(parts)]).astype(np.float32)
+
+
+def _refined(flow: Array, lit: Array, moved: Array) -> Array:
+    """The flow [h, w, 2] between two frames [H, W], corrected by what is left between one and the other, moved by it.
+
+    One step of least squares about each place (Lucas and Kanade 1981). A retro-reflection has no partner: no difference
+    counts more than a pixel's motion explains.
+    """
+    slopes = [cv2.Sobel(moved, cv2.CV_32F, 1 - n, n, scale=1 / 8) for n in (0, 1)]
+    limit = np.abs(slopes[0]) + np.abs(slopes[1]) + 1
+    left = np.clip(moved - lit, -limit, limit)
+    xx, xy, yy, x, y = (
+        local_mean(np.asarray(cv2.multiply(a, b)), _AROUND)
+        for a, b in [(slopes[0], slopes[0]), slopes, (slopes[1], slopes[1]), *((one, left) for one in slopes)]
+    )
+    # Along an edge nothing is known: there a little power holds the flow.
+    held = _EVEN * (xx + yy) + _LEAST_POWER
+    xx, yy = xx + held, yy + held
+    power = xx * yy - xy * xy
+    step = np.dstack([(xy * y - yy * x) / power, (xy * x - xx * y) / power])
+    return flow + _resized(np.clip(step, -1, 1), (flow.shape[1], flow.shape[0]), cv2.INTER_LINEAR)
 
 
 def _roughness(flow: Array) -> float:
@@ -172,11 +262,11 @@ def _roughness(flow: Array) -> float:
 
 def _shift(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> tuple[float, float]:
     """The common shift in x and y where there is a clear one that brings the two closer, else none."""
-    step = max(1, round(max(lit.shape) / _SHIFT_SIDE))
+    step = max(1, math.ceil(max(lit.shape) / _SHIFT_SIDE))
     size = lit.shape[1] // step, lit.shape[0] // step
     # phaseCorrelate may overwrite its inputs: copies are fresh here.
     a, b = (_resized(g, size).astype(np.float32) - 128 for g in (lit, dark))
-    (x, y), response = cv2.phaseCorrelate(a, b, cv2.createHanningWindow(size, cv2.CV_32F))
+    (x, y), response = cv2.phaseCorrelate(a, b, _window(size))
     x, y = x * step, y * step
     if not (np.isfinite([x, y]).all() and response > 0.05 and np.hypot(x, y) > 2):
         return 0.0, 0.0
@@ -191,6 +281,11 @@ def _shift(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> tuple[float, floa
     return (x, y) if closer else (0.0, 0.0)
 
 
+@functools.cache
+def _window(size: tuple[int, int]) -> NDArray:
+    return np.asarray(cv2.createHanningWindow(size, cv2.CV_32F))
+
+
 def _blurred(image: NDArray, sigma: float) -> Array:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), sigma), dtype=np.float32)
 
@@ -198,6 +293,12 @@ def _blurred(image: NDArray, sigma: float) -> Array:
 def _far_blurred(image: Array, sigma: float) -> Array:
     """Blurred by many pixels, [H, W]: on a coarser grid, where that takes few."""
     return _resized(local_mean(image, sigma), (image.shape[1], image.shape[0]), cv2.INTER_LINEAR)
+
+
+def _fitted(width: int, height: int, side: int) -> tuple[int, int]:
+    """A frame's size, halved until its longest side fits."""
+    share = 0.5 ** max(0, math.ceil(math.log2(max(height, width) / side)))
+    return max(16, round(width * share)), max(16, round(height * share))
 
 
 def _resized(image: NDArray, size: tuple[int, int], how: int = cv2.INTER_AREA) -> NDArray:
@@ -210,8 +311,10 @@ def _resized(image: NDArray, size: tuple[int, int], how: int = cv2.INTER_AREA) -
 def _even(image: Array) -> NDArray[np.uint8]:
     """The frame with equal mean and contrast everywhere, so that light and shadow do not pass for motion."""
     mean = _far_blurred(image, 12)
-    spread = np.sqrt(_far_blurred(np.square(image - mean), 12)) + 4
-    return np.clip(128 + 48 * (image - mean) / spread, 0, 255).astype(np.uint8)
+    apart = image - mean
+    scale = 48 / (np.sqrt(local_mean(np.square(apart), 12)) + 4)
+    apart *= _resized(scale, (image.shape[1], image.shape[0]), cv2.INTER_LINEAR)
+    return np.clip(128 + apart, 0, 255).astype(np.uint8)
 
 
 def _details(image: Array) -> Array:
@@ -219,24 +322,17 @@ def _details(image: Array) -> Array:
     return np.asarray(band / np.sqrt(_far_blurred(np.square(band), 16) + 0.5), dtype=np.float32)
 
 
-def _matched(lit: NDArray, dark: NDArray) -> NDArray:
-    """The dark frame with the local mean and contrast of the lit one: the laser lights walls too."""
-    height, width = lit.shape
-    step = max(1, int(_MATCHED / 6))
-    small = [_resized(g, (max(1, width // step), max(1, height // step))).astype(np.float32) for g in (lit, dark)]
+def _light(lit: Array, dark: Array, over: float) -> tuple[Array, Array]:
+    """Gain and offset that give the dark frame the local mean and contrast of the lit one: the laser lights walls too.
 
-    def mean(image: Array) -> Array:
-        return local_mean(image, _MATCHED / step)
-
-    of_lit, of_dark = (mean(g) for g in small)
-    shared, own = mean(small[0] * small[1]) - of_lit * of_dark, mean(small[1] * small[1]) - of_dark**2
-    gain = np.clip((shared + 25) / (own + 25), 0.5, 2)
-    # Whole numbers stay whole: an eighth of the time, and a rounded level is less than the frames' own noise.
-    if whole := lit.dtype == np.uint8:
-        gain = np.round(_UNIT * gain).astype(np.uint8)
-    offset = of_lit - gain / (_UNIT if whole else 1) * of_dark
-    if whole:
-        offset = np.clip(np.round(offset + 128), 0, 255).astype(np.uint8)
-    wide, base = (_resized(one, (width, height), cv2.INTER_LINEAR) for one in (gain, offset))
-    even = cv2.multiply(dark, wide, scale=1 / _UNIT if whole else 1)
-    return np.asarray(cv2.addWeighted(even, 1, base, 1, -128) if whole else cv2.add(even, base))
+    Both are small copies of the frames, whose pixels are `over` of the frame's; the answers lie on a coarser grid.
+    """
+    step = max(1, int(MATCHED / 6))
+    share = max(1.0, step / over)
+    size = max(1, int(lit.shape[1] / share)), max(1, int(lit.shape[0] / share))
+    small = [_resized(g, size).astype(np.float32) for g in (lit, dark)]
+    of_lit, of_dark, product, square = (
+        local_mean(one, MATCHED / max(step, over)) for one in (*small, small[0] * small[1], small[1] * small[1])
+    )
+    gain = np.clip((product - of_lit * of_dark + 25) / (square - of_dark**2 + 25), 0.5, 2)
+    return gain.astype(np.float32), (of_lit - gain * of_dark).astype(np.float32)
