@@ -136,7 +136,10 @@ def _background(image: NDArray[np.float32]) -> float:
     size = max(1, width // _BLOCK), max(1, height // _BLOCK)
     base = float(cv2.mean(image)[0])
     # From values near zero, whose means are the most accurate.
-    return base + float(np.median(cv2.resize(image - base, size, interpolation=cv2.INTER_AREA)))
+    means = cv2.resize(image - np.float32(base), size, interpolation=cv2.INTER_AREA).ravel()
+    # The median, several times faster than numpy's for as few values.
+    middle = (means.size - 1) // 2, means.size // 2
+    return base + float(np.partition(means, middle)[list(middle)].mean())
 
 
 def _blurred(image: NDArray[np.float32], background: float, sigma: float, step: int) -> NDArray[np.float32]:
@@ -341,10 +344,23 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
     inner = array[y0:y1, x0:x1]
     if inner.shape == (side, side):
         return inner.copy()
-    fill = np.median(array.astype(np.float64))
+    fill = _median(array)
     cut = np.full((side, side), np.rint(fill) if array.dtype.kind in "iu" else fill, dtype=array.dtype)
     cut[y0 - top : y1 - top, x0 - left : x1 - left] = inner
     return cut
+
+
+def _median(image: NDArray[np.generic]) -> float:
+    """Return the median of an image; of bytes from their counts, a hundred times faster than by sorting millions."""
+    if image.dtype != np.uint8:
+        return float(np.median(image.astype(np.float64)))
+    below = (
+        cv2.calcHist([np.ascontiguousarray(image, dtype=np.uint8)], [0], None, [256], [0, 256])
+        .ravel()
+        .cumsum(dtype=np.int64)
+    )
+    lower, upper = np.searchsorted(below, ((image.size + 1) // 2, image.size // 2 + 1))
+    return (float(lower) + float(upper)) / 2
 
 
 def crop_batch(images: NDArray[np.generic], centres: NDArray[np.floating], side: int) -> NDArray[np.generic]:

@@ -187,7 +187,7 @@ class Detector(Protocol):
     """What tracking asks of a detector: the spots of each frame. It gets the frames of a source in order, each once.
 
     It may have a method `tracker()`, which returns the `Tracker` that suits it, and an attribute `usual_largest`, the
-    largest diameter of a spot that it looks for by default, in pixels.
+    largest diameter of a spot that it looks for by default, in pixels. A thread of its own may call it.
     """
 
     def __call__(self, frame: Frame, /) -> Detections: ...
