@@ -2,6 +2,7 @@
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
+PEERS := .peers
 DEMO_OUT ?= demo-out
 
 .PHONY: setup peers demo test test-all lint format bench validation docs models lock clean
@@ -15,7 +16,13 @@ $(VENV)/.ready: pyproject.toml requirements.lock
 	@touch $@
 
 # Optiland, the ray tracer that the lenses are compared with: 840 MB that only some tests need.
-peers: $(VENV)/.peers
+peers: $(VENV)/.peers $(PEERS)/.ready
+
+# TrackEval, the reference code of scores of tracks, which wants its own versions of what we use too.
+$(PEERS)/.ready:
+	$(PYTHON) -m venv $(PEERS)
+	$(PEERS)/bin/python -m pip install --quiet --disable-pip-version-check trackeval==1.3.0
+	@touch $@
 
 $(VENV)/.peers: $(VENV)/.ready
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c requirements.lock -e '.[zemax]'
@@ -69,4 +76,4 @@ lock:
 	mv requirements.lock.new requirements.lock
 
 clean:
-	rm -rf $(VENV) $(DEMO_OUT) site .pytest_cache .ruff_cache .hypothesis build dist
+	rm -rf $(VENV) $(PEERS) $(DEMO_OUT) site .pytest_cache .ruff_cache .hypothesis build dist

@@ -1,6 +1,8 @@
 """Make the bundled ResNet-18 (about half an hour on 2 cores; an interrupted run goes on where it stopped).
 
 make models
+
+`--describe` keeps the weights and learns from the same recordings only where the model applies (some minutes).
 """
 
 from __future__ import annotations
@@ -9,18 +11,22 @@ import argparse
 from pathlib import Path
 
 from tapetum.cli.memory import keep_big_blocks
-from tapetum.experiments.pretrain import EPOCHS, NAME, make_pretrained
+from tapetum.experiments.pretrain import EPOCHS, NAME, describe_pretrained, make_pretrained
 from tapetum.progress import bar
 
 
 def main() -> None:
     """Film, train, score, save."""
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, default=Path("models-work"), help="keeps what a later run goes on from")
     parser.add_argument("--out", type=Path, default=Path("src/tapetum/models/pretrained") / NAME)
     parser.add_argument("--epochs", type=int, default=EPOCHS)
+    parser.add_argument("--describe", action="store_true", help="learn only where the model applies")
     options = parser.parse_args()
     keep_big_blocks()
+    if options.describe:
+        describe_pretrained(options.work, options.out, progress=bar)
+        return
     make_pretrained(options.work, options.out, epochs=options.epochs, progress=bar, on_epoch=print)
 
 

@@ -147,3 +147,12 @@ def test_a_batch_is_its_crops():
 def test_bad_input_is_told(call, word: str):
     with pytest.raises(InputError, match=word):
         call()
+
+
+@pytest.mark.parametrize("shape", [(6, 7), (5, 5), (1, 2)])
+def test_what_lies_outside_gets_the_exact_median(shape: tuple[int, int]):
+    """Of bytes it is found from their counts; of an even number it is the rounded mean of the two in the middle."""
+    rng = np.random.default_rng(2)
+    for top in (2, 40, 256):
+        image = rng.integers(0, top, shape).astype(np.uint8)
+        assert crop(image, (-50, -50), 3).tolist() == [[int(np.rint(np.median(image)))] * 3] * 3

@@ -5,9 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
+import tapetum as tp
+from tapetum.data import crop, find_centre
 from tapetum.experiments import pretrain
 from tapetum.models import ResNet18, model_card, pretrained, store
+from tapetum.record.source import Frame
 
 FOLDER = Path(store.__file__).parent / "pretrained" / pretrain.NAME
 
@@ -36,3 +40,57 @@ def test_its_card_says_how_it_was_made_and_what_it_reached() -> None:
     for name in ("gaze_x", "gaze_y"):
         figures = card["metrics"]["targets"][name]
         assert figures["mae"] < 0.5 * figures["baseline_mae"]
+
+
+def shown(seed: int, *changes: str, count: int = 12) -> np.ndarray:
+    """Crops of the hand-held scene, as `track` cuts them, at gazes over the middle of the field."""
+    scene = tp.load_scene(pretrain.SCENE, list(changes))
+    rng = np.random.default_rng(seed)
+    width = scene.target.sensor.pitch * np.array(scene.target.sensor.pixels)
+    turns = np.degrees(np.arctan(rng.uniform(-0.3, 0.3, (count, 2)) * width / 0.1))
+    frames = np.asarray(tp.expose(tp.retroreflect(scene, rotation=turns), scene.probe, seed=seed))
+    return np.stack([crop(frame, find_centre(frame), 400) for frame in frames])
+
+
+def test_it_answers_its_own_camera() -> None:
+    found = pretrained().predict(shown(1))
+    assert found.described
+    assert found.applies.mean() > 0.9
+    assert np.isfinite(found.value[found.applies]).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "most"),
+    [
+        (("distance=4 m", "target.object_distance=4 m"), 0.0),
+        (("target.object_distance=4.5 m",), 0.0),
+        (("target.lens.aperture_radius=5 mm",), 0.0),
+        # Small spots at the field's edge look like its own camera's that are cut there: measured 0.15 and 0.3.
+        (("target.lens.aperture_radius=3 mm",), 0.4),
+    ],
+    ids=["distance", "focus", "wider lens", "smaller lens"],
+)
+def test_it_gives_another_camera_a_reason_and_no_number(changes: tuple[str, ...], most: float) -> None:
+    found = pretrained().predict(shown(4, *changes))
+    assert found.applies.mean() <= most
+    refused = ~found.applies
+    assert np.isnan(found.value[refused]).all() and np.isnan(found.lower[refused]).all()
+    assert all(why for why, no in zip(found.reason, refused, strict=True) if no)
+
+
+def test_walls_and_lamps_in_a_tracked_frame_get_a_reason_and_no_number() -> None:
+    """The spots are found and followed; what models say of them is empty."""
+    rng = np.random.default_rng(5)
+    light = np.full((960, 1280), 6.0)
+    light[100:260, 150:340] += 70
+    light[600:640, 200:320] += 90
+    rows, columns = np.mgrid[:960, :1280]
+    for x, y, radius in ((900, 300, 60), (800, 700, 12), (300, 430, 5)):
+        light += 180 / (1 + np.exp(np.clip(np.hypot(columns - x, rows - y) - radius, -50, 50)))
+    image = np.clip(np.rint(light + rng.normal(0, 1, light.shape)), 0, 255).astype(np.uint8)
+    options = {"ghost_ratio": 0.0, "stray": 0.0}
+    (one,) = tp.track([Frame(0, 0.0, image)], model=pretrained(), detect_options=options)
+    assert len(one.rows) >= 4
+    for row in one.rows:
+        assert row.estimates["applies"] is False and row.estimates["reason"]
+        assert all(np.isnan(row.estimates[name]) for name in ("gaze_x", "gaze_x_low", "gaze_y", "gaze_y_high"))

@@ -194,3 +194,24 @@ def test_tracks_that_cannot_be_smoothed_are_kept(tmp_path: Path, monkeypatch, ca
     assert main(["track", str(folder), "-o", str(out), "--model", "x", "--smooth", "whole"]) == 2
     assert f"the tracks as they are stand in {tmp_path / 't.unsmoothed.csv'}" in capsys.readouterr().err
     assert read_tracks(tmp_path / "t.unsmoothed.csv").num_rows == 4 and not out.exists()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="no /proc")
+def test_memory_stays_flat_over_a_long_stream(tmp_path: Path) -> None:
+    """A thousand frames, with births and ends of tracks, add no twentieth; kept, they would add 77 MB to some 300."""
+    marks: list[int] = []
+    rng = np.random.default_rng(0)
+    noise = rng.integers(0, 4, (240, 320), dtype=np.uint8)
+
+    def long() -> Iterator[Frame]:
+        for n in range(1200):
+            if n in (200, 1199):
+                marks.append(int(Path("/proc/self/statm").read_text().split()[1]))
+            image = np.roll(noise, n, axis=1)
+            row, column = 20 + (7 * n) % 200, 20 + 60 * (n // 50 % 5)
+            image[row - 2 : row + 3, column - 2 : column + 3] = 200
+            yield Frame(n, n / 30, image)
+
+    track_to_file(long(), tmp_path / "t.parquet", detections=tmp_path / "d.parquet")
+    assert marks[1] <= 1.05 * marks[0]

@@ -168,3 +168,38 @@ def test_a_hand_that_turns_around_sharply_keeps_its_track():
         point.track for n, place in enumerate(path) for point in tracker.update(spots(place, diameter=60), n / 15)
     }
     assert numbers == {1}
+
+
+def crossing(devices: bool) -> list[set[int]]:
+    """The tracks that a phone and a webcam get, which look alike, meet on the way down, and turn back or go on."""
+    tracker = Tracker(ghost_ratio=0, shake=0)
+    got: list[set[int]] = [set(), set()]
+    for n in range(60):
+        # They bounce off each other at frame 30: by their motion alone each becomes the other.
+        apart = 0.7 * abs(n - 30.5)
+        places = [(300 - apart, 3.0 * n), (300 + apart, 3.0 * n)]
+        columns = dict.fromkeys(Detections.names(), np.zeros(2))
+        columns |= {"x": [p[0] for p in places], "y": [p[1] for p in places]}
+        columns |= {"peak": np.full(2, 100.0), "diameter": np.full(2, 4.0)}
+        # One answer in ten is wrong, and one in ten is none.
+        said: list[str | None] = ["phone", "webcam"]
+        said = said[::-1] if n % 10 == 5 else [None, None] if n % 10 == 7 else said
+        for point in tracker.update(Detections.of(columns), n / 30, devices=said if devices else None):
+            if point.detection is not None:
+                got[point.detection].add(point.track)
+    return got
+
+
+def test_a_phone_does_not_become_another_camera():
+    assert crossing(devices=False)[0] != {1}
+    assert crossing(devices=True) == [{1}, {2}]
+
+
+def test_a_wrong_answer_ends_no_track():
+    tracker = Tracker()
+    numbers = set()
+    for n in range(30):
+        columns = dict.fromkeys(Detections.names(), np.full(1, 50.0)) | {"ghost": np.zeros(1)}
+        said: list[str | None] = ["phone" if n % 3 else "webcam"]
+        numbers |= {point.track for point in tracker.update(Detections.of(columns), n / 30, devices=said) if point.seen}
+    assert numbers == {1}

@@ -104,19 +104,25 @@ def _checked(image: NDArray[np.generic]) -> NDArray[np.generic]:
     return array
 
 
-def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float32], float, float, int]:
-    """Return the smoothed image above its background, the background, the noise, and the factor of reduction."""
+def _smooth(image: NDArray[np.generic], sigma: float) -> tuple[NDArray[np.float32], float, int]:
+    """Return the smoothed image above its background, the background, and the factor of reduction."""
     calm = _calm(image)
     background = _background(calm)
     step = _REDUCE if sigma >= _REDUCE_FROM and min(image.shape) >= _REDUCE else 1
-    smooth = _blurred(calm, background, sigma, step)
+    return _blurred(calm, background, sigma, step), background, step
+
+
+def _noise(
+    image: NDArray[np.generic], smooth: NDArray[np.float32], background: float, sigma: float, step: int
+) -> float:
+    """Return the noise of a smoothed image."""
     noise = _scatter(smooth)
     if image.dtype.kind in "iu":
         least = _rounding(sigma)
         if noise < 2 * least:
             # Where most pixels have the same count, the median hides the noise of the others.
             noise = max(noise, least, _scatter(_blurred(image.astype(np.float32), background, sigma, step)))
-    return smooth, background, noise, step
+    return noise
 
 
 def _calm(image: NDArray[np.generic]) -> NDArray[np.float32]:
@@ -128,8 +134,12 @@ def _background(image: NDArray[np.float32]) -> float:
     """Return the median of means over blocks; the median of integer pixels could be half a count off."""
     height, width = image.shape
     size = max(1, width // _BLOCK), max(1, height // _BLOCK)
-    base = float(np.median(_thinned(image)))
-    return base + float(np.median(cv2.resize(image - base, size, interpolation=cv2.INTER_AREA)))
+    base = float(cv2.mean(image)[0])
+    # From values near zero, whose means are the most accurate.
+    means = cv2.resize(image - np.float32(base), size, interpolation=cv2.INTER_AREA).ravel()
+    # The median, several times faster than numpy's for as few values.
+    middle = (means.size - 1) // 2, means.size // 2
+    return base + float(np.partition(means, middle)[list(middle)].mean())
 
 
 def _blurred(image: NDArray[np.float32], background: float, sigma: float, step: int) -> NDArray[np.float32]:
@@ -202,6 +212,17 @@ def find_peak(
     InputError
         When the image is not grey or not finite, or the circle lies outside it.
     """
+    x, y, height, (smooth, background, step), part = _brightest(image, sigma, near)
+    return Peak(x, y, height, background, _noise(part, smooth, background, sigma, step))
+
+
+_Smoothed = tuple[NDArray[np.float32], float, int]
+
+
+def _brightest(
+    image: NDArray[np.generic], sigma: float, near: tuple[float, float, float] | None
+) -> tuple[float, float, float, _Smoothed, NDArray[np.generic]]:
+    """Return x, y and height of `find_peak`, what it smoothed, and what was smoothed."""
     array = _checked(image)
     if not sigma > 0:
         raise InputError(f"must be positive, is {sigma}", where="sigma", remedy="give a width in pixels")
@@ -216,7 +237,8 @@ def find_peak(
         if not (radius > 0 and -radius <= x <= width - 1 + radius and -radius <= y <= height - 1 + radius):
             what = f"circle ({x:g}, {y:g}), radius {radius:g} misses the image of {width} x {height}"
             raise InputError(what, where="near", remedy="give a place in the image, in pixels")
-    smooth, background, noise, step = _smooth(array[top:bottom, left:right], sigma)
+    part = array[top:bottom, left:right]
+    smooth, background, step = _smooth(part, sigma)
     searched = smooth
     # Pixel n of a reduced image is centred on pixel n step + (step - 1)/2 of the whole one.
     shift = (step - 1) / 2
@@ -229,9 +251,9 @@ def find_peak(
     rise = float(smooth[row, column])
     span = rise - float(smooth.min())
     if span <= 0:
-        return Peak((width - 1) / 2, (height - 1) / 2, 0.0, background, noise)
+        return (width - 1) / 2, (height - 1) / 2, 0.0, (smooth, background, step), part
     x, y = _refine(smooth, int(row), int(column), span)
-    return Peak(x * step + shift + left, y * step + shift + top, rise, background, noise)
+    return x * step + shift + left, y * step + shift + top, rise, (smooth, background, step), part
 
 
 def find_centre(
@@ -243,9 +265,9 @@ def find_centre(
     elsewhere: then it is the brightest point near that structure, above the broad background. With `near` it is always
     that of `find_peak`, whose parameters and errors apply.
     """
-    peak = find_peak(image, sigma, near=near)
     if near is not None:
-        return peak.x, peak.y
+        return _brightest(image, sigma, near)[:2]
+    peak = find_peak(image, sigma)
     array = _checked(image)
     fine, noise = _fine_structure(array)
     # Centres of the reduced pixels in the whole image.
@@ -322,10 +344,23 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
     inner = array[y0:y1, x0:x1]
     if inner.shape == (side, side):
         return inner.copy()
-    fill = np.median(array.astype(np.float64))
+    fill = _median(array)
     cut = np.full((side, side), np.rint(fill) if array.dtype.kind in "iu" else fill, dtype=array.dtype)
     cut[y0 - top : y1 - top, x0 - left : x1 - left] = inner
     return cut
+
+
+def _median(image: NDArray[np.generic]) -> float:
+    """Return the median of an image; of bytes from their counts, a hundred times faster than by sorting millions."""
+    if image.dtype != np.uint8:
+        return float(np.median(image.astype(np.float64)))
+    below = (
+        cv2.calcHist([np.ascontiguousarray(image, dtype=np.uint8)], [0], None, [256], [0, 256])
+        .ravel()
+        .cumsum(dtype=np.int64)
+    )
+    lower, upper = np.searchsorted(below, ((image.size + 1) // 2, image.size // 2 + 1))
+    return (float(lower) + float(upper)) / 2
 
 
 def crop_batch(images: NDArray[np.generic], centres: NDArray[np.floating], side: int) -> NDArray[np.generic]:

@@ -14,7 +14,7 @@ import xarray as xr
 from tapetum.bench import load_scene
 from tapetum.data import build_dataset, open_dataset
 from tapetum.files import sha256_file
-from tapetum.models import EpochReport, ResNet18, load_model, model_card, save_model
+from tapetum.models import EpochReport, NetworkEstimator, ResNet18, load_model, model_card, save_model
 from tapetum.models.base import json_safe
 from tapetum.progress import Progress, quiet
 from tapetum.record import Session, film, label_recording, open_recording
@@ -30,6 +30,7 @@ __all__ = [
     "SCENE",
     "SECONDS",
     "TRAIN_SEEDS",
+    "describe_pretrained",
     "is_made",
     "labelled_recording",
     "make_pretrained",
@@ -103,6 +104,23 @@ def make_pretrained(
     scores = evaluate_model(load_model(work / NAME), fresh.tp.test, fresh.tp.train, progress=progress)
     save_model(model, out, metrics=scores, notes=notes, half=True, overwrite=True)
     return model
+
+
+def describe_pretrained(work: Path, out: Path, *, progress: Progress = quiet) -> None:
+    """Teach the model in `out` where it applies, from its training recordings, filmed again; its weights stay.
+
+    Every second recording is enough: 3600 frames for the covariance of 52 numbers.
+    """
+    work.mkdir(parents=True, exist_ok=True)
+    seeds = TRAIN_SEEDS[::2]
+    for seed in seeds:
+        labelled_recording(work / f"{seed}.rec", Session(SECONDS, seed=seed), progress=progress)
+    some = _built(work, "some", [work / f"{seed}.rec" for seed in seeds], 0.0, progress)
+    model, card = load_model(out), model_card(out)
+    assert isinstance(model, NetworkEstimator)
+    notes = {**card["notes"], "described_seeds": list(seeds), "described_frames": int(some.sizes["frame"])}
+    model.describe(some, progress=progress)
+    save_model(model, out, metrics=card["metrics"], notes=notes, half=True, overwrite=True)
 
 
 def is_made(out: Path) -> bool:

@@ -227,12 +227,31 @@ class NetworkEstimator(Estimator):
             why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
             self.training_["chosen"]["epochs"] = f"{kept}: {why}"
         self._calibrate(part, images, snr, device)
+        self._describe(images, np.asarray(part.dataset["recording"].values))
+        return self
+
+    def describe(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
+        """Learn where the model applies from the training frames of a dataset, and change nothing else.
+
+        For a model of an older version, which was saved without; the frames must be those that it was trained on.
+
+        Raises
+        ------
+        InputError
+            When the dataset lacks the model's labels or has too few training frames.
+        """
+        part = training_part(dataset, self.target_names, self.calibration_fraction)
+        found = self._map_batches(self._read, "reading the images", part.dataset, progress=progress)
+        images = torch.cat([seen for seen, _ in found]) / self._unit
+        self._describe(images, np.asarray(part.dataset["recording"].values))
+        return self
+
+    def _describe(self, images: Tensor, recording: NDArray[np.integer]) -> None:
         # The training frames are augmented as in training, but by a separate generator: the result must not depend on
         # the number of epochs.
         generator, varied = torch.Generator().manual_seed(self.seed), self.settings.augmentation
         seen = [picture_features(augment(some, varied, generator)) for some in images.split(self._batch)]
-        self.domain_ = fit_domain(np.concatenate(seen), np.asarray(part.dataset["recording"].values))
-        return self
+        self.domain_ = fit_domain(np.concatenate(seen), recording)
 
     def _calibrate(self, part: TrainingPart, images: Tensor, snr: NDArray[np.float64], device: torch.device) -> None:
         """Fit intervals, temperature and novelty to the held-out frames."""

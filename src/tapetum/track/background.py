@@ -4,18 +4,26 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import dataclass
+from typing import Any, TypeAlias
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["clean"]
+__all__ = ["Ground", "fit_ground", "without_hot_pixels"]
 
 # Blocks along the short side of the frame: enough for a surface of the fourth order, few enough to fit in 1 ms.
 _BLOCKS = 30
 _ORDER = 4
+# Rows of a block whose differences tell its noise: with more the variance is hardly better known.
+_ROWS = 8
 # Ratio of the standard deviation to the median absolute deviation of a normal distribution.
 _MAD = 1.4826
+_BESIDE, _ABOVE = np.array([[1, 0, 1]], np.uint8), np.array([[1], [0], [1]], np.uint8)
+
+Picture = NDArray[np.float32]
+Places: TypeAlias = slice | NDArray[np.floating] | NDArray[np.integer]
 
 
 @functools.lru_cache(maxsize=8)
@@ -34,11 +42,11 @@ def _basis(rows: int, columns: int) -> tuple[NDArray[np.float64], list[tuple[int
     return basis, pairs, np.array([i + j for i, j in pairs])
 
 
-def _surface(values: NDArray[np.floating], order: int, floor: float, shape: tuple[int, int]) -> NDArray[np.float32]:
+def _surface(values: NDArray[np.floating], order: int, floor: float) -> NDArray[np.float64]:
     """Fit a polynomial surface from below, without blocks that rise above it: these hold light of a spot.
 
     The order rises step by step, so that a spot which covers a good part of the frame is recognised before the surface
-    can follow it. Returns the surface at the pixels of a frame of the given shape.
+    can follow it. Returns the weights [5, 5] of the products of polynomials in y and x.
     """
     rows, columns = values.shape
     basis, pairs, orders = _basis(rows, columns)
@@ -65,39 +73,85 @@ def _surface(values: NDArray[np.floating], order: int, floor: float, shape: tupl
         weights[:] = 0
         for (i, j), weight in zip(pairs, solution, strict=False):
             weights[i, j] = weight
-    return (_legendre(shape[0]) @ weights @ _legendre(shape[1]).T).astype(np.float32)
+    return weights
 
 
-def clean(image: NDArray[np.generic], quantum: float) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Remove background and hot pixels from a finite frame [H, W] of uint8, uint16 or float32.
+@dataclass(frozen=True)
+class Ground:
+    """The background of a frame and the variance of its noise, as polynomial surfaces.
 
-    Returns two float32 frames [H, W]: the excess over the background, hot pixels set to zero, and the standard
-    deviation of the background's noise, positive everywhere. `quantum` is the step between grey levels: the noise is at
-    least its rounding, ``quantum/sqrt(12)``.
+    Parameters
+    ----------
+    shape
+        (H, W) of the frame in pixels.
+    level, variance
+        [5, 5] weights of Legendre polynomials in y and x, in the frame's units and their square.
+    least
+        Standard deviation of rounding to the frame's grey levels; no noise is less.
+    """
+
+    shape: tuple[int, int]
+    level: NDArray[np.float64]
+    variance: NDArray[np.float64]
+    least: float
+
+    def at(self, rows: Places, columns: Places) -> tuple[Picture, Picture]:
+        """Return the background and the noise's standard deviation at rows [..., h] and columns [..., w] of the frame.
+
+        Rows and columns are slices, or numbers that may lie between pixels. Both pictures are float32 [..., h, w];
+        leading axes make a stack of windows.
+        """
+        height, width = self.shape
+        y, x = _polynomials(rows, height), np.swapaxes(_polynomials(columns, width), -1, -2).astype(np.float32)
+        level = (y @ self.level).astype(np.float32) @ x
+        variance = (y @ self.variance).astype(np.float32) @ x
+        return level, np.sqrt(np.maximum(variance, np.float32(self.least**2)))
+
+
+def _polynomials(places: Places, samples: int) -> NDArray[np.float64]:
+    """Return Legendre polynomials [..., orders] at pixels of an axis with `samples` of them."""
+    if isinstance(places, slice):
+        return _legendre(samples)[places]
+    if np.issubdtype(places.dtype, np.integer):
+        return np.asarray(_legendre(samples)[places.astype(np.intp, copy=False)])
+    return np.asarray(np.polynomial.legendre.legvander((places + 0.5) * (2 / samples) - 1, _ORDER), dtype=np.float64)
+
+
+def fit_ground(image: NDArray[Any], quarter: Picture, quantum: float) -> Ground:
+    """Fit background and noise of a finite frame [H, W] of uint8, uint16 or float32.
+
+    `quarter` [H//4, W//4] holds its means over 4 x 4 pixels. `quantum` is the step between grey levels: the noise is
+    at least its rounding, ``quantum/sqrt(12)``.
     """
     height, width = image.shape
-    pixels = image.astype(np.float32)
     block = max(2, min(height, width) // _BLOCKS)
     grid = (max(1, width // block), max(1, height // block))
-    means = np.asarray(cv2.resize(pixels, grid, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    # Differences of pixels two apart, in every other row, cancel a slope or a wide spot but keep noise that is
+    # Blocks smaller than a few quarters need the pixels themselves.
+    fine = quarter if block >= 8 else image.astype(np.float32)
+    means = np.asarray(cv2.resize(fine, grid, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    # Differences of pixels two apart, in some of the rows, cancel a slope or a wide spot but keep noise that is
     # correlated between neighbours.
-    rows = pixels[::2]
+    rows = image[:: max(2, block // _ROWS)].astype(np.float32)
     step = cv2.subtract(rows[:, 2:], rows[:, :-2])
-    squares = np.asarray(cv2.resize(cv2.multiply(step, step), grid, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    # Whole numbers of differences a block: anything else takes six times as long.
+    down, across = (max(1, size // count) * count for size, count in zip(step.shape, grid[::-1], strict=True))
+    squares = cv2.multiply(step, step)[:down, :across]
+    squares = np.asarray(cv2.resize(squares, grid, interpolation=cv2.INTER_AREA), dtype=np.float32)
     least = quantum / math.sqrt(12)
-    shape = (height, width)
-    excess = np.asarray(cv2.subtract(pixels, _surface(means, _ORDER, least / block, shape)), dtype=np.float32)
-
+    level = _surface(means, _ORDER, least / block)
     # The median over neighbouring blocks removes those with a hot pixel or a spot's rim.
     variance = np.asarray(cv2.medianBlur(squares / 2, 5 if min(grid) >= 5 else 3), dtype=np.float32)
-    noise = np.sqrt(np.maximum(_surface(variance, 2, least**2, shape), np.float32(least**2)))
+    return Ground((height, width), level, _surface(variance, 2, least**2), least)
 
-    # A point imaged by a lens also lights its neighbours in both directions. A sensor's defect is isolated, and the
-    # stamp of some cameras in their first pixels is a line one pixel thin.
-    beside = np.asarray(cv2.dilate(excess, np.array([[1, 0, 1]], np.uint8)))
-    above = np.asarray(cv2.dilate(excess, np.array([[1], [0], [1]], np.uint8)))
+
+def without_hot_pixels(excess: Picture, noise: Picture) -> Picture:
+    """Set hot pixels of an excess over the background [H, W] to zero, and limit it from below to -5 times its noise.
+
+    A point imaged by a lens also lights its neighbours in both directions. A sensor's defect is isolated, and the stamp
+    of some cameras in their first pixels is a line one pixel thin. `excess` itself changes.
+    """
+    beside = np.asarray(cv2.dilate(excess, _BESIDE))
+    above = np.asarray(cv2.dilate(excess, _ABOVE))
     lone = cv2.scaleAdd(excess, -0.15, np.asarray(cv2.min(beside, above)))
-    hot = (np.asarray(lone) < 2 * noise) & (excess > 5 * noise)
-    excess[hot] = 0
-    return np.asarray(cv2.max(excess, -5 * noise), dtype=np.float32), noise
+    excess[(np.asarray(lone) < 2 * noise) & (excess > 5 * noise)] = 0
+    return np.asarray(cv2.max(excess, -5 * noise), dtype=np.float32)

@@ -30,7 +30,7 @@ from tapetum.track.tracker import Tracker
 __all__ = ["DETECTORS", "LARGEST_FRAME", "Detector", "SpotDetector", "detect"]
 
 LARGEST_FRAME = 2**27
-"""Most pixels of a frame: the search keeps some forty bytes for each, here 5 GB."""
+"""Most pixels of a frame: where light is everywhere the search keeps some forty bytes for each, here 5 GB."""
 # Heights of stray light over those of the frame's brightest spot, and of rings over their own spot's.
 _STRAY, _RINGS = 0.03, 0.07
 
@@ -70,10 +70,11 @@ def detect(
 ) -> Detections:
     """Find the retro-reflections in a frame.
 
-    The background is a surface of the fourth order fitted from below, the noise comes from differences of neighbours,
-    and single hot pixels are replaced. Light above the noise at 1.5 or 6 px of smoothing is a spot; its centroid and
-    size come from the second moments within 1.5 times its own diameter (ISO 11146-1 with a narrower aperture), and
-    everything within it, lobes, fringes, inner rings, is part of it.
+    A quick look at a reduced frame finds the parts that may hold light (see `tapetum.track.screen`); only these are
+    looked at closely. The background is a surface of the fourth order fitted from below, the noise comes from
+    differences of neighbours, and single hot pixels are replaced. Light above the noise at 1.5 or 6 px of smoothing is
+    a spot; its centroid and size come from the second moments within 1.5 times its own diameter (ISO 11146-1 with a
+    narrower aperture), and everything within it, lobes, fringes, inner rings, is part of it.
 
     A probe's beam splitter gives every retro-reflection a dim companion at a fixed offset, and bright light causes
     stray reflections in lenses. A spot is a *ghost* when a brighter one within `ghost_radius` outshines it by more than
@@ -141,9 +142,9 @@ def detect(
     whole = array.dtype.kind in "iu"
     if full_scale is None:
         full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
-    maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30))
+    maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30), min_snr)
     limit = math.inf if largest is None else largest
-    found = [one for one in search(maps, array >= full_scale, min_snr, max_count, limit) if one.diameter <= limit]
+    found = [one for one in search(maps, array, full_scale, min_snr, max_count, limit) if one.diameter <= limit]
     if not found:
         return Detections.empty()
 
@@ -186,7 +187,7 @@ class Detector(Protocol):
     """What tracking asks of a detector: the spots of each frame. It gets the frames of a source in order, each once.
 
     It may have a method `tracker()`, which returns the `Tracker` that suits it, and an attribute `usual_largest`, the
-    largest diameter of a spot that it looks for by default, in pixels.
+    largest diameter of a spot that it looks for by default, in pixels. A thread of its own may call it.
     """
 
     def __call__(self, frame: Frame, /) -> Detections: ...

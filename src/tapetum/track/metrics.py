@@ -162,7 +162,9 @@ def _clear(numbers: Numbers, alike: Sequence[Array], names: int) -> tuple[int, i
         one, other = one[kept], other[kept]
         changes += int(((latest[a[one]] >= 0) & (latest[a[one]] != b[other])).sum())
         latest[a[one]] = b[other]
-        before[:] = -1
+        # A frame without targets or tracks separates nobody (as in TrackEval).
+        if len(a) and len(b):
+            before[:] = -1
         before[a[one]] = b[other]
         missed, false = missed + len(a) - len(one), false + len(b) - len(one)
     return changes, missed, false

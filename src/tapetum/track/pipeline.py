@@ -21,6 +21,7 @@ from tapetum.record.frames import open_frames
 from tapetum.record.reader import taken
 from tapetum.record.source import Frame, Source
 from tapetum.track.activity import Activity, asymmetry
+from tapetum.track.ahead import found_ahead
 from tapetum.track.detect import DETECTORS, Detector
 from tapetum.track.detections import Detections
 from tapetum.track.rows import TrackedFrame, about
@@ -188,14 +189,19 @@ def track(
     0 [(1, 32, 22)]
     1 [(1, 32, 22)]
     """
-    if batch < 1 or side < 1:
-        raise InputError(f"batch {batch} and side {side} must be at least 1", where="track")
+    _check_sizes(batch, side)
     find = _detector(detector, detect_options, side)
     estimators = _loaded(model)
     follower = usual_tracker(find) if tracker is None else tracker
     frames = _opened(source, stream)
-    shown = progress(taken(frames, threading.Event()), "tracking", total=_count(frames))
-    return _track(shown, find, estimators, follower, side, batch, activity)
+    pairs = _found(frames, taken(frames, threading.Event()), find)
+    tracked = _track(pairs, estimators, follower, side, batch, activity)
+    return progress(tracked, "tracking", total=_count(frames))
+
+
+def _check_sizes(batch: int, side: int) -> None:
+    if batch < 1 or side < 1:
+        raise InputError(f"batch {batch} and side {side} must be at least 1", where="track")
 
 
 def make_detector(name: str, options: Mapping[str, Any] | None = None, side: int = SIDE) -> Detector:
@@ -235,9 +241,18 @@ def _count(frames: Source | Iterable[Frame]) -> int | None:
     return len(frames) if isinstance(frames, Sequence) else None
 
 
+def _found(
+    source: Source | Iterable[Frame], frames: Iterator[Frame], find: Detector
+) -> Iterator[tuple[Frame, Detections]]:
+    """Yield the frames taken from a source with their spots, which are sought ahead where the source allows it."""
+    # Frames that somebody makes on demand are asked for when their turn comes, in the thread that asks.
+    if not isinstance(source, (Source, Sequence)):
+        return ((frame, find(frame)) for frame in frames)
+    return found_ahead(frames, find)
+
+
 def _track(
-    frames: Iterable[Frame],
-    find: Detector,
+    pairs: Iterator[tuple[Frame, Detections]],
     estimators: Sequence[Predictor],
     tracker: Tracker,
     side: int,
@@ -257,8 +272,8 @@ def _track(
     # Without models there is nothing to wait for.
     size = batch if estimators else 1
     try:
-        for frame in frames:
-            waiting.append((frame, find(frame)))
+        for pair in pairs:
+            waiting.append(pair)
             if len(waiting) >= size:
                 yield from finished()
     except (Exception, KeyboardInterrupt):
@@ -308,6 +323,7 @@ def track_to_file(
         After Ctrl-C on what is stored, once the frame under way is done; with the same notes.
     """
     checked_suffix(out)
+    _check_sizes(batch, side)
     estimators = _loaded(model)
     names = [name for estimator in estimators for name in estimator.target_names]
     options = dict(detect_options or {})
@@ -317,15 +333,13 @@ def track_to_file(
             options["ghosts"] = "mark"
     stop = threading.Event()
     opened = _opened(source, stream)
-    tracked = track(
-        progress(taken(opened, stop, seconds), "tracking", total=None if seconds is not None else _count(opened)),
-        model=estimators,
-        tracker=tracker,
-        detector=detector,
-        detect_options=options,
-        side=side,
-        batch=batch,
-        activity=activity,
+    find = _detector(detector, options, side)
+    pairs = _found(opened, taken(opened, stop, seconds), find)
+    follower = usual_tracker(find) if tracker is None else tracker
+    tracked = progress(
+        _track(pairs, estimators, follower, side, batch, activity),
+        "tracking",
+        total=None if seconds is not None else _count(opened),
     )
     frames = rows = seen = lost = 0
     numbers: set[int] = set()

@@ -123,7 +123,7 @@ class TrackedFrame:
         """Follow the spots of a frame; `about` holds its frame, time, name and moment, `activities` those by track."""
         rows: list[TrackRow] = []
         dark = about["moment"].get("lit") is False and not len(found)
-        for point in tracker.update(found, about["time"], dark=dark):
+        for point in tracker.update(found, about["time"], dark=dark, devices=_devices(answers)):
             n = point.detection
             spot: dict[str, Any] = {
                 name: None if n is None else float(getattr(found, name)[n])
@@ -144,6 +144,16 @@ class TrackedFrame:
             yield where
         for n, answers in enumerate(self.estimates):
             yield {**where, **{name: getattr(self.detections, name)[n] for name in Detections.names()}, **answers}
+
+
+def _devices(answers: Sequence[Mapping[str, Any]]) -> list[str | None] | None:
+    """What models take each spot for; None for those that resemble no known device, and where no model says."""
+    if not any(one.get("device") for one in answers):
+        return None
+    # PyTorch takes a second to import, and tracking alone does not need it.
+    from tapetum.models import NONE_OF_THESE
+
+    return [None if one.get("device") == NONE_OF_THESE else one.get("device") for one in answers]
 
 
 def about(frame: Frame) -> dict[str, Any]:

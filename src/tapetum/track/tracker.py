@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -27,6 +29,9 @@ _ALIKE, _SAME = 1.0, 0.7
 _SHARED = 12.0
 # Frames unseen after which a track's place no longer tells where all went.
 _LOST_FOR = 5
+# Cost of giving a spot to a track that models take for another device: it decides between places within the gate, but
+# does not end a track, for models err. Answers needed before a track counts as a device.
+_OTHER_DEVICE, _TOLD = 8.0, 3
 # Cost of giving a spot to a track without a number, where one with a number wants it too.
 _UNNAMED = 8.0
 
@@ -78,6 +83,13 @@ class _Track:
         self.hits, self.misses, self.seen_at = 1, 0, time
         self.lately = [True]
         self.hidden: int | None = None
+        self.devices: Counter[str] = Counter()
+
+    @property
+    def device(self) -> str | None:
+        """What models mostly took it for; None before they said it often enough."""
+        ((name, count),) = self.devices.most_common(1) or [(None, 0)]
+        return name if count >= _TOLD and 2 * count > self.devices.total() else None
 
     def predict(self, dt: float, acceleration: float) -> None:
         step, push = np.array([[1.0, dt], [0.0, 1.0]]), np.array([dt * dt / 2, dt])
@@ -194,7 +206,9 @@ class Tracker:
         costs = np.where(fits, squared + np.minimum(likeness**2, 4.0), _NEVER)
         return costs, dim & (distance <= self.ghost_radius)
 
-    def update(self, detections: Detections, time: float, *, dark: bool = False) -> list[TrackPoint]:
+    def update(
+        self, detections: Detections, time: float, *, dark: bool = False, devices: Sequence[str | None] | None = None
+    ) -> list[TrackPoint]:
         """Take the spots of the next frame.
 
         Parameters
@@ -205,6 +219,9 @@ class Tracker:
             Of the frame, in seconds; not before that of the frame before.
         dark
             Whether the probe's light was off: a spot that is not seen is not missed then.
+        devices
+            What models take each spot for, None where they do not know: where places leave it open, a track keeps to
+            spots of its own device.
 
         Returns
         -------
@@ -231,6 +248,11 @@ class Tracker:
 
         costs, _ = self._fit(place, peak, diameter, noise)
         costs += _UNNAMED * np.array([[track.number is None] for track in self._tracks]).reshape(-1, 1)
+        told = [None if devices is None else devices[int(n)] for n in numbers]
+        if any(told):
+            own = [track.device for track in self._tracks]
+            other = [[one is not None and two is not None and one != two for two in told] for one in own]
+            costs += _OTHER_DEVICE * np.array(other, dtype=float).reshape(costs.shape)
         pairs = {int(r): int(c) for r, c in zip(*linear_sum_assignment(costs), strict=True) if costs[r, c] < _NEVER}
         looks = list(zip(place, peak.tolist(), diameter.tolist(), noise.tolist(), strict=True))
         seen: dict[_Track, int] = {}
@@ -240,6 +262,8 @@ class Tracker:
                 events[track] = "found again" if track.misses else ""
                 track.correct(*looks[pairs[row]], time)
                 seen[track] = pairs[row]
+                if (name := told[pairs[row]]) is not None:
+                    track.devices[name] += 1
             elif not dark:
                 track.misses += 1
             if row in pairs or not dark:
