@@ -94,9 +94,14 @@ def _worst(lines: list[dict]) -> list[dict]:
     found: dict[tuple[str, str], dict] = {}
     for line in lines:
         key = line["what"], line["against"]
-        if key not in found or line["error"] / line["tolerance"] > found[key]["error"] / found[key]["tolerance"]:
+        if key not in found or _share(line) > _share(found[key]):
             found[key] = line
     return list(found.values())
+
+
+def _share(line: dict) -> float:
+    """Error over tolerance; of a tolerance of zero the error itself."""
+    return line["error"] / (line["tolerance"] or 1.0)
 
 
 def _row(line: dict) -> str:

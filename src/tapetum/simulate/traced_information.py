@@ -62,7 +62,8 @@ class TracedSlopes:
     step
         Factor on all steps, to check that the differences do not depend on them.
     accuracy, dtype, device
-        As for `Camera`.
+        As for `Camera`; by default half the scene's accuracy, for differences keep more of a sampling's error than
+        pictures do.
 
     Raises
     ------
@@ -110,6 +111,8 @@ class TracedSlopes:
         around = torch.tensor([[0, 0], [1, 0], [-1, 0], [0, 1], [0, -1]], dtype=torch.float64)
         self._tilts = tilt_of_gaze(scene, self._gazes[:, None] + around * torch.tensor(self._steps.gaze))
         steepest = largest_sine(self._tilts.reshape(-1, 2)) * (1 + _MARGIN)
+        if accuracy is None:
+            accuracy = scene.sampling.accuracy / 2
         camera = _Camera(scene, steepest, accuracy=accuracy, dtype=dtype, device=device)
         # Only the pixels that hold both beams' RR without the faintest rings.
         seen = _inside(camera.window(), scene)
