@@ -43,7 +43,7 @@ def run(effort: Effort) -> list[Row]:
         )
     ]
     plain = tp.load_scene("thin-lens")
-    output, count = Grid(400, 400, 2.2e-6), effort.of(16, 2)
+    output, count = Grid(400, 400, 2.2e-6), effort.of(64, 2)
     for name, focal_length, accuracy, steepest in _CASES:
         kind = {"kind": "prescription", "name": name, **({"focal_length": focal_length} if focal_length else {})}
         sines = torch.sin(torch.deg2rad(torch.linspace(0, steepest, count, dtype=torch.float64)))

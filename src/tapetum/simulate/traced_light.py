@@ -73,7 +73,7 @@ def nearer_by(focused: FocusedLens, depth: float) -> FocusedLens:
 
 @dataclass(frozen=True)
 class TracedScene:
-    """The lens, and its light's way. Lengths in metres, `curvature` in 1/m.
+    """The lens, and its light's way to the pixels of `output`. Lengths in metres, `curvature` in 1/m.
 
     Light under angles above `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's
     middle to its corner, or to the aperture's edge.
@@ -82,6 +82,7 @@ class TracedScene:
     focused: FocusedLens
     fits: PupilFits
     path: ProbePath
+    output: Grid
     wavelength: float
     curvature: float
     accepted: float | None
@@ -147,7 +148,7 @@ def traced_scene(
     if aperture is not None:
         # Light under larger angles misses the probe's aperture, at any place in the picture.
         accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
-    return TracedScene(focused, fits, path, wavelength, curvature, accepted, seen)
+    return TracedScene(focused, fits, path, output, wavelength, curvature, accepted, seen)
 
 
 def _rounded_up(error: float) -> float:

@@ -15,8 +15,8 @@ from tapetum.simulate.traced_pupil import TracedPupil
 
 __all__ = ["TracedGrids", "TracedPass"]
 
-# Gazes computed together, and working memory of a sample of a mask and of all masks computed together, in bytes.
-_AT_ONCE, _MASK_SAMPLE, _MASK_BYTES = 8, 48, 192 << 20
+# Gazes computed together, and memory for them in bytes: of a sample of the pupils, and of a mask's.
+_AT_ONCE, AT_ONCE_BYTES, _SAMPLE, _MASK_SAMPLE = 32, 192 << 20, 96, 48
 
 
 @dataclass(frozen=True)
@@ -84,7 +84,9 @@ class TracedPass(SampledPass[TracedPupil]):
         self.fits, self.grids, self.surface, self.path = fits.to(torch.device(device)), grids, surface, path
         self.accepted = accepted
         samples = grids.pupil, grids.returning, grids.leaving or grids.pupil
-        most = _AT_ONCE if mask is None else min(_AT_ONCE, _MASK_BYTES // (_MASK_SAMPLE * grids.sensor**2))
+        needed = _SAMPLE * (sum(side**2 for side in samples) + grids.sensor**2)
+        if mask is not None:
+            needed += _MASK_SAMPLE * grids.sensor**2
         pupil = TracedPupil(
             self.fits,
             samples,
@@ -103,7 +105,7 @@ class TracedPass(SampledPass[TracedPupil]):
             SpotWindow(grids.sensor, grids.half_width, grids.flat),
             surface if mask is None else mask,
             wavelength=wavelength,
-            at_once=max(1, most),
+            at_once=max(1, min(_AT_ONCE, AT_ONCE_BYTES // needed)),
             dtype=dtype,
             device=device,
         )

@@ -22,7 +22,7 @@ from tapetum.simulate.faint import FAINT
 from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
 from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.traced_light import TracedLight, TracedScene, Way, any_angle, followed, nearer_by, traced_scene
-from tapetum.simulate.traced_pass import TracedGrids, TracedPass
+from tapetum.simulate.traced_pass import AT_ONCE_BYTES, TracedGrids, TracedPass
 
 __all__ = ["TracedGroup", "TracedMask", "TracedPlan", "traced_group", "traced_mask"]
 
@@ -64,6 +64,15 @@ _DETAILS = 3.0
 # Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
 _RINGS_BESIDE = 30
 _MOST_PUPIL, _MOST_SENSOR = 3072, 4096
+# Where fewer samples are tried than a step of the ladder has, in fractions of the steepest tilt; the last picture is
+# moved by this fraction of its width and height. Shares of a step's samples that are tried, the fewest first.
+_ALSO_TRIED = ((0.01, 0.02), (0.05, -0.02), (-0.07, 0.1), (-0.2, 0.1), (0.1, 0.4), (0.98, 0.0), (0.3, -0.4))
+_MOVED, _SHARES = (0.3, -0.2), (0.4, 0.5, 0.6, 0.7, 0.8, 0.9)
+# Share of the accuracy by which fewer samples may change a picture: tilts that are not tried may change by more.
+_CHANGED = 0.15
+# Share of a step's samples of the sensor that still holds all light, and samples on the way out over those at which
+# copies of the picture touch it.
+_OF_SENSOR, _ASIDE = 0.85, 1.2
 
 
 @dataclass(frozen=True)
@@ -96,7 +105,8 @@ class TracedPlan(Plan):
 
     def bytes_needed(self, batch: int, pixels: int, complex_size: int = 8) -> int:
         samples = 3 * self.columns * self.rows + self.sensor**2
-        return complex_size // 8 * (48 * min(batch, 4) * samples + 24 * batch * pixels)
+        together = min(48 * batch * samples, max(2 * AT_ONCE_BYTES, 48 * samples))
+        return complex_size // 8 * (together + 24 * batch * pixels)
 
 
 class TracedGroup:
@@ -241,6 +251,7 @@ def _planned(scene: TracedScene, surface: Surface, accuracy: float) -> tuple[Tra
     light = followed(scene, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
+    found = _thinned(scene, light, surface, found, tried, accuracy)
     _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
     return found.usual, _stated(light, found)
 
@@ -249,13 +260,20 @@ def _made(
     scene: TracedScene, light: TracedLight, surface: Surface, effort: _Effort, mask: Mask | None = None
 ) -> TracedPass:
     """The pass of an effort."""
-    angle = min(light.angle, math.inf if light.accepted is None else 4 * light.accepted)
+    angle = _angle(light)
     if mask is not None:
         angle = max(angle, any_angle(light.fits))
+    grids = _grids(light.fits, surface, effort, scene.wavelength, angle + scene.seen, mask)
+    return _on_grids(scene, light, surface, grids, mask)
+
+
+def _on_grids(
+    scene: TracedScene, light: TracedLight, surface: Surface, grids: TracedGrids, mask: Mask | None = None
+) -> TracedPass:
     path = scene.path
     return TracedPass(
         light.fits,
-        _grids(light.fits, surface, effort, scene.wavelength, angle + scene.seen, mask),
+        grids,
         surface,
         path,
         wavelength=scene.wavelength,
@@ -264,6 +282,11 @@ def _made(
         dtype=path.dtype,
         device=path.device,
     )
+
+
+def _angle(light: TracedLight) -> float:
+    """Largest angle of light that leaves and is kept."""
+    return min(light.angle, math.inf if light.accepted is None else 4 * light.accepted)
 
 
 def _climbed(
@@ -292,6 +315,53 @@ def _climbed(
     )
 
 
+def _thinned(
+    scene: TracedScene, light: TracedLight, surface: Surface, found: _Step, tried: torch.Tensor, accuracy: float
+) -> _Step:
+    """A step with as few samples as change no picture beyond the accuracy.
+
+    A step sets all its samples by one effort, most by far for the rings kept: which of them a lens needs is measured
+    against the finer pass that the step was measured by, at more tilts, and in a picture that is moved.
+    """
+    tilts = torch.cat([tried, light.bright * torch.tensor(_ALSO_TRIED, dtype=torch.float64)])
+    centres = torch.zeros(len(tilts), 2, dtype=torch.float64)
+    centres[-1] = torch.tensor(_MOVED, dtype=torch.float64) * torch.tensor([scene.output.width, scene.output.height])
+
+    def seen(one: TracedPass) -> torch.Tensor:
+        return one.field(tilts, centres).abs() ** 2
+
+    best, grids = seen(found.finer), found.usual.grids
+    # Where the step errs by more than is asked for, no claim is made.
+    usual = seen(found.usual)
+    claimed = _each_apart(usual, best) <= accuracy / _SAFETY
+    # Copies of the picture must stay beside it.
+    reach = 2 * light.fits.aperture[1] * (_angle(light) + scene.seen) / scene.wavelength
+    apart = min(grids.leaving, math.ceil(_ASIDE * reach))
+
+    def fewest(at_share: Callable[[float], TracedGrids], step: _Step) -> _Step:
+        for share in _SHARES:
+            one = _on_grids(scene, light, surface, at_share(share))
+            image = seen(one)
+            if float(_each_apart(image, usual).max()) <= _CHANGED * accuracy:
+                error = _SAFETY * float(_each_apart(image, best)[claimed].max())
+                if error <= accuracy:
+                    return replace(step, usual=one, error=max(step.error, error))
+        return step
+
+    def out(share: float) -> TracedGrids:
+        return replace(grids, leaving=max(apart, math.ceil(share * grids.leaving)))
+
+    found = fewest(out, found)
+    grids = found.usual.grids
+    sensor = math.ceil(_OF_SENSOR * grids.sensor)
+
+    def others(share: float) -> TracedGrids:
+        pupil, returning = (math.ceil(share * samples) for samples in (grids.pupil, grids.returning))
+        return replace(grids, pupil=pupil, sensor=sensor, returning=returning)
+
+    return fewest(others, found)
+
+
 def _stated(light: TracedLight, found: _Step, least: float = 0.0) -> TracedPlan:
     """The plan of a step, with the error that paths and steep tilts leave."""
     claimed = max(found.error, light.unsure)
@@ -305,9 +375,13 @@ def _stated(light: TracedLight, found: _Step, least: float = 0.0) -> TracedPlan:
 
 def _apart(image: torch.Tensor, better: torch.Tensor, least: float = 0.0) -> float:
     """Largest difference of images [B, H, W] over each one's own peak, or `least`; infinite where one is dark."""
+    return float(_each_apart(image, better, least).max())
+
+
+def _each_apart(image: torch.Tensor, better: torch.Tensor, least: float = 0.0) -> torch.Tensor:
+    """As `_apart`, for each image."""
     peak = better.amax((1, 2)).clamp_min(least)
-    apart = torch.where(peak > 0, (image - better).abs().amax((1, 2)) / peak.clamp_min(1e-30), math.inf)
-    return float(apart.max())
+    return torch.where(peak > 0, (image - better).abs().amax((1, 2)) / peak.clamp_min(1e-30), math.inf)
 
 
 def _grids(
