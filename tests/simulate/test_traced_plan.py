@@ -13,7 +13,7 @@ from traced_cases import Case, finer, picture, planned, traced
 from tapetum.bench import load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
-from tapetum.simulate import retroreflect
+from tapetum.simulate import retroreflect, traced_plan
 
 SECTION = "Traced lenses"
 # Lenses, the widest field asked of each in degrees, and the range of focal lengths or F-numbers.
@@ -73,6 +73,20 @@ def test_the_stated_error_holds_on_many(validated: Any) -> None:
     assert len(ratios) >= 65
     validated(SECTION, "measured over stated error, 100 random lenses, gazes and focuses", max(ratios), 1.0,
               "a window twice and samples three times as fine", "of the stated error")  # fmt: skip
+
+
+def test_samples_that_change_no_picture_are_left_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    case, accuracy = Case("cmount-12mm-f1.4", 15.0, 5.0, 3.8e-3), 1e-2
+    output = picture(case, 31)
+    few = planned(case, output, accuracy)
+    monkeypatch.setattr(traced_plan, "_SHARES", ())
+    traced.cache_clear()
+    many = planned(case, output, accuracy)
+    assert few.plan.columns < 0.8 * many.plan.columns and few.plan.sensor < many.plan.sensor
+    sines = torch.linspace(0, math.sin(math.radians(14)), 12, dtype=torch.float64)
+    tilts = torch.stack([0.28 * sines, -0.96 * sines], -1)
+    ours, usual = (one.field(tilts).abs() ** 2 for one in (few, many))
+    assert float(((ours - usual).abs().amax((1, 2)) / usual.amax((1, 2))).max()) < 0.3 * accuracy
 
 
 def test_a_bright_return_is_as_accurate_as_asked_and_a_faint_one_says_so() -> None:
