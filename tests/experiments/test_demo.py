@@ -14,7 +14,7 @@ from tapetum.experiments import demo
 from tapetum.experiments.demo import run_demo
 from tapetum.experiments.pretrain import TRAIN_SEEDS
 from tapetum.models import load_model
-from tapetum.report import html
+from tapetum.report import demo_report, html
 from tapetum.track import read_tracks
 
 
@@ -45,7 +45,8 @@ def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     # A second run takes the finished recording as it is; what the sign rests on is not computed twice for that, and the
     # figures are not drawn twice.
     picture = (outcome.folder / "gaze-path.png").read_bytes()
-    monkeypatch.setattr(html, "figure_png", lambda figure, dpi: picture)
+    for module in (html, demo_report):
+        monkeypatch.setattr(module, "figure_png", lambda figure, dpi=160: picture)
     monkeypatch.setattr(demo, "sign_dprime", lambda scene, gaze: torch.zeros(len(gaze), dtype=torch.float64))
     video = outcome.folder / "demo.rec" / "probe.mkv"
     before, first = video.stat().st_mtime_ns, outcome.report.stat().st_mtime_ns

@@ -16,6 +16,8 @@ Complex = npt.NDArray[np.complex128]
 
 # Chords of a region at a height: (lower ends, upper ends); empty where the upper one is not above the lower one.
 Chords = Callable[[Real], tuple[Real, Real]]
+# Places at a time whose polynomials stay in the processor's cache.
+_SLAB = 1 << 14
 
 
 def phasor(phase: Real) -> Complex:
@@ -108,10 +110,16 @@ def interpolation(low: float, high: float, count: int, at: Real) -> tuple[Real, 
     """Chebyshev points between two ends, and what each adds to a value at places [...] when interpolated from them."""
     own = math.pi * (np.arange(count) + 0.5) / count
     middle, half = (high + low) / 2, max((high - low) / 2, 1e-300)
-    turn = np.arccos(np.clip((at - middle) / half, -1.0, 1.0))
-    shares = [np.ones(at.shape) / count for _ in range(count)]
-    for m in range(1, count):
-        wave = np.cos(m * turn) * (2 / count)
-        for number in range(count):
-            shares[number] += math.cos(m * own[number]) * wave
-    return middle + half * np.cos(own), shares
+    x = np.clip((at.ravel() - middle) / half, -1.0, 1.0)
+    # Chebyshev polynomials of x, and at the points by their angles.
+    over = np.cos(np.outer(own, np.arange(count))) * (2 / count)
+    over[:, 0] /= 2
+    shares = np.empty((count, x.size))
+    for i in range(0, x.size, _SLAB):
+        some = x[i : i + _SLAB]
+        waves = np.ones((count, len(some)))
+        waves[1:2] = some
+        for m in range(2, count):
+            waves[m] = 2 * some * waves[m - 1] - waves[m - 2]
+        shares[:, i : i + _SLAB] = over @ waves
+    return middle + half * np.cos(own), list(shares.reshape(count, *at.shape))

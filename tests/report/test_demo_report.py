@@ -7,10 +7,21 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from tapetum.errors import InputError
-from tapetum.report import DemoReport, DemoScores, ModelResult, score_demo, score_gaze, write_demo_report
+from tapetum.report import (
+    DemoReport,
+    DemoScores,
+    ModelResult,
+    demo_report,
+    html,
+    score_demo,
+    score_gaze,
+    write_demo_report,
+)
 from tapetum.report.evaluation import Outcome
+from tapetum.report.figures import figure_png
 
 
 def plain(page: str) -> str:
@@ -24,6 +35,14 @@ def written(tmp_path_factory: pytest.TempPathFactory, content: DemoReport) -> tu
     path = tmp_path_factory.mktemp("report") / "report.html"
     scores = write_demo_report(path, content)
     return path.read_text(encoding="utf-8"), scores
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leave the figures' pixels, two seconds a report, to `written`: the tests that ask for this one read words."""
+    empty = figure_png(Figure((0.1, 0.1)), dpi=10)
+    for module in (html, demo_report):
+        monkeypatch.setattr(module, "figure_png", lambda figure, dpi=160: empty)
 
 
 def test_the_report_holds_its_parts_and_their_numbers(written: tuple[str, DemoScores], content: DemoReport) -> None:
@@ -52,6 +71,7 @@ def test_the_numbers_come_before_everything_else(written: tuple[str, DemoScores]
     assert written[0].index('class="numbers"') < written[0].index("<section")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_sections_without_content_are_left_out(tmp_path: Path, content: DemoReport) -> None:
     bare = replace(content, sign=None, tracking=None, timings=(), path_rrs=(), path_rrs_at=())
     write_demo_report(tmp_path / "r.html", bare)
@@ -61,6 +81,7 @@ def test_sections_without_content_are_left_out(tmp_path: Path, content: DemoRepo
     assert "from an empty folder" not in words
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_model_no_better_than_the_mean_is_called_so(
     tmp_path: Path, content: DemoReport, told: Callable[..., Outcome]
 ) -> None:
