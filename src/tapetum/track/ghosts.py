@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene
+from tapetum.bench.measured import GHOST_SCHEMA, read_measured
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.track.detections import Detections
 
-__all__ = ["Ghost", "calibrate_ghost"]
+__all__ = ["Ghost", "calibrate_ghost", "ghost_of", "ghost_pairs", "is_ghost"]
 
 _FORMAT = "tapetum-ghost"
+_YAML = (".yaml", ".yml")
 # Half the width of the band of ratios that a ghost may have: twice, for noise and fringes.
 _FACTOR = 2.0
 _DIMMER = 0.5
@@ -119,7 +121,7 @@ class Ghost:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ghost:
-        """Read what `save` wrote.
+        """Read what `save` wrote, or `tapetum calibrate ghost` (`.yaml`).
 
         Raises
         ------
@@ -130,6 +132,9 @@ class Ghost:
         if not Path(path).is_file():
             raise InputError("no such file", where=path, remedy=remedy)
         try:
+            if Path(path).suffix.lower() in _YAML:
+                known = read_measured(path, GHOST_SCHEMA, "calibrate ghost")["ghost"]
+                return cls(**{name: float(known[name]) for name in ("dx", "dy", "ratio", "reach")})
             known = json.loads(Path(path).read_text("utf-8"))
             if known.get("format") != _FORMAT or known.get("version") != 1:
                 raise InputError("is no calibrated ghost of version 1", where=path, remedy=remedy)
@@ -138,6 +143,14 @@ class Ghost:
             if isinstance(error, InputError):
                 raise
             raise InputError("is no calibrated ghost", where=path, remedy=remedy) from error
+
+
+def is_ghost(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is named or written as a calibrated ghost, and not as a scene."""
+    file = Path(path)
+    if file.suffix.lower() not in _YAML or not file.is_file():
+        return file.suffix.lower() == ".json"
+    return GHOST_SCHEMA.encode() in file.read_bytes()[:4096]
 
 
 def calibrate_ghost(frames: Iterable[Detections]) -> Ghost:
@@ -155,10 +168,25 @@ def calibrate_ghost(frames: Iterable[Detections]) -> Ghost:
     InputError
         When no offset with one ratio holds in half of the frames that show two spots or more, and in five at least.
     """
+    return ghost_of(ghost_pairs(frames))
+
+
+def ghost_of(pairs: NDArray[np.float64]) -> Ghost:
+    """Return the ghost in the middle of `ghost_pairs`."""
+    dx, dy, ratio = np.median(pairs[:, 1:], axis=0)
+    spread = float(np.median(np.hypot(pairs[:, 1] - dx, pairs[:, 2] - dy)))
+    return Ghost(round(float(dx), 3), round(float(dy), 3), round(math.exp(ratio), 5), round(max(2.0, 4 * spread), 2))
+
+
+def ghost_pairs(frames: Iterable[Detections]) -> NDArray[np.float64]:
+    """Return the pairs of spot and ghost: frame, offset x and y in pixels, logarithm of the ratio of heights, [N, 4].
+
+    Parameters and errors as of `calibrate_ghost`.
+    """
     found: list[tuple[int, float, float, float]] = []
     shown = 0
     for frame, spots in enumerate(frames):
-        if len(spots) > 0:
+        if len(spots) > 1:
             shown += 1
         for n in range(len(spots)):
             for k in np.flatnonzero((spots.peak < _DIMMER * spots.peak[n]) & (spots.saturated == 0)):
@@ -176,9 +204,6 @@ def calibrate_ghost(frames: Iterable[Detections]) -> Ghost:
             best = count, near
     if best is None or best[0] < _FEWEST or best[0] < _LEAST_SHARE * shown:
         held = 0 if best is None else best[0]
-        what = f"no ghost was found: the best offset holds in {held} of {shown} frames that show a spot"
+        what = f"no ghost was found: the best offset holds in {held} of {shown} frames that show two spots or more"
         raise InputError(what, where="--calibrate-ghost", remedy=remedy)
-    chosen = pairs[best[1]]
-    dx, dy, ratio = np.median(chosen[:, 1:], axis=0)
-    spread = float(np.median(np.hypot(chosen[:, 1] - dx, chosen[:, 2] - dy)))
-    return Ghost(round(float(dx), 3), round(float(dy), 3), round(math.exp(ratio), 5), round(max(2.0, 4 * spread), 2))
+    return pairs[best[1]]
