@@ -24,7 +24,7 @@ PageOut = Annotated[
 
 def probe(
     sources: Annotated[
-        list[str],
+        list[Path],
         typer.Argument(
             metavar="DARK FLAT...", help="Dark frames, then flat ones: folders, videos, .npy stacks or recordings."
         ),
@@ -59,7 +59,7 @@ def probe(
     if pitch is not None:
         _positive(pitch, "m", "--pitch")
     times = None if exposures is None else [_positive(one, "s", "--exposures") for one in exposures.split(",")]
-    darks = [sources[0], *(one for one in sources[1:] if Path(one).name.lower().startswith(_DARKS))]
+    darks = [sources[0], *(one for one in sources[1:] if one.name.lower().startswith(_DARKS))]
     flats = [one for one in sources if one not in darks]
     if not flats:
         raise InputError("no flat frames are named", where="FLAT", remedy="name them after the dark ones")

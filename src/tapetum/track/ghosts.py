@@ -33,6 +33,8 @@ _DIMMER = 0.5
 _ON_THE_WAY = 0.6
 # The second beam's light has another gaze, so that its spot may be cut elsewhere: in pixels.
 _REACH_OF_A_SCENE = 15.0
+# How far offsets of one ghost may lie apart: in pixels, and as a share of the spots' diameter.
+_WITHIN, _OF_SIZE = 3.0, 0.1
 _FEWEST = 5
 _LEAST_SHARE = 0.5
 
@@ -184,6 +186,7 @@ def ghost_pairs(frames: Iterable[Detections]) -> NDArray[np.float64]:
     Parameters and errors as of `calibrate_ghost`.
     """
     found: list[tuple[int, float, float, float]] = []
+    wide: list[float] = []
     shown = 0
     for frame, spots in enumerate(frames):
         if len(spots) > 1:
@@ -194,11 +197,14 @@ def ghost_pairs(frames: Iterable[Detections]) -> NDArray[np.float64]:
                     continue
                 offset = float(spots.x[k] - spots.x[n]), float(spots.y[k] - spots.y[n])
                 found.append((frame, *offset, math.log(float(spots.peak[k] / spots.peak[n]))))
+                wide.append(float(spots.diameter[n]))
     pairs = np.array(found).reshape(-1, 4)
     remedy = "film one camera that is not saturated, alone in view, as it moves through the frame"
     best: tuple[int, NDArray[np.bool_]] | None = None
+    # The two spots see different gazes, so that their shapes and their middles differ by a part of their size.
+    within = max(_WITHIN, _OF_SIZE * float(np.median(wide))) if wide else _WITHIN
     for one in pairs:
-        near = (np.hypot(*(pairs[:, 1:3] - one[1:3]).T) <= 3) & (np.abs(pairs[:, 3] - one[3]) <= math.log(_FACTOR))
+        near = (np.hypot(*(pairs[:, 1:3] - one[1:3]).T) <= within) & (np.abs(pairs[:, 3] - one[3]) <= math.log(_FACTOR))
         count = len(np.unique(pairs[near, 0]))
         if best is None or count > best[0]:
             best = count, near
