@@ -6,6 +6,7 @@ my-ghost.yaml` the beam of `tapetum calibrate ghost`. Paths start from the curre
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ SENSOR_SCHEMA = "tapetum/probe-sensor/1"
 GHOST_SCHEMA = "tapetum/ghost/1"
 
 
-def read_measured(path: str | Path, schema: str, command: str) -> dict[str, Any]:
+def read_measured(path: str | os.PathLike[str], schema: str, command: str) -> dict[str, Any]:
     """Return what a file of a calibration holds; raise an InputError with the command that makes one otherwise."""
     try:
         text = Path(path).read_text(encoding="utf-8")

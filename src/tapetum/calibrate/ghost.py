@@ -27,7 +27,7 @@ from tapetum.track.pipeline import make_detector
 
 __all__ = ["GhostCalibration", "calibrate_second_beam"]
 
-_FRAMES, _SATURATED, _MOVED, _HELD = 20, 0.2, 30.0, 0.5
+_FRAMES, _SATURATED, _MOVED, _HELD, _APART = 20, 0.2, 30.0, 0.5, 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +40,14 @@ class GhostCalibration:
         Where it stands, for the tracker.
     dx, dy, ratio
         Offset in pixels and ratio of heights, with standard uncertainties: the scatter of single frames, because a
-        spot's shape, which moves its centroid, follows the target's gaze and does not average out in one film.
+        spot's shape, which moves its centroid, follows the target's gaze and does not average out in one film. Where
+        the two spots touch, the bright one cuts the ghost, and a quarter of its diameter is added.
     pairs
-        [N, 4] frame, offset x, y, logarithm of the ratio, of the frames that agree.
+        [N, 5] of the frames that agree: see `tapetum.track.ghosts.ghost_pairs`.
     frames, paired, saturated
         Frames read, that show two spots or more, and whose brightest spot saturates.
-    moved
-        Largest extent of the bright spot's way, in pixels.
+    moved, diameter
+        Largest extent of the bright spot's way, and its median diameter, in pixels.
     angle
         Of the second beam, along x and y in radians, with uncertainties; None without focal length and pitch.
     """
@@ -60,6 +61,7 @@ class GhostCalibration:
     paired: int
     saturated: int
     moved: float
+    diameter: float
     angle: tuple[Measured, Measured] | None
 
     @property
@@ -75,7 +77,15 @@ class GhostCalibration:
     def checks(self) -> list[Check]:
         """Return what was checked."""
         share = self.saturated / max(self.frames, 1)
+        away = math.hypot(self.dx.value, self.dy.value)
         return [
+            Check(
+                "offset over the spots' diameter",
+                f"{away / self.diameter:.2f}",
+                f"{_APART:g} or more",
+                away >= _APART * self.diameter,
+                "the bright spot touches the ghost and cuts it: make the spots smaller (focus), or film from farther away",
+            ),
             Check(
                 "frames that agree",
                 str(self.held),
@@ -217,9 +227,13 @@ def calibrate_second_beam(
     except InputError as error:
         raise InputError(error.what, where="calibrate ghost", remedy=error.remedy) from error
     ghost = ghost_of(pairs)
-    spread = pairs[:, 1:].std(axis=0, ddof=1)
+    spread = pairs[:, 1:4].std(axis=0, ddof=1)
+    diameter = float(np.median(pairs[:, 4]))
+    way = np.median(pairs[:, 1:3], axis=0)
+    cut = 0.0 if math.hypot(*way) >= _APART * diameter else diameter / 4
+    along = np.abs(way) / math.hypot(*way)
     ratio = math.exp(float(np.median(pairs[:, 3])))
-    dx, dy = (Measured(float(np.median(pairs[:, n])), float(spread[n - 1])) for n in (1, 2))
+    dx, dy = (Measured(float(way[n]), float(math.hypot(spread[n], cut * along[n]))) for n in (0, 1))
     angle = None
     if focal_length is not None and pitch is not None:
         scale = pitch / focal_length
@@ -227,7 +241,17 @@ def calibrate_second_beam(
         angle = (_angle(dx, scale), _angle(dy, scale))
     moved = float(np.ptp(np.array(places), axis=0).max()) if places else 0.0
     return GhostCalibration(
-        ghost, dx, dy, Measured(ratio, ratio * float(spread[2])), pairs, count, paired, saturated, moved, angle
+        ghost,
+        dx,
+        dy,
+        Measured(ratio, ratio * float(spread[2])),
+        pairs,
+        count,
+        paired,
+        saturated,
+        moved,
+        diameter,
+        angle,
     )
 
 

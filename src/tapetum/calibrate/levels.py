@@ -9,6 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +51,7 @@ class Tiles:
         """Rows and columns of pixels in a tile."""
         return self.height // self.grid[0], self.width // self.grid[1]
 
-    def split(self, image: NDArray[np.generic]) -> NDArray[np.generic]:
+    def split(self, image: NDArray[Any]) -> NDArray[Any]:
         """Return an image [H, W] as [tiles, pixels of a tile]."""
         (down, across), (rows, columns) = self.grid, self.size
         kept = image[: down * rows, : across * columns].reshape(down, rows, across, columns)
@@ -172,7 +173,7 @@ class _Sums:
         inside = split(wanted).astype(np.float64)
         pixels = inside.sum(axis=1)
 
-        def over(values: NDArray[np.generic]) -> Array:
+        def over(values: NDArray[Any]) -> Array:
             return (split(values) * inside).sum(axis=1) / np.maximum(pixels, 1)
 
         largest = int(self.highest.max())

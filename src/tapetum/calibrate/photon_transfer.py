@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -130,7 +131,7 @@ class _Points:
     usable: NDArray[np.bool_]
 
     def without(self, tile: int) -> _Points:
-        def cut(values: NDArray[np.generic]) -> NDArray[np.generic]:
+        def cut(values: NDArray[Any]) -> NDArray[Any]:
             return np.delete(values, tile, axis=-1)
 
         names = ("signal", "variance", "freedom", "dark", "dark_freedom", "usable")
@@ -203,7 +204,7 @@ def photon_transfer(darks: Sequence[Level], flats: Sequence[Level], *, bits: int
     squares = (left[:, 0] - step**2 / 12) / left[:, 1] ** 2
     readout = (intercept - step**2 / 12) / slope**2 - exposed
     read_noise, hidden = _root(Measured(readout, math.hypot(_jackknife(squares), pulled / slope)), 1.0)
-    used = (points.usable & _resolved(points, fitted, step)).mean(axis=1)
+    used = (points.usable & _resolved(points, (intercept, slope), step)).mean(axis=1)
     pattern, sensitivity = _patterns(dark, flats, points, used > 0.5, slope)
     full_well, reached = _full_well(clip, gain, offset, step, top)
     return PhotonTransfer(
@@ -406,7 +407,7 @@ def _patterns(
     whole, quiet = (np.nanmean(values, axis=1, keepdims=True) for values in (pattern, noise))
     error = 2 * (whole**2 + quiet**2 / (frames - 1)) / pixels
     spread = _Spread(np.stack([signal for _, signal, _ in levels]) ** 2, pattern - noise, np.maximum(error, 1e-12))
-    every = np.isfinite(pattern).all(axis=0)
+    every = np.asarray(np.isfinite(pattern).all(axis=0))
     left = np.array([spread.fit(every & (np.arange(len(every)) != n)) for n in np.flatnonzero(every)])
     offset, share = (Measured(value, _jackknife(left[:, n])) for n, value in enumerate(spread.fit(every)))
     return _root(offset, slope)[0], _root(share, 1.0)[0]

@@ -64,6 +64,7 @@ class Blinker:
             raise
 
     def _greet(self) -> None:
+        answer = ""
         for _ in range(3):
             self._line.write(b"hello\n")
             answer = self._read()

@@ -130,7 +130,8 @@ class _AravisStream:
     """An Aravis camera that streams."""
 
     def __init__(self, library: Any, camera: Any, form: str, rate: float | None) -> None:
-        self.library, self.camera, self.form = library, camera, form
+        self.library, self.form = library, form
+        self.camera: Any = camera
         camera.set_pixel_format_from_string(form)
         if rate is not None:
             camera.set_frame_rate(rate)
@@ -146,7 +147,7 @@ class _AravisStream:
         self.rate = told.get("frames_a_second", rate)
         self.hardware = {"maker": camera.get_vendor_name(), "model": camera.get_model_name(), "format": form, **told}
         payload = camera.get_payload()
-        self.stream = camera.create_stream(None, None)
+        self.stream: Any = camera.create_stream(None, None)
         for _ in range(_BUFFERS):
             self.stream.push_buffer(library.Buffer.new_allocate(payload))
         camera.start_acquisition()

@@ -155,7 +155,8 @@ def decode(
     if not form.pieces:
         words = np.ascontiguousarray(rows).view("<u2")[:, :width].astype(np.uint16)
         # Drivers may leave something above the depth.
-        return words >> form.shift if form.shift else words & form.full_scale
+        words >>= np.uint16(form.shift)
+        return words & np.uint16(form.full_scale)
     groups = rows.reshape(height, -1, form.size).astype(np.uint16)
     out = np.zeros((height, groups.shape[1], form.pixels), np.uint16)
     for n, pieces in enumerate(form.pieces):

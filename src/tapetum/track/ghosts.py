@@ -175,18 +175,18 @@ def calibrate_ghost(frames: Iterable[Detections]) -> Ghost:
 
 def ghost_of(pairs: NDArray[np.float64]) -> Ghost:
     """Return the ghost in the middle of `ghost_pairs`."""
-    dx, dy, ratio = np.median(pairs[:, 1:], axis=0)
+    dx, dy, ratio = np.median(pairs[:, 1:4], axis=0)
     spread = float(np.median(np.hypot(pairs[:, 1] - dx, pairs[:, 2] - dy)))
     return Ghost(round(float(dx), 3), round(float(dy), 3), round(math.exp(ratio), 5), round(max(2.0, 4 * spread), 2))
 
 
 def ghost_pairs(frames: Iterable[Detections]) -> NDArray[np.float64]:
-    """Return the pairs of spot and ghost: frame, offset x and y in pixels, logarithm of the ratio of heights, [N, 4].
+    """Return the pairs of spot and ghost, [N, 5]: frame, offset x and y in pixels, logarithm of the ratio of heights,
+    and the bright spot's diameter in pixels.
 
     Parameters and errors as of `calibrate_ghost`.
     """
-    found: list[tuple[int, float, float, float]] = []
-    wide: list[float] = []
+    found: list[tuple[float, ...]] = []
     shown = 0
     for frame, spots in enumerate(frames):
         if len(spots) > 1:
@@ -196,13 +196,13 @@ def ghost_pairs(frames: Iterable[Detections]) -> NDArray[np.float64]:
                 if spots.saturated[n]:
                     continue
                 offset = float(spots.x[k] - spots.x[n]), float(spots.y[k] - spots.y[n])
-                found.append((frame, *offset, math.log(float(spots.peak[k] / spots.peak[n]))))
-                wide.append(float(spots.diameter[n]))
-    pairs = np.array(found).reshape(-1, 4)
+                height = math.log(float(spots.peak[k] / spots.peak[n]))
+                found.append((frame, *offset, height, float(spots.diameter[n])))
+    pairs = np.array(found).reshape(-1, 5)
     remedy = "film one camera that is not saturated, alone in view, as it moves through the frame"
     best: tuple[int, NDArray[np.bool_]] | None = None
     # The two spots see different gazes, so that their shapes and their middles differ by a part of their size.
-    within = max(_WITHIN, _OF_SIZE * float(np.median(wide))) if wide else _WITHIN
+    within = max(_WITHIN, _OF_SIZE * float(np.median(pairs[:, 4]))) if found else _WITHIN
     for one in pairs:
         near = (np.hypot(*(pairs[:, 1:3] - one[1:3]).T) <= within) & (np.abs(pairs[:, 3] - one[3]) <= math.log(_FACTOR))
         count = len(np.unique(pairs[near, 0]))
