@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tapetum.bench.measured import GHOST_SCHEMA
 from tapetum.calibrate.page import write_calibration
-from tapetum.calibrate.photon_transfer import Measured
+from tapetum.calibrate.uncertainty import Measured
 from tapetum.calibrate.verdict import Check, verdict
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
@@ -84,7 +84,7 @@ class GhostCalibration:
                 f"{away / self.diameter:.2f}",
                 f"{_APART:g} or more",
                 away >= _APART * self.diameter,
-                "the bright spot touches the ghost and cuts it: make the spots smaller (focus), or film from farther away",
+                "the bright spot touches the ghost and cuts it: make the spots smaller by the target's focus",
             ),
             Check(
                 "frames that agree",

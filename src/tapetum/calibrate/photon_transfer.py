@@ -18,9 +18,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.calibrate.levels import Level
+from tapetum.calibrate.uncertainty import Measured, jackknife, left_out, mean_and_error, root_of
 from tapetum.errors import InputError
 
-__all__ = ["Measured", "PhotonTransfer", "good_pixels", "photon_transfer"]
+__all__ = ["PhotonTransfer", "good_pixels", "photon_transfer"]
 
 Array = NDArray[np.float64]
 
@@ -31,20 +32,6 @@ _RESOLVED = 0.7
 _CLIPPED = 1e-3  # share of pixels at an end of the range from which a tile is clipped
 _COLLAPSED = 0.5  # of the line's variance: below, a level saturates
 _DEFECT = 6.0  # deviations from the neighbourhood from which a pixel of the dark frames is a defect
-
-
-@dataclass(frozen=True)
-class Measured:
-    """A value with its standard uncertainty."""
-
-    value: float
-    error: float
-
-    def __str__(self) -> str:
-        if not (math.isfinite(self.value) and math.isfinite(self.error)):
-            return "not measured"
-        digits = 0 if self.error <= 0 else max(0, 1 - math.floor(math.log10(self.error)))
-        return f"{self.value:.{min(digits, 9)}f} ± {self.error:.{min(digits, 9)}f}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,7 +174,7 @@ def photon_transfer(darks: Sequence[Level], flats: Sequence[Level], *, bits: int
     parts = [points.without(n) for n in range(points.signal.shape[1])]
     left = np.array([(_fit(part, step) or fitted)[:2] for part in parts])
     bend, bends = _bend(points, step), np.array([_bend(part, step) for part in parts])
-    gain = Measured(slope, _jackknife(left[:, 1]))
+    gain = Measured(slope, jackknife(left[:, 1]))
     current = _dark_current(darks, slope)
     exposed = current.value * (dark.exposure or 0.0) if current is not None else 0.0
     # The mean of a noise that spans few steps is pulled to whole numbers; this is the RMS of that over all places.
@@ -198,12 +185,12 @@ def photon_transfer(darks: Sequence[Level], flats: Sequence[Level], *, bits: int
         # Part of the noise is missing below 0: the middle may lie anywhere up to a deviation and a step below.
         pulled = step * max(1.0, noise)
     offset = Measured(
-        dark.mean_of(dark.mean) - slope * exposed, math.hypot(_jackknife(_left_out(dark.mean, dark.pixels)), pulled)
+        dark.mean_of(dark.mean) - slope * exposed, math.hypot(jackknife(left_out(dark.mean, dark.pixels)), pulled)
     )
     # In electrons squared. A shift of the zero of signals shifts the intercept by the slope.
     squares = (left[:, 0] - step**2 / 12) / left[:, 1] ** 2
     readout = (intercept - step**2 / 12) / slope**2 - exposed
-    read_noise, hidden = _root(Measured(readout, math.hypot(_jackknife(squares), pulled / slope)), 1.0)
+    read_noise, hidden = root_of(Measured(readout, math.hypot(jackknife(squares), pulled / slope)), 1.0)
     used = (points.usable & _resolved(points, (intercept, slope), step)).mean(axis=1)
     pattern, sensitivity = _patterns(dark, flats, points, used > 0.5, slope)
     full_well, reached = _full_well(clip, gain, offset, step, top)
@@ -218,7 +205,7 @@ def photon_transfer(darks: Sequence[Level], flats: Sequence[Level], *, bits: int
         dark_current=current,
         read_noise_is="hidden" if hidden or cut else "measured",
         line=(intercept, slope),
-        curvature=Measured(bend, _jackknife(bends)),
+        curvature=Measured(bend, jackknife(bends)),
         linearity=_linearity(flats, signal, capacity),
         dark=dark,
         darks=tuple(darks),
@@ -330,30 +317,6 @@ def _bend(points: _Points, step: int) -> float:
     return found[2] * float(points.signal[points.usable].max()) / found[1]
 
 
-def _jackknife(left: Array) -> float:
-    """Standard error of a value from those without one tile each."""
-    known = left[np.isfinite(left)]
-    if len(known) < 2:
-        return math.inf
-    return math.sqrt((len(known) - 1) * float(np.mean((known - known.mean()) ** 2)))
-
-
-def _left_out(values: Array, weights: Array) -> Array:
-    """Return the weighted mean [T] without each tile."""
-    known = np.isfinite(values) & (weights > 0)
-    values, weights = values[known], weights[known]
-    return ((values * weights).sum() - values * weights) / (weights.sum() - weights)
-
-
-def _root(square: Measured, slope: float) -> tuple[Measured, bool]:
-    """Return the root of a square in digital numbers, in electrons; its upper limit, and True, where it drowns."""
-    if square.value > 2 * square.error:
-        root = math.sqrt(square.value)
-        return Measured(root / slope, square.error / (2 * root * slope)), False
-    most = math.sqrt(max(square.value, 0.0) + 2 * square.error) / slope
-    return Measured(most, most), True
-
-
 def _full_well(clip: Measured | None, gain: Measured, offset: Measured, step: int, top: int) -> tuple[Measured, str]:
     if clip is None:
         most, reached = Measured(float(top), 0.0), "not reached"
@@ -362,13 +325,6 @@ def _full_well(clip: Measured | None, gain: Measured, offset: Measured, step: in
     electrons = (most.value - offset.value) / gain.value
     error = math.hypot(most.error, step / math.sqrt(12), offset.error) / gain.value
     return Measured(electrons, math.hypot(error, electrons * gain.error / gain.value)), reached
-
-
-def _mean_and_error(values: Array, weights: Array) -> Measured:
-    known = np.isfinite(values) & (weights > 0)
-    if not known.any():
-        return Measured(math.nan, math.inf)
-    return Measured(float(np.average(values[known], weights=weights[known])), _jackknife(_left_out(values, weights)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -409,8 +365,8 @@ def _patterns(
     spread = _Spread(np.stack([signal for _, signal, _ in levels]) ** 2, pattern - noise, np.maximum(error, 1e-12))
     every = np.asarray(np.isfinite(pattern).all(axis=0))
     left = np.array([spread.fit(every & (np.arange(len(every)) != n)) for n in np.flatnonzero(every)])
-    offset, share = (Measured(value, _jackknife(left[:, n])) for n, value in enumerate(spread.fit(every)))
-    return _root(offset, slope)[0], _root(share, 1.0)[0]
+    offset, share = (Measured(value, jackknife(left[:, n])) for n, value in enumerate(spread.fit(every)))
+    return root_of(offset, slope)[0], root_of(share, 1.0)[0]
 
 
 def _dark_current(darks: Sequence[Level], slope: float) -> Measured | None:
@@ -420,7 +376,7 @@ def _dark_current(darks: Sequence[Level], slope: float) -> Measured | None:
     times = np.array([exposure for exposure, _ in known])
     means = np.stack([mean for _, mean in known])
     rates = ((times - times.mean())[:, None] * means).sum(axis=0) / ((times - times.mean()) ** 2).sum()
-    found = _mean_and_error(rates, darks[0].pixels)
+    found = mean_and_error(rates, darks[0].pixels)
     return Measured(max(found.value, 0.0) / slope, found.error / slope)
 
 

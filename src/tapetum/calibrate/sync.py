@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from tapetum.calibrate.page import write_calibration
-from tapetum.calibrate.photon_transfer import Measured
+from tapetum.calibrate.uncertainty import Measured
 from tapetum.calibrate.verdict import Check, verdict
 from tapetum.data.importing.align import brightness
 from tapetum.errors import InputError
@@ -196,14 +196,13 @@ class SyncCalibration:
 
     def write_page(self, path: str | os.PathLike[str]) -> None:
         """Write the page: verdict, numbers, pictures and checks."""
-        lag = Measured(1e3 * self.lag.value, 1e3 * self.lag.error)
         write_calibration(
             path,
             "Calibration of two cameras' clocks",
             self.checks(),
             self.numbers(),
             self.figure(),
-            alt=f"The blink code in both streams, and the lag of {len(self.probe)} words: {lag} ms.",
+            alt=f"The blink code in both streams, and the lag of {len(self.probe)} words.",
             caption="(a) Points: what share of the light each frame shows; lines: what the code sent, as placed. "
             "(b) The probe's time of each word less the target's.",
             notes=["A rolling shutter sees the laser at its row's time: such a lag is that of the row where it lies."],
@@ -391,10 +390,7 @@ def _together(words: tuple[Word, ...], numbers: NDArray[np.int64], period: float
     widest = chance[int(np.argmax(chance.sum(axis=1)))]
     place = Measured(place.value, max(place.error, _moments(places, widest / widest.sum(), jitter).error))
     rate = _moments(rates, chance.sum(axis=1), jitter / span)
-    return (
-        Measured(middle + place.value, place.error),
-        Measured(slope + rate.value - period, rate.error),
-    )
+    return Measured(middle + place.value, place.error), Measured(slope + rate.value - period, rate.error)
 
 
 def _moments(values: Array, chance: Array, more: float) -> Measured:

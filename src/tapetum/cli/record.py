@@ -286,13 +286,12 @@ def _capture(
         typer.echo("no target was recorded: no labels")
     if target is None or not all(one.frames for one in told.values()):
         return None
-    try:
-        return _aligned(open_recording(out), clocks)
-    except (InputError, KeyboardInterrupt) as error:
-        error.add_note(f"the recording is kept in {out}, with its clocks as they were")
-        with says_what_is_kept():
+    with says_what_is_kept():
+        try:
+            return _aligned(open_recording(out), clocks)
+        except (InputError, KeyboardInterrupt) as error:
+            error.add_note(f"the recording is kept in {out}, with its clocks as they were")
             raise
-    raise AssertionError
 
 
 def _driver(stack: contextlib.ExitStack, port: str, code: BlinkCode) -> Callable[[], None]:
