@@ -277,14 +277,17 @@ def _figure(one: PhotonTransfer) -> Figure:
     used = one.used > 0.5
     blue, red = MODELS[0], MODELS[1]
     line = np.geomspace(max(one.signal[lit].min() / 2, 1e-3), one.capacity, 100)
-    left.loglog(line, one.line[0] + one.line[1] * line, color=QUIET, linewidth=1.2, label="fit")
+    fit = np.maximum(one.line[0] + one.line[1] * line, 1e-6)
+    left.loglog(line, fit, color=QUIET, linewidth=1.2, label="fit")
+    # Room for the legend above; what saturates without any noise stands at the lower edge.
+    left.set_ylim(fit[0] / 5, 100 * fit[-1])
     for which, colour, mark, words in (
         (lit & used, blue, "o", "used"),
         (lit & ~used & ~one.saturated, blue, "x", "not used"),
         (lit & one.saturated, red, "s", "saturated"),
     ):
         if which.any():
-            seen = np.maximum(one.variance[which], 1e-3)
+            seen = np.maximum(one.variance[which], fit[0] / 4)
             left.plot(one.signal[which], seen, mark, color=colour, markersize=4, label=words)
     dress(left, title="Photon transfer", x="signal above dark, DN", y="variance, DN²", letter="a")
     legend(left, loc="upper left")
