@@ -13,8 +13,8 @@ import typer
 
 from tapetum.cli.app import app
 
-COMMANDS = ("demo", "simulate", "plan", "record", "dataset", "train", "evaluate", "export", "detect", "track", "fuse")
-COMMANDS += ("paper",)
+COMMANDS = ("demo", "simulate", "plan", "cameras", "record", "calibrate", "dataset", "train", "evaluate", "export")
+COMMANDS += ("detect", "track", "fuse", "paper")
 
 
 def test_help_lists_the_commands_in_the_order_of_use(run) -> None:
@@ -25,7 +25,7 @@ def test_help_lists_the_commands_in_the_order_of_use(run) -> None:
     assert "..." not in ran.out.split("Commands:")[1]
 
 
-@pytest.mark.parametrize("command", [*COMMANDS, "dataset build", "dataset info"])
+@pytest.mark.parametrize("command", [*COMMANDS, "dataset build", "dataset info", "calibrate probe"])
 def test_every_command_explains_itself(run, command: str) -> None:
     ran = run(*command.split(), "-h")
     assert ran.code == 0 and ran.err == ""

@@ -112,3 +112,16 @@ def test_the_root_is_the_folder_that_holds_all(tmp_path: Path):
     assert common_root([tmp_path / "a", tmp_path / "b" / "two.mkv"]) == tmp_path
     found = look_into([tmp_path / "a", tmp_path / "b" / "two.mkv"])
     assert [one.path for one in found.videos] == ["a/one.mkv", "b/two.mkv"]
+
+
+def test_columns_that_nothing_uses_are_said_to_be_left_out(tmp_path: Path):
+    np.save(tmp_path / "rotation.npy", np.zeros((6, 16, 16), np.uint8))
+    (tmp_path / "rotation.csv").write_text("x,y,mood\n" + "0.1,0.2,1\n" * 6)
+    (tmp_path / "other.csv").write_text("x,y\n" + "0.1,0.2\n" * 4)
+    (tmp_path / "notes.docx").write_bytes(b"x")
+    found = look_into([tmp_path])
+    assert "1 file of other kinds: notes.docx" in found.lines
+    dropped = propose(found).dropped
+    assert "mood of rotation.csv: its name or its number of rows fits no pictures" in dropped
+    assert "other.csv (4 rows): its name or its number of rows fits no pictures" in dropped
+    assert not [line for line in dropped if line.startswith(("x", "rotation.npy"))]

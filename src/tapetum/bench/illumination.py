@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import Field, model_validator
+from pydantic import BeforeValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from tapetum.bench.measured import beam_values
 from tapetum.bench.quantity import Angle, Length, Power, Vergence
 from tapetum.bench.strict import STRICT, Positive
 
@@ -80,6 +81,9 @@ class SecondBeam:
     angle: tuple[SmallAngle, SmallAngle]
 
 
+AnyBeam = Annotated[SecondBeam, BeforeValidator(beam_values, json_schema_input_type=SecondBeam | str)]
+
+
 @dataclass(frozen=True, config=STRICT)
 class Line:
     """Light of a further wavelength from the same probe.
@@ -108,7 +112,7 @@ class Illumination:
     divergence, diameter
         Full angle in radians, and that of the illuminated disc at the target in metres.
     second_beam
-        None for an ideal beam splitter.
+        None for an ideal beam splitter; a file of `tapetum calibrate ghost` may be named.
     lines
         Further wavelengths, added incoherently.
     bandwidth
@@ -128,7 +132,7 @@ class Illumination:
     power: Power = 1e-3
     divergence: Annotated[Angle, Field(gt=0, lt=math.pi / 2)] | None = None
     diameter: Positive | None = None
-    second_beam: SecondBeam | None = None
+    second_beam: AnyBeam | None = None
     lines: tuple[Line, ...] = ()
     bandwidth: Annotated[Length, Field(ge=0, le=200e-9)] = 0.0
     coherence_length: Positive | None = None

@@ -6,13 +6,14 @@ import difflib
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import yaml
 
 from tapetum.bench.catalogue import Catalogue
 from tapetum.bench.faults import adapter, build
+from tapetum.bench.measured import beam_values, sensor_values
 from tapetum.bench.plain_yaml import field_paths, parse
 from tapetum.bench.scene import SCHEMA, Scene
 from tapetum.errors import InputError
@@ -125,7 +126,9 @@ def with_values(scene: Scene, values: Mapping[str, Any], where: str = "scene") -
             _item(node, last, key)
             node[int(last)] = value
         else:
-            node[last] = _rotation(value) if last == "rotation" else value
+            # Of a file its values are taken now, so that further changes can name them.
+            known = _FROM_FILES.get((*above, last), _rotation if last == "rotation" else _same)
+            node[last] = known(value)
     return scene_from_dict(content, where)
 
 
@@ -177,6 +180,16 @@ def _parsed(changes: Iterable[str]) -> dict[str, Any]:
         remedy = "write it as in a scene file: 5, '75 mm', [1, 2]"
         values[key.strip()] = parse(text, f"--set {key}", what=f"{short!r} is no value", remedy=remedy)
     return values
+
+
+def _same(value: object) -> object:
+    return value
+
+
+_FROM_FILES: dict[tuple[str, ...], Callable[[object], object]] = {
+    ("probe", "sensor"): sensor_values,
+    ("illumination", "second_beam"): beam_values,
+}
 
 
 def _rotation(value: object) -> object:

@@ -7,10 +7,11 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
 from pydantic.dataclasses import dataclass
 
 from tapetum.bench.illumination import Illumination, Line, SecondBeam, Wavelength
+from tapetum.bench.measured import sensor_values
 from tapetum.bench.phone import CameraUnit, Phone, load_phone
 from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, FocusDistance
@@ -205,6 +206,7 @@ class PhoneTarget:
         return tuple(found)
 
 
+AnySensor = Annotated[ProbeSensor, BeforeValidator(sensor_values, json_schema_input_type=ProbeSensor | str)]
 AnyTarget = Annotated[Annotated[Target, Tag("camera")] | Annotated[PhoneTarget, Tag("phone")], _by_kind("camera")]
 
 
@@ -215,13 +217,13 @@ class Probe:
     Parameters
     ----------
     lens, sensor
-        Its optics.
+        Its optics; for the sensor, a file of `tapetum calibrate probe` may be named.
     transmission
         Power transmission of the return path, beam splitter included.
     """
 
     lens: ThinLens
-    sensor: ProbeSensor = Field(default_factory=ProbeSensor)
+    sensor: AnySensor = Field(default_factory=ProbeSensor)
     transmission: Annotated[float, Field(gt=0, le=1)] = 0.5
 
 

@@ -11,6 +11,8 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
+from tapetum.cli.calibrate import ghost, probe, sync
+from tapetum.cli.cameras import cameras
 from tapetum.cli.dataset import build, info, synth
 from tapetum.cli.dataset_import import import_data
 from tapetum.cli.demo import demo
@@ -45,7 +47,19 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
         "thin-lens --sweep rotation=0,0.5,1 -o sweep.png",
     ),
     "plan": (plan, "What a scene would give: budget, limits, eye safety.", "thin-lens --set object_distance=2.5"),
+    "cameras": (cameras, "What cameras are plugged in, and their modes.", "--json"),
     "record": (record, "Film a scene, or record real cameras.", "hand-held -o hand.rec --seconds 20 --seed 7"),
+    "calibrate probe": (
+        probe,
+        "Gain, read noise, full well and pattern of a sensor.",
+        "dark flat-1ms flat-2ms flat-4ms flat-8ms flat-16ms -o my-sensor.yaml",
+    ),
+    "calibrate ghost": (
+        ghost,
+        "Where the beam splitter's ghost stands.",
+        "alone.rec -o my-ghost.yaml --focal-length '200 mm' --pitch '2.2 um'",
+    ),
+    "calibrate sync": (sync, "Lag and drift between the two cameras.", "walk.rec -o my-sync.yaml"),
     "dataset build": (build, "Cut crops out of labelled recordings.", "hand.rec -o hand.zarr"),
     "dataset info": (info, "What a dataset holds, and what is wrong with it.", "hand.zarr --sheet hand.png"),
     "dataset synth": (synth, "Film the paper's three sets.", "rotation --size small -o rotation.zarr"),
@@ -88,15 +102,24 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     context_settings={"help_option_names": ["-h", "--help"]},
 )
-_datasets = typer.Typer(
-    help="Build datasets from recordings, and look into them.", no_args_is_help=True, rich_markup_mode=None
-)
+# Groups of commands: help of their own, and the line in the list of commands.
+_GROUPS: dict[str, tuple[str, str]] = {
+    "dataset": (
+        "Build datasets from recordings, and look into them.",
+        "Build, import and film datasets, and look into them.",
+    ),
+    "calibrate": ("Measure what must be known of a real probe.", "A real probe's sensor, ghost and clocks."),
+}
+_groups = {
+    name: typer.Typer(help=told, no_args_is_help=True, rich_markup_mode=None) for name, (told, _) in _GROUPS.items()
+}
 for _words, (_function, _short, _example) in _COMMANDS.items():
     _group, _, _name = _words.rpartition(" ")
-    (_datasets if _group else app).command(
+    (_groups[_group] if _group else app).command(
         _name, cls=Command, short_help=_short, epilog=f"Example: tapetum {_words} {_example}"
     )(_function)
-app.add_typer(_datasets, name="dataset", short_help="Build, import and film datasets, and look into them.")
+for _name, _typer in _groups.items():
+    app.add_typer(_typer, name=_name, short_help=_GROUPS[_name][1])
 
 
 def _version(wanted: bool) -> None:

@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from tapetum.bench import load_scene, scene_names
+from tapetum.bench.quantity import to_si
 from tapetum.cli.options import Changes, Force, SeedIfGiven, option
 from tapetum.cli.outputs import check_output, says_what_is_kept
 from tapetum.defaults import SEED
-from tapetum.errors import InputError
+from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
 
 if TYPE_CHECKING:
     from tapetum.bench import Scene
-    from tapetum.record import Recording, Session
+    from tapetum.record import BlinkCode, Recording, Session
 
+EVERY = 10.041
+"""Seconds from one code of the driver to the next: no whole number of frames, so that flanks fall at all phases."""
 _SOURCE = "A scene for the virtual bench (hand-held, or a YAML file); or the probe's camera:0, video or images."
 
 
@@ -44,7 +50,19 @@ def record(
         option("M M", "Carry it from one distance to another during the recording, in metres."),
     ] = None,
     blink: Annotated[
-        int | None, option("N", "Blink the laser at the start, by the code of this number.", min=0)
+        int | None,
+        option(
+            "N", "Blink the laser by the code of this number: a scene's at the start, a real one by --blinker.", min=0
+        ),
+    ] = None,
+    blinker: Annotated[
+        str | None, option("PORT", "Of real sources: the serial port of the blink driver, /dev/ttyACM0 or COM3.")
+    ] = None,
+    align: Annotated[
+        str | None, option("WAY", "Of real sources: how their clocks are aligned afterwards: clock (as is) or blink.")
+    ] = None,
+    offset: Annotated[
+        str | None, option("TIME", "Of real sources: put the target's clock forward by this, such as '20 ms'.")
     ] = None,
     clutter: Annotated[
         int | None, option("N", "Add so many glints, lamps and tapes to the probe's picture.", min=0, max=100)
@@ -57,8 +75,9 @@ def record(
 ) -> None:
     """Record probe and target, and label every frame by the laser in the target's own video.
 
-    The virtual bench films a scene's hand-held target; --seed, --set, --roll, --walk, --blink, --clutter and --stray
-    are its own. Of real sources, the probe's and that of --target-source, both are read at once until they end.
+    The virtual bench films a scene's hand-held target; --seed, --set, --roll, --walk, --clutter and --stray are its
+    own. Of real sources, the probe's and that of --target-source, both are read at once until they end; --align,
+    --offset and --blinker are theirs. `tapetum cameras` lists what is plugged in.
     """
     for name, value in (("--seconds", seconds), ("--rate", rate), ("--roll", roll)):
         if value is not None and not math.isfinite(value):
@@ -72,7 +91,8 @@ def record(
             what = "is a scene of the virtual bench, which films its own target"
             raise InputError(what, where=source, remedy=remedy)
         raise InputError("does not exist", where=source, remedy="give the probe's camera:0, video or folder of images")
-    own = {"seed": seed, "set": changes, "roll": roll, "walk": walk, "blink": blink, "clutter": clutter}
+    clocks = _clocks(real, target is not None, blink, blinker, align, offset)
+    own = {"seed": seed, "set": changes, "roll": roll, "walk": walk, "clutter": clutter}
     for name, value in {**own, "stray": stray or None}.items():
         if real and value is not None:
             what = f"belongs to scenes of the virtual bench; {source} is a real source"
@@ -85,11 +105,11 @@ def record(
         raise InputError(what, where=where, remedy="give camera:1, a video file or a folder of images")
     if real:
         check_output(out, force, "tapetum-recording")
-        recording = _capture(source, target, out, seconds, rate, force)
+        recording = _capture(source, target, out, seconds, rate, force, clocks)
     else:
         scene = _scene(source, changes)
         check_output(out, force, "tapetum-recording")
-        session = _session(scene, seconds or 60.0, rate or 15.0, own, stray)
+        session = _session(scene, seconds or 60.0, rate or 15.0, {**own, "blink": blink}, stray)
         recording = _film(scene, session, out, force)
     if recording is not None and not no_labels:
         _label(recording)
@@ -97,10 +117,10 @@ def record(
 
 def _is_real(source: str) -> bool:
     """Whether a source is a camera or frames on disk, not a scene."""
-    from tapetum.record.camera import is_camera
+    from tapetum.record.frames import is_device
 
     path = Path(source)
-    if is_camera(source):
+    if is_device(source):
         return True
     if source in scene_names() or not path.exists():
         return False
@@ -165,8 +185,70 @@ def _same(probe: str, target: str) -> bool:
     return probe == target
 
 
+@dataclass(frozen=True)
+class _Clocks:
+    """How the clocks of real sources are brought together."""
+
+    code: BlinkCode | None = None
+    port: str | None = None
+    align: str = "clock"
+    offset: float = 0.0
+
+
+def _clocks(
+    real: bool, two: bool, blink: int | None, port: str | None, align: str | None, offset: str | None
+) -> _Clocks:
+    """Check the options of clocks."""
+    given = {"--blinker": port, "--align": align, "--offset": offset}
+    for name, value in given.items():
+        if value is not None and not real:
+            raise InputError("belongs to real sources", where=name, remedy="leave it away: the bench has one clock")
+        if value is not None and not two and name != "--blinker":
+            raise InputError("takes two streams", where=name, remedy="give --target-source")
+    one_of(align or "clock", ("clock", "blink"), "--align")
+    if not real:
+        return _Clocks()
+    if port is not None and blink is None:
+        raise InputError("has no code to blink", where="--blinker", remedy="give its number too: --blink 1")
+    seconds = 0.0
+    if offset is not None:
+        try:
+            seconds = to_si(offset, "s")
+        except ValueError as error:
+            what, _, remedy = str(error).partition("; ")
+            raise InputError(what, where="--offset", remedy=remedy or None) from error
+    code = None
+    if blink is not None:
+        from tapetum.record import BlinkCode
+
+        code = BlinkCode(seed=blink, start=0.0, every=None if port is None else EVERY)
+    return _Clocks(code, port, align or "clock", seconds)
+
+
+def _aligned(recording: Recording, clocks: _Clocks) -> Recording:
+    """Bring the target's clock of a real recording to the probe's, as asked."""
+    told: dict[str, Any] = {"align": clocks.align, "offset": clocks.offset}
+    seconds = clocks.offset
+    if clocks.align == "blink":
+        from tapetum.data.importing.align import align_blink, brightness
+
+        names = ("probe", "target")
+        levels = [brightness(recording.source(name), bar, f"blinking of {name}") for name in names]
+        # The levels' times count from each stream's own first frame.
+        apart = float(recording.utc_ns("target")[0] - recording.utc_ns("probe")[0]) / 1e9
+        found = align_blink(levels[0], (levels[1][0] + apart, levels[1][1]), where=str(recording.path))
+        seconds += found.offset
+        told["blink"] = vars(found)
+        typer.echo(f"aligned by the blinking: {found.text}")
+    if not seconds:
+        return recording
+    from tapetum.record.aligning import shift_stream
+
+    return shift_stream(recording, "target", seconds, told)
+
+
 def _capture(
-    probe: str, target: str | None, out: Path, seconds: float | None, rate: float | None, force: bool
+    probe: str, target: str | None, out: Path, seconds: float | None, rate: float | None, force: bool, clocks: _Clocks
 ) -> Recording | None:
     """Record real sources; return the recording where it can be labelled."""
     if target is not None and _same(probe, target):
@@ -183,8 +265,18 @@ def _capture(
             raise
     if seconds is None and any(source.live for source in sources.values()):
         typer.echo("recording until Ctrl-C", err=True)
-    with says_what_is_kept():
-        told = capture(sources, out, seconds=seconds, progress=bar, overwrite=force)
+    extra = {} if clocks.code is None else {"laser": {"code": {**vars(clocks.code), "word": list(clocks.code.sent)}}}
+    with contextlib.ExitStack() as stack:
+        begun = None
+        try:
+            if clocks.port is not None and clocks.code is not None:
+                begun = _driver(stack, clocks.port, clocks.code)
+        except InputError:
+            for source in sources.values():
+                source.close()
+            raise
+        with says_what_is_kept():
+            told = capture(sources, out, seconds=seconds, progress=bar, overwrite=force, extra=extra, begun=begun)
     counts = ", ".join(f"{one.frames} {name} frames ({one.lost} lost)" for name, one in told.items())
     typer.echo(f"{out}: {counts}")
     for name, one in told.items():
@@ -192,4 +284,21 @@ def _capture(
             typer.echo(f"{name} ended early: {one.fault}", err=True)
     if target is None:
         typer.echo("no target was recorded: no labels")
-    return open_recording(out) if target is not None and all(one.frames for one in told.values()) else None
+    if target is None or not all(one.frames for one in told.values()):
+        return None
+    with says_what_is_kept():
+        try:
+            return _aligned(open_recording(out), clocks)
+        except (InputError, KeyboardInterrupt) as error:
+            error.add_note(f"the recording is kept in {out}, with its clocks as they were")
+            raise
+
+
+def _driver(stack: contextlib.ExitStack, port: str, code: BlinkCode) -> Callable[[], None]:
+    """Open the blink driver, which switches the laser off in the end; return what begins the code."""
+    from tapetum.record.blinker import Blinker
+
+    driver = stack.enter_context(Blinker(port))
+    stack.callback(driver.off)
+    driver.on()
+    return lambda: driver.code(code)

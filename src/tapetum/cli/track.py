@@ -50,7 +50,8 @@ def track(
     ghost: Annotated[
         Path | None,
         option(
-            "FILE", "A calibrated ghost, NAME.json, or the probe's scene: only what stands at its place is dropped."
+            "FILE",
+            "A calibrated ghost (calibrate ghost), or the probe's scene: only what stands at its place is dropped.",
         ),
     ] = None,
     calibrate: Annotated[
@@ -113,10 +114,9 @@ def track(
     raw = out if smooth is None else free_name(out, "unsmoothed")
     if ghost is not None:
         from tapetum.bench import load_scene
-        from tapetum.track.ghosts import Ghost
+        from tapetum.track.ghosts import Ghost, is_ghost
 
-        scene = ghost.suffix.lower() != ".json"
-        options["known_ghost"] = Ghost.of(load_scene(str(ghost))) if scene else Ghost.load(ghost)
+        options["known_ghost"] = Ghost.load(ghost) if is_ghost(ghost) else Ghost.of(load_scene(str(ghost)))
     # Ghosts that are kept aside are marked.
     options["ghosts"] = "drop" if detections is None else "mark"
     find = make_detector(detector, options)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import os
 import threading
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from tapetum.errors import InputError
 from tapetum.interrupts import interruptible
@@ -34,6 +35,8 @@ def capture(
     seconds: float | None = None,
     progress: Progress = quiet,
     overwrite: bool = False,
+    extra: Mapping[str, Any] | None = None,
+    begun: Callable[[], None] | None = None,
 ) -> dict[str, Captured]:
     """Record from several sources at once, until all have ended, `seconds` are over, or Ctrl-C.
 
@@ -48,6 +51,8 @@ def capture(
         Length; None records until the sources end or Ctrl-C is pressed.
     progress, overwrite
         Shown over the frames; and whether a recording at `out` may be replaced.
+    extra, begun
+        Further content of `recording.json`; and what to call once the streams run.
 
     Raises
     ------
@@ -71,12 +76,15 @@ def capture(
             streams={name: reader.info for name, reader in readers.items()},
             rate=float(rates[0]) if rates else 15.0,
             hardware={name: source.hardware for name, source in sources.items()},
+            extra=dict(extra or {}),
             start_utc_ns=utc,
             overwrite=overwrite,
         ) as writer:
             with interruptible(stop):
                 for reader in readers.values():
                     reader.start(monotonic, utc)
+                if begun is not None:
+                    begun()
                 for name, frame in progress(arriving(readers, stop), "recording"):
                     if (fault := _unfit(readers[name], frame)) is not None:
                         readers[name].end(fault)

@@ -10,14 +10,17 @@ from pathlib import Path
 from tapetum.bench import as_scene
 from tapetum.errors import one_of
 from tapetum.record.camera import Camera, is_camera
+from tapetum.record.genicam import GenicamCamera, is_genicam
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
 from tapetum.record.recording import is_recording, open_recording
 from tapetum.record.session import Session
 from tapetum.record.shot import Shot
 from tapetum.record.source import Frame, FrameSource, Source, existing
+from tapetum.record.stacks import StackSource
+from tapetum.record.v4l2 import V4l2Camera, is_v4l2
 from tapetum.record.video import VideoSource
 
-__all__ = ["SOURCES", "Asked", "Frame", "FrameSource", "Source", "SourceKind", "open_frames"]
+__all__ = ["SOURCES", "Asked", "Frame", "FrameSource", "Source", "SourceKind", "is_device", "open_frames"]
 
 _RATE = 15.0
 _BENCH = "bench:"
@@ -42,10 +45,13 @@ class SourceKind:
         Whether a text names a source of this kind.
     opens
         Opens it.
+    device
+        Whether it is a camera of this machine.
     """
 
     takes: Callable[[str], bool]
     opens: Callable[[str, Asked], Source]
+    device: bool = False
 
 
 def _bench(name: str, asked: Asked) -> Source:
@@ -58,19 +64,30 @@ def _is_images(place: str) -> bool:
 
 
 SOURCES: dict[str, SourceKind] = {
-    "camera": SourceKind(is_camera, lambda name, asked: Camera(name, asked.rate)),
+    "camera": SourceKind(is_camera, lambda name, asked: Camera(name, asked.rate), device=True),
+    "v4l2": SourceKind(is_v4l2, lambda name, asked: V4l2Camera(name, asked.rate), device=True),
+    "genicam": SourceKind(is_genicam, lambda name, asked: GenicamCamera(name, asked.rate), device=True),
     "bench": SourceKind(lambda name: name.startswith(_BENCH), _bench),
     "recording": SourceKind(
         lambda name: is_recording(existing(name)),
         lambda name, asked: replace(open_recording(name).source(asked.stream), late=asked.late),
     ),
     "images": SourceKind(_is_images, lambda name, asked: ImageSource.from_path(Path(name), asked.rate or _RATE)),
+    "stack": SourceKind(
+        lambda name: Path(name).suffix.lower() == ".npy",
+        lambda name, asked: StackSource.from_path(name, asked.rate or _RATE),
+    ),
     "video": SourceKind(lambda _: True, lambda name, asked: VideoSource.from_path(Path(name), late=asked.late)),
 }
 """Kinds of sources by name; the first that takes a text opens it.
 
 To add one, write a `Source` in a file of its own, and name it here.
 """
+
+
+def is_device(source: str) -> bool:
+    """Return whether a text names a camera of this machine, whether it is there or not."""
+    return any(kind.device and kind.takes(source) for kind in SOURCES.values())
 
 
 def open_frames(
@@ -81,9 +98,10 @@ def open_frames(
     Parameters
     ----------
     source
-        A camera of this machine (`camera:0`), a scene of the virtual bench, filmed for a minute while it is read
-        (`bench:hand-held`, `bench:FILE.yaml`), a folder of images (in natural order; 8 or 16 bit; colour becomes grey),
-        one image file, a `NAME.rec` folder, or a video file.
+        A camera of this machine (`camera:0`, `v4l2:0,Y12`, `genicam:NAME`: see `tapetum cameras`), a scene of the
+        virtual bench, filmed for a minute while it is read (`bench:hand-held`, `bench:FILE.yaml`), a folder of images
+        (in natural order; 8 or 16 bit; colour becomes grey), one image file, a `.npy` array [N, H, W], a `NAME.rec`
+        folder, or a video file.
     stream
         Stream of a recording or of the bench.
     rate

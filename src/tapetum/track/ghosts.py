@@ -16,13 +16,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene
+from tapetum.bench.measured import GHOST_SCHEMA, read_measured
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.track.detections import Detections
 
-__all__ = ["Ghost", "calibrate_ghost"]
+__all__ = ["Ghost", "calibrate_ghost", "ghost_of", "ghost_pairs", "is_ghost"]
 
 _FORMAT = "tapetum-ghost"
+_YAML = (".yaml", ".yml")
 # Half the width of the band of ratios that a ghost may have: twice, for noise and fringes.
 _FACTOR = 2.0
 _DIMMER = 0.5
@@ -31,6 +33,8 @@ _DIMMER = 0.5
 _ON_THE_WAY = 0.6
 # The second beam's light has another gaze, so that its spot may be cut elsewhere: in pixels.
 _REACH_OF_A_SCENE = 15.0
+# How far offsets of one ghost may lie apart: in pixels, and as a share of the spots' diameter.
+_WITHIN, _OF_SIZE = 3.0, 0.1
 _FEWEST = 5
 _LEAST_SHARE = 0.5
 
@@ -119,7 +123,7 @@ class Ghost:
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Ghost:
-        """Read what `save` wrote.
+        """Read what `save` wrote, or `tapetum calibrate ghost` (`.yaml`).
 
         Raises
         ------
@@ -130,6 +134,9 @@ class Ghost:
         if not Path(path).is_file():
             raise InputError("no such file", where=path, remedy=remedy)
         try:
+            if Path(path).suffix.lower() in _YAML:
+                known = read_measured(path, GHOST_SCHEMA, "calibrate ghost")["ghost"]
+                return cls(**{name: float(known[name]) for name in ("dx", "dy", "ratio", "reach")})
             known = json.loads(Path(path).read_text("utf-8"))
             if known.get("format") != _FORMAT or known.get("version") != 1:
                 raise InputError("is no calibrated ghost of version 1", where=path, remedy=remedy)
@@ -138,6 +145,14 @@ class Ghost:
             if isinstance(error, InputError):
                 raise
             raise InputError("is no calibrated ghost", where=path, remedy=remedy) from error
+
+
+def is_ghost(path: str | os.PathLike[str]) -> bool:
+    """Return whether a file is named or written as a calibrated ghost, and not as a scene."""
+    file = Path(path)
+    if file.suffix.lower() not in _YAML or not file.is_file():
+        return file.suffix.lower() == ".json"
+    return GHOST_SCHEMA.encode() in file.read_bytes()[:4096]
 
 
 def calibrate_ghost(frames: Iterable[Detections]) -> Ghost:
@@ -155,30 +170,46 @@ def calibrate_ghost(frames: Iterable[Detections]) -> Ghost:
     InputError
         When no offset with one ratio holds in half of the frames that show two spots or more, and in five at least.
     """
-    found: list[tuple[int, float, float, float]] = []
+    return ghost_of(ghost_pairs(frames))
+
+
+def ghost_of(pairs: NDArray[np.float64]) -> Ghost:
+    """Return the ghost in the middle of `ghost_pairs`."""
+    dx, dy, ratio = np.median(pairs[:, 1:4], axis=0)
+    spread = float(np.median(np.hypot(pairs[:, 1] - dx, pairs[:, 2] - dy)))
+    return Ghost(round(float(dx), 3), round(float(dy), 3), round(math.exp(ratio), 5), round(max(2.0, 4 * spread), 2))
+
+
+def ghost_pairs(frames: Iterable[Detections]) -> NDArray[np.float64]:
+    """Return the pairs of spot and ghost, [N, 5]: frame, offset x and y in pixels, logarithm of the ratio of heights,
+    and the bright spot's diameter in pixels.
+
+    Parameters and errors as of `calibrate_ghost`.
+    """
+    found: list[tuple[float, ...]] = []
     shown = 0
     for frame, spots in enumerate(frames):
-        if len(spots) > 0:
+        if len(spots) > 1:
             shown += 1
         for n in range(len(spots)):
             for k in np.flatnonzero((spots.peak < _DIMMER * spots.peak[n]) & (spots.saturated == 0)):
                 if spots.saturated[n]:
                     continue
                 offset = float(spots.x[k] - spots.x[n]), float(spots.y[k] - spots.y[n])
-                found.append((frame, *offset, math.log(float(spots.peak[k] / spots.peak[n]))))
-    pairs = np.array(found).reshape(-1, 4)
+                height = math.log(float(spots.peak[k] / spots.peak[n]))
+                found.append((frame, *offset, height, float(spots.diameter[n])))
+    pairs = np.array(found).reshape(-1, 5)
     remedy = "film one camera that is not saturated, alone in view, as it moves through the frame"
     best: tuple[int, NDArray[np.bool_]] | None = None
+    # The two spots see different gazes, so that their shapes and their middles differ by a part of their size.
+    within = max(_WITHIN, _OF_SIZE * float(np.median(pairs[:, 4]))) if found else _WITHIN
     for one in pairs:
-        near = (np.hypot(*(pairs[:, 1:3] - one[1:3]).T) <= 3) & (np.abs(pairs[:, 3] - one[3]) <= math.log(_FACTOR))
+        near = (np.hypot(*(pairs[:, 1:3] - one[1:3]).T) <= within) & (np.abs(pairs[:, 3] - one[3]) <= math.log(_FACTOR))
         count = len(np.unique(pairs[near, 0]))
         if best is None or count > best[0]:
             best = count, near
     if best is None or best[0] < _FEWEST or best[0] < _LEAST_SHARE * shown:
         held = 0 if best is None else best[0]
-        what = f"no ghost was found: the best offset holds in {held} of {shown} frames that show a spot"
+        what = f"no ghost was found: the best offset holds in {held} of {shown} frames that show two spots or more"
         raise InputError(what, where="--calibrate-ghost", remedy=remedy)
-    chosen = pairs[best[1]]
-    dx, dy, ratio = np.median(chosen[:, 1:], axis=0)
-    spread = float(np.median(np.hypot(chosen[:, 1] - dx, chosen[:, 2] - dy)))
-    return Ghost(round(float(dx), 3), round(float(dy), 3), round(math.exp(ratio), 5), round(max(2.0, 4 * spread), 2))
+    return pairs[best[1]]

@@ -17,6 +17,7 @@ from tapetum.record.video import VideoSource, count_frames
 
 __all__ = ["VIDEO_SUFFIXES", "Inventory", "common_root", "look_into"]
 
+_SHOWN = 5
 VIDEO_SUFFIXES = (".mkv", ".mp4", ".m4v", ".avi", ".mov", ".webm", ".mpg", ".mpeg", ".ts", ".wmv", ".ogv", ".y4m")
 
 
@@ -63,7 +64,7 @@ class TableFound:
 class Inventory:
     """Everything found under a folder, `root`, from which all paths start.
 
-    `recordings` need no import, `faults` list unreadable files, `other` counts files of unknown types.
+    `recordings` need no import, `faults` list unreadable files, `others` name files of unknown types.
     """
 
     root: Path
@@ -73,7 +74,12 @@ class Inventory:
     folders: list[FramesFound] = field(default_factory=list)
     recordings: list[str] = field(default_factory=list)
     faults: list[InputError] = field(default_factory=list)
-    other: int = 0
+    others: list[str] = field(default_factory=list)
+
+    @property
+    def other(self) -> int:
+        """Number of files of unknown types."""
+        return len(self.others)
 
     @property
     def lines(self) -> list[str]:
@@ -81,7 +87,11 @@ class Inventory:
         told = [str(one) for one in (*self.videos, *self.arrays, *self.tables, *self.folders)]
         told += [f"recording  {r}: cut it with `tapetum dataset build`" for r in self.recordings]
         told += [f"unreadable  {fault}" for fault in self.faults]
-        return told + ([f"{self.other} files of other kinds"] if self.other else [])
+        if self.others:
+            some = ", ".join(self.others[:_SHOWN]) + (", …" if self.other > _SHOWN else "")
+            kinds = f"{self.other} file{'' if self.other == 1 else 's'} of other kinds"
+            told.append(f"{kinds}: {some}")
+        return told
 
     def look(self, place: Path) -> None:
         """Add a file, or the content of a folder."""
@@ -133,7 +143,7 @@ class Inventory:
         elif suffix in IMAGE_SUFFIXES:
             self._images(file)
         else:
-            self.other += 1
+            self.others.append(name)
 
     def _table(self, file: Path, name: str) -> None:
         """Add a table; a .txt file counts only if it has several columns and rows, unlike a readme."""
@@ -143,11 +153,11 @@ class Inventory:
         except InputError:
             if not text:
                 raise
-            self.other += 1
+            self.others.append(name)
             return
         rows = len(next(iter(table.values())))
         if text and not (len(table) > 1 and rows > 1):
-            self.other += 1
+            self.others.append(name)
         else:
             self.tables.append(TableFound(name, tuple(table), rows))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -284,7 +285,34 @@ class _Stacks:
         side = min(self._sizes) if centred else min(_SIDE, *self._sizes)
         scale = {"full_scale": self._scale} if self._scale else {}
         out.content |= {"side": side, **scale, **({"centred": True} if centred else {}), "stacks": self._stacks}
+        self._say_unused()
         return out
+
+    def _say_unused(self) -> None:
+        """List the columns and arrays of values that no stack uses: by name or by number they fit none."""
+        used = list(_columns(self._stacks))
+        for table in self.found.tables:
+            mine = {str(column.get("column")) for column in used if column.get("file") == table.path}
+            rest = [name for name in table.columns if name not in mine]
+            if rest:
+                whole = f"{table.path} ({table.rows} rows)" if not mine else f"{', '.join(rest)} of {table.path}"
+                self._out.dropped.append(f"{whole}: its name or its number of rows fits no pictures")
+        for array in self.found.arrays:
+            mine = [one for one in used if one.get("file") == array.path and one.get("array", "") == array.info.name]
+            meant = any(source.column["file"] == array.path for source in self.sources)
+            if meant and not mine and _image_axes(array, set()) is None:
+                self._out.dropped.append(f"{array.path} ({array.info}): its name or its length fits no pictures")
+
+
+def _columns(content: Any) -> Iterator[dict[str, Any]]:
+    """Yield every mapping in nested values that names a file."""
+    if isinstance(content, dict):
+        if "file" in content:
+            yield content
+        content = list(content.values())
+    if isinstance(content, list):
+        for one in content:
+            yield from _columns(one)
 
 
 def _sample(images: dict[str, Any], reader: Reader) -> list[NDArray[Any]]:
