@@ -131,7 +131,7 @@ def find_cameras(
         swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
-    probability = 1 / (1 + np.exp(-np.clip(log_odds, -500, 500)))
+    probability = score.probability(log_odds)
     return Found(
         x=found["x"][order],
         y=found["y"][order],

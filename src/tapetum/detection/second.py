@@ -86,4 +86,4 @@ def views(cut: Cut, rows: NDArray[np.int64]) -> tuple[Array, Array]:
 
 
 def _drawn_in(values: Array) -> Array:
-    return values / (2 + np.abs(values))
+    return np.asarray(values / (2 + np.abs(values)), dtype=np.float32)
