@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +16,20 @@ from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, cut_out, laye
 from tapetum.detection.found import Found
 from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR, looks
 from tapetum.detection.registration import MATCHED, Registered, local_mean, register
-from tapetum.detection.score import load_score
+from tapetum.detection.score import Score, load_score
+from tapetum.detection.second import load_second, views
 from tapetum.errors import InputError, one_of
 
-__all__ = ["CHANNELS", "LARGEST_FRAME", "candidates_with_looks", "find_cameras", "find_each"]
+__all__ = [
+    "CHANNELS",
+    "LARGEST_FRAME",
+    "Candidates",
+    "candidates_with_looks",
+    "find_cameras",
+    "find_each",
+    "scored",
+    "second_look",
+]
 
 CHANNELS = ("mean", "red", "green", "blue")
 """What of a colour frame is searched: the mean of all three, or the one that the laser's wavelength falls into."""
@@ -29,6 +40,9 @@ _SATURATED = OF_A_FRAME.index("saturated")
 _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
 _MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
+# How many of the first candidates the second stage looks at, and the largest log odds that are believed of it: what it
+# does not see is as little of a camera as it can say.
+_LOOKED_AGAIN, _SUREST = 40, 9.0
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
 
@@ -107,16 +121,17 @@ def find_cameras(
         # What stands behind a hundred other places is rarely among the likeliest.
         most = _MOST_OF_A_PAIR
     octaves = layers(first, registered, largest)
-    found, measured = _candidates(octaves, registered, most, first)
-    log_odds = score.log_odds(measured)
+    candidates = _candidates(octaves, registered, most, first)
+    found, measured = candidates.columns, candidates.looks
+    log_odds = scored(candidates, score)
     alarms = score.false_alarms(log_odds)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
-        turned = score.log_odds(_candidates([one.swapped() for one in octaves], registered, most, first, True)[1])
+        turned = scored(_candidates([one.swapped() for one in octaves], registered, most, first, True), score)
         swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
-    probability = 1 / (1 + np.exp(-np.clip(log_odds, -500, 500)))
+    probability = score.probability(log_odds)
     return Found(
         x=found["x"][order],
         y=found["y"][order],
@@ -175,10 +190,26 @@ def find_each(
                 one.cancel()
 
 
+@dataclass(frozen=True)
+class Candidates:
+    """Candidates of a frame: columns of `NAMES` [N], looks [N, features], and which rows of a cut show them, [N]."""
+
+    NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak")
+    columns: dict[str, Array]
+    looks: Array
+    cut: Cut | None
+    rows: NDArray[np.int64]
+
+    @classmethod
+    def none(cls, width: int) -> Candidates:
+        """No candidates, of so many looks."""
+        return cls({name: np.empty(0) for name in cls.NAMES}, np.empty((0, width)), None, np.empty(0, np.int64))
+
+
 def candidates_with_looks(
     lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
-) -> tuple[dict[str, Array], Array]:
-    """Return candidates by column, [N] each, and their looks, [N, features].
+) -> Candidates:
+    """Return the candidates of a frame or a pair, before any is scored.
 
     Parameters
     ----------
@@ -191,17 +222,32 @@ def candidates_with_looks(
     return _candidates(layers(lit, registered, largest), registered, most, lit)
 
 
+def scored(candidates: Candidates, score: Score) -> Array:
+    """Log odds of candidates, [N]: of all by their looks and, in a pair, by the second stage of those put first."""
+    odds = score.log_odds(candidates.looks)
+    return odds + score.second * second_look(candidates, odds) if score.second else odds
+
+
+def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
+    """What the second stage says of a pair's candidates, [N]: of so many with the highest odds, of others the least."""
+    again = np.full(len(odds), -_SUREST)
+    if candidates.cut is not None:
+        best = np.sort(np.argsort(-odds, kind="stable")[:most])
+        told = load_second().log_odds(*views(candidates.cut, candidates.rows[best]), candidates.looks[best])
+        again[best] = np.clip(told, -_SUREST, _SUREST)
+    return again
+
+
 def _candidates(
     octaves: list[Layer], registered: Registered | None, most: int | None, lit: NDArray, swapped: bool = False
-) -> tuple[dict[str, Array], Array]:
+) -> Candidates:
     if most is None:
         most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
-    names = ("x", "y", "snr", "flux", "diameter", "peak")
     width = len(OF_A_FRAME) + (0 if registered is None else len(OF_A_PAIR))
     places = [screened(one, most) for one in octaves]
     count = [len(one.x) for one in places]
     if not sum(count):
-        return {name: np.empty(0) for name in names}, np.empty((0, width))
+        return Candidates.none(width)
     step = np.repeat([one.step for one in octaves], count).astype(np.float64)
     at = np.concatenate([np.stack([one.x, one.y], 1) for one in places])
     height = np.concatenate([one.height for one in places]).astype(np.float64)
@@ -213,7 +259,7 @@ def _candidates(
     of = np.repeat(np.arange(len(octaves)), count)[kept]
     cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
     if cut is None:
-        return {name: np.empty(0) for name in names}, np.empty((0, width))
+        return Candidates.none(width)
     table = _measured(cut)
     # The mean of the frame is that of the octave that was screened, which is smaller.
     wide = octaves[min(1, len(octaves) - 1)]
@@ -222,12 +268,12 @@ def _candidates(
     kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
     kept = kept[~_stuck(table[kept], lit, registered, swapped)]
     if not len(kept):
-        return {name: np.empty(0) for name in names}, np.empty((0, width))
+        return Candidates.none(width)
     table, features = table[kept], features[kept]
     # Below the median, for up to half of the candidates may be cameras.
     low, middle = np.quantile(table[:, 2], [0.2, 0.5])
     features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (middle - low + 0.3))
-    return dict(zip(names, table.T, strict=True)), features
+    return Candidates(dict(zip(Candidates.NAMES, table.T, strict=True)), features, cut, kept)
 
 
 def _at(grid: NDArray[np.float32], places: Array, shape: tuple[int, ...]) -> Array:

@@ -2,8 +2,11 @@
 
 The weights for a pair are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of
 real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what
-cross-validation by scene found. For one frame alone six scenes are too few to fit weights: three looks count the same,
-and only the scale of their sum is fitted.
+cross-validation by scene found. To their sum comes a share of the second stage's log odds (second.py). Probabilities
+are scaled so that they hold on those frames, each scene left out once. For one frame alone six scenes are too few
+to fit weights: three looks count the same, and only the scale of their sum is fitted; a second stage that was trained
+for it found fewer of the real cameras and is left out. What a score costs in false alarms was counted on the same
+frames and on drawn scenes without cameras.
 """
 
 from __future__ import annotations
@@ -34,21 +37,36 @@ class Score:
     offset
         Log odds of a candidate whose looks are all zero.
     alarms
-        Two numbers a, b: a frame has exp(a - b s) false alarms of log odds above s.
+        Log odds, rising, and how many false alarms a frame has above each. The logarithm of these is joined by straight
+        lines, which go on beyond both ends.
+    second
+        How much the second stage's log odds count; 0 where there is none.
+    calibration
+        Two numbers k, c: on frames that the weights were not fitted to, the log odds of a camera are k s + c.
     """
 
     weights: tuple[float, ...]
     offset: float
-    alarms: tuple[float, float]
+    alarms: tuple[tuple[float, ...], tuple[float, ...]]
+    second: float = 0.0
+    calibration: tuple[float, float] = (1.0, 0.0)
 
     def log_odds(self, looks: Array) -> Array:
         """Log odds of candidates whose looks are [N, features]: [N]."""
         return looks @ np.array(self.weights) + self.offset
 
+    def probability(self, log_odds: ArrayLike) -> Array:
+        """Probability of being a camera, [N], among candidates as often cameras as in the frames of the fit."""
+        k, c = self.calibration
+        return 1 / (1 + np.exp(-np.clip(k * np.asarray(log_odds, dtype=np.float64) + c, -500, 500)))
+
     def false_alarms(self, log_odds: ArrayLike) -> Array:
         """Expected false alarms a frame of at least these log odds, [N]."""
-        a, b = self.alarms
-        return np.exp(np.minimum(a - b * np.asarray(log_odds, dtype=np.float64), 50.0))
+        at, rate = np.array(self.alarms[0]), np.log(self.alarms[1])
+        odds = np.asarray(log_odds, dtype=np.float64)
+        slope = np.diff(rate)[[0, -1]] / np.diff(at)[[0, -1]]
+        beyond = slope[0] * np.minimum(odds - at[0], 0) + slope[1] * np.maximum(odds - at[-1], 0)
+        return np.exp(np.minimum(np.interp(odds, at, rate) + beyond, 50.0))
 
 
 @functools.cache
@@ -57,5 +75,7 @@ def load_score(pair: bool) -> Score:
     text = resources.files("tapetum.detection").joinpath("weights.json").read_text(encoding="utf-8")
     known = json.loads(text)["pair" if pair else "frame"]
     names = OF_A_FRAME + (OF_A_PAIR if pair else ())
-    a, b = known["alarms"]
-    return Score(tuple(known["weights"][name] for name in names), known["offset"], (a, b))
+    at, rate = known["alarms"]
+    weights = tuple(known["weights"][name] for name in names)
+    k, c = known["calibration"]
+    return Score(weights, known["offset"], (tuple(at), tuple(rate)), known["second"], (k, c))
