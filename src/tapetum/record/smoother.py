@@ -18,6 +18,7 @@ from typing import Self
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
+from scipy.ndimage import maximum_filter1d
 
 from tapetum.errors import InputError
 
@@ -285,7 +286,9 @@ def smooth(samples: Samples, times: Array, rate: float) -> Smoothed:
         if np.count_nonzero(around) < FEWEST:
             continue
         path = fit_path(samples.part(around))
-        odd = np.abs(path.surprise).max(axis=1) > STRAY
+        surprise = np.abs(path.surprise).max(axis=1)
+        # A stray makes its neighbours look odd too.
+        odd = (surprise > STRAY) & (surprise == maximum_filter1d(surprise, 9))
         if 0 < np.count_nonzero(odd) < 0.1 * len(odd):
             chosen = around.copy()
             chosen[np.flatnonzero(around)[odd]] = False
