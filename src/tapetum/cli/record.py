@@ -34,6 +34,9 @@ def record(
     rate: Annotated[
         float | None, option("HZ", "Frames a second: of a scene or of images (15), or asked of cameras.", min=0.1)
     ] = None,
+    target_rate: Annotated[
+        float | None, option("HZ", "Frames a second of the scene's target camera (those of --rate).", min=0.1, max=1000)
+    ] = None,
     seed: SeedIfGiven = None,
     changes: Changes = None,
     roll: Annotated[
@@ -57,10 +60,11 @@ def record(
 ) -> None:
     """Record probe and target, and label every frame by the laser in the target's own video.
 
-    The virtual bench films a scene's hand-held target; --seed, --set, --roll, --walk, --blink, --clutter and --stray
-    are its own. Of real sources, the probe's and that of --target-source, both are read at once until they end.
+    The virtual bench films a scene's hand-held target; --seed, --set, --roll, --walk, --blink, --clutter, --stray and
+    --target-rate are its own. Of real sources, the probe's and that of --target-source, both are read at once until
+    they end.
     """
-    for name, value in (("--seconds", seconds), ("--rate", rate), ("--roll", roll)):
+    for name, value in (("--seconds", seconds), ("--rate", rate), ("--roll", roll), ("--target-rate", target_rate)):
         if value is not None and not math.isfinite(value):
             raise InputError(f"must be finite, is {value}", where=name, remedy="give a number")
     real = _is_real(source)
@@ -73,6 +77,7 @@ def record(
             raise InputError(what, where=source, remedy=remedy)
         raise InputError("does not exist", where=source, remedy="give the probe's camera:0, video or folder of images")
     own = {"seed": seed, "set": changes, "roll": roll, "walk": walk, "blink": blink, "clutter": clutter}
+    own["target-rate"] = target_rate
     for name, value in {**own, "stray": stray or None}.items():
         if real and value is not None:
             what = f"belongs to scenes of the virtual bench; {source} is a real source"
@@ -133,6 +138,7 @@ def _session(scene: Scene, seconds: float, rate: float, own: dict[str, Any], str
         code=None if own["blink"] is None else BlinkCode(seed=own["blink"]),
         clutter=draw_clutter(scene, seed, own["clutter"] or 0),
         stray=draw_stray(scene, seed) if stray else (),
+        target_rate=own["target-rate"],
     )
 
 
