@@ -347,7 +347,7 @@ class Shot:
         # Rows that the spot's edges cover are exposed somewhat earlier and later.
         half = exposure / 2 + 20 * readout / self.picture[1]
         step = 2 * half / _MOMENTS
-        moments = at - half + step * (np.arange(_MOMENTS) + 0.5)
+        moments: Array = (at - half + step * (np.arange(_MOMENTS) + 0.5)).astype(np.float64)
         return Trail(moments - time, self._hands[0].gaze(moments), step, exposure, readout)
 
     def _target(self, i: int) -> npt.NDArray[np.uint8]:

@@ -165,7 +165,7 @@ def _bins(seconds: float) -> tuple[Array, npt.NDArray[np.intp]]:
     """Return frequencies [F] for a path of so many seconds, and the bin of each, [F]."""
     # Half the spacing of a Fourier series over that time, so that the ends of the path do not meet.
     step = 1 / (2 * seconds)
-    frequencies = np.arange(1, max(2, int(HIGHEST / step)) + 1) * step
+    frequencies: Array = (np.arange(1, max(2, int(HIGHEST / step)) + 1) * step).astype(np.float64)
     edges = [step / 2]
     while edges[-1] < frequencies[-1]:
         edges.append(edges[-1] + max(step, min(BIN, SHARE * edges[-1])))
