@@ -18,7 +18,7 @@ PLAIN = ("--set", "target.sensor={pixels: [648, 486], pitch: 8.8 um}")
 # What the commands say, not how well they know it, is asked for: a traced lens is planned in seconds.
 ROUGH = ("--set", "sampling.accuracy=0.3")
 TWO = ("--set", "illumination.lines=[{wavelength: 532 nm, power: 1 mW}]")
-KEYS = ["scene", "geometry", "link_budget", "sampling", "limit", "eye_safety"]
+KEYS = ["scene", "geometry", "link_budget", "sampling", "limit", "labels", "eye_safety"]
 THIN = ("hand-held", "thin-lens")
 NAMES = ["gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power"]
 

@@ -72,6 +72,16 @@ def test_it_keeps_where_the_target_really_looked(whole: Path):
     assert not {"true_gaze_x", "true_gaze_y"} & set(dataset.tp.targets)
 
 
+def test_it_keeps_how_sure_each_label_is(whole: Path):
+    dataset = open_dataset(whole)
+    for axis in "xy":
+        wide = dataset[f"gaze_{axis}_std"].values
+        assert (wide > 1e-5).all() and (wide < 0.0051).all()
+        error = np.abs(dataset[f"gaze_{axis}"].values - dataset[f"true_gaze_{axis}"].values)
+        assert (error < 1.645 * wide).mean() > 0.6
+    assert not {"gaze_x_std", "gaze_y_std"} & set(dataset.tp.targets)
+
+
 def test_the_last_fifth_of_every_video_tests(whole: Path):
     dataset = open_dataset(whole)
     for number, one in enumerate(dataset.tp.recordings):

@@ -176,6 +176,7 @@ def test_labels_follow_the_laser(tmp_path: Path) -> None:
     labels = recording.labels()
     assert labels is not None
     names = ["frame", "gaze_x", "gaze_y", "spot_x", "spot_y", "how", "quality", "reach_back", "reach_ahead"]
+    names += ["gaze_x_std", "gaze_y_std"]
     assert labels.column_names == names
     assert labels["frame"].to_pylist() == list(range(45)) and set(labels["how"].to_pylist()) == {"laser-spot"}
     spot = np.array([labels["spot_x"].to_numpy(), labels["spot_y"].to_numpy()]).T

@@ -32,7 +32,8 @@ def plan(
 
     JSON, in SI units: "scene"; "geometry"; "link_budget", a list, one entry a wavelength; "sampling" with "plan",
     "expected_error", "memory_bytes", "propagation" and "reason"; "limit" with "parameters", "units", "bounds" (all
-    others unknown), "alone" (all others known), "left_out" (and why) and "information", the Fisher matrix; "eye_safety"
+    others unknown), "alone" (all others known), "left_out" (and why) and "information", the Fisher matrix; "labels"
+    with "rms_error", of a hand-held target's gaze labels by the rate of its own camera; "eye_safety"
     with "computed", "reason" (why it was not), "laser_class", "at", "emission", "limits", "nohd", "aided_nohd" and
     "notice". null stands for what is infinite (a limit: the frame holds no information; a nohd: the hazard has no end;
     an expected error: no claim is made) and for what was not computed or is not there.
@@ -43,10 +44,11 @@ def plan(
         raise InputError(f"{parameters!r} has an empty name", where="--target-parameters", remedy=remedy)
     known = load_scene(scene, changes or ())
     # Torch takes a second to import.
-    from tapetum.simulate.planning import plan_bench
+    from tapetum.simulate.planning import label_line, plan_bench
 
     planned = plan_bench(known, names)
     if as_json:
         typer.echo(json.dumps({"scene": scene, **planned.as_dict()}, allow_nan=False))
     else:
-        typer.echo("\n".join(planned.lines()))
+        *lines, notice = planned.lines()
+        typer.echo("\n".join([*lines, *label_line(), notice]))

@@ -40,6 +40,9 @@ def record(
     rate: Annotated[
         float | None, option("HZ", "Frames a second: of a scene or of images (15), or asked of cameras.", min=0.1)
     ] = None,
+    target_rate: Annotated[
+        float | None, option("HZ", "Frames a second of the scene's target camera (those of --rate).", min=0.1, max=1000)
+    ] = None,
     seed: SeedIfGiven = None,
     changes: Changes = None,
     roll: Annotated[
@@ -75,11 +78,11 @@ def record(
 ) -> None:
     """Record probe and target, and label every frame by the laser in the target's own video.
 
-    The virtual bench films a scene's hand-held target; --seed, --set, --roll, --walk, --clutter and --stray are its
-    own. Of real sources, the probe's and that of --target-source, both are read at once until they end; --align,
-    --offset and --blinker are theirs. `tapetum cameras` lists what is plugged in.
+    The virtual bench films a scene's hand-held target; --seed, --set, --roll, --walk, --clutter, --stray and
+    --target-rate are its own. Of real sources, the probe's and that of --target-source, both are read at once until
+    they end; --align, --offset and --blinker are theirs. `tapetum cameras` lists what is plugged in.
     """
-    for name, value in (("--seconds", seconds), ("--rate", rate), ("--roll", roll)):
+    for name, value in (("--seconds", seconds), ("--rate", rate), ("--roll", roll), ("--target-rate", target_rate)):
         if value is not None and not math.isfinite(value):
             raise InputError(f"must be finite, is {value}", where=name, remedy="give a number")
     real = _is_real(source)
@@ -92,7 +95,7 @@ def record(
             raise InputError(what, where=source, remedy=remedy)
         raise InputError("does not exist", where=source, remedy="give the probe's camera:0, video or folder of images")
     clocks = _clocks(real, target is not None, blink, blinker, align, offset)
-    own = {"seed": seed, "set": changes, "roll": roll, "walk": walk, "clutter": clutter}
+    own = {"seed": seed, "set": changes, "roll": roll, "walk": walk, "clutter": clutter, "target-rate": target_rate}
     for name, value in {**own, "stray": stray or None}.items():
         if real and value is not None:
             what = f"belongs to scenes of the virtual bench; {source} is a real source"
@@ -153,6 +156,7 @@ def _session(scene: Scene, seconds: float, rate: float, own: dict[str, Any], str
         code=None if own["blink"] is None else BlinkCode(seed=own["blink"]),
         clutter=draw_clutter(scene, seed, own["clutter"] or 0),
         stray=draw_stray(scene, seed) if stray else (),
+        target_rate=own["target-rate"],
     )
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +13,7 @@ import pyarrow as pa
 from numpy.typing import NDArray
 
 from tapetum.data.crop import SIGMA
-from tapetum.data.dataset import DEVICE, QUANTITIES
+from tapetum.data.dataset import DEVICE, QUANTITIES, STD
 from tapetum.data.write import CHUNK, LARGEST_SIDE, Rules, dataset_writer
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
@@ -30,6 +30,9 @@ class FrameLabels:
     names: tuple[str, ...]
     # Values in the order of names, quality, and how far the label reaches back and ahead of the frame (s).
     by_frame: dict[int, tuple[NDArray[np.float32], float, NDArray[np.float64]]]
+    # Names of the labels with a known standard deviation, and those deviations by frame.
+    deviating: tuple[str, ...] = ()
+    deviations: dict[int, NDArray[np.float32]] = field(default_factory=dict)
 
 
 def _classes(recordings: Sequence[Recording]) -> list[str]:
@@ -61,9 +64,12 @@ def labels_of(recording: Recording, classes: list[str]) -> FrameLabels:
     frames = table.column("frame").to_numpy()
     values = np.stack([_column(table, name, classes).astype(np.float32) for name in names], axis=1)
     quality = _column(table, "quality") if "quality" in table.column_names else np.ones(len(frames))
-    good = np.isfinite(values).all(axis=1) & np.isfinite(quality)
+    deviating = tuple(name for name in names if f"{name}{STD}" in table.column_names)
+    wide = np.array([_column(table, f"{name}{STD}") for name in deviating], np.float32).reshape(-1, len(frames)).T
+    good = np.isfinite(values).all(axis=1) & np.isfinite(quality) & np.isfinite(wide).all(axis=1)
     rows = zip(frames[good], values[good], quality[good], _reach(recording, table)[good], strict=True)
-    return FrameLabels(names, {int(f): (v, float(q), r) for f, v, q, r in rows})
+    deviations = {int(f): one for f, one in zip(frames[good], wide[good], strict=True)}
+    return FrameLabels(names, {int(f): (v, float(q), r) for f, v, q, r in rows}, deviating, deviations)
 
 
 def _reach(recording: Recording, table: pa.Table) -> NDArray[np.float64]:
@@ -163,10 +169,19 @@ def build_dataset(
         found = ", ".join(f"{r.path.name} {source.full_scale}" for r, source in zip(opened, sources, strict=True))
         remedy = "build one dataset for each depth"
         raise InputError(f"frames differ in depth (full scale: {found})", where="recordings", remedy=remedy)
+    if len({label.deviating for label in labels}) > 1:
+        # Old labels have no deviations; a weight for some frames only would be a guess for the others.
+        labels = [replace(label, deviating=(), deviations={}) for label in labels]
     with dataset_writer(out, rules, labels[0].names, classes, sources[0].full_scale, overwrite=overwrite) as writer:
         for n, (recording, label, source) in enumerate(zip(opened, labels, sources, strict=True)):
             writer.told.append(add_frames(recording, n, label, writer.add, rules, source.count, progress))
     return Path(out)
+
+
+def _deviations(labels: FrameLabels, frame: int) -> dict[str, float]:
+    if not labels.deviating:
+        return {}
+    return {f"{name}{STD}": float(one) for name, one in zip(labels.deviating, labels.deviations[frame], strict=True)}
 
 
 def add_frames(
@@ -207,6 +222,7 @@ def add_frames(
             split=int(rules.split(frame.index, total)),
             label_back=back,
             label_ahead=ahead,
+            **_deviations(labels, frame.index),
         )
         used += 1
     meta = recording.meta

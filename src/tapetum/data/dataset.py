@@ -28,6 +28,7 @@ __all__ = [
     "EMBARGO",
     "FORMAT",
     "QUANTITIES",
+    "STD",
     "TEST",
     "TRAIN",
     "TRUE_GAZE",
@@ -52,6 +53,9 @@ QUANTITIES = {
 
 TRUE_GAZE = ("true_gaze_x", "true_gaze_y")
 """Variables of a synthesised set with the true gaze, which are not labels."""
+
+STD = "_std"
+"""Added to a label's name: the variable with its standard deviations, where they are known."""
 
 DEVICE = "device"
 """The only label that is a class: integers, named by the variable's attribute ``classes``."""
@@ -218,7 +222,8 @@ def open_dataset(path: str | Path) -> xr.Dataset:
     xarray.Dataset
         ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels of the
         frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``label_back``, ``label_ahead`` (s,
-        time span of the measurements behind a label), ``split``; in synthesised sets also ``true_gaze_x`` and
+        time span of the measurements behind a label), ``split``; where known ``gaze_x_std`` and ``gaze_y_std``, the
+        standard deviations of the labels; in synthesised sets also ``true_gaze_x`` and
         ``true_gaze_y``. See `DatasetAccessor`.
 
     Raises

@@ -22,6 +22,7 @@ from tapetum.data.dataset import (
     EMBARGO,
     FORMAT,
     QUANTITIES,
+    STD,
     TEST,
     TRAIN,
     TRUE_GAZE,
@@ -183,6 +184,10 @@ class DatasetWriter:
         """Write the variables along ``frame``; return them as they are stored."""
         kinds = {name: (np.float32, {"units": QUANTITIES[name]}) for name in self._names if name != DEVICE} | _COLUMNS
         kinds |= {name: _TRUE for name in TRUE_GAZE if name in self._columns}
+        for name in self._names:
+            if f"{name}{STD}" in self._columns:
+                about = {"units": QUANTITIES[name], "long_name": "standard deviation of the label"}
+                kinds[f"{name}{STD}"] = (np.float32, about)
         found = {name: (np.asarray(self._columns[name], kind), about) for name, (kind, about) in kinds.items()}
         if DEVICE in self._names:
             named = [self._classes[int(number)] for number in self._columns[DEVICE]]

@@ -288,7 +288,7 @@ def _content(
                 "clocks",
                 f"two cameras at {session.rate:g} frames a second, {session.probe_clock.jitter * 1e3:g} ms jitter, "
                 f"{session.probe_clock.loss:.1%} of frames lost, "
-                f"the target {session.target_clock.offset * 1e3:g} ms late",
+                f"the target's frames late by {_lag(session)}",
             ),
         ],
         picture=picture,
@@ -342,6 +342,11 @@ def _content(
             ),
         ],
     )
+
+
+def _lag(session: Session) -> str:
+    offset = session.target_clock.offset
+    return "a random part of a frame" if offset is None else f"{offset * 1e3:g} ms"
 
 
 def _band(band: tuple[float, float]) -> str:

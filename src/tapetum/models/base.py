@@ -13,7 +13,7 @@ import torch
 import xarray as xr
 from numpy.typing import NDArray
 
-from tapetum.data.dataset import DEVICE, TRAIN, image_batches
+from tapetum.data.dataset import DEVICE, STD, TRAIN, image_batches
 from tapetum.data.embargo import meeting, reach_of
 from tapetum.errors import InputError
 from tapetum.models.domain import Domain, judged
@@ -214,6 +214,10 @@ def quantities_of(names: tuple[str, ...]) -> tuple[str, ...]:
     return tuple(name for name in names if name != DEVICE)
 
 
+# Error of a model that the labels' own is compared with, as a part of the labels' spread.
+OWN_ERROR = 0.02
+
+
 @dataclass(frozen=True)
 class TrainingPart:
     """The training frames of a dataset, divided into those that fit, calibrate and choose.
@@ -234,6 +238,26 @@ class TrainingPart:
     full_scale: float
     data_hash: str
     choose: NDArray[np.intp] = field(default_factory=lambda: np.empty(0, np.intp))
+
+    @property
+    def weights(self) -> NDArray[np.float64] | None:
+        """Weights [N, K] of the labels by their standard deviations, with a mean of 1; None where none are known.
+
+        A label's variance adds to the model's own, which is not known before training: a fiftieth of the labels'
+        spread stands for it, about what a network reaches on gaze. So labels much surer than that weigh alike.
+        """
+        known = [f"{name}{STD}" in self.dataset for name in self.quantities]
+        if not any(known):
+            return None
+        own = OWN_ERROR * self.targets.std(axis=0)
+        found = np.ones(self.targets.shape)
+        for k, name in enumerate(self.quantities):
+            if known[k]:
+                found[:, k] = 1 / (1 + (np.asarray(self.dataset[f"{name}{STD}"].values, np.float64) / own[k]) ** 2)
+        if not np.isfinite(found).all():
+            what = "holds standard deviations of labels that are not numbers"
+            raise InputError(what, where="dataset", remedy="build it again")
+        return found / found.mean(axis=0)
 
     @property
     def summary(self) -> dict[str, Any]:

@@ -26,14 +26,21 @@ class MixedLoss:
     """Smooth L1 on standardised quantities, plus cross-entropy on the class.
 
     The first `quantities` outputs are quantities, the others class scores; the last target column is the class number.
+    With `weighted` the targets' columns after the quantities are the weights of these.
     """
 
     quantities: int
+    weighted: bool = False
 
     def __call__(self, output: Tensor, target: Tensor) -> Tensor:
-        """Return the mean loss of outputs [n, K + C] for targets [n, K] or [n, K + 1]."""
+        """Return the mean loss of outputs [n, K + C] for targets [n, K] or [n, K + 1], with weights K columns more."""
         k = self.quantities
-        quantities = SmoothL1()(output[:, :k], target[:, :k]) if k else output.new_zeros(())
+        quantities = output.new_zeros(())
+        if k and self.weighted:
+            each = F.smooth_l1_loss(output[:, :k], target[:, :k], beta=SmoothL1().beta, reduction="none")
+            quantities = (each * target[:, k : 2 * k]).mean()
+        elif k:
+            quantities = SmoothL1()(output[:, :k], target[:, :k])
         if output.shape[1] == k:
             return quantities
         return quantities + F.cross_entropy(output[:, k:], target[:, k].long())

@@ -191,6 +191,9 @@ class NetworkEstimator(Estimator):
         k, device = len(self.quantities), training_device(self.device)
         network = ARCHITECTURES[self.kind](k + len(part.classes), seed=self.seed)
         columns = [(part.targets - self._centre) / self._spread]
+        weights = part.weights
+        if weights is not None:
+            columns.append(weights)
         if part.camera is not None:
             columns.append(part.camera[:, None].astype(np.float64))
         wanted = torch.from_numpy(np.concatenate(columns, axis=1).astype(np.float32))
@@ -211,7 +214,7 @@ class NetworkEstimator(Estimator):
             images[fit],
             wanted[fit],
             self.settings,
-            loss=MixedLoss(k),
+            loss=MixedLoss(k, weights is not None),
             validate=validate if len(aside) else None,
             device=self.device,
             processes=self.processes,

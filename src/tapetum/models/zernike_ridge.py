@@ -154,7 +154,10 @@ class ZernikeRidge(Estimator):
             self.mean_, self.scale_ = (x.mean(axis=0), np.where(spread > 1e-12 * np.abs(x).max(axis=0), spread, 1.0))
             x = (x - self.mean_) / self.scale_
         self.alpha_ = _best_alpha(x, y) if self.alpha == "cv" else float(self.alpha)
-        ridge = Ridge(alpha=self.alpha_, solver="svd").fit(x, y)
+        weights = part.weights
+        # One weight for a frame: the solver has one for all quantities.
+        sure = None if weights is None else weights[part.fit].mean(axis=1)
+        ridge = Ridge(alpha=self.alpha_, solver="svd").fit(x, y, sample_weight=sure)
         self.coef_ = np.asarray(ridge.coef_, dtype=np.float64).reshape(len(self.target_names), -1)
         self.intercept_ = np.asarray(ridge.intercept_, dtype=np.float64).reshape(-1)
         aside = part.calibrate

@@ -1,9 +1,9 @@
-"""Times of camera frames: clocks with jitter, drift and lost frames."""
+"""Times of camera frames: clocks with lag, jitter, drift and lost frames, and shutters that roll."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -30,18 +30,35 @@ class CameraClock:
     ----------
     offset, jitter
         Delay of the first frame after the recording's start, and RMS deviation of frames from an even beat, in seconds.
+        An offset of None is drawn evenly over a frame interval, as of a camera without a trigger.
     drift, loss
         Relative error of its monotonic clock, and probability that a frame is lost.
+    rate_error
+        Largest relative deviation of its frame rate from the nominal one; each recording draws its own.
+    readout
+        Time from the exposure of the first row to that of the last, in seconds; 0 for a global shutter. A frame's time
+        is that of its middle row. It is at most 0.9 of the frame interval.
     """
 
-    offset: float = 0.0
+    offset: float | None = 0.0
     jitter: float = 1.5e-3
     drift: float = 2e-5
     loss: float = 0.004
+    rate_error: float = 0.0
+    readout: float = 0.0
+
+    def drawn(self, rate: float, rng: np.random.Generator) -> Self:
+        """Return the clock of one recording at a nominal rate in Hz, with everything random drawn."""
+        lag, error = rng.uniform(0, 1 / rate), rng.uniform(-self.rate_error, self.rate_error)
+        offset = lag if self.offset is None else self.offset
+        return replace(self, offset=offset, rate_error=error, readout=min(self.readout, 0.9 / rate))
 
     def draw(self, count: int, rate: float, rng: np.random.Generator) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-        """Return the times of the frames that were kept, in seconds from the start, and the number lost before each."""
-        times = self.offset + np.arange(count) / rate
+        """Return the times of the frames that were kept, in seconds from the start, and the number lost before each.
+
+        An offset of None counts as 0: see `drawn`.
+        """
+        times = (self.offset or 0.0) + np.arange(count) / (rate * (1 + self.rate_error))
         # At most a quarter of the frame interval, so that no two frames change places.
         times += np.clip(self.jitter * rng.standard_normal(count), -0.25 / rate, 0.25 / rate)
         kept = np.flatnonzero(np.r_[True, rng.random(count - 1) >= self.loss] if count else [])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,17 @@ class Joined:
 
     def __len__(self) -> int:
         return len(self.before)
+
+    def at_rows(self, rows: np.ndarray, moments: np.ndarray) -> Joined:
+        """Return the same neighbours at times of their own, where a shutter rolls.
+
+        `rows` [M] are the times of what is interpolated in the other stream's frames, `moments` [N] those of this
+        stream's frames, both in seconds from the other stream's first frame.
+        """
+        low, high = rows[np.maximum(self.before, 0)], rows[np.maximum(self.after, 0)]
+        inside = self.found & (high > low)
+        weight = np.where(inside, (moments - low) / np.where(inside, high - low, 1), 0.0)
+        return replace(self, times=rows, weight=weight)
 
     def interpolate(self, values: np.ndarray) -> np.ndarray:
         """Interpolate values [M] or [M, K] of the other stream's frames at each frame of this one: [N] or [N, K].

@@ -148,6 +148,13 @@ class Recording:
         video, full_scale = existing(self.video(stream)), int(info.full_scale or 0)
         return RecordingSource(video, stream, full_scale, times, self.finished, info.rate, tuple(known))
 
+    def readout(self, stream: str) -> float:
+        """Return the time from the exposure of a stream's first row to that of its last, in s; 0 where unknown."""
+        clocks = self.meta.get("clocks")
+        one = clocks.get(stream) if isinstance(clocks, dict) else None
+        found = one.get("readout") if isinstance(one, dict) else None
+        return float(found) if isinstance(found, int | float) and 0 <= found < 1 else 0.0
+
     def labels(self) -> pa.Table | None:
         """Return the labels, or None before there are any."""
         return read_table(self.path / LABELS) if (self.path / LABELS).exists() else None

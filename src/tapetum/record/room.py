@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -10,9 +11,37 @@ import numpy.typing as npt
 
 from tapetum.record.patch import add_patch, bell
 
-__all__ = ["Room"]
+__all__ = ["Room", "Trail"]
 
 _SPOT_REACH = 12
+
+
+@dataclass(frozen=True, eq=False)
+class Trail:
+    """The laser's path over the target's field during a frame.
+
+    Attributes
+    ----------
+    moments, gaze
+        [S] s from the frame's time, the middle of its middle row's exposure, and the laser's places then, [S, 2] in
+        fractions of the field.
+    step
+        Time from one moment to the next, in seconds.
+    exposure, readout
+        Exposure time, and time from the exposure of the first row to that of the last, in seconds.
+    """
+
+    moments: npt.NDArray[np.float64]
+    gaze: npt.NDArray[np.float64]
+    step: float
+    exposure: float
+    readout: float
+
+    def light(self, moment: float, rows: npt.NDArray[np.int64], height: int) -> npt.NDArray[np.float64]:
+        """Return the share [R] of their exposure that rows [R] of `height` collect around a moment."""
+        middle = self.readout * (rows - (height - 1) / 2) / height
+        inside = np.clip((self.exposure / 2 - np.abs(moment - middle)) / self.step + 0.5, 0, 1)
+        return inside * self.step / self.exposure
 
 
 class Room:
@@ -39,13 +68,15 @@ class Room:
         laser: float = 1.0,
         exposure: float = 1.0,
         second: tuple[float, float, float] | None = None,
+        trail: Trail | None = None,
     ) -> npt.NDArray[np.uint8]:
         """Return the target's noisy 8-bit image of the room, [rows, columns].
 
         `gaze` [2] is the laser's place in fractions of the field, `rng` draws the noise. `roll` rotates the camera
         about its axis, in radians from x to y; `nearer` magnifies the room. `laser` and `exposure` are relative to
         their usual values. `second` is the offset (x, y) of the second beam's spot in pixels, at no roll, and its
-        relative height.
+        relative height. `trail` is the laser's path during the exposure, of which the spot is the mean; None where it
+        stands. Only the spot shows that path: the room stands still during an exposure.
         """
         x = (self.columns - 1) / 2 + gaze[0] * self.columns
         y = (self.rows - 1) / 2 + gaze[1] * self.rows
@@ -58,9 +89,9 @@ class Room:
         scene = np.asarray(moved, np.float32)
         if laser:
             dx, dy, ratio = second or (0.0, 0.0, 0.0)
-            for spot, share in (((x, y), 1.0), ((x + c * dx + s * dy, y - s * dx + c * dy), ratio)):
+            for aside, share in (((0.0, 0.0), 1.0), ((c * dx + s * dy, -s * dx + c * dy), ratio)):
                 if share:
-                    add_patch(scene, bell(spot, self.spot_peak * (share * laser), self.spot_sigma, _SPOT_REACH), 1.0)
+                    self._add_spot(scene, (x, y), aside, self.spot_peak * (share * laser), trail)
         if exposure != 1:
             scene *= np.float32(exposure)
         # Shot noise of a full well of 6500 electrons at 8 bits, and 2 electrons of read noise.
@@ -70,6 +101,27 @@ class Room:
         scene += noise
         np.rint(scene, out=scene)
         return np.clip(scene, 0, 255, out=scene).astype(np.uint8)
+
+    def _add_spot(
+        self,
+        scene: npt.NDArray[np.float32],
+        place: tuple[float, float],
+        aside: tuple[float, float],
+        height: float,
+        trail: Trail | None,
+    ) -> None:
+        """Add a spot `aside` of the laser's place, both in pixels, or its mean over a trail."""
+        if trail is None:
+            spot = (place[0] + aside[0], place[1] + aside[1])
+            add_patch(scene, bell(spot, height, self.spot_sigma, _SPOT_REACH), 1.0)
+            return
+        middle, size = (self.columns - 1) / 2, np.array([self.columns, self.rows])
+        places = np.array([middle, (self.rows - 1) / 2]) + trail.gaze * size + np.array(aside)
+        for moment, spot in zip(trail.moments, places, strict=True):
+            patch = bell(spot, height, self.spot_sigma, _SPOT_REACH)
+            share = trail.light(float(moment), patch.top + np.arange(len(patch.light)), self.rows)
+            if share.any():
+                add_patch(scene, patch._replace(light=patch.light * share[:, None].astype(np.float32)), 1.0)
 
 
 def _furnish(width: int, height: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:

@@ -39,6 +39,12 @@ class Placed:
     seed: int = 0
 
 
+def _untriggered() -> CameraClock:
+    """Clock of a video camera without a trigger: its frames lag by any part of an interval, its rate is off by up to
+    a thousandth (as 29.97 of 30 Hz), and its rows are read one after another, as in most phones (assumed: 15 ms)."""
+    return CameraClock(offset=None, drift=-3e-5, rate_error=1e-3, readout=0.015)
+
+
 @dataclass(frozen=True)
 class Session:
     """Length of a take, motion of the target, clocks, light, and other objects in the image.
@@ -47,6 +53,8 @@ class Session:
     ----------
     seconds, rate, start
         Length, frames per second of both cameras, and UTC of the beginning.
+    target_rate
+        Frames per second of the target's camera; None for the probe's.
     seed
         Of everything random. The same scene, session and seed give the same frames.
     motion
@@ -72,7 +80,7 @@ class Session:
     seed: int = 0
     motion: HandMotion = field(default_factory=HandMotion)
     probe_clock: CameraClock = field(default_factory=CameraClock)
-    target_clock: CameraClock = field(default_factory=lambda: CameraClock(offset=0.021, drift=-3e-5))
+    target_clock: CameraClock = field(default_factory=_untriggered)
     start: datetime = datetime(2026, 1, 1, tzinfo=UTC)
     laser: bool = True
     code: BlinkCode | None = None
@@ -84,8 +92,12 @@ class Session:
     stray: tuple[Stray, ...] = ()
     clutter: tuple[Clutter, ...] = ()
     others: tuple[Placed, ...] = ()
+    target_rate: float | None = None
 
     def __post_init__(self) -> None:
+        if self.target_rate is not None and not 0 < self.target_rate <= 1000:
+            what = f"must lie above 0 and up to 1000 Hz, is {self.target_rate}"
+            raise InputError(what, where="target_rate", remedy="give frames per second")
         if self.seed < 0:
             raise InputError(f"must not be negative, is {self.seed}", where="seed", remedy="give 0 or more")
         if not 0 <= self.power_jitter < 0.3:
@@ -111,7 +123,7 @@ class Session:
             "seed": self.seed,
             "seconds": self.seconds,
             "motion": self.motion.as_dict(),
-            "clocks": {"probe": vars(self.probe_clock), "target": vars(self.target_clock)},
+            "clocks": {"probe": asdict(self.probe_clock), "target": asdict(self.target_clock)},
             "laser": {
                 "seen_by_target": self.laser,
                 "power_jitter": self.power_jitter,

@@ -21,7 +21,7 @@ from tapetum.record.motion import Hand
 from tapetum.record.noise import counts
 from tapetum.record.patch import add_patch, moved
 from tapetum.record.returns import Flashes, Returns, flashes_of, returns_of
-from tapetum.record.room import Room
+from tapetum.record.room import Room, Trail
 from tapetum.record.session import Placed, Session
 from tapetum.record.source import Frame, Stored
 from tapetum.record.stray import Ground
@@ -30,9 +30,11 @@ __all__ = ["BenchCamera", "Shot", "probe_frames"]
 
 Array = npt.NDArray[np.float64]
 # Seeds that separate the random draws of one recording; the target's camera adds 1 to the first four.
-_CLOCK, _NOISE, _POWER, _EXPOSURE, _CLUTTER, _DOTS = 3, 5, 7, 9, 11, 12
+_CLOCK, _NOISE, _POWER, _EXPOSURE, _CLUTTER, _DOTS, _LAG = 3, 5, 7, 9, 11, 12, 13
 # Exposure of the target's camera, in seconds: assumed, as of a video camera in a lit room.
 _TARGET_EXPOSURE = 0.01
+# Moments within an exposure at which a moving spot is drawn.
+_MOMENTS = 24
 # Most columns of the target's pictures: those of a phone's preview, not of its photographs.
 _WIDEST_PICTURE = 1000
 
@@ -42,8 +44,8 @@ class BenchCamera(Stored):
 
     Attributes
     ----------
-    beat
-        When its frames are taken.
+    beat, clock
+        When its frames are taken, and the clock that was drawn for it.
     seconds, factor
         The scene's exposure time, and [T] that of each frame relative to it.
     share, power
@@ -52,12 +54,16 @@ class BenchCamera(Stored):
 
     def __init__(self, shot: Shot, name: str, seconds: float, size: tuple[int, int], bits: int) -> None:
         session = shot.session
-        self.shot, self.name, self.rate, self.seconds = shot, name, session.rate, seconds
+        self.shot, self.name, self.seconds = shot, name, seconds
         self.full_scale = 2**bits - 1
         self._nothing = np.empty((0, size[1], size[0]), np.uint8 if bits <= 8 else np.uint16)
         self._number = int(name == "target")
-        self._clock = session.target_clock if self._number else session.probe_clock
-        self.beat = Beat(*self._clock.draw(session.frames, session.rate, self._rng(_CLOCK)))
+        clock, own = (session.probe_clock, None) if not self._number else (session.target_clock, session.target_rate)
+        self.rate = own or session.rate
+        # Lag and rate have a generator of their own, so that jitter and losses do not depend on them.
+        self.clock = clock.drawn(self.rate, self._rng(_LAG))
+        frames = max(session.frames, 1) if own is None else max(round(session.seconds * own), 1)
+        self.beat = Beat(*self.clock.draw(frames, self.rate, self._rng(_CLOCK)))
         self.count, times = len(self.beat), self.beat.times
         exposure = session.target_exposure if self._number else session.exposure
         self.factor = exposure.at(times, self._rng(_EXPOSURE), shot.spread(times))
@@ -95,7 +101,7 @@ class BenchCamera(Stored):
                 f"{self.name}[{i}]",
                 self.full_scale,
                 utc_ns=self.shot.session.start_ns + round(t * 1e9),
-                monotonic_ns=round((t + 1e3) * (1 + self._clock.drift) * 1e9),
+                monotonic_ns=round((t + 1e3) * (1 + self.clock.drift) * 1e9),
                 exposure=float(self.seconds * self.factor[i]),
                 lit=bool(self.share[i] > 0.5),
                 lost=int(self.beat.dropped_before[i]),
@@ -186,10 +192,11 @@ class Shot:
         `imaging` (share of the exposure in which the target images).
         """
         size = np.array(self.picture)
-        gaze = self._first_held[0]
+        # Where the spot is when its row is exposed.
+        seen = self._hands[0].gaze(self._row_times)
         tables = [
             *(self._true("probe", n, returns[0].pixels) for n, returns in enumerate(self._returns)),
-            self._true("target", 0, (size - 1) / 2 + gaze * size),
+            self._true("target", 0, (size - 1) / 2 + seen * size),
         ]
         return pa.concat_tables(tables)
 
@@ -218,7 +225,9 @@ class Shot:
             for one, own in zip(self._placed[1:], self._scenes[1:], strict=True)
         ]
         phases = [self._phase(n) for n in range(len(self._scenes))]
-        return {"scene": scene_dict(self.scene), **self.session.as_dict(), "others": others, "dot_phases": phases}
+        clocks = {name: asdict(camera.clock) for name, camera in self.cameras.items()}
+        held = {**self.session.as_dict(), "clocks": clocks}
+        return {"scene": scene_dict(self.scene), **held, "others": others, "dot_phases": phases}
 
     def spread(self, times: Array) -> Array:
         """Return the irradiance at the filming target at times [T], relative to that at the scene's distance, [T]."""
@@ -321,6 +330,26 @@ class Shot:
     def _first_held(self) -> tuple[Array, Array, Array, Array]:
         return self._held(0, self._filming.beat.times)
 
+    @cached_property
+    def _row_times(self) -> Array:
+        """Times [T] of the target's frames at which the row of the laser's spot is exposed, in seconds."""
+        times, readout = self._filming.beat.times, self._filming.clock.readout
+        found = times
+        # The spot moves by far less than a frame in a readout: each round leaves a hundredth of the error or less.
+        for _ in range(4 if readout else 0):
+            found = times + readout * self._hands[0].gaze(found)[:, 1]
+        return found
+
+    def _trail(self, i: int) -> Trail:
+        """Return the laser's path over the target's field while the rows about it are exposed."""
+        time, at = float(self._filming.beat.times[i]), float(self._row_times[i])
+        exposure, readout = float(self._filming.seconds * self._filming.factor[i]), self._filming.clock.readout
+        # Rows that the spot's edges cover are exposed somewhat earlier and later.
+        half = exposure / 2 + 20 * readout / self.picture[1]
+        step = 2 * half / _MOMENTS
+        moments: Array = (at - half + step * (np.arange(_MOMENTS) + 0.5)).astype(np.float64)
+        return Trail(moments - time, self._hands[0].gaze(moments), step, exposure, readout)
+
     def _target(self, i: int) -> npt.NDArray[np.uint8]:
         gaze, _, roll, distance = (one[i] for one in self._first_held)
         light = float(self._filming.power[i]) if self.session.laser else 0.0
@@ -332,6 +361,7 @@ class Shot:
             laser=light * float(self.scene.illumination.spread(distance, self.scene.distance)),
             exposure=float(self._filming.factor[i]),
             second=self._second,
+            trail=self._trail(i),
         )
 
     @cached_property

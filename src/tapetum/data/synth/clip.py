@@ -12,6 +12,7 @@ import pyarrow as pa
 
 from tapetum.data.synth.plan import Video
 from tapetum.record.recording import Recording, RecordingSource, StreamInfo
+from tapetum.record.smoother import block_seconds
 from tapetum.record.source import Frame
 
 if TYPE_CHECKING:
@@ -20,8 +21,9 @@ if TYPE_CHECKING:
 __all__ = ["Clip"]
 
 MARGIN = 13
-"""Target frames on either side that affect a label: `tapetum.record.spot.follow` uses four good ones around each of the
-three that may confirm a doubtful one, and interpolation one more beyond the next."""
+"""Target frames on either side that affect a place: `tapetum.record.spot.follow` uses four good ones around each of the
+three that may confirm a doubtful one, and interpolation one more beyond the next. Smoothing needs whole blocks besides:
+`tapetum.record.smoother.block_seconds`."""
 
 _BATCH = 16
 
@@ -40,7 +42,8 @@ class ClipSource(RecordingSource):
             images = make(self.begin + start, self.begin + stop)
             for n, image in enumerate(images, start):
                 index = self.begin + n
-                yield Frame(index, float(self.times[n]), image, f"{self.name}[{index}]", self.full_scale)
+                where, exposure = f"{self.name}[{index}]", self.shot.exposure(self.stream, index)
+                yield Frame(index, float(self.times[n]), image, where, self.full_scale, exposure=exposure)
 
 
 @dataclass(frozen=True)
@@ -65,13 +68,17 @@ class Clip(Recording):
         low = high = 0
         if first < last:
             ends = shot.beats["probe"].times[[first, last - 1]]
-            low, high = (int(index) for index in np.searchsorted(target, ends))
+            length, back, ahead = block_seconds(shot.cameras["target"].rate)
+            blocks = np.floor((ends - target[0]) / length) * length + target[0]
+            wanted = np.stack([np.minimum(blocks - back, ends), np.maximum(blocks + length + ahead, ends)])
+            low, high = (int(index) for index in np.searchsorted(target, [wanted[0, 0], wanted[1, 1]]))
         ranges = {"probe": (first, last), "target": (max(0, low - MARGIN), min(len(target), high + MARGIN))}
         # An empty range of frames still has the size of an image.
         (_, rows, columns), (_, high, wide) = shot.probe(0, 0).shape, shot.target(0, 0).shape
         probe = StreamInfo(rows, columns, video.scene.probe.sensor.bits)
-        streams = {"probe": probe, "target": StreamInfo(high, wide)}
-        return cls(Path(video.name), {}, streams, shot, ranges, video.labels)
+        streams = {"probe": probe, "target": StreamInfo(high, wide, rate=shot.cameras["target"].rate)}
+        meta = {"clocks": {name: {"readout": camera.clock.readout} for name, camera in shot.cameras.items()}}
+        return cls(Path(video.name), meta, streams, shot, ranges, video.labels)
 
     def utc_ns(self, stream: str) -> np.ndarray:
         """Return times of the clip's frames of a stream in nanoseconds from the shot's start, [N] int64."""
