@@ -12,7 +12,7 @@ from tapetum.progress import Progress, quiet
 from tapetum.record.blobs import Candidates, find_candidates
 from tapetum.record.clocks import Joined, join
 from tapetum.record.recording import Recording
-from tapetum.record.smoother import Samples, Smoothed, smooth
+from tapetum.record.smoother import FEWEST, Samples, Smoothed, smooth
 
 __all__ = ["LabelSummary", "NoLaserError", "Spot", "find_spot", "label_recording"]
 
@@ -232,7 +232,8 @@ def label_recording(
         Seconds from the exposure of the target's first row to that of its last; by default what the recording says, or
         0. A frame's UTC is that of its middle row.
     widest
-        Largest standard deviation of a label along either axis, in fractions of the field.
+        Largest standard deviation of a label along either axis, in fractions of the field; recordings of fewer than 64
+        spots keep wider ones.
 
     Raises
     ------
@@ -287,7 +288,8 @@ def label_recording(
         STEADY / max(float(np.median([c.snr[0] for c, one in zip(found, good, strict=True) if one])), 1e-3) / size[0]
     )
     gaze, wide = path.places * size[0] / size, np.hypot(path.deviations, steady)[:, None] * size[0] / size
-    sure = near & (wide.max(axis=1) <= widest)
+    # Too few spots to fit a spectrum to: labels keep their wide deviations, or a short recording would have none.
+    sure = near & ((wide.max(axis=1) <= widest) | ((len(samples) < FEWEST) & np.isfinite(path.deviations)))
     refused, labelled = there & near & ~sure, there & sure
     spot = gaze * size + (size - 1) / 2
     both = np.zeros(len(joined))
