@@ -1,4 +1,7 @@
-"""From a frame, or a lit and a dark one, to the cameras in it."""
+"""From a frame, or a lit and a dark one, to the cameras in it.
+
+One file of more than 400 lines: all ways in (one frame, a pair, several at once, a video's detector) share its stages.
+"""
 
 from __future__ import annotations
 
