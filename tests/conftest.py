@@ -27,6 +27,8 @@ _LONGEST = (
     "test_any_scene.py",
     "test_simulation_fit.py",
     "test_domain.py",
+    "test_smoother.py",
+    "test_sync.py",
     "test_tolerances.py",
     "test_following.py",
     "test_traced_return.py",

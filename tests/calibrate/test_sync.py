@@ -49,6 +49,7 @@ def blinked(
     return code
 
 
+@pytest.mark.slow
 def test_lag_and_drift_lie_within_their_errors(tmp_path: Path) -> None:
     deviates = []
     for seed, (lag, drift, words, rate) in enumerate(

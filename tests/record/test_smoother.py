@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 
 import numpy as np
 import pytest
@@ -115,13 +114,6 @@ def test_a_part_of_a_recording_gives_the_whole_s_path() -> None:
     part: Smoothed = smooth(samples.part(held), asked[inside], 30)
     np.testing.assert_allclose(part.places, whole.places[inside], atol=1e-9)
     np.testing.assert_allclose(part.deviations, whole.deviations[inside], atol=1e-9)
-
-
-def test_25_seconds_at_60_frames_take_seconds() -> None:
-    samples, asked, _ = sampled(60, 26, seconds=25.0)
-    start = time.process_time()
-    smooth(samples, asked, 60)
-    assert time.process_time() - start < 15
 
 
 def test_neighbours_at_the_times_of_their_rows() -> None:
