@@ -73,6 +73,7 @@ def test_lag_and_drift_lie_within_their_errors(tmp_path: Path) -> None:
     assert np.abs(deviates).max() < 3 and np.sqrt(np.mean(np.square(deviates))) < 1.5, deviates
 
 
+@pytest.mark.slow
 def test_words_at_one_phase_of_the_frames_tell_no_more_than_one(tmp_path: Path) -> None:
     """Nine seconds are 135 frames: every flank falls on one place between two frames."""
     for every, name in ((9.0, "locked"), (9.041, "free")):
