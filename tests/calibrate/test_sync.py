@@ -103,7 +103,8 @@ def test_the_command_and_its_misuse(tmp_path: Path, capsys: pytest.CaptureFixtur
 
     def run(*words: object) -> tuple[int, str, str]:
         code = main(["calibrate", "sync", *map(str, words)])
-        return code, *capsys.readouterr()
+        said = capsys.readouterr()
+        return code, said.out, said.err
 
     out = tmp_path / "s.yaml"
     code, said, _ = run(tmp_path / "a.rec", "--blink", 7, "-o", out)

@@ -37,10 +37,10 @@ def pattern(count: int = 24) -> np.ndarray:
 @pytest.mark.parametrize(
     ("name", "f_number", "distance", "rotation"),
     [
-        pytest.param(*("phone-d", 8.0, 2.0, (0.0, 0.0)), marks=pytest.mark.slow),
+        pytest.param("phone-d", 8.0, 2.0, (0.0, 0.0), marks=pytest.mark.slow),
         ("phone-d", 8.0, 2.0, (0.004, 0.011)),
-        pytest.param(*("phone-d", 8.0, 0.15, (-0.013, 0.002)), marks=pytest.mark.slow),
-        pytest.param(*("compact-6mm-f1.9", 8.0, 2.0, (-0.009, 0.003)), marks=pytest.mark.slow),
+        pytest.param("phone-d", 8.0, 0.15, (-0.013, 0.002), marks=pytest.mark.slow),
+        pytest.param("compact-6mm-f1.9", 8.0, 2.0, (-0.009, 0.003), marks=pytest.mark.slow),
         ("compact-6mm-f1.9", 8.0, 0.4, (0.005, -0.006)),
     ],
 )
