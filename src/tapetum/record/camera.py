@@ -11,7 +11,7 @@ import numpy as np
 
 from tapetum.errors import InputError
 from tapetum.record.images import hushed, to_grey
-from tapetum.record.source import Frame
+from tapetum.record.source import Arrival, Live
 
 __all__ = ["Camera", "is_camera"]
 
@@ -38,7 +38,7 @@ def is_camera(source: str) -> bool:
     return source.startswith(PREFIX)
 
 
-class Camera:
+class Camera(Live):
     """A camera that OpenCV can read, such as a webcam; colour becomes grey, 8 bit.
 
     Frames carry their time of arrival, some milliseconds after the exposure, because OpenCV offers nothing better on
@@ -55,7 +55,7 @@ class Camera:
         When there is no such camera or it gives no image.
     """
 
-    live, count, full_scale = True, None, 255
+    full_scale = 255
 
     def __init__(self, source: str, rate: float | None = None) -> None:
         number = source.removeprefix(PREFIX)
@@ -86,34 +86,15 @@ class Camera:
         }
         self.rate: float | None = told.get("frames_a_second", rate)
 
-    def first(self) -> Frame:
-        """Return the image that the camera gave when it was opened."""
-        return Frame(0, 0.0, self._seen, self.name, self.full_scale)
-
-    def __len__(self) -> int:
-        raise TypeError(f"{self.name} is a camera: it has no number of frames")
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Yield frames from now on; raise an InputError when the camera stops."""
-        # UTC is read once and continued by the monotonic clock.
-        start_utc, start = time.time_ns(), time.monotonic_ns()
-        grabbed, index, first = self._first_new(), 0, 0
+    def _arrivals(self, utc_ahead: int) -> Iterator[Arrival]:
+        grabbed = self._first_new()
         while grabbed:
             now = time.monotonic_ns()
-            first = now if index == 0 else first
             there, image = self._capture.retrieve()
             if not there:
                 break
-            yield Frame(
-                index,
-                (now - first) / 1e9,
-                to_grey(image),
-                f"{self.name}[{index}]",
-                self.full_scale,
-                utc_ns=start_utc + now - start,
-                monotonic_ns=now,
-            )
-            grabbed, index = self._capture.grab(), index + 1
+            yield Arrival(to_grey(image), now)
+            grabbed = self._capture.grab()
         raise InputError("gives no more pictures", where=self.name, remedy="is it still plugged in?")
 
     def _first_new(self) -> bool:

@@ -18,7 +18,7 @@ import numpy as np
 
 from tapetum.errors import InputError
 from tapetum.record.pixels import FORMATS, decode
-from tapetum.record.source import Frame
+from tapetum.record.source import Arrival, Live
 
 __all__ = ["Backend", "Found", "GenicamCamera", "backends", "find_genicam", "is_genicam"]
 
@@ -269,7 +269,7 @@ def _short(error: Exception) -> str:
     return " ".join(str(error).split())[:120] or type(error).__name__
 
 
-class GenicamCamera:
+class GenicamCamera(Live):
     """A machine-vision camera as a source of frames, 8 to 16 bits.
 
     Parameters
@@ -287,8 +287,6 @@ class GenicamCamera:
     InputError
         When no library is installed, there is no such camera, or it gives no picture.
     """
-
-    live, count = True, None
 
     def __init__(self, source: str, rate: float | None = None, backend: Backend | None = None) -> None:
         self.name = source
@@ -321,38 +319,12 @@ class GenicamCamera:
             raise InputError(f"gave no frame for {_PATIENCE:g} s", where=self.name, remedy=remedy)
         return raw
 
-    def first(self) -> Frame:
-        """Return the image that the camera gave when it was opened."""
-        return Frame(0, 0.0, self._seen, self.name, self.full_scale)
-
-    def __len__(self) -> int:
-        raise TypeError(f"{self.name} is a camera: it has no number of frames")
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Yield frames from now on, with the frames lost before each; raise an InputError when the camera stops."""
-        start_utc, start = time.time_ns(), time.monotonic_ns()
-        begin = before = None
-        index = 0
+    def _arrivals(self, utc_ahead: int) -> Iterator[Arrival]:
         while True:
             data, form, width, height, number, utc = self._taken()
-            if utc < start_utc:
-                # Buffered before now.
-                continue
-            begin = utc if begin is None else begin
-            # Numbers of GigE Vision have 16 bits and leave 0 out.
-            lost = 0 if before is None or number <= before else number - before - 1
-            yield Frame(
-                index,
-                (utc - begin) / 1e9,
-                decode(data, form, width, height, where=self.name),
-                f"{self.name}[{index}]",
-                self.full_scale,
-                utc_ns=utc,
-                monotonic_ns=start + utc - start_utc,
-                exposure=self._exposure,
-                lost=lost,
-            )
-            before, index = number, index + 1
+            # Numbers of GigE Vision have 16 bits and leave 0 out: one that starts again counts as none lost.
+            image = decode(data, form, width, height, where=self.name)
+            yield Arrival(image, utc - utc_ahead, number, self._exposure)
 
     def close(self) -> None:
         """Stop and release the camera."""

@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import os
+import time
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, cast, runtime_checkable
+from typing import Any, NamedTuple, Protocol, cast, runtime_checkable
 
 import numpy as np
 
 from tapetum.errors import InputError
 
-__all__ = ["Frame", "FrameSource", "Source", "Stored", "existing", "full_scale_of"]
+__all__ = ["Arrival", "Frame", "FrameSource", "Live", "Source", "Stored", "existing", "full_scale_of"]
 
 
 @dataclass(frozen=True)
@@ -105,6 +106,63 @@ class Source(Protocol):
 
 
 FrameSource = Source
+
+
+class Arrival(NamedTuple):
+    """An image from a camera, its moment by the monotonic clock in ns, and what else the camera says of it.
+
+    `number` is the camera's own, from which lost frames are counted; `exposure` in seconds. None where unknown.
+    """
+
+    image: np.ndarray
+    moment: int
+    number: int | None = None
+    exposure: float | None = None
+
+
+class Live:
+    """Common part of cameras: frames come by themselves, from when they are asked for."""
+
+    live, count = True, None
+    name: str
+    full_scale: int
+    _seen: np.ndarray
+
+    def first(self) -> Frame:
+        """Return the image that the camera gave when it was opened."""
+        return Frame(0, 0.0, self._seen, self.name, self.full_scale)
+
+    def __len__(self) -> int:
+        raise TypeError(f"{self.name} is a camera: it has no number of frames")
+
+    def __iter__(self) -> Iterator[Frame]:
+        """Yield frames from now on, with those lost before each; raise an InputError when the camera stops."""
+        # UTC is read once and continued by the monotonic clock.
+        start_utc, start = time.time_ns(), time.monotonic_ns()
+        begin = before = None
+        index = 0
+        for image, moment, number, exposure in self._arrivals(start_utc - start):
+            if moment < start:
+                # Buffered before now.
+                continue
+            begin = moment if begin is None else begin
+            lost = 0 if before is None or number is None else max(0, number - before - 1)
+            yield Frame(
+                index,
+                (moment - begin) / 1e9,
+                image,
+                f"{self.name}[{index}]",
+                self.full_scale,
+                utc_ns=start_utc + moment - start,
+                monotonic_ns=moment,
+                exposure=exposure,
+                lost=lost,
+            )
+            before, index = number, index + 1
+
+    def _arrivals(self, utc_ahead: int) -> Iterator[Arrival]:
+        """Yield images without end; UTC is `utc_ahead` ns ahead of the monotonic clock."""
+        raise NotImplementedError
 
 
 class Stored:

@@ -23,7 +23,7 @@ import numpy as np
 from tapetum.errors import InputError
 from tapetum.record.images import natural_key
 from tapetum.record.pixels import FORMATS, decode
-from tapetum.record.source import Frame
+from tapetum.record.source import Arrival, Live
 
 try:
     import fcntl
@@ -187,7 +187,7 @@ def _number(code: str) -> int:
     return int.from_bytes(code.ljust(4).encode("ascii"), "little")
 
 
-class V4l2Camera:
+class V4l2Camera(Live):
     """A grey camera by Linux's own interface, 8 to 16 bits. Frames carry the kernel's time of their arrival.
 
     Parameters
@@ -205,8 +205,6 @@ class V4l2Camera:
     InputError
         When there is no such camera, it is in use, or it offers no such mode.
     """
-
-    live, count = True, None
 
     def __init__(self, source: str, rate: float | None = None, device: Device | None = None) -> None:
         self.name = source
@@ -296,40 +294,14 @@ class V4l2Camera:
             own = flags & _CLOCKS == _MONOTONIC
             return image, sequence, seconds * 10**9 + micros * 1000 if own else time.monotonic_ns()
 
-    def first(self) -> Frame:
-        """Return the image that the camera gave when it was opened."""
-        return Frame(0, 0.0, self._seen, self.name, self.full_scale)
-
-    def __len__(self) -> int:
-        raise TypeError(f"{self.name} is a camera: it has no number of frames")
-
-    def __iter__(self) -> Iterator[Frame]:
-        """Yield frames from now on, with the frames lost before each; raise an InputError when the camera stops."""
-        start_utc, start = time.time_ns(), time.monotonic_ns()
-        begin = before = None
-        index = 0
+    def _arrivals(self, utc_ahead: int) -> Iterator[Arrival]:
         while True:
             try:
-                image, sequence, moment = self._next()
+                image, number, moment = self._next()
             except OSError as error:
                 what = f"gives no more frames ({error.strerror or error})"
                 raise InputError(what, where=self.name, remedy="is it still plugged in?") from error
-            if moment < start:
-                # Buffered before now.
-                continue
-            begin = moment if begin is None else begin
-            lost = 0 if before is None else max(0, sequence - before - 1)
-            yield Frame(
-                index,
-                (moment - begin) / 1e9,
-                image,
-                f"{self.name}[{index}]",
-                self.full_scale,
-                utc_ns=start_utc + moment - start,
-                monotonic_ns=moment,
-                lost=lost,
-            )
-            before, index = sequence, index + 1
+            yield Arrival(image, moment, number)
 
     def close(self) -> None:
         """Stop the stream and release the camera."""
