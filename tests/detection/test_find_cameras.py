@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import re
@@ -13,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 import torch
+from threadpoolctl import threadpool_info, threadpool_limits
 
 import tapetum as tp
 import train_second
@@ -146,6 +148,18 @@ def test_frames_searched_at_once_come_in_order() -> None:
         assert math.hypot(one.x[0] - x, one.y[0] - y) < 0.5
     with pytest.raises(InputError, match="cannot be registered"):
         list(find_each([(room(0), room(40))]))
+
+
+def test_blas_has_its_threads_again_after_frames_were_searched() -> None:
+    with threadpool_limits(2, user_api="blas"):
+        with contextlib.closing(find_each([(room(0), None)] * 2)) as frames:
+            next(frames)
+            during = _threads_of_blas()
+        assert (during, _threads_of_blas()) == ({1}, {2})
+
+
+def _threads_of_blas() -> set[int]:
+    return {one["num_threads"] for one in threadpool_info() if one["user_api"] == "blas"}
 
 
 def test_the_flow_is_known_to_a_quarter_of_a_pixel() -> None:
