@@ -10,6 +10,7 @@ from pathlib import Path
 from tapetum.bench import as_scene
 from tapetum.errors import one_of
 from tapetum.record.camera import Camera, is_camera
+from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.genicam import GenicamCamera, is_genicam
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
 from tapetum.record.recording import is_recording, open_recording
@@ -67,6 +68,10 @@ SOURCES: dict[str, SourceKind] = {
     "camera": SourceKind(is_camera, lambda name, asked: Camera(name, asked.rate), device=True),
     "v4l2": SourceKind(is_v4l2, lambda name, asked: V4l2Camera(name, asked.rate), device=True),
     "genicam": SourceKind(is_genicam, lambda name, asked: GenicamCamera(name, asked.rate), device=True),
+    # A file or folder of that name comes first.
+    "demo": SourceKind(
+        lambda name: name == "demo" and not Path(name).exists(), lambda name, asked: DrawnRoom(asked.rate or 20.0)
+    ),
     "bench": SourceKind(lambda name: name.startswith(_BENCH), _bench),
     "recording": SourceKind(
         lambda name: is_recording(existing(name)),
@@ -99,7 +104,8 @@ def open_frames(
     ----------
     source
         A camera of this machine (`camera:0`, `v4l2:0,Y12`, `genicam:NAME`: see `tapetum cameras`), a scene of the
-        virtual bench, filmed for a minute while it is read (`bench:hand-held`, `bench:FILE.yaml`), a folder of images
+        virtual bench, filmed for a minute while it is read (`bench:hand-held`, `bench:FILE.yaml`), `demo`, a drawn
+        room with three cameras in real time, a folder of images
         (in natural order; 8 or 16 bit; colour becomes grey), one image file, a `.npy` array [N, H, W], a `NAME.rec`
         folder, or a video file.
     stream

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tapetum.record.patch import add_patch, bell
 
-__all__ = ["Room", "Trail"]
+__all__ = ["Room", "Trail", "furnish"]
 
 _SPOT_REACH = 12
 
@@ -56,7 +56,7 @@ class Room:
     ) -> None:
         self.columns, self.rows = columns, rows
         self.spot_sigma, self.spot_peak = spot_sigma, spot_peak
-        self._wall = _furnish(2 * columns + 64, 2 * rows + 64, np.random.default_rng([seed, 2]))
+        self._wall = furnish(2 * columns + 64, 2 * rows + 64, np.random.default_rng([seed, 2]))
 
     def picture(
         self,
@@ -124,7 +124,7 @@ class Room:
                 add_patch(scene, patch._replace(light=patch.light * share[:, None].astype(np.float32)), 1.0)
 
 
-def _furnish(width: int, height: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
+def furnish(width: int, height: int, rng: np.random.Generator) -> npt.NDArray[np.float32]:
     """Return a lit wall with shelves, books, frames and fine texture; mean about 70 of 255."""
     wall = np.full((height, width), 80.0, np.float32)
     wall += np.linspace(-18, 18, width, dtype=np.float32) * rng.choice([-1, 1])

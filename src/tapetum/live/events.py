@@ -1,0 +1,249 @@
+"""From tracks to events: what begins, changes and ends with each camera, told once and only when it holds.
+
+As Frigate tells them: `new`, `update` and `end` share an id and carry the camera before and after. A camera is told of
+when it has been seen for a while; a change when it has held for a while, and no sooner than a while after the last.
+"""
+
+from __future__ import annotations
+
+import math
+import uuid
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Generic, TypeVar
+
+from tapetum.errors import InputError
+from tapetum.live.state import CameraState
+from tapetum.track.rows import TrackedFrame, TrackRow
+
+__all__ = ["KINDS", "Event", "Events", "Ignored", "Region"]
+
+KINDS = ("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "source lost", "source returned")
+"""What events tell."""
+_NONE_OF_THESE = "none of these"
+T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Event:
+    """Something that happened.
+
+    Parameters
+    ----------
+    id, type, kind
+        Of the camera's stay; "new", "update" or "end"; one of `KINDS`.
+    utc_ns
+        When the frame was taken that showed it.
+    detail
+        The region, the device, or why a source was lost.
+    before, after
+        The camera before and after; None before `new` and after `end`, and both for a source.
+    """
+
+    id: str
+    type: str
+    kind: str
+    utc_ns: int
+    detail: str = ""
+    before: CameraState | None = None
+    after: CameraState | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return {"schema": "tapetum/event/1", **asdict(self)}
+
+
+@dataclass(frozen=True)
+class Region:
+    """A part of a camera's field: name, left, top, right, bottom in fractions of the field from its centre."""
+
+    name: str
+    left: float
+    top: float
+    right: float
+    bottom: float
+
+    def __post_init__(self) -> None:
+        if not (self.left < self.right and self.top < self.bottom):
+            what = f"left {self.left}, right {self.right}, top {self.top}, bottom {self.bottom} enclose nothing"
+            raise InputError(what, where=f"region {self.name}", remedy="give left < right and top < bottom")
+
+    def holds(self, x: float, y: float) -> bool:
+        """Return whether a gaze falls into it."""
+        return self.left <= x <= self.right and self.top <= y <= self.bottom
+
+
+@dataclass(frozen=True)
+class Ignored:
+    """A camera that is ours: everything within `radius` pixels of a place, or every camera of a device."""
+
+    x: float = 0.0
+    y: float = 0.0
+    radius: float = 0.0
+    device: str = ""
+
+    def holds(self, camera: CameraState) -> bool:
+        """Return whether a camera is this one."""
+        if self.device:
+            return camera.device == self.device
+        return math.dist((self.x, self.y), (camera.x, camera.y)) <= self.radius
+
+
+class _Held(Generic[T]):
+    """A value that changes only when a new one has held for some seconds, and some seconds after the last change."""
+
+    def __init__(self, value: T, hold: float, cooldown: float) -> None:
+        self.value, self.hold, self.cooldown = value, hold, cooldown
+        self._other: T = value
+        self._since = self._changed = -math.inf
+
+    def update(self, value: T, time: float) -> bool:
+        """Return whether the value changes now."""
+        if value != self._other:
+            self._other, self._since = value, time
+        if value == self.value or time - self._since < self.hold or time - self._changed < self.cooldown:
+            return False
+        self.value, self._changed = value, time
+        return True
+
+
+class _Stay:
+    """A camera's stay before the probe."""
+
+    def __init__(self, camera: CameraState, time: float, hold: float, cooldown: float) -> None:
+        self.camera, self.told, self.first, self.last = camera, False, time, time
+        self.published = camera
+        self.active = _Held[bool | None](None, hold, cooldown)
+        self.device = _Held[str | None](None, hold, cooldown)
+        self.regions: dict[str, _Held[bool]] = {}
+
+
+class Events:
+    """Makes events of tracked frames.
+
+    Parameters
+    ----------
+    regions
+        Parts of the cameras' fields that are told of.
+    confirm, hold, cooldown, gone
+        Seconds for which a camera must have been followed before it is told of; for which a change must have held;
+        between two changes of a kind; and unseen before it is gone.
+    ignored
+        Cameras that are ours: nothing is told of them, and nothing begins with them.
+    """
+
+    def __init__(
+        self,
+        regions: Iterable[Region] = (),
+        *,
+        confirm: float = 0.5,
+        hold: float = 0.5,
+        cooldown: float = 1.0,
+        gone: float = 1.0,
+        ignored: Iterable[Ignored] = (),
+    ) -> None:
+        for name, value in (("confirm", confirm), ("hold", hold), ("cooldown", cooldown), ("gone", gone)):
+            if not 0 <= value < math.inf:
+                raise InputError(f"must be 0 or more seconds, is {value}", where=name)
+        self.regions, self.ignored = tuple(regions), tuple(ignored)
+        self.confirm, self.hold, self.cooldown, self.gone = confirm, hold, cooldown, gone
+        self._stays: dict[int, _Stay] = {}
+
+    @property
+    def cameras(self) -> tuple[CameraState, ...]:
+        """The cameras that were told of."""
+        return tuple(stay.camera for stay in self._stays.values() if stay.told)
+
+    def update(self, tracked: TrackedFrame, utc_ns: int, offset: int = 0) -> list[Event]:
+        """Take a frame's tracks, whose numbers begin after `offset`, and return what happened."""
+        told: list[Event] = []
+        dark = tracked.moment.get("lit") is False
+        for row in tracked.rows:
+            told += self._row(row, row.track + offset, utc_ns, dark)
+        for number, stay in list(self._stays.items()):
+            if tracked.time - stay.last > self.gone:
+                told += self._end(number, utc_ns)
+        return told
+
+    def end_all(self, utc_ns: int) -> list[Event]:
+        """End all stays, as when the source is lost for good."""
+        return [event for number in list(self._stays) for event in self._end(number, utc_ns)]
+
+    def _row(self, row: TrackRow, number: int, utc_ns: int, dark: bool) -> list[Event]:
+        stay = self._stays.get(number)
+        camera = _camera(row, number, utc_ns, None if stay is None else stay.camera, dark)
+        if any(one.holds(camera) for one in self.ignored):
+            # Neither told nor the beginning of a cooldown; one that was told of ends.
+            return [] if stay is None else self._end(number, utc_ns)
+        if stay is None:
+            if row.seen:
+                self._stays[number] = _Stay(camera, row.time, self.hold, self.cooldown)
+            return []
+        stay.camera = camera
+        if row.seen:
+            stay.last = row.time
+        if not stay.told:
+            if not row.seen or row.time - stay.first < self.confirm:
+                return []
+            stay.told = True
+            told = [self._event(stay, "new", "seen", utc_ns)]
+        else:
+            told = []
+        return told + self._changes(stay, row, utc_ns)
+
+    def _changes(self, stay: _Stay, row: TrackRow, utc_ns: int) -> list[Event]:
+        told: list[Event] = []
+        if row.active is not None and stay.active.update(row.active, row.time):
+            told.append(self._event(stay, "update", "imaging" if row.active else "not imaging", utc_ns))
+        device = stay.camera.device
+        if row.seen and device is not None and stay.device.update(device, row.time):
+            told.append(self._event(stay, "update", "device", utc_ns, device))
+        gaze = stay.camera.gaze_x, stay.camera.gaze_y
+        if row.seen and gaze[0] is not None and gaze[1] is not None:
+            for region in self.regions:
+                held = stay.regions.setdefault(region.name, _Held(False, self.hold, self.cooldown))
+                if held.update(region.holds(gaze[0][0], gaze[1][0]), row.time):
+                    names = tuple(name for name, one in stay.regions.items() if one.value)
+                    stay.camera = replace(stay.camera, regions=names)
+                    told.append(
+                        self._event(stay, "update", "looks" if held.value else "looks away", utc_ns, region.name)
+                    )
+        return told
+
+    def _event(self, stay: _Stay, type_: str, kind: str, utc_ns: int, detail: str = "") -> Event:
+        before, stay.published = stay.published, stay.camera
+        return Event(stay.camera.id, type_, kind, utc_ns, detail, None if type_ == "new" else before, stay.camera)
+
+    def _end(self, number: int, utc_ns: int) -> list[Event]:
+        stay = self._stays.pop(number)
+        return [Event(stay.camera.id, "end", "gone", utc_ns, "", stay.camera, None)] if stay.told else []
+
+
+def _camera(row: TrackRow, number: int, utc_ns: int, before: CameraState | None, dark: bool) -> CameraState:
+    """The camera of a row; what this frame does not tell stays as it was."""
+    if before is None:
+        before = CameraState(uuid.uuid4().hex, number, row.x, row.y, row.diameter or 0.0, row.seen, utc_ns, utc_ns)
+    said: dict[str, Any] = {"x": row.x, "y": row.y, "seen": row.seen or (dark and before.seen), "active": row.active}
+    if row.seen:
+        said |= {"seen_utc_ns": utc_ns, "snr": row.snr, "diameter": row.diameter}
+        said |= {name: _interval(row.estimates, name) for name in ("gaze_x", "gaze_y")}
+        device = row.estimates.get("device")
+        if device is not None:
+            likely = row.estimates.get("device_probability")
+            said |= {"device": None if device == _NONE_OF_THESE else device, "device_probability": _finite(likely)}
+    return replace(before, **said)
+
+
+def _interval(estimates: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:
+    """An estimate and its interval; None where there is none."""
+    if estimates.get("applies") is False:
+        return None
+    value = _finite(estimates.get(name))
+    if value is None:
+        return None
+    low, high = (_finite(estimates.get(f"{name}_{end}")) for end in ("low", "high"))
+    return value, value if low is None else low, value if high is None else high
+
+
+def _finite(value: Any) -> float | None:
+    return None if value is None or not math.isfinite(value) else float(value)

@@ -1,0 +1,84 @@
+"""What a watch publishes: the state of each camera, and of itself."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+__all__ = ["CameraState", "Health", "State"]
+
+
+@dataclass(frozen=True)
+class CameraState:
+    """A camera that is followed.
+
+    Parameters
+    ----------
+    id
+        Of its event, from its first to its last message.
+    track
+        Number of its track.
+    x, y, diameter
+        Place and diameter of its return in the probe's frame, in pixels.
+    seen
+        Whether it was seen in the latest lit frame.
+    since_utc_ns, seen_utc_ns
+        When it was first and last seen, UTC in nanoseconds since 1970.
+    snr
+        Signal-to-noise ratio of its return when it was last seen.
+    active
+        Whether it images; None where it cannot be told.
+    device, device_probability
+        What it is taken for, and how likely that is; None without a model of devices.
+    gaze_x, gaze_y
+        Gaze as [value, low, high], in fractions of its field from the centre; None without a model, and where the
+        model does not apply.
+    regions
+        Names of the regions of its field that the probe stands in.
+    """
+
+    id: str
+    track: int
+    x: float
+    y: float
+    diameter: float
+    seen: bool
+    since_utc_ns: int
+    seen_utc_ns: int
+    snr: float | None = None
+    active: bool | None = None
+    device: str | None = None
+    device_probability: float | None = None
+    gaze_x: tuple[float, float, float] | None = None
+    gaze_y: tuple[float, float, float] | None = None
+    regions: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Health:
+    """How the watch does: frames a second, seconds from a frame to its result, counts, and what is wrong."""
+
+    rate: float = 0.0
+    delay: float = 0.0
+    frames: int = 0
+    lost: int = 0
+    refused: int = 0
+    connected: bool = False
+    ended: bool = False
+    fault: str = ""
+
+
+@dataclass(frozen=True)
+class State:
+    """A moment of the watch: number and times of the frame, its size in pixels (width, height), cameras and health."""
+
+    source: str
+    frame: int
+    utc_ns: int
+    size: tuple[int, int]
+    cameras: tuple[CameraState, ...]
+    health: Health
+
+    def as_json(self) -> dict[str, Any]:
+        """Return plain values."""
+        return asdict(self)
