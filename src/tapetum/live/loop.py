@@ -1,0 +1,249 @@
+"""The watch's loop: frames, cameras in them, what happens with these, and whoever is told of it."""
+
+from __future__ import annotations
+
+import sqlite3
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import TYPE_CHECKING, Any, Protocol
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from tapetum.live.acquire import Acquisition
+from tapetum.live.events import Event, Events, Ignored, Region
+from tapetum.live.log import Log
+from tapetum.live.state import Health, State
+from tapetum.record.source import Frame, Source
+from tapetum.track.pipeline import make_detector, track, usual_tracker
+
+if TYPE_CHECKING:
+    from tapetum.models import Predictor
+
+__all__ = ["Listener", "Watch"]
+
+_WIDTH = 1280  # of the picture of a frame, at most, in pixels
+_THUMB = 128  # side of the picture of an event, in pixels of the frame
+_QUALITY = 80
+_RECENT = 30  # frames over which rate and delay are averaged
+_PATIENCE = 5.0
+_EXPIRE_EVERY = 600.0
+_PAUSE = 0.2  # s after a frame that could not be searched
+
+
+class Listener(Protocol):
+    """Who is told of events and states, from the loop's thread: none of these may wait."""
+
+    def event(self, event: Event) -> None:
+        """Take an event."""
+        ...
+
+    def state(self, state: State) -> None:
+        """Take the state after a frame."""
+        ...
+
+    def close(self) -> None:
+        """End."""
+        ...
+
+
+class Watch:
+    """Watches a source in threads of its own.
+
+    Parameters
+    ----------
+    opens
+        Opens the source; called again when a camera went.
+    name
+        Of the source, for messages and the page.
+    detector
+        "cameras", in a room, or "spots", in the beam of a dark bench.
+    models
+        Estimators of gaze, focus or device.
+    mode
+        "newest", frames in real time, or "all", none of a stored source is left out (see `Acquisition`).
+    log
+        Where events go; default: memory.
+    regions
+        Parts of the cameras' fields to report on.
+    listeners
+        Who is told of events and states.
+    timing
+        Seconds `confirm`, `hold`, `cooldown` and `gone` of `Events`.
+
+    Attributes
+    ----------
+    state
+        After the latest frame.
+    log, events
+        Of the events; what makes them.
+    """
+
+    def __init__(
+        self,
+        opens: Callable[[], Source],
+        *,
+        name: str = "",
+        detector: str = "cameras",
+        models: Sequence[Predictor] = (),
+        mode: str = "newest",
+        log: Log | None = None,
+        regions: Iterable[Region] = (),
+        listeners: Iterable[Listener] = (),
+        timing: dict[str, float] | None = None,
+    ) -> None:
+        self.acquisition = Acquisition(opens, mode, self._told_of_source)
+        self.log = Log(":memory:") if log is None else log
+        self.events = Events(regions, ignored=self.log.ignored(), **(timing or {}))
+        self.listeners = list(listeners)
+        self.state = State(name, -1, time.time_ns(), (0, 0), (), Health())
+        self.models = tuple(models)
+        self._detector, self._lock = detector, threading.Lock()
+        # Checks the names before a thread starts.
+        self._find = make_detector(detector)
+        self._frame: Frame | None = None
+        self._shown: Frame | None = None
+        self._coded: tuple[int, bytes] = (-1, b"")
+        self._times: deque[tuple[float, float]] = deque(maxlen=_RECENT)
+        # Tracks' numbers go on after those before a fault.
+        self._offset = self._last_track = self._frames = 0
+        self._fault = ""
+        self._expired = time.monotonic()
+        self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
+
+    def start(self) -> None:
+        """Open the source and begin; InputError where it cannot be opened."""
+        self.acquisition.start()
+        self._thread.start()
+
+    def join(self, seconds: float | None = None) -> bool:
+        """Wait for the end of the source; return whether it has ended."""
+        self._thread.join(seconds)
+        return not self._thread.is_alive()
+
+    def close(self) -> None:
+        """End: the cameras' stays end too, and the log is closed."""
+        self.acquisition.close()
+        self._thread.join(_PATIENCE)
+        for listener in self.listeners:
+            listener.close()
+        self.log.close()
+
+    def ignore(self, one: Ignored) -> None:
+        """Ignore a camera that is ours, from now on and in later watches with this log."""
+        self.log.ignore(one)
+        self.events.ignored = self.log.ignored()
+
+    def forget_ignored(self) -> None:
+        """Report on every camera again."""
+        self.log.forget_ignored()
+        self.events.ignored = ()
+
+    def picture(self) -> tuple[int, bytes]:
+        """Return the number of the latest frame that is shown, and the frame as JPEG, at most 1280 pixels wide.
+
+        Where the source says which frames are lit, the lit ones are shown. Without a frame: (-1, b"").
+        """
+        frame = self._shown
+        if frame is None:
+            return -1, b""
+        with self._lock:
+            if self._coded[0] != frame.index:
+                self._coded = frame.index, _jpeg(frame.image, frame.full_scale, _WIDTH)
+            return self._coded
+
+    def _run(self) -> None:
+        while True:
+            try:
+                self._follow()
+                break
+            except Exception as error:
+                # A frame that cannot be searched, or a model that fails, must not end the watch: the fault is shown,
+                # and tracks begin again, with numbers of their own.
+                self._fault = str(error) or type(error).__name__
+                self._offset = self._last_track
+                self._find = make_detector(self._detector)
+                time.sleep(_PAUSE)
+        for event in self.events.end_all(self.state.utc_ns):
+            self._publish(event)
+        self._set_state(self.state.utc_ns, ended=True)
+
+    def _follow(self) -> None:
+        """Track until the source ends; the frame under way is `_frame`, as models wait for no second one."""
+        follower = usual_tracker(self._find)
+        for tracked in track(self._taken(), model=self.models, tracker=follower, detector=self._find, batch=1):
+            frame = self._frame
+            assert frame is not None
+            self._frames += 1
+            self._last_track = max([self._last_track, *(row.track + self._offset for row in tracked.rows)])
+            if frame.lit is not False:
+                self._shown = frame
+            utc = frame.utc_ns or time.time_ns()
+            for event in self.events.update(tracked, utc, self._offset):
+                self._publish(event)
+            self._set_state(utc)
+
+    def _taken(self) -> Iterator[Frame]:
+        for frame in self.acquisition:
+            self._frame = frame
+            yield frame
+
+    def _publish(self, event: Event) -> None:
+        # Written before it is told, so that who is told can read it.
+        try:
+            self.log.add(event, self._evidence(event))
+        except sqlite3.Error as error:
+            # A full disk must not stop the watch.
+            self._fault = f"the log cannot be written ({error})"
+        for listener in self.listeners:
+            listener.event(event)
+
+    def _evidence(self, event: Event) -> bytes | None:
+        """The camera's surroundings in the latest shown frame, JPEG; None for the end of a stay, where it is no more."""
+        frame, camera = self._shown, event.after
+        if frame is None or camera is None:
+            return None
+        place = round(camera.x), round(camera.y)
+        corner = [
+            max(0, min(at - _THUMB // 2, size - _THUMB))
+            for at, size in zip(place, frame.image.shape[::-1], strict=True)
+        ]
+        part = frame.image[corner[1] : corner[1] + _THUMB, corner[0] : corner[0] + _THUMB]
+        return _jpeg(part, frame.full_scale, _THUMB)
+
+    def _told_of_source(self, what: str, why: str) -> None:
+        """Publish that the source went or returned; from the thread that reads."""
+        now = time.time_ns()
+        self._publish(Event("source", "update", f"source {what}", now, why))
+
+    def _set_state(self, utc_ns: int, *, ended: bool = False) -> None:
+        frame, reading = self._frame, self.acquisition
+        now = time.monotonic()
+        if frame is not None and frame.monotonic_ns is not None:
+            self._times.append((now, now - frame.monotonic_ns / 1e9))
+        rate = delay = 0.0
+        if len(self._times) > 1:
+            rate = (len(self._times) - 1) / max(self._times[-1][0] - self._times[0][0], 1e-9)
+            delay = sum(one for _, one in self._times) / len(self._times)
+        health = Health(rate, delay, self._frames, reading.lost, reading.refused, reading.connected, ended, self._fault)
+        size = (0, 0) if frame is None else frame.image.shape[::-1]
+        number = -1 if frame is None else frame.index
+        self.state = State(self.state.source, number, utc_ns, size, self.events.cameras, health)
+        for listener in self.listeners:
+            listener.state(self.state)
+        if now - self._expired > _EXPIRE_EVERY:
+            self._expired = now
+            self.log.expire()
+
+
+def _jpeg(image: NDArray[Any], full_scale: int | None, width: int) -> bytes:
+    """An image as JPEG, at most so wide; deeper ones are scaled to 8 bits by the digital number that saturates."""
+    if image.shape[1] > width:
+        scale = width / image.shape[1]
+        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    if image.dtype != np.uint8 or (full_scale or 255) != 255:
+        image = cv2.convertScaleAbs(image, alpha=255 / (full_scale or np.iinfo(image.dtype).max))
+    return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()
