@@ -25,6 +25,7 @@ from tapetum.cli.options import Command
 from tapetum.cli.paper import paper
 from tapetum.cli.plan import plan
 from tapetum.cli.record import record
+from tapetum.cli.serve import serve
 from tapetum.cli.simulate import simulate
 from tapetum.cli.track import track
 from tapetum.cli.train import train
@@ -77,6 +78,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
         "lit.png --dark dark.png -o found.csv",
     ),
     "track": (track, "Find, follow and read retro-reflections.", "hand.rec --model my-model -o tracks.csv"),
+    "serve": (serve, "Watch a source live, on a page.", "demo"),
     "fuse": (
         fuse,
         "One track of what several probes say.",

@@ -30,6 +30,11 @@ class Log:
     days, picture_days
         How long events, and pictures of them, are kept.
 
+    Attributes
+    ----------
+    newest
+        Number of the latest event; 0 without any.
+
     Raises
     ------
     InputError
@@ -57,6 +62,7 @@ class Log:
                 "CREATE TABLE IF NOT EXISTS ignored (body TEXT PRIMARY KEY);"
                 f"PRAGMA user_version={_VERSION}; COMMIT;"
             )
+            self.newest = int(self._base.execute("SELECT coalesce(max(number), 0) FROM events").fetchone()[0])
         except sqlite3.Error as error:
             parent = Path(where).parent
             remedy = "name another file" if parent.is_dir() else f"make the folder {parent} first"
@@ -67,7 +73,8 @@ class Log:
         with self._lock:
             row = (event.id, event.utc_ns, json.dumps(event.as_json()), picture)
             number = self._base.execute("INSERT INTO events (id, utc_ns, body, picture) VALUES (?,?,?,?)", row)
-            return int(number.lastrowid or 0)
+            self.newest = int(number.lastrowid or 0)
+            return self.newest
 
     def events(self, after: int = 0, most: int = 100) -> list[dict[str, Any]]:
         """Return the latest events with a number above `after`, oldest first, each with its number."""

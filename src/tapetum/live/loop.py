@@ -202,7 +202,7 @@ class Watch:
             listener.event(event)
 
     def _evidence(self, event: Event) -> bytes | None:
-        """The camera's surroundings in the latest shown frame, JPEG; None for the end of a stay, where it is no more."""
+        """The camera's surroundings in the latest shown frame, JPEG; None at the end of a stay."""
         frame, camera = self._shown, event.after
         if frame is None or camera is None:
             return None

@@ -1,0 +1,128 @@
+"""`tapetum serve`: watch a source, and show it on a page."""
+
+from __future__ import annotations
+
+import signal
+import socket
+import threading
+import webbrowser
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from tapetum.cli.models import find_model
+from tapetum.cli.options import Device, Models, option
+from tapetum.errors import InputError, one_of
+
+if TYPE_CHECKING:
+    from tapetum.live.doors import Doors
+
+_PORT = 8750
+
+
+def serve(
+    source: Annotated[
+        str,
+        typer.Argument(
+            metavar="SOURCE",
+            help="demo, a room without hardware; camera:0, video, folder of images, recording or bench:SCENE.",
+        ),
+    ],
+    models: Models = None,
+    detector: Annotated[
+        str, option("NAME", "What finds them: cameras, in a room, or spots, in the beam of a dark bench.")
+    ] = "cameras",
+    log: Annotated[
+        Path | None, option("FILE", "Keep events and their pictures here, NAME.db; else they end with the command.")
+    ] = None,
+    every: Annotated[
+        bool, typer.Option("--every-frame", help="Leave none of a stored source's frames out; else real time.")
+    ] = False,
+    rate: Annotated[float | None, option("HZ", "Frames a second asked of a camera, or of images.", min=0.1)] = None,
+    stream: Annotated[str, option("NAME", "Which stream of a recording.")] = "probe",
+    address: Annotated[
+        str, option("ADDRESS", "Where the page is served; others than this machine's own demand a token.")
+    ] = "127.0.0.1",
+    port: Annotated[int, option("N", "Port of the page; 0: a free one.", min=0, max=65535)] = _PORT,
+    names: Annotated[
+        list[str] | None,
+        option("NAME", "A further name under which browsers ask for the page; several times.", "--host-name"),
+    ] = None,
+    token: Annotated[
+        str | None, option("TEXT", "What a browser must bring, 16 characters or more; made at random where one is needed.")
+    ] = None,
+    browse: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    device: Device = "auto",
+) -> None:
+    """Watch a source live: find cameras, follow them, and show them, with what happens, on a page.
+
+    Ends with Ctrl-C; the page stays after a stored source's end.
+    """
+    from tapetum.live.app import make_app
+    from tapetum.live.doors import is_loopback, make_token
+    from tapetum.live.log import Log
+    from tapetum.live.loop import Watch
+    from tapetum.record.frames import open_frames
+    from tapetum.track.detect import DETECTORS
+
+    one_of(detector, tuple(DETECTORS), "--detector")
+    if token is not None and len(token) < 16:
+        raise InputError(f"has {len(token)} characters", where="--token", remedy="give 16 or more, or leave it out")
+    if token is None and not is_loopback(address):
+        token = make_token()
+    bound = _bound(address, port)
+    watch = Watch(
+        lambda: open_frames(source, stream, rate=rate),
+        name=source,
+        detector=detector,
+        models=[find_model(name, device) for name in models or ()],
+        mode="all" if every else "newest",
+        log=None if log is None else Log(log),
+    )
+    watch.start()
+    _run(make_app(watch, _hosts(address, names), token), bound, token, f"watching {source}", browse)
+
+
+def _hosts(address: str, names: list[str] | None) -> tuple[str, ...]:
+    """Return the names under which browsers may ask."""
+    own = () if address in ("0.0.0.0", "::") else (address.lower(),)
+    return ("127.0.0.1", "localhost", "::1", *own, *(name.lower() for name in names or ()))
+
+
+def _bound(address: str, port: int) -> socket.socket:
+    """Return a socket at an address; InputError where there is none to be had."""
+    try:
+        family, *_, where = socket.getaddrinfo(address, port, type=socket.SOCK_STREAM)[0]
+        bound = socket.socket(family, socket.SOCK_STREAM)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        bound.bind(where)
+    except OSError as error:
+        what = f"{address} port {port} cannot be used ({error.strerror or error})"
+        raise InputError(what, where="--address, --port", remedy="give another port, or 0 for a free one") from error
+    return bound
+
+
+def _run(app: Doors, bound: socket.socket, token: str | None, doing: str, browse: bool) -> None:
+    """Serve until Ctrl-C or SIGTERM."""
+    from tapetum.errors import need
+
+    uvicorn = need("uvicorn", "live")
+    host, port = bound.getsockname()[:2]
+    shown = "127.0.0.1" if host in ("0.0.0.0", "::") else host
+    place = f"http://{f'[{shown}]' if ':' in shown else shown}:{port}/{f'?token={token}' if token else ''}"
+    typer.echo(f"{doing}: {place}\nCtrl-C ends it.")
+    if browse:
+        threading.Timer(0.5, webbrowser.open, (place,)).start()
+    settings = uvicorn.Config(
+        app, log_level="warning", ws="websockets-sansio", ws_max_size=65536, timeout_graceful_shutdown=2, lifespan="on"
+    )
+    server = uvicorn.Server(settings)
+    # uvicorn raises the signal again when it is done, which is no fault here.
+    kept = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        server.run(sockets=[bound])
+    except KeyboardInterrupt:
+        pass
+    finally:
+        signal.signal(signal.SIGTERM, kept)

@@ -1,0 +1,169 @@
+"""The watch's server: its page, its state as JSON, and one socket that pushes states, pictures and events."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tapetum.errors import InputError, need
+from tapetum.live.doors import Doors
+from tapetum.live.events import Ignored
+from tapetum.live.loop import Watch
+
+need("fastapi", "live")
+
+from fastapi import APIRouter, FastAPI, HTTPException, Query, Request, Response, WebSocket, WebSocketDisconnect  # noqa: E402
+from fastapi.responses import FileResponse, JSONResponse  # noqa: E402
+from fastapi.staticfiles import StaticFiles  # noqa: E402
+from pydantic import BaseModel, ConfigDict, Field  # noqa: E402
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+__all__ = ["STATIC", "make_app", "make_base"]
+
+STATIC = Path(__file__).parent / "static"
+"""The pages' files."""
+
+_PUSH = 1 / 25  # s between two looks for a new state
+_EVENTS = 50
+_NUMBER = Annotated[int, Query(ge=0, le=2**62)]
+
+
+class IgnoredCamera(BaseModel):
+    """A camera to ignore: every one within `radius` pixels of a place, or every one of a `device`."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+    x: float = Field(0.0, ge=0, le=1e5)
+    y: float = Field(0.0, ge=0, le=1e5)
+    radius: float = Field(0.0, ge=0, le=1e4)
+    device: str = Field("", max_length=200)
+
+
+def make_base(title: str) -> FastAPI:
+    """Return an application that answers bad input with one clear line, and serves the pages' files."""
+    app = FastAPI(title=title, docs_url=None, redoc_url=None)
+
+    @app.exception_handler(InputError)
+    async def _refused(request: Request, error: InputError) -> JSONResponse:
+        return JSONResponse({"detail": str(error)}, status_code=422)
+
+    app.mount("/static", StaticFiles(directory=STATIC), name="static")
+    return app
+
+
+def make_app(
+    watch: Watch,
+    hosts: tuple[str, ...] = ("127.0.0.1", "localhost", "::1"),
+    token: str | None = None,
+    routers: Iterable[APIRouter] = (),
+) -> Doors:
+    """Return the server of a watch as an ASGI application; the watch is started and closed with it.
+
+    Parameters
+    ----------
+    watch
+        Not yet started.
+    hosts, token
+        As for `Doors`.
+    routers
+        Further requests that are answered, as those of the modes.
+    """
+
+    app = make_base("Tapetum watch")
+
+    @asynccontextmanager
+    async def life(_: FastAPI) -> AsyncIterator[None]:
+        yield
+        await asyncio.to_thread(watch.close)
+
+    app.router.lifespan_context = life
+
+    @app.get("/", include_in_schema=False)
+    async def page() -> FileResponse:
+        return FileResponse(STATIC / "index.html")
+
+    @app.get("/api/state")
+    async def state() -> dict[str, Any]:
+        """Return the state after the latest frame."""
+        return watch.state.as_json()
+
+    @app.get("/api/events")
+    async def events(after: _NUMBER = 0, most: Annotated[int, Query(ge=1, le=1000)] = _EVENTS) -> list[dict[str, Any]]:
+        """Return the latest events with a number above `after`, oldest first."""
+        return await asyncio.to_thread(watch.log.events, after, most)
+
+    @app.get("/api/events/{number}/picture", responses={200: {"content": {"image/jpeg": {}}}, 404: {}})
+    async def evidence(number: int) -> Response:
+        """Return the picture of an event."""
+        found = await asyncio.to_thread(watch.log.picture, number) if 0 < number < 2**62 else None
+        if found is None:
+            raise HTTPException(404, f"event {number} has no picture, or no more")
+        return Response(found, media_type="image/jpeg")
+
+    @app.get("/api/frame.jpg", responses={200: {"content": {"image/jpeg": {}}}, 404: {}})
+    async def frame() -> Response:
+        """Return the latest frame that is shown."""
+        _, picture = await asyncio.to_thread(watch.picture)
+        if not picture:
+            raise HTTPException(404, "no frame has arrived yet")
+        return Response(picture, media_type="image/jpeg")
+
+    @app.get("/api/ignored")
+    async def ignored() -> list[dict[str, Any]]:
+        """Return the cameras that are ignored."""
+        return [vars(one) for one in watch.events.ignored]
+
+    @app.post("/api/ignored", status_code=204)
+    async def ignore(one: IgnoredCamera) -> None:
+        """Ignore a camera from now on."""
+        if not one.device and not one.radius > 0:
+            raise HTTPException(422, "give a radius in pixels, or a device")
+        await asyncio.to_thread(watch.ignore, Ignored(one.x, one.y, one.radius, one.device))
+
+    @app.delete("/api/ignored", status_code=204)
+    async def forget() -> None:
+        """Report on every camera again."""
+        await asyncio.to_thread(watch.forget_ignored)
+
+    @app.websocket("/ws")
+    async def push(socket: WebSocket, after: _NUMBER = 0, pictures: bool = True) -> None:
+        """Push states, pictures of frames and events; whoever reads slowly gets fewer states, and every event."""
+        await socket.accept()
+        sender = asyncio.create_task(_push(socket, watch, after, pictures))
+        with suppress(WebSocketDisconnect, RuntimeError):
+            while True:
+                # What a client says means nothing, but its going does.
+                await socket.receive_text()
+        sender.cancel()
+        with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, OSError):
+            await sender
+
+    for router in routers:
+        app.include_router(router)
+    return Doors(app, hosts, token)
+
+
+async def _push(socket: WebSocket, watch: Watch, after: int, pictures: bool) -> None:
+    """Send the newest of everything, until the client goes; each message waits until the one before is taken."""
+    told: Any = None
+    shown = -1
+    last = after
+    while True:
+        state = watch.state
+        if state is not told:
+            told = state
+            await socket.send_json({"type": "state", **state.as_json()})
+            if watch.log.newest > last:
+                for event in await asyncio.to_thread(watch.log.events, last, _EVENTS):
+                    last = event["number"]
+                    await socket.send_json({"type": "event", "event": event})
+        if pictures:
+            number, picture = await asyncio.to_thread(watch.picture)
+            if number > shown:
+                shown = number
+                await socket.send_bytes(number.to_bytes(8, "big") + picture)
+        await asyncio.sleep(_PUSH)
