@@ -38,7 +38,7 @@ class Acquisition:
         compared with a lit one; stored frames come at their own pace. "all": none is dropped while stored frames are
         read, which wait; of a camera's, a few wait and the rest are lost.
     told
-        Called with "lost" or "returned", and a reason, from the thread that reads.
+        Called with "lost", "returned" or "ended", and a reason, from the thread that reads.
 
     Attributes
     ----------
@@ -110,7 +110,7 @@ class Acquisition:
             if self._over.is_set():
                 break
             if self.connected or (why and not live):
-                self._told("lost", why or ("the source ended" if live else "the end of the recording"))
+                self._told("lost" if live or why else "ended", why or ("it gives no more frames" if live else ""))
             self.connected = False
             if not live:
                 break
@@ -133,9 +133,10 @@ class Acquisition:
                 moment = self._begin + round(frame.time * 1e9)
                 if self.mode == "newest" and self._over.wait(max(0.0, (moment - time.monotonic_ns()) / 1e9)):
                     return
-            yield replace(
-                frame, time=(moment - self._begin) / 1e9, monotonic_ns=moment, utc_ns=self._utc + moment - self._begin
-            )
+            since = moment - self._begin
+            # Of a recording that is read faster than it was filmed, delays count from the reading.
+            taken = time.monotonic_ns() if self.mode == "all" and not source.live else moment
+            yield replace(frame, time=since / 1e9, monotonic_ns=taken, utc_ns=self._utc + since)
 
     def _offer(self, frame: Frame, live: bool) -> None:
         self.arrived += 1

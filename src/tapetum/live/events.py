@@ -18,7 +18,10 @@ from tapetum.track.rows import TrackedFrame, TrackRow
 
 __all__ = ["KINDS", "Event", "Events", "Ignored", "Region"]
 
-KINDS = ("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "source lost", "source returned")
+KINDS = (
+    *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device"),
+    *("source lost", "source returned", "source ended"),
+)
 """What events tell."""
 _NONE_OF_THESE = "none of these"
 T = TypeVar("T")

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Listener", "Watch"]
 
 _WIDTH = 1280  # of the picture of a frame, at most, in pixels
-_THUMB = 128  # side of the picture of an event, in pixels of the frame
+_THUMB = 64  # side of the picture of an event, in pixels of the frame
 _QUALITY = 80
 _RECENT = 30  # frames over which rate and delay are averaged
 _PATIENCE = 5.0

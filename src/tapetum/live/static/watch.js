@@ -6,7 +6,8 @@ const COLOURS = 6, TRAIL = 120, SPAN = 120e3, EVENTS = 100;
 const numbers = new Map();  // by a camera's id: the number that people see
 const trails = new Map();  // by a camera's id: places of the probe in its field
 const stays = new Map();  // by a camera's id: from and to when it was seen, ms
-let state = null, picture = null, chosen = null, last = 0, paused = false, retry = 500, behind = 0;
+const places = new Map();  // by a frame's number: its cameras, so that marks stand where that picture shows them
+let state = null, picture = null, shown = -1, chosen = null, last = 0, paused = false, retry = 500;
 
 const colour = (id) => getComputedStyle(document.documentElement).getPropertyValue(`--c${(number(id) - 1) % COLOURS}`);
 const number = (id) => {
@@ -33,7 +34,8 @@ function take(message) {
   // A server that was started again, without a log, counts its events from the beginning.
   if (state && message.frame < state.frame && message.health.frames < state.health.frames) last = 0;
   state = message;
-  behind = Date.now() - message.utc_ns / 1e6;
+  places.set(message.frame, message.cameras);
+  if (places.size > 40) places.delete(places.keys().next().value);
   for (const one of state.cameras) {
     const now = state.utc_ns / 1e6, stay = stays.get(one.id) ?? { from: one.since_utc_ns / 1e6 };
     stays.set(one.id, { ...stay, to: now });
@@ -56,9 +58,9 @@ async function show(blob) {
   if (paused || decoding) return;
   decoding = true;
   try {
-    const next = await createImageBitmap(blob.slice(8));
+    const head = new DataView(await blob.slice(0, 8).arrayBuffer()), next = await createImageBitmap(blob.slice(8));
     picture?.close();
-    picture = next;
+    [picture, shown] = [next, Number(head.getBigUint64(0))];
     requestAnimationFrame(draw);
   } finally { decoding = false; }
 }
@@ -85,7 +87,7 @@ function drawPicture() {
   pen.drawImage(picture, 0, 0);
   const scale = view.width / state.size[0], unit = view.width / Math.max(view.clientWidth, 1);
   pen.font = `600 ${14 * unit}px system-ui, sans-serif`;
-  for (const one of state.cameras) {
+  for (const one of places.get(shown) ?? state.cameras) {
     const x = (one.x + 0.5) * scale, y = (one.y + 0.5) * scale;
     const radius = Math.max(13 * unit, 0.8 * one.diameter * scale);
     pen.lineWidth = (one.id === chosen ? 3.5 : 2) * unit;
@@ -259,6 +261,7 @@ const KINDS = {
   "not imaging": (who) => `${who} images no more`, looks: (who, what) => `${who} looks at ${what}`,
   "looks away": (who, what) => `${who} looks away from ${what}`, device: (who, what) => `${who} is taken for ${what}`,
   "source lost": (_, what) => `The source went: ${what}`, "source returned": () => "The source returned",
+  "source ended": () => "The recording is at its end",
 };
 
 function happened(event) {

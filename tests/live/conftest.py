@@ -1,0 +1,69 @@
+"""Sources and watches for the tests of the live watch."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from tapetum.live.loop import Watch
+from tapetum.record.drawn_room import DrawnRoom
+from tapetum.record.source import Frame, Source
+
+
+@dataclass
+class Scripted:
+    """Frames that a test wrote: of a camera (`live`), which fails after them, or stored."""
+
+    frames: Sequence[Frame]
+    live: bool = False
+    fault: Exception | None = None
+    name: str = "scripted"
+    full_scale: int = 255
+    rate: float | None = 20.0
+    closed: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def count(self) -> int | None:
+        return None if self.live else len(self.frames)
+
+    @property
+    def hardware(self) -> dict[str, Any]:
+        return {}
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def first(self) -> Frame:
+        return self.frames[0]
+
+    def close(self) -> None:
+        self.closed.set()
+
+    def __iter__(self) -> Iterator[Frame]:
+        yield from self.frames
+        if self.fault is not None:
+            raise self.fault
+
+
+def room_frames(seconds: float, *, rate: float = 20.0, start: float = 0.0) -> list[Frame]:
+    """Return the drawn room's frames, every other one lit."""
+    room = DrawnRoom()
+    times = [k / rate for k in range(round(start * rate), round((start + seconds) * rate))]
+    return [Frame(k, t, room.picture(t, lit=bool(k % 2)), lit=bool(k % 2)) for k, t in enumerate(times)]
+
+
+def watched(opens: Callable[[], Source], **options: Any) -> Watch:
+    """Watch a source to its end."""
+    watch = Watch(opens, **{"mode": "all", **options})
+    watch.start()
+    assert watch.join(60), "the watch did not end"
+    return watch
+
+
+@pytest.fixture(scope="session")
+def three_seconds() -> list[Frame]:
+    return room_frames(3)

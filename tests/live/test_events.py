@@ -1,0 +1,99 @@
+"""Events: what is told, when, and what is not."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from tapetum.errors import InputError
+from tapetum.live.events import Event, Events, Ignored, Region
+from tapetum.track.detections import Detections
+from tapetum.track.rows import TrackedFrame, TrackRow
+
+STEP = 0.125  # exact in binary, so that limits fall on frames
+
+
+def row(k: int, track: int = 1, *, seen: bool = True, active: bool | None = None, **estimates: Any) -> TrackRow:
+    return TrackRow(
+        k, k * STEP, "", track, 50.0, 40.0, 9.0 if seen else None, 50.0, 40.0, 5.0, seen, active=active,
+        estimates=estimates,
+    )  # fmt: skip
+
+
+def told(events: Events, rows: list[list[TrackRow]], start: int = 0) -> list[tuple[int, str, str]]:
+    said = []
+    for k, one in enumerate(rows, start):
+        frame = TrackedFrame(k, k * STEP, "", tuple(one), Detections.empty(), ())
+        said += [(k, event.kind, event.detail) for event in events.update(frame, k)]
+    return said
+
+
+def test_a_camera_is_told_of_once_it_was_followed_for_a_while_and_once_it_is_gone() -> None:
+    events = Events()
+    rows = [[row(k)] for k in range(20)] + [[] for _ in range(15)]
+    assert told(events, rows) == [(4, "seen", ""), (28, "gone", "")]
+
+
+def test_what_is_seen_for_a_moment_is_never_told_of() -> None:
+    assert told(Events(), [[row(k)] for k in range(4)] + [[] for _ in range(30)]) == []
+
+
+def test_an_event_of_a_change_has_the_camera_before_and_after() -> None:
+    events = Events()
+    made: list[Event] = []
+    for k in range(30):
+        frame = TrackedFrame(k, k * STEP, "", (row(k, active=k >= 15),), Detections.empty(), ())
+        made += events.update(frame, k)
+    new, off, on = made
+    assert (new.type, new.before, off.kind, on.type, on.kind) == ("new", None, "not imaging", "update", "imaging")
+    assert on.id == new.id and on.before is not None and on.after is not None
+    assert (on.before.active, on.after.active) == (False, True)
+    assert on.as_json()["schema"] == "tapetum/event/1"
+
+
+def test_a_state_that_flickers_is_not_told_of() -> None:
+    rows = [[row(k, active=True)] for k in range(20)] + [[row(k, active=bool(k % 3))] for k in range(20, 60)]
+    assert told(Events(), rows) == [(4, "seen", ""), (8, "imaging", "")]
+
+
+def gaze(x: float) -> dict[str, Any]:
+    return {"gaze_x": x, "gaze_x_low": x - 0.01, "gaze_x_high": x + 0.01, "gaze_y": 0.0, "applies": True}
+
+
+def test_a_gaze_in_a_region_is_told_of_and_one_where_the_model_does_not_apply_is_not() -> None:
+    events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)])
+    rows = [[row(k, **gaze(0.0))] for k in range(10)] + [[row(k, **gaze(0.3))] for k in range(10, 30)]
+    assert told(events, rows) == [(4, "seen", ""), (14, "looks", "screen")]
+    assert events.cameras[0].regions == ("screen",)
+    assert events.cameras[0].gaze_x == pytest.approx((0.3, 0.29, 0.31))
+    strange = [[row(k, **{**gaze(0.0), "applies": False})] for k in range(30, 50)]
+    assert told(events, strange, 30) == []
+    assert events.cameras[0].gaze_x is None
+
+
+def test_nothing_is_told_of_an_ignored_camera_and_one_that_was_told_of_ends() -> None:
+    events = Events()
+    assert told(events, [[row(k), row(k, 2, device="ours")] for k in range(8)]) == [(4, "seen", ""), (4, "seen", "")]
+    events.ignored = (Ignored(device="ours"),)
+    both = [[row(k), row(k, 2, device="ours")] for k in range(8, 30)]
+    assert told(events, both, 8) == [(8, "gone", "")]
+    assert Ignored(48, 41, 5).holds(events.cameras[0]) and not Ignored(58, 41, 5).holds(events.cameras[0])
+
+
+def test_a_model_that_knows_no_device_names_none() -> None:
+    events = Events()
+    rows = [[row(k, device="none of these", device_probability=float("nan"))] for k in range(20)]
+    assert told(events, rows) == [(4, "seen", "")]
+    assert events.cameras[0].device is None and events.cameras[0].device_probability is None
+
+
+@pytest.mark.parametrize("name", ["confirm", "hold", "cooldown", "gone"])
+def test_a_time_that_is_none_is_refused(name: str) -> None:
+    with pytest.raises(InputError, match=f"{name}: must be 0 or more seconds, is nan"):
+        Events(**{name: float("nan")})  # pyright: ignore[reportArgumentType]
+
+
+def test_a_region_that_encloses_nothing_is_refused() -> None:
+    with pytest.raises(InputError, match="region door: left 0.4, right 0.2"):
+        Region("door", 0.4, 0, 0.2, 1)

@@ -1,0 +1,119 @@
+"""The loop on the drawn room, and what goes wrong in it."""
+
+from __future__ import annotations
+
+import math
+import sqlite3
+from dataclasses import replace
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tapetum.live.events import Event, Ignored
+from tapetum.live.log import Log
+from tapetum.live.state import State
+from tapetum.record.drawn_room import DrawnRoom
+from tapetum.record.source import Frame
+from tests.live.conftest import Scripted, room_frames, watched
+
+
+def test_the_rooms_cameras_are_found_and_neither_its_lamp_nor_its_mirror(three_seconds: list[Frame]) -> None:
+    watch = watched(lambda: Scripted(three_seconds))
+    events = watch.log.events()
+    assert [(one["kind"], one["picture"]) for one in events] == [
+        *[("seen", True)] * 2,
+        ("source ended", False),
+        *[("gone", False)] * 2,
+    ]
+    assert watch.state.health.delay >= 0
+    for one in events[:2]:
+        place = one["after"]["x"], one["after"]["y"]
+        assert any(math.dist(place, at) < 20 for at in DrawnRoom().places(1.0)), place
+    assert watch.state.health.frames == 60 and watch.state.health.ended
+    assert watch.state.size == (640, 480)
+    number, picture = watch.picture()
+    assert number == 59 and cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE).shape == (480, 640)
+
+
+def test_an_ignored_place_stays_ignored_in_the_next_watch(three_seconds: list[Frame], tmp_path: Path) -> None:
+    log = Log(tmp_path / "log.db")
+    log.ignore(Ignored(170, 150, 40))
+    seen = [one for one in watched(lambda: Scripted(three_seconds), log=log).log.events() if one["kind"] == "seen"]
+    assert len(seen) == 1 and seen[0]["after"]["x"] > 400
+
+
+@pytest.mark.parametrize("fault", ["another size", "black", "white", "16 bit"])
+def test_a_strange_frame_does_not_end_the_watch(three_seconds: list[Frame], fault: str) -> None:
+    strange = {
+        "another size": np.zeros((100, 120), np.uint8),
+        "black": np.zeros((480, 640), np.uint8),
+        "white": np.full((480, 640), 255, np.uint8),
+        "16 bit": np.full((480, 640), 9000, np.uint16),
+    }[fault]
+    frames = [*three_seconds[:30], *(replace(one, image=strange) for one in three_seconds[30:32]), *three_seconds[32:]]
+    watch = watched(lambda: Scripted([replace(one, full_scale=None) for one in frames]))
+    events = [one for one in watch.log.events() if one["id"] != "source"]
+    ids = {one["id"] for one in events}
+    # A camera whose size changes may make its stays begin again; nothing that is none may appear.
+    assert sum(one["kind"] == "gone" for one in events) == len(ids) <= 4
+    assert watch.state.health.frames + (watch.state.health.fault != "") >= 58
+    assert {one["kind"] for one in events[-2:]} == {"gone"}
+
+
+def test_a_model_that_fails_is_shown_as_a_fault_and_the_frames_go_on(three_seconds: list[Frame]) -> None:
+    class Failing:
+        target_names = ("gaze_x",)
+        calls = 0
+
+        def predict(self, crops: np.ndarray, full_scale: float) -> None:
+            self.calls += 1
+            if self.calls < 3:
+                raise RuntimeError("out of memory")
+            raise RuntimeError("still")
+
+    failing = Failing()
+    watch = watched(lambda: Scripted(three_seconds[:12]), models=[failing])
+    assert failing.calls >= 3 and watch.state.health.fault == "still" and watch.state.health.ended
+
+
+def test_a_full_disk_stops_the_log_and_not_the_watch(three_seconds: list[Frame], tmp_path: Path) -> None:
+    log = Log(tmp_path / "log.db")
+    log._base.execute(f"PRAGMA max_page_count={log._base.execute('PRAGMA page_count').fetchone()[0]}")
+    with pytest.raises(sqlite3.Error, match="full"):
+        while True:
+            log.add(Event("a", "new", "seen", 1), b"x")
+    told: list[Event] = []
+
+    class Hears:
+        def event(self, event: Event) -> None:
+            told.append(event)
+
+        def state(self, state: State) -> None: ...
+
+        def close(self) -> None: ...
+
+    watch = watched(lambda: Scripted(three_seconds), log=log, listeners=[Hears()])
+    assert "the log cannot be written (database or disk is full)" in watch.state.health.fault
+    assert watch.state.health.frames == 60 and len(told) == 5
+
+
+def test_a_camera_that_is_unplugged_for_a_moment_is_told_and_its_stay_goes_on_or_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("tapetum.live.acquire._RETRY", (0.01, 0.02))
+    opened: list[Scripted] = []
+
+    def opens() -> Scripted:
+        if len(opened) == 3:
+            # The end of the test: what is stored ends the watch.
+            opened.append(Scripted([]))
+        else:
+            opened.append(Scripted(room_frames(0.2), live=True, fault=OSError("unplugged")))
+        return opened[-1]
+
+    watch = watched(opens)
+    kinds = [(one["kind"], one["detail"]) for one in watch.log.events() if one["id"] == "source"]
+    assert kinds[:3] == [("source lost", "unplugged"), ("source returned", "scripted"), ("source lost", "unplugged")]
+    assert all(one.closed.is_set() for one in opened[:3])
