@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.live.conftest import Scripted
 
 from tapetum.errors import InputError
 from tapetum.live.acquire import Acquisition
 from tapetum.record.source import Frame
-from tests.live.conftest import Scripted
 
 BLACK = np.zeros((8, 8), np.uint8)
 

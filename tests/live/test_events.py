@@ -95,5 +95,5 @@ def test_a_time_that_is_none_is_refused(name: str) -> None:
 
 
 def test_a_region_that_encloses_nothing_is_refused() -> None:
-    with pytest.raises(InputError, match="region door: left 0.4, right 0.2"):
+    with pytest.raises(InputError, match=r"region door: left 0\.4, right 0\.2"):
         Region("door", 0.4, 0, 0.2, 1)

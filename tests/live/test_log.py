@@ -70,7 +70,7 @@ def test_a_killed_process_loses_nothing_that_it_wrote(tmp_path: Path) -> None:
     written = max([written, *(int(one) for one in rest[:-1])])
     log = Log(tmp_path / "log.db")
     assert log.newest >= written
-    assert [one["number"] for one in log.events(after=written - 10, most=10)][0] >= written - 9
+    assert written in {one["number"] for one in log.events(after=written - 10)}
     assert log._base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 
 

@@ -10,13 +10,13 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from tests.live.conftest import Scripted, room_frames, watched
 
 from tapetum.live.events import Event, Ignored
 from tapetum.live.log import Log
 from tapetum.live.state import State
 from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.source import Frame
-from tests.live.conftest import Scripted, room_frames, watched
 
 
 def test_the_rooms_cameras_are_found_and_neither_its_lamp_nor_its_mirror(three_seconds: list[Frame]) -> None:
@@ -34,7 +34,8 @@ def test_the_rooms_cameras_are_found_and_neither_its_lamp_nor_its_mirror(three_s
     assert watch.state.health.frames == 60 and watch.state.health.ended
     assert watch.state.size == (640, 480)
     number, picture = watch.picture()
-    assert number == 59 and cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE).shape == (480, 640)
+    decoded = cv2.imdecode(np.frombuffer(picture, np.uint8), cv2.IMREAD_GRAYSCALE)
+    assert number == 59 and decoded is not None and decoded.shape == (480, 640)
 
 
 def test_an_ignored_place_stays_ignored_in_the_next_watch(three_seconds: list[Frame], tmp_path: Path) -> None:

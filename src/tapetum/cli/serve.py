@@ -50,7 +50,8 @@ def serve(
         option("NAME", "A further name under which browsers ask for the page; several times.", "--host-name"),
     ] = None,
     token: Annotated[
-        str | None, option("TEXT", "What a browser must bring, 16 characters or more; made at random where one is needed.")
+        str | None,
+        option("TEXT", "What browsers must bring, 16 characters or more; random where one is needed."),
     ] = None,
     browse: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
     device: Device = "auto",

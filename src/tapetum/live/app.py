@@ -16,6 +16,7 @@ from tapetum.live.loop import Watch
 need("fastapi", "live")
 
 from fastapi import APIRouter, FastAPI, HTTPException, Query, Request, Response, WebSocket, WebSocketDisconnect  # noqa: E402
+from fastapi.exceptions import RequestValidationError  # noqa: E402
 from fastapi.responses import FileResponse, JSONResponse  # noqa: E402
 from fastapi.staticfiles import StaticFiles  # noqa: E402
 from pydantic import BaseModel, ConfigDict, Field  # noqa: E402
@@ -33,19 +34,41 @@ _EVENTS = 50
 _NUMBER = Annotated[int, Query(ge=0, le=2**62)]
 
 
-class IgnoredCamera(BaseModel):
-    """A camera to ignore: every one within `radius` pixels of a place, or every one of a `device`."""
-
+class _Strict(BaseModel):
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-    x: float = Field(0.0, ge=0, le=1e5)
-    y: float = Field(0.0, ge=0, le=1e5)
-    radius: float = Field(0.0, ge=0, le=1e4)
-    device: str = Field("", max_length=200)
+
+
+class IgnoredPlace(_Strict):
+    """Every camera within `radius` pixels of a place is ignored."""
+
+    x: float = Field(ge=0, le=1e5)
+    y: float = Field(ge=0, le=1e5)
+    radius: float = Field(gt=0, le=1e4)
+
+
+class IgnoredDevice(_Strict):
+    """Every camera of a device is ignored."""
+
+    device: str = Field(min_length=1, max_length=200)
+
+
+class Problem(_Strict):
+    """Why a request was refused, in one line."""
+
+    detail: str
+
+
+_JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": {}}}, 404: {"model": Problem}}
 
 
 def make_base(title: str) -> FastAPI:
     """Return an application that answers bad input with one clear line, and serves the pages' files."""
-    app = FastAPI(title=title, docs_url=None, redoc_url=None)
+    app = FastAPI(title=title, docs_url=None, redoc_url=None, responses={422: {"model": Problem}})
+
+    @app.exception_handler(RequestValidationError)
+    async def _invalid(request: Request, error: RequestValidationError) -> JSONResponse:
+        said = [f"{'.'.join(str(part) for part in one['loc'][1:]) or 'body'}: {one['msg']}" for one in error.errors()]
+        return JSONResponse({"detail": "; ".join(said)}, status_code=422)
 
     @app.exception_handler(InputError)
     async def _refused(request: Request, error: InputError) -> JSONResponse:
@@ -96,7 +119,7 @@ def make_app(
         """Return the latest events with a number above `after`, oldest first."""
         return await asyncio.to_thread(watch.log.events, after, most)
 
-    @app.get("/api/events/{number}/picture", responses={200: {"content": {"image/jpeg": {}}}, 404: {}})
+    @app.get("/api/events/{number}/picture", responses=_JPEG, response_class=Response)
     async def evidence(number: int) -> Response:
         """Return the picture of an event."""
         found = await asyncio.to_thread(watch.log.picture, number) if 0 < number < 2**62 else None
@@ -104,7 +127,7 @@ def make_app(
             raise HTTPException(404, f"event {number} has no picture, or no more")
         return Response(found, media_type="image/jpeg")
 
-    @app.get("/api/frame.jpg", responses={200: {"content": {"image/jpeg": {}}}, 404: {}})
+    @app.get("/api/frame.jpg", responses=_JPEG, response_class=Response)
     async def frame() -> Response:
         """Return the latest frame that is shown."""
         _, picture = await asyncio.to_thread(watch.picture)
@@ -118,11 +141,9 @@ def make_app(
         return [vars(one) for one in watch.events.ignored]
 
     @app.post("/api/ignored", status_code=204)
-    async def ignore(one: IgnoredCamera) -> None:
+    async def ignore(one: IgnoredPlace | IgnoredDevice) -> None:
         """Ignore a camera from now on."""
-        if not one.device and not one.radius > 0:
-            raise HTTPException(422, "give a radius in pixels, or a device")
-        await asyncio.to_thread(watch.ignore, Ignored(one.x, one.y, one.radius, one.device))
+        await asyncio.to_thread(watch.ignore, Ignored(**one.model_dump()))
 
     @app.delete("/api/ignored", status_code=204)
     async def forget() -> None:

@@ -179,6 +179,9 @@ class Doors:
 
         async def guarded(message: MutableMapping[str, Any]) -> None:
             nonlocal begun
+            if over and not begun:
+                # The application's answer to a client that went.
+                return
             if message["type"] == "http.response.start":
                 begun = True
                 headers = [*message.get("headers", ()), *_HEADERS]

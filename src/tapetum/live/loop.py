@@ -17,7 +17,7 @@ from tapetum.live.acquire import Acquisition
 from tapetum.live.events import Event, Events, Ignored, Region
 from tapetum.live.log import Log
 from tapetum.live.state import Health, State
-from tapetum.record.source import Frame, Source
+from tapetum.record.source import Frame, Source, full_scale_of
 from tapetum.track.pipeline import make_detector, track, usual_tracker
 
 if TYPE_CHECKING:
@@ -245,5 +245,5 @@ def _jpeg(image: NDArray[Any], full_scale: int | None, width: int) -> bytes:
         scale = width / image.shape[1]
         image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     if image.dtype != np.uint8 or (full_scale or 255) != 255:
-        image = cv2.convertScaleAbs(image, alpha=255 / (full_scale or np.iinfo(image.dtype).max))
+        image = cv2.convertScaleAbs(image, alpha=255 / (full_scale or full_scale_of(image.dtype)))
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, _QUALITY])[1].tobytes()

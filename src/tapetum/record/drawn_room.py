@@ -1,7 +1,7 @@
 """A drawn room with cameras, as a source that needs no hardware and no time to render: what `tapetum serve demo` shows.
 
-The room is that of the virtual bench's target camera; the returns are Gaussian spots, not computed ones, so that nothing
-in them tells of a camera's gaze or device. Every other frame is lit by the probe.
+The room is that of the virtual bench's target camera; the returns are Gaussian spots, not computed ones, and show
+neither gaze nor device. Every other frame is lit by the probe.
 """
 
 from __future__ import annotations
