@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import json
+import warnings
 from collections.abc import Iterator
 from typing import Any
 
 import pytest
-
-pytest.importorskip("fastapi", reason="the extra live is not installed")
-import warnings
 
 with warnings.catch_warnings():
     # Its own successor of httpx is not what other packages bring.
@@ -159,7 +157,7 @@ def test_only_this_machines_addresses_are_loopback() -> None:
 
 @pytest.mark.filterwarnings("ignore")
 def test_requests_made_up_from_the_description_find_no_fault(watch: Watch) -> None:
-    schemathesis = pytest.importorskip("schemathesis", reason="schemathesis is not installed")
+    import schemathesis
     from hypothesis import HealthCheck, given, settings
 
     schema = schemathesis.openapi.from_asgi("/openapi.json", make_app(watch).app)
