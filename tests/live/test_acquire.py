@@ -100,3 +100,13 @@ def test_a_full_queue_makes_a_stored_source_wait_and_a_camera_lose(monkeypatch: 
         time.sleep(0.001)
     camera.close()
     assert camera.lost == 7
+
+
+def test_a_stored_source_that_repeats_goes_on_in_time() -> None:
+    said: list[str] = []
+    reading = Acquisition(lambda: Scripted(frames(0.0, 0.1)), "all", lambda what, _: said.append(what), repeat=True)
+    reading.start()
+    times = [round(one.time, 3) for one, _ in zip(reading, range(5), strict=False)]
+    reading.close()
+    assert times == [0.0, 0.1, 0.15, 0.25, 0.3]
+    assert said == []

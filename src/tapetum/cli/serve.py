@@ -39,6 +39,7 @@ def serve(
     every: Annotated[
         bool, typer.Option("--every-frame", help="Leave none of a stored source's frames out; else real time.")
     ] = False,
+    repeat: Annotated[bool, typer.Option("--repeat", help="Begin a stored source again at its end.")] = False,
     rate: Annotated[float | None, option("HZ", "Frames a second asked of a camera, or of images.", min=0.1)] = None,
     stream: Annotated[str, option("NAME", "Which stream of a recording.")] = "probe",
     address: Annotated[
@@ -79,6 +80,7 @@ def serve(
         detector=detector,
         models=[find_model(name, device) for name in models or ()],
         mode="all" if every else "newest",
+        repeat=repeat,
         log=None if log is None else Log(log),
     )
     watch.start()

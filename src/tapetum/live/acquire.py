@@ -22,6 +22,7 @@ _QUEUE = 24
 _RETRY = (0.5, 5.0)  # s between two trials to open a camera again: at first, and at most
 _PATIENCE = 2.0
 _LOOK = 0.1
+_GAP = 0.05  # s between two rounds of a source that repeats
 
 Told = Callable[[str, str], None]
 
@@ -39,6 +40,8 @@ class Acquisition:
         read, which wait; of a camera's, a few wait and the rest are lost.
     told
         Called with "lost", "returned" or "ended", and a reason, from the thread that reads.
+    repeat
+        Whether a stored source begins again at its end.
 
     Attributes
     ----------
@@ -48,8 +51,9 @@ class Acquisition:
         Whether the source gives frames, and whether it is at its end.
     """
 
-    def __init__(self, opens: Callable[[], Source], mode: str = "newest", told: Told | None = None) -> None:
+    def __init__(self, opens: Callable[[], Source], mode: str = "newest", told: Told | None = None, *, repeat: bool = False) -> None:
         self._opens, self.mode = opens, one_of(mode, MODES, "mode")
+        self.repeat = repeat
         self._told: Told = told or (lambda what, why: None)
         self.arrived = self.lost = self.refused = 0
         self.connected = self.ended = False
@@ -62,6 +66,7 @@ class Acquisition:
     def start(self) -> None:
         """Open the source and begin; InputError where it cannot be opened at first."""
         self._source = self._opens()
+        self._round = 0.0
         self._begin, self._utc, self._last = time.monotonic_ns(), time.time_ns(), -1.0
         self._thread.start()
 
@@ -109,12 +114,17 @@ class Acquisition:
                     source.close()
             if self._over.is_set():
                 break
-            if self.connected or (why and not live):
+            again = self.repeat and not live and not why
+            if not again and (self.connected or (why and not live)):
                 self._told("lost" if live or why else "ended", why or ("it gives no more frames" if live else ""))
-            self.connected = False
-            if not live:
+            self.connected &= again
+            if not live and not again:
                 break
             source = None
+            if again:
+                # The next round's first frame comes after this one's last.
+                self._round = self._last + _GAP
+                continue
             self._over.wait(pause)
             pause = min(2 * pause, _RETRY[1])
         with self._change:
@@ -130,7 +140,7 @@ class Acquisition:
                 if not 0 <= moment - self._begin <= time.monotonic_ns() - self._begin:
                     moment = time.monotonic_ns()
             else:
-                moment = self._begin + round(frame.time * 1e9)
+                moment = self._begin + round((self._round + frame.time) * 1e9)
                 if self.mode == "newest" and self._over.wait(max(0.0, (moment - time.monotonic_ns()) / 1e9)):
                     return
             since = moment - self._begin

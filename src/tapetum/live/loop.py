@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 __all__ = ["Listener", "Watch"]
 
 _WIDTH = 1280  # of the picture of a frame, at most, in pixels
-_THUMB = 64  # side of the picture of an event, in pixels of the frame
+_THUMB = 64  # least side of the picture of an event, in pixels of the frame
 _QUALITY = 80
 _RECENT = 30  # frames over which rate and delay are averaged
 _PATIENCE = 5.0
@@ -63,8 +63,9 @@ class Watch:
         "cameras", in a room, or "spots", in the beam of a dark bench.
     models
         Estimators of gaze, focus or device.
-    mode
-        "newest", frames in real time, or "all", none of a stored source is left out (see `Acquisition`).
+    mode, repeat
+        "newest", frames in real time, or "all", none of a stored source is left out; whether one begins again at its
+        end (see `Acquisition`).
     log
         Where events go; default: memory.
     regions
@@ -90,12 +91,13 @@ class Watch:
         detector: str = "cameras",
         models: Sequence[Predictor] = (),
         mode: str = "newest",
+        repeat: bool = False,
         log: Log | None = None,
         regions: Iterable[Region] = (),
         listeners: Iterable[Listener] = (),
         timing: dict[str, float] | None = None,
     ) -> None:
-        self.acquisition = Acquisition(opens, mode, self._told_of_source)
+        self.acquisition = Acquisition(opens, mode, self._told_of_source, repeat=repeat)
         self.log = Log(":memory:") if log is None else log
         self.events = Events(regions, ignored=self.log.ignored(), **(timing or {}))
         self.listeners = list(listeners)
@@ -207,12 +209,11 @@ class Watch:
         if frame is None or camera is None:
             return None
         place = round(camera.x), round(camera.y)
-        corner = [
-            max(0, min(at - _THUMB // 2, size - _THUMB))
-            for at, size in zip(place, frame.image.shape[::-1], strict=True)
-        ]
-        part = frame.image[corner[1] : corner[1] + _THUMB, corner[0] : corner[0] + _THUMB]
-        return _jpeg(part, frame.full_scale, _THUMB)
+        side = max(_THUMB, round(2 * camera.diameter))
+        left, top = (
+            max(0, min(at - side // 2, size - side)) for at, size in zip(place, frame.image.shape[::-1], strict=True)
+        )
+        return _jpeg(frame.image[top : top + side, left : left + side], frame.full_scale, _WIDTH)
 
     def _told_of_source(self, what: str, why: str) -> None:
         """Publish that the source went or returned; from the thread that reads."""

@@ -185,7 +185,7 @@ function words(one) {
 }
 
 const percent = (share) => (share === null ? "?" : `${Math.round(100 * share)} %`);
-const within = ([value, low, high]) => `${value.toFixed(3)} ± ${((high - low) / 2).toFixed(3)}`;
+const within = ([value, low, high]) => `${value.toFixed(3).replace("-", "−")} ± ${((high - low) / 2).toFixed(3)}`;
 const lasting = (s) => (s < 60 ? `${s} s` : s < 3600 ? `${Math.floor(s / 60)} min` : `${Math.floor(s / 3600)} h`);
 
 function thumbnail(canvas, one) {
