@@ -110,3 +110,20 @@ def test_a_stored_source_that_repeats_goes_on_in_time() -> None:
     reading.close()
     assert times == [0.0, 0.1, 0.15, 0.25, 0.3]
     assert said == []
+
+
+def test_a_source_slower_than_real_time_slips_and_does_not_fall_behind(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tapetum.live.acquire._SLIP", 0.01)
+
+    class Slow(Scripted):
+        def __iter__(self):
+            for one in self.frames:
+                time.sleep(0.03)
+                yield one
+
+    reading = Acquisition(lambda: Slow(frames(*np.arange(10) * 1e-3)), "newest")
+    reading.start()
+    delays = [(time.monotonic_ns() - (one.monotonic_ns or 0)) / 1e9 for one in reading]
+    # Without it the last frame is 0.3 s late by its own clock.
+    assert min(delays[-3:]) < 0.1
+    assert reading.refused == 0

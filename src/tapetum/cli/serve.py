@@ -100,6 +100,8 @@ def _bound(address: str, port: int) -> socket.socket:
         bound = socket.socket(family, socket.SOCK_STREAM)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         bound.bind(where)
+        # Who opens the printed address at once waits, and is not refused.
+        bound.listen(128)
     except OSError as error:
         what = f"{address} port {port} cannot be used ({error.strerror or error})"
         raise InputError(what, where="--address, --port", remedy="give another port, or 0 for a free one") from error

@@ -22,6 +22,7 @@ _QUEUE = 24
 _RETRY = (0.5, 5.0)  # s between two trials to open a camera again: at first, and at most
 _PATIENCE = 2.0
 _LOOK = 0.1
+_SLIP = 0.25  # s that a stored frame may come late before the clock waits for it
 _GAP = 0.05  # s between two rounds of a source that repeats
 
 Told = Callable[[str, str], None]
@@ -51,7 +52,9 @@ class Acquisition:
         Whether the source gives frames, and whether it is at its end.
     """
 
-    def __init__(self, opens: Callable[[], Source], mode: str = "newest", told: Told | None = None, *, repeat: bool = False) -> None:
+    def __init__(
+        self, opens: Callable[[], Source], mode: str = "newest", told: Told | None = None, *, repeat: bool = False
+    ) -> None:
         self._opens, self.mode = opens, one_of(mode, MODES, "mode")
         self.repeat = repeat
         self._told: Told = told or (lambda what, why: None)
@@ -141,8 +144,14 @@ class Acquisition:
                     moment = time.monotonic_ns()
             else:
                 moment = self._begin + round((self._round + frame.time) * 1e9)
-                if self.mode == "newest" and self._over.wait(max(0.0, (moment - time.monotonic_ns()) / 1e9)):
-                    return
+                if self.mode == "newest":
+                    early = (moment - time.monotonic_ns()) / 1e9
+                    if self._over.wait(max(0.0, early)):
+                        return
+                    if early < -_SLIP:
+                        # Frames that are read or computed slower than they were taken delay all that follow.
+                        self._round -= early
+                        moment -= round(early * 1e9)
             since = moment - self._begin
             # Of a recording that is read faster than it was filmed, delays count from the reading.
             taken = time.monotonic_ns() if self.mode == "all" and not source.live else moment

@@ -1,0 +1,76 @@
+"""`tapetum serve`: one run as a person makes it, and what it refuses."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.request
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from tapetum.cli.serve import _bound, _hosts
+
+
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
+def test_the_demo_is_served_until_it_is_stopped(tmp_path: Path, end: signal.Signals) -> None:
+    command = [sys.executable, "-m", "tapetum", "serve", "demo", "--port", "0", "--log", str(tmp_path / "log.db")]
+    said = {**os.environ, "PYTHONUNBUFFERED": "1"}
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=said)
+    try:
+        assert process.stdout is not None and process.stderr is not None
+        line = process.stdout.readline()
+        found = re.fullmatch(r"watching demo: (http://127\.0\.0\.1:\d+/)\n", line)
+        assert found, line + process.stderr.read()
+        # Not by a proxy of the machine's.
+        opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
+        with opener.open(f"{found[1]}api/state", timeout=30) as answer:
+            assert json.load(answer)["source"] == "demo"
+        process.send_signal(end)
+        assert process.wait(30) == 0
+        assert process.stderr.read() == ""
+    finally:
+        process.kill()
+        process.wait()
+    assert (tmp_path / "log.db").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["nothing.mkv"], "nothing.mkv"),
+        (["demo", "--detector", "eyes"], "--detector"),
+        (["demo", "--token", "short"], "--token: has 5 characters; give 16 or more, or leave it out"),
+        (["demo", "--log", "none/events.db"], "make the folder none first"),
+        (["demo", "--model", "no-such-model"], "no-such-model"),
+        (["demo", "--address", "no.such.host.invalid"], "no.such.host.invalid"),
+    ],
+)
+def test_bad_input_is_one_line(
+    run: Callable[..., object], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, arguments: list[str], complaint: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    ran = run("serve", *arguments, "--port", 0)
+    assert ran.code == 2 and complaint in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_port_in_use_is_refused(run: Callable[..., object]) -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        ran = run("serve", "demo", "--port", taken.getsockname()[1])
+    assert ran.code == 2 and "cannot be used" in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
+    assert "give another port, or 0 for a free one" in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_the_names_that_are_let_in() -> None:
+    assert _hosts("0.0.0.0", ["Watch.Example"]) == ("127.0.0.1", "localhost", "::1", "watch.example")
+    assert _hosts("192.168.1.2", None)[-1] == "192.168.1.2"
+    with _bound("127.0.0.1", 0) as bound:
+        assert bound.getsockname()[1] > 0
