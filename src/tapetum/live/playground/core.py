@@ -1,0 +1,207 @@
+"""From a scene to what the bench to play with shows: pictures, budget, limit, eye safety and rays. No server here."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import OrderedDict
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from tapetum.bench import PhoneTarget, PrescriptionLens, ProbeSensor, Scene
+from tapetum.errors import InputError
+from tapetum.live.playground.rays import Drawing, draw_rays
+from tapetum.simulate import FisherInformation, Image, LinkBudget, expose, fisher, link_budget
+from tapetum.simulate.camera import Camera
+from tapetum.simulate.gaze import largest_sine
+from tapetum.simulate.phone import PhoneCamera, open_camera
+from tapetum.simulate.plan_parts import EyeCheck
+from tapetum.simulate.planning import eye_check
+from tapetum.simulate.unknowns import not_told
+
+__all__ = ["LIMITS", "Limit", "Playground", "Result"]
+
+LIMITS = ("gaze_x", "gaze_y", "object_distance")
+"""What one frame's limit is told of, all of it unknown together."""
+
+_DRAFT = 0.3
+"""Accuracy of a first picture, in fractions of the peak: the fewest samples that the engine tries."""
+_LIMIT_ACCURACY = 0.01
+"""Of the pictures that the limit of a thin lens is computed from: with these it is within 1 % (tests)."""
+_MOST_PIXELS = 1024 * 1024
+_MOST_BYTES = 1 << 30
+_POWER = 1e-3
+_STEP = 1.25
+_FIRST_STEP = 0.01
+_STEEPEST = 0.86
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a scene gives.
+
+    Parameters
+    ----------
+    image
+        The RR, one picture [1, H, W] in W/m² on the probe's sensor, with the engine's metadata.
+    frame
+        Digital numbers [H, W] of one frame with its noise.
+    budget, eye, rays
+        The light's way, eye safety at the target's distance, and a drawing in the plane of the gaze.
+    draft
+        Whether the picture is a first one, on fewer samples than the scene's accuracy asks for.
+    prepared
+        Whether the target was kept from an earlier scene.
+    seconds
+        That all of this took.
+    """
+
+    image: Image
+    frame: npt.NDArray[np.uint8 | np.uint16]
+    budget: LinkBudget
+    eye: EyeCheck
+    rays: Drawing
+    draft: bool
+    prepared: bool
+    seconds: float
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Cramér-Rao limits of one frame, or why there are none; and the seconds that they took."""
+
+    found: FisherInformation | None
+    left_out: dict[str, str]
+    seconds: float
+
+
+@dataclass(frozen=True)
+class _Kept:
+    camera: Camera | PhoneCamera
+    steepest: float
+
+
+class Playground:
+    """Computes scenes one after the other, and keeps the targets that it prepared: the last ones used, up to `most`.
+
+    A target serves any gaze up to the steepest one it was prepared for, any power of one wavelength, and all of the
+    probe's sensor but its pixels.
+    """
+
+    def __init__(self, most: int = 12) -> None:
+        self._most = most
+        self._kept: OrderedDict[tuple[Any, ...], _Kept] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._kept)
+
+    def result(self, scene: Scene, *, draft: bool = False, seed: int = 0) -> Result:
+        """Compute a scene.
+
+        Parameters
+        ----------
+        scene
+            Checked, as of `apply`.
+        draft
+            Whether a traced lens that is not prepared yet may be computed on the fewest samples.
+        seed
+            Of the frame's noise.
+
+        Raises
+        ------
+        InputError
+            For more pixels than a page should show, samples beyond memory, and all that the engine refuses.
+        """
+        begin = time.perf_counter()
+        _check_size(scene)
+        sines = torch.sin(torch.tensor([scene.target.rotation], dtype=torch.float64))
+        kept, coarse, prepared = self._prepared(scene, largest_sine(sines), draft)
+        image = _image(scene, kept.camera, sines)
+        return Result(
+            image=image,
+            frame=expose(image, scene, seed)[0],
+            budget=link_budget(scene),
+            eye=eye_check(scene),
+            rays=draw_rays(scene),
+            draft=coarse,
+            prepared=prepared,
+            seconds=time.perf_counter() - begin,
+        )
+
+    def limit(self, scene: Scene) -> Limit:
+        """Limits of gaze and focus of one frame; of the gaze alone behind a traced lens, whose focus takes long."""
+        begin = time.perf_counter()
+        _check_size(scene)
+        traced = _is_traced(scene)
+        reasons = {name: not_told(scene, name) for name in LIMITS}
+        if traced and reasons["object_distance"] is None:
+            reasons["object_distance"] = "takes long behind a traced lens: use tapetum plan"
+        left_out = {name: why for name, why in reasons.items() if why is not None}
+        names = [name for name in LIMITS if name not in left_out]
+        own = scene.sampling.accuracy
+        found = fisher(scene, names, accuracy=own / 2 if traced else max(own, _LIMIT_ACCURACY)) if names else None
+        return Limit(found, left_out, time.perf_counter() - begin)
+
+    def _prepared(self, scene: Scene, steepest: float, draft: bool) -> tuple[_Kept, bool, bool]:
+        """The scene's target, whether its samples are few, and whether it was there already."""
+        traced = _is_traced(scene)
+        # A thin lens is planned in milliseconds: for its own tilt, as `tapetum simulate` does.
+        steps = max(0, math.ceil(math.log(max(steepest, 1e-9) / _FIRST_STEP) / math.log(_STEP)))
+        up_to = max(steepest, min(_FIRST_STEP * _STEP**steps, _STEEPEST)) if traced else steepest
+        key = (_of_optics(scene), up_to)
+        fine = self._kept.get(key)
+        if fine is not None:
+            self._kept.move_to_end(key)
+            return fine, False, True
+        coarse = traced and draft and scene.sampling.accuracy < _DRAFT
+        if coarse:
+            key = (*key, "draft")
+            if key in self._kept:
+                self._kept.move_to_end(key)
+                return self._kept[key], True, True
+        camera = open_camera(_of_optics(scene), up_to, accuracy=_DRAFT if coarse else None, device="cpu")
+        needs = camera.plan.bytes_needed(1, math.prod(scene.probe.sensor.pixels))
+        if needs > _MOST_BYTES:
+            what = f"this scene's sampling takes {needs / 1e9:.2g} GB, more than the page gives it"
+            raise InputError(what, where="sampling", remedy="ask for less accuracy, or use tapetum simulate")
+        found = self._kept[key] = _Kept(camera, up_to)
+        while len(self._kept) > self._most:
+            self._kept.popitem(last=False)
+        return found, coarse, False
+
+
+def _is_traced(scene: Scene) -> bool:
+    return isinstance(scene.target, PhoneTarget) or isinstance(scene.target.lens, PrescriptionLens)
+
+
+def _check_size(scene: Scene) -> None:
+    columns, rows = scene.probe.sensor.pixels
+    if columns * rows > _MOST_PIXELS:
+        what = f"{columns} x {rows} pixels are more than the page shows"
+        raise InputError(what, where="probe.sensor.pixels", remedy=f"give at most {_MOST_PIXELS} in all")
+
+
+def _of_optics(scene: Scene) -> Scene:
+    """The scene without what does not change where light goes: gaze, noise, and the power of a single wavelength."""
+    own = scene.probe.sensor
+    sensor = ProbeSensor(pixels=own.pixels, pitch=own.pitch)
+    light = scene.illumination if scene.illumination.lines else replace(scene.illumination, power=_POWER)
+    target = replace(scene.target, rotation=(0.0, 0.0))
+    return replace(scene, target=target, illumination=light, probe=replace(scene.probe, sensor=sensor))
+
+
+def _image(scene: Scene, camera: Camera | PhoneCamera, sines: torch.Tensor) -> Image:
+    scale = 1.0 if scene.illumination.lines else scene.illumination.power / _POWER
+    irradiance = camera(sines).detach() * scale
+    equivalent = camera(sines, equivalent=True).detach() * scale if camera.polychromatic else None
+    metadata: dict[str, Any] = {
+        "rotation_deg": [tuple(math.degrees(angle) for angle in scene.target.rotation)],
+        "wavelength": scene.illumination.wavelength,
+        **camera.metadata(),
+    }
+    metadata["irradiance_at_target"] *= scale
+    return Image(irradiance, scene.probe.sensor.pitch, metadata, equivalent)
