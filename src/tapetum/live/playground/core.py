@@ -34,10 +34,12 @@ _LIMIT_ACCURACY = 0.01
 """Of the pictures that the limit of a thin lens is computed from: with these it is within 1 % (tests)."""
 _MOST_PIXELS = 1024 * 1024
 _MOST_BYTES = 1 << 30
+# Watts that a target is kept for: the picture is in proportion.
 _POWER = 1e-3
-_STEP = 1.25
-_FIRST_STEP = 0.01
-_STEEPEST = 0.86
+# A traced lens is prepared for the next of these sines, each so many times the one before, so that it may turn further.
+_FIRST_STEP, _STEP, _STEEPEST = 0.01, 1.25, 0.86
+
+_Target = Camera | PhoneCamera
 
 
 @dataclass(frozen=True)
@@ -79,12 +81,6 @@ class Limit:
     seconds: float
 
 
-@dataclass(frozen=True)
-class _Kept:
-    camera: Camera | PhoneCamera
-    steepest: float
-
-
 class Playground:
     """Computes scenes one after the other, and keeps the targets that it prepared: the last ones used, up to `most`.
 
@@ -94,7 +90,7 @@ class Playground:
 
     def __init__(self, most: int = 12) -> None:
         self._most = most
-        self._kept: OrderedDict[tuple[Any, ...], _Kept] = OrderedDict()
+        self._kept: OrderedDict[tuple[Scene, bool, float], _Target] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._kept)
@@ -119,8 +115,8 @@ class Playground:
         begin = time.perf_counter()
         _check_size(scene)
         sines = torch.sin(torch.tensor([scene.target.rotation], dtype=torch.float64))
-        kept, coarse, prepared = self._prepared(scene, largest_sine(sines), draft)
-        image = _image(scene, kept.camera, sines)
+        target, coarse, prepared = self._prepared(scene, largest_sine(sines), draft)
+        image = _image(scene, target, sines)
         return Result(
             image=image,
             frame=expose(image, scene, seed)[0],
@@ -146,32 +142,31 @@ class Playground:
         found = fisher(scene, names, accuracy=own / 2 if traced else max(own, _LIMIT_ACCURACY)) if names else None
         return Limit(found, left_out, time.perf_counter() - begin)
 
-    def _prepared(self, scene: Scene, steepest: float, draft: bool) -> tuple[_Kept, bool, bool]:
+    def _prepared(self, scene: Scene, steepest: float, draft: bool) -> tuple[_Target, bool, bool]:
         """The scene's target, whether its samples are few, and whether it was there already."""
-        traced = _is_traced(scene)
-        # A thin lens is planned in milliseconds: for its own tilt, as `tapetum simulate` does.
-        steps = max(0, math.ceil(math.log(max(steepest, 1e-9) / _FIRST_STEP) / math.log(_STEP)))
-        up_to = max(steepest, min(_FIRST_STEP * _STEP**steps, _STEEPEST)) if traced else steepest
-        key = (_of_optics(scene), up_to)
-        fine = self._kept.get(key)
-        if fine is not None:
-            self._kept.move_to_end(key)
-            return fine, False, True
+        optics, traced = _of_optics(scene), _is_traced(scene)
         coarse = traced and draft and scene.sampling.accuracy < _DRAFT
-        if coarse:
-            key = (*key, "draft")
-            if key in self._kept:
-                self._kept.move_to_end(key)
-                return self._kept[key], True, True
-        camera = open_camera(_of_optics(scene), up_to, accuracy=_DRAFT if coarse else None, device="cpu")
+        for few in (False, True)[: 1 + coarse]:
+            # A thin lens is planned in milliseconds: for its own tilt, as `tapetum simulate` does.
+            fits = [
+                key
+                for key in self._kept
+                if key[:2] == (optics, few) and (key[2] >= steepest if traced else key[2] == steepest)
+            ]
+            if fits:
+                self._kept.move_to_end(fits[-1])
+                return self._kept[fits[-1]], few, True
+        steps = max(0, math.ceil(math.log(max(steepest, _FIRST_STEP) / _FIRST_STEP) / math.log(_STEP)))
+        up_to = max(steepest, min(_FIRST_STEP * _STEP**steps, _STEEPEST)) if traced else steepest
+        camera = open_camera(optics, up_to, accuracy=_DRAFT if coarse else None, device="cpu")
         needs = camera.plan.bytes_needed(1, math.prod(scene.probe.sensor.pixels))
         if needs > _MOST_BYTES:
             what = f"this scene's sampling takes {needs / 1e9:.2g} GB, more than the page gives it"
             raise InputError(what, where="sampling", remedy="ask for less accuracy, or use tapetum simulate")
-        found = self._kept[key] = _Kept(camera, up_to)
+        self._kept[optics, coarse, up_to] = camera
         while len(self._kept) > self._most:
             self._kept.popitem(last=False)
-        return found, coarse, False
+        return camera, coarse, False
 
 
 def _is_traced(scene: Scene) -> bool:
@@ -194,7 +189,7 @@ def _of_optics(scene: Scene) -> Scene:
     return replace(scene, target=target, illumination=light, probe=replace(scene.probe, sensor=sensor))
 
 
-def _image(scene: Scene, camera: Camera | PhoneCamera, sines: torch.Tensor) -> Image:
+def _image(scene: Scene, camera: _Target, sines: torch.Tensor) -> Image:
     scale = 1.0 if scene.illumination.lines else scene.illumination.power / _POWER
     irradiance = camera(sines).detach() * scale
     equivalent = camera(sines, equivalent=True).detach() * scale if camera.polychromatic else None

@@ -109,15 +109,15 @@ def _traced(
     first = to_plane(position, direction, start)[0]
     reached = rays.good & (rays.height <= 1).all(-1)
     inward = torch.stack([first, *points, met])
-    # Light returns through the lens turned round, its z counted from the sensor's side.
+    # In the reversed lens both z and the light are reversed (`trace_out`).
     normal = torch.tensor([0.0, -slope, 1.0], dtype=torch.float64)
     normal = normal / normal.norm()
     back = rays.direction - 2 * (rays.direction @ normal)[:, None] * normal
-    turn = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64)
-    other = reversed_lens(lens)
-    back_points, back_rays = _way(other, met * turn, back * turn)
-    out = to_plane(back_rays.position, back_rays.direction, -start)[0]
-    outward = torch.stack([met, *(one * turn for one in back_points), out * turn])
+    turn, end = torch.tensor([1.0, 1.0, -1.0], dtype=torch.float64), torch.tensor([0.0, 0.0, float(lens.z[-1])])
+    back_points, back_rays = _way(reversed_lens(lens), (met - end) * turn, back * turn)
+    back_points = [one * turn + end for one in back_points]
+    out = to_plane(back_points[-1], back_rays.direction * turn, start)[0]
+    outward = torch.stack([met, *back_points, out])
     left = back_rays.good
     rays_in: list[Line] = []
     rays_back: list[Line] = []
@@ -125,8 +125,7 @@ def _traced(
         if not bool(reached[k]):
             continue
         rays_in.append(_line(inward[:, k]))
-        inside = left[k] & (back_rays.height[k] <= 1)
-        stopped = torch.nonzero(~(inside if inside.ndim else inside[None])).flatten()
+        stopped = torch.nonzero((back_rays.height[k] > 1) | ~left[k]).flatten()
         rays_back.append(_line(outward[:, k] if len(stopped) == 0 else outward[: int(stopped[0]) + 2, k]))
     glass = _outlines(lens)
     rim = float(lens.semi_diameter[lens.stop])

@@ -92,11 +92,11 @@ def _powers(result: Result) -> list[list[Any]]:
     budget = result.budget
     return [
         ["laser", budget.laser_watts],
-        ["into the target", budget.accepted_watts],
+        ["into target", budget.accepted_watts],
         ["reflected", budget.reflected_watts],
-        ["leaves the target", budget.leaving_watts],
-        ["enters the probe", budget.probe_watts],
-        ["on its sensor", budget.sensor_watts],
+        ["leaves target", budget.leaving_watts],
+        ["enters probe", budget.probe_watts],
+        ["on sensor", budget.sensor_watts],
     ]
 
 

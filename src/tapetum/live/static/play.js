@@ -22,8 +22,13 @@ function figures(value) {
   if (!Number.isFinite(value)) return "∞";
   if (value === 0) return "0";
   const size = Math.abs(value);
-  if (size >= 1e5 || size < 1e-3) return value.toExponential(2).replace("e", "·10^").replace("^+", "^");
+  if (size >= 1e5 || size < 1e-3) return raised(value, 2);
   return String(Number(value.toPrecision(4)));
+}
+
+function raised(value, digits) {
+  const [number, power] = value.toExponential(digits).split("e");
+  return `${number}·10${[...power.replace("+", "")].map((one) => (one === "-" ? "⁻" : "⁰¹²³⁴⁵⁶⁷⁸⁹"[one])).join("")}`;
 }
 
 function withUnit(value, unit) {
@@ -32,7 +37,7 @@ function withUnit(value, unit) {
   const prefixes = ["p", "n", "µ", "m", "", "k", "M"];
   const power = Math.min(2, Math.max(-4, Math.floor(Math.log10(Math.abs(value) * 1.00001) / 3)));
   const scaled = value / 10 ** (3 * power);
-  if (Math.abs(scaled) < 0.01) return `${value.toExponential(1)} ${unit}`;
+  if (Math.abs(scaled) < 0.01) return `${raised(value, 1)} ${unit}`;
   return `${Number(scaled.toPrecision(3))} ${prefixes[power + 4]}${unit}`;
 }
 
@@ -138,7 +143,8 @@ function makeRow(setting) {
   });
   label.addEventListener("dblclick", () => unset(setting.name));
   label.title = "double-click to reset";
-  row.append(slider);
+  row.insertBefore(slider, value);
+  row.classList.add("slides");
   rows.set(setting.name, { setting, row, slider, box });
   return row;
 }
@@ -331,9 +337,10 @@ function drawPictures(side) {
     return [grey, grey, grey];
   });
   const wide = 2 * half * result.pitch;
-  side.root.querySelector(".about-image").textContent = `peak ${withUnit(result.peak, "W/m²")}, ${withUnit(wide, "m")} wide`;
+  side.root.querySelector(".about-image").textContent = `peak ${withUnit(result.peak, "W/m²")}`;
   const clipped = result.brightest >= result.top ? ", clipped" : "";
-  side.root.querySelector(".about-frame").textContent = `brightest ${result.brightest} of ${result.top}${clipped}`;
+  side.root.querySelector(".about-frame").textContent = `to ${result.brightest} of ${result.top}${clipped}`;
+  side.root.querySelector(".about-size").textContent = `Shown: ${withUnit(wide, "m")} of the probe's sensor.`;
 }
 
 function paint(side, selector, pixels, half, colour) {
