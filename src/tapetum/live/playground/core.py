@@ -159,7 +159,14 @@ class Playground:
         steps = max(0, math.ceil(math.log(max(steepest, _FIRST_STEP) / _FIRST_STEP) / math.log(_STEP)))
         up_to = max(steepest, min(_FIRST_STEP * _STEP**steps, _STEEPEST)) if traced else steepest
         camera = open_camera(optics, up_to, accuracy=_DRAFT if coarse else None, device="cpu")
-        needs = camera.plan.bytes_needed(1, math.prod(scene.probe.sensor.pixels))
+        try:
+            plan = camera.plan
+        except InputError:
+            if not coarse:
+                raise
+            # Too few samples for this lens: the engine says so, and the full picture comes at once.
+            return self._prepared(scene, steepest, draft=False)
+        needs = plan.bytes_needed(1, math.prod(scene.probe.sensor.pixels))
         if needs > _MOST_BYTES:
             what = f"this scene's sampling takes {needs / 1e9:.2g} GB, more than the page gives it"
             raise InputError(what, where="sampling", remedy="ask for less accuracy, or use tapetum simulate")

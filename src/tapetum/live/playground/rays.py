@@ -10,7 +10,7 @@ import torch
 from tapetum.bench import PrescriptionLens, Scene, Target
 from tapetum.optics.focus import FocusedLens, bundle
 from tapetum.optics.grid import lens_numbers
-from tapetum.optics.rays import Lens, reversed_lens, sag, to_plane, trace
+from tapetum.optics.rays import Lens, Rays, reversed_lens, sag, to_plane, trace
 from tapetum.simulate.gaze import field_size
 
 __all__ = ["Drawing", "Line", "draw_rays"]
@@ -154,18 +154,17 @@ def _entering(focused: FocusedLens, sine: float, curvature: float) -> tuple[torc
     return position[chosen], direction[chosen]
 
 
-def _way(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> tuple[list[torch.Tensor], ...]:
+def _way(lens: Lens, position: torch.Tensor, direction: torch.Tensor) -> tuple[list[torch.Tensor], Rays]:
     """Places on every surface, and the rays behind the last."""
     points: list[torch.Tensor] = []
-    at, way = position, direction
     good = torch.ones(len(position), dtype=torch.bool)
     heights: list[torch.Tensor] = []
     for i in range(len(lens)):
-        rays = trace(_surface(lens, i), at, way)
-        at, way, good = rays.position, rays.direction, good & rays.good
+        rays = trace(_surface(lens, i), position, direction)
+        position, direction, good = rays.position, rays.direction, good & rays.good
         heights.append(rays.height[..., 0])
-        points.append(at)
-    return points, replace(rays, good=good, height=torch.stack(heights, -1))
+        points.append(position)
+    return points, Rays(position, direction, torch.zeros(len(position)), torch.stack(heights, -1), good)
 
 
 def _surface(lens: Lens, i: int) -> Lens:

@@ -41,9 +41,8 @@ def result_json(scene: Scene, result: Result) -> dict[str, Any]:
     """What the page draws; numbers that are not finite are None."""
     image = result.image.numpy()[0]
     sensor, known = scene.probe.sensor, result.image.metadata
-    frame = result.frame
-    if frame.dtype != np.uint8:
-        frame = (frame >> (sensor.bits - 8)).astype(np.uint8)
+    # A page shows eight bits.
+    frame = (result.frame >> max(0, sensor.bits - 8)).astype(np.uint8)
     peak = float(image.max())
     return _finite(
         {
@@ -133,7 +132,7 @@ def _half(image: npt.NDArray[np.float64]) -> int:
 
 def _png(pixels: npt.NDArray[np.uint8]) -> str:
     _, data = cv2.imencode(".png", pixels, [cv2.IMWRITE_PNG_COMPRESSION, 1])
-    return "data:image/png;base64," + base64.b64encode(data).decode()
+    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode()
 
 
 def _finite(value: Any) -> Any:
