@@ -90,7 +90,7 @@ def test_a_traced_lens_keeps_its_target_while_it_turns(base):
     first = apply(base, {**LENS, "gaze_x": 0.2})
     draft = ground.result(first, draft=True)
     full = ground.result(first)
-    assert draft.draft and not full.draft
+    assert (draft.draft, full.draft) == ("few samples", "")
     assert full.image.metadata["expected_error"] <= first.sampling.accuracy
     turned = apply(base, {**LENS, "gaze_x": 0.19, "gaze_y": 0.03})
     found, expected = ground.result(turned, draft=True), retroreflect(turned)
@@ -99,6 +99,19 @@ def test_a_traced_lens_keeps_its_target_while_it_turns(base):
     assert far(found.image.irradiance, expected.irradiance) < stated
     off = far(draft.image.irradiance, full.image.irradiance)
     assert off < draft.image.metadata["expected_error"] + full.image.metadata["expected_error"]
+
+
+def test_a_lens_not_traced_yet_is_first_a_thin_one_of_its_focal_length_and_aperture(base):
+    ground, values = Playground(), {**LENS, "focus": 3.5, "gaze_x": 0.1, "gaze_y": -0.05}
+    scene, first = ground.first(base, values)
+    assert first.draft == "thin lens"
+    lens, real = scene.target.lens, apply(base, values).target.lens
+    assert (lens.kind, lens.focal_length, lens.aperture_radius) == ("thin", real.focal_length, real.aperture_radius)
+    assert settings_of(scene)["gaze_x"] == pytest.approx(0.1)
+    ground.result(apply(base, values))
+    # Now its rays are known, whatever its sensor.
+    assert ground.first(base, {**values, "tilt_x": 0.1})[1].draft == "few samples"
+    assert ground.first(base, values)[1].draft == ""
 
 
 def test_only_the_last_targets_are_kept(base):

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 import time
-from collections import OrderedDict
+from collections import OrderedDict, deque
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +17,7 @@ import torch
 from tapetum.bench import PhoneTarget, PrescriptionLens, ProbeSensor, Scene
 from tapetum.errors import InputError
 from tapetum.live.playground.rays import Drawing, draw_rays
+from tapetum.live.playground.settings import apply
 from tapetum.simulate import FisherInformation, Image, LinkBudget, expose, fisher, link_budget
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.gaze import largest_sine
@@ -39,6 +42,7 @@ _POWER = 1e-3
 # A traced lens is prepared for the next of these sines, each so many times the one before, so that it may turn further.
 _FIRST_STEP, _STEP, _STEEPEST = 0.01, 1.25, 0.86
 
+Draft = Literal["", "few samples", "thin lens"]
 _Target = Camera | PhoneCamera
 
 
@@ -55,7 +59,7 @@ class Result:
     budget, eye, rays
         The light's way, eye safety at the target's distance, and a drawing in the plane of the gaze.
     draft
-        Whether the picture is a first one, on fewer samples than the scene's accuracy asks for.
+        Of a first picture, what it is for now: "few samples", or a "thin lens" in place of a traced one.
     prepared
         Whether the target was kept from an earlier scene.
     seconds
@@ -67,7 +71,7 @@ class Result:
     budget: LinkBudget
     eye: EyeCheck
     rays: Drawing
-    draft: bool
+    draft: Draft
     prepared: bool
     seconds: float
 
@@ -90,10 +94,28 @@ class Playground:
 
     def __init__(self, most: int = 12) -> None:
         self._most = most
+        # Fewer than the engine keeps traces of.
+        self._traced: deque[tuple[Any, ...]] = deque(maxlen=8)
         self._kept: OrderedDict[tuple[Scene, bool, float], _Target] = OrderedDict()
 
     def __len__(self) -> int:
         return len(self._kept)
+
+    def first(self, base: Scene, values: Mapping[str, object], *, seed: int = 0) -> tuple[Scene, Result]:
+        """Compute a first picture of a scene with settings changed, as `apply` changes them; also returns its scene.
+
+        Of a lens that was not traced yet at this focus and wavelength it is that of a thin lens, as the link budget
+        counts it: tracing takes half a second and more. Else it is `result` with its drafts.
+        """
+        unturned = apply(base, {name: value for name, value in values.items() if not name.startswith("gaze_")})
+        alone = isinstance(unturned.target.lens, PrescriptionLens) and not isinstance(unturned.target, PhoneTarget)
+        if alone and _trace_of(unturned) not in self._traced:
+            # What a thin lens is refused for, the traced one may do.
+            with contextlib.suppress(InputError):
+                scene = apply(base, values, thin=True)
+                return scene, replace(self.result(scene, seed=seed), draft="thin lens")
+        scene = apply(base, values)
+        return scene, self.result(scene, draft=True, seed=seed)
 
     def result(self, scene: Scene, *, draft: bool = False, seed: int = 0) -> Result:
         """Compute a scene.
@@ -116,6 +138,8 @@ class Playground:
         _check_size(scene)
         sines = torch.sin(torch.tensor([scene.target.rotation], dtype=torch.float64))
         target, coarse, prepared = self._prepared(scene, largest_sine(sines), draft)
+        if isinstance(scene.target.lens, PrescriptionLens):
+            self._traced.append(_trace_of(scene))
         image = _image(scene, target, sines)
         return Result(
             image=image,
@@ -123,7 +147,7 @@ class Playground:
             budget=link_budget(scene),
             eye=eye_check(scene),
             rays=draw_rays(scene),
-            draft=coarse,
+            draft="few samples" if coarse else "",
             prepared=prepared,
             seconds=time.perf_counter() - begin,
         )
@@ -178,6 +202,12 @@ class Playground:
 
 def _is_traced(scene: Scene) -> bool:
     return isinstance(scene.target, PhoneTarget) or isinstance(scene.target.lens, PrescriptionLens)
+
+
+def _trace_of(scene: Scene) -> tuple[Any, ...]:
+    """What the rays through a lens depend on, but for their tilt."""
+    target, light = scene.target, scene.illumination
+    return target.lens, target.object_distance, light.wavelength, light.curvature(scene.distance)
 
 
 def _check_size(scene: Scene) -> None:

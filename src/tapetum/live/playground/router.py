@@ -36,8 +36,8 @@ _REFUSED: dict[int | str, dict[str, Any]] = {
 class Asked(BaseModel):
     """A scene by the bundled one it begins from and its changed settings, and what is wanted of it.
 
-    `draft` allows a first picture of a traced lens on few samples; of two requests of the same `page` and `side` that
-    wait, the newer one is computed.
+    `draft` allows a first picture of a traced lens, on few samples or as of a thin lens. Of two requests of the same
+    `page` and `side` that wait, the newer one is computed.
     """
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
@@ -102,10 +102,13 @@ def play_router() -> APIRouter:
             if asked.scene not in scene_names():
                 remedy = f"use {', '.join(scene_names())}"
                 raise InputError(f"no scene is called {asked.scene!r}", where="scene", remedy=remedy)
-            scene = apply(load_scene(asked.scene), asked.settings)
+            base = load_scene(asked.scene)
+            if asked.draft and asked.part == "picture":
+                return result_json(*ground.first(base, asked.settings, seed=asked.seed))
+            scene = apply(base, asked.settings)
             if asked.part == "limit":
                 return limit_json(ground.limit(scene))
-            return result_json(scene, ground.result(scene, draft=asked.draft, seed=asked.seed))
+            return result_json(scene, ground.result(scene, seed=asked.seed))
 
         return await computed((asked.page, asked.side), work)
 

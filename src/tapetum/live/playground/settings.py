@@ -7,12 +7,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import torch
 
-from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, lens_names, load_lens, phone_names, with_values
+from tapetum.bench import (
+    PhoneTarget,
+    PrescriptionLens,
+    Scene,
+    Target,
+    ThinLens,
+    lens_names,
+    load_lens,
+    phone_names,
+    with_values,
+)
 from tapetum.bench.zoom import focal_range
 from tapetum.errors import InputError
 from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
@@ -173,11 +183,12 @@ def _of_lens_and_sensor(target: Any) -> dict[str, Value]:
     }
 
 
-def apply(base: Scene, values: Mapping[str, object]) -> Scene:
+def apply(base: Scene, values: Mapping[str, object], *, thin: bool = False) -> Scene:
     """Return a scene with some settings changed, checked again as a whole.
 
     The gaze is set last: it stays where focus or lens change. A setting that the scene has not, as a phone's lens, is
-    refused, as are values out of range; what the bench or the engine refuses is said in their words.
+    refused, as are values out of range; what the bench or the engine refuses is said in their words. With `thin` a
+    traced lens becomes a thin one of its focal length and aperture before that, and no ray is traced for the gaze.
 
     Raises
     ------
@@ -196,6 +207,9 @@ def apply(base: Scene, values: Mapping[str, object]) -> Scene:
     for part in (_lens, _phone, _sensor, _light):
         changes |= part(base, given, {**own, **given})
     scene = with_values(base, changes, where="bench") if changes else base
+    lens = scene.target.lens
+    if thin and isinstance(scene.target, Target) and isinstance(lens, PrescriptionLens):
+        scene = replace(scene, target=replace(scene.target, lens=ThinLens(lens.focal_length, lens.aperture_radius)))
     if "gaze_x" in given or "gaze_y" in given:
         wanted = [given.get(name, own.get(name, 0.0)) for name in ("gaze_x", "gaze_y")]
         sines = tilt_of_gaze(scene, torch.tensor(wanted, dtype=torch.float64)).tolist()

@@ -46,8 +46,9 @@ def result_json(scene: Scene, result: Result) -> dict[str, Any]:
     peak = float(image.max())
     return _finite(
         {
-            "settings": settings_of(scene),
-            "yaml": scene_yaml(scene),
+            # A thin lens in place of another is not the scene that was asked for.
+            "settings": {} if result.draft == "thin lens" else settings_of(scene),
+            "yaml": "" if result.draft == "thin lens" else scene_yaml(scene),
             "image": _png(np.round(255 * np.sqrt(np.clip(image, 0, None) / (peak or 1.0))).astype(np.uint8)),
             "frame": _png(frame),
             "width": image.shape[1],

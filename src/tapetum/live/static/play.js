@@ -169,7 +169,16 @@ function changed(side) {
   side.moved = performance.now();
   if (side === sides[chosen]) show(side);
   keepLink();
+  nameSide(side);
   pump(side);
+}
+
+// What a talk's audience must know of each of two scenes: where it began, and what was changed.
+function nameSide(side) {
+  const said = known.settings
+    .filter((one) => one.name in side.values)
+    .map((one) => `${one.label} ${spoken(one, side.values[one.name])} ${one.unit === "of field" ? "" : one.unit}`.trim());
+  side.root.querySelector(".name").textContent = `${side.name.toUpperCase()}: ${[side.scene, ...said].join(", ")}`;
 }
 
 function show(side) {
@@ -289,18 +298,21 @@ async function arrived(side, found, waited, filmed = false) {
   side.root.classList.remove("stale");
   side.root.querySelector(".refused").hidden = true;
   // The server's values are those of the scene: a lens brings its own focal length.
-  side.shown = { ...found.settings, ...side.values };
+  side.shown = { ...side.shown, ...found.settings, ...side.values };
   if (side === sides[chosen]) show(side);
   drawPictures(side);
   if (filmed) return;
+  // The drawing of a real lens stays until its next one is traced.
+  if (found.draft === "thin lens" && side.rays) side.result.rays = side.rays;
+  side.rays = found.rays;
   drawRays(side);
   showBudget(side, found);
   showEye(side, found);
   const took = side.root.querySelector(".took");
-  took.classList.toggle("draft", found.draft);
+  took.classList.toggle("draft", found.draft !== "");
   const claim = found.error === null ? "no claim of accuracy" : `error within ${figures(found.error)} of the peak`;
   took.textContent = found.draft
-    ? `First picture, on fewer samples (${claim}); the full one follows.`
+    ? `First picture, ${found.draft === "thin lens" ? "as of a thin lens of this focal length and aperture" : `on few samples (${claim})`}; the full one follows.`
     : `${found.prepared ? "Kept target" : "New target"}: ${Math.round(found.milliseconds)} ms; ${claim}; ${found.propagation}.`;
   side.took = waited;
   side.quick = found.milliseconds < 120 && !side.slowLimit;
@@ -671,7 +683,7 @@ async function main() {
   });
   $("save").addEventListener("click", () => {
     const side = sides[chosen];
-    if (!side.result) return;
+    if (!side.result || !side.result.yaml) return;
     const link = document.createElement("a");
     link.href = URL.createObjectURL(new Blob([side.result.yaml], { type: "application/yaml" }));
     link.download = `${side.scene}-changed.yaml`;
