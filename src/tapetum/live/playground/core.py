@@ -159,7 +159,7 @@ class Playground:
         traced = _is_traced(scene)
         reasons = {name: not_told(scene, name) for name in LIMITS}
         if traced and reasons["object_distance"] is None:
-            reasons["object_distance"] = "takes long behind a traced lens: use tapetum plan"
+            reasons["object_distance"] = "takes long behind a traced lens, ask tapetum plan for it by name"
         left_out = {name: why for name, why in reasons.items() if why is not None}
         names = [name for name in LIMITS if name not in left_out]
         own = scene.sampling.accuracy

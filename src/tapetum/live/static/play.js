@@ -34,11 +34,11 @@ function raised(value, digits) {
 function withUnit(value, unit) {
   if (value === null) return "–";
   if (value === 0) return `0 ${unit}`;
-  const prefixes = ["p", "n", "µ", "m", "", "k", "M"];
-  const power = Math.min(2, Math.max(-4, Math.floor(Math.log10(Math.abs(value) * 1.00001) / 3)));
+  const prefixes = ["f", "p", "n", "µ", "m", "", "k", "M"];
+  const power = Math.min(2, Math.max(-5, Math.floor(Math.log10(Math.abs(value) * 1.00001) / 3)));
   const scaled = value / 10 ** (3 * power);
   if (Math.abs(scaled) < 0.01) return `${raised(value, 1)} ${unit}`;
-  return `${Number(scaled.toPrecision(3))} ${prefixes[power + 4]}${unit}`;
+  return `${Number(scaled.toPrecision(3))} ${prefixes[power + 5]}${unit}`;
 }
 
 function round(value) {
@@ -543,8 +543,8 @@ function showLimit(side, limit) {
   const left = Object.entries(limit.left_out).map(([name, why]) => `${NAMES[name] || name}: ${why}`);
   const same = new Set(Object.values(limit.left_out)).size === 1 && left.length > 1;
   const told = Object.keys(limit.bounds).length ? ["Cramér–Rao, all of these unknown together."] : [];
-  told.push(...(same ? [Object.values(limit.left_out)[0]] : left));
-  told.push(`${Math.round(limit.milliseconds)} ms`);
+  told.push(...(same ? [Object.values(limit.left_out)[0]] : left).map((why) => `${why[0].toUpperCase()}${why.slice(1)}.`));
+  if (limit.milliseconds >= 1) told.push(`Took ${Math.round(limit.milliseconds)} ms.`);
   side.root.querySelector(".about-limit").textContent = told.join(" ");
 }
 
