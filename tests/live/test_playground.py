@@ -130,6 +130,11 @@ def test_more_pixels_than_a_page_shows_are_refused():
             compute(large)
 
 
+def test_more_samples_than_a_page_can_wait_for_are_refused(base):
+    with pytest.raises(InputError, match=r"sampling: \d+ x \d+ samples over the pupil are more"):
+        Playground().result(apply(base, {"focus": 1.0, "f_number": 4.0}))
+
+
 def test_the_limit_is_that_of_the_plan_within_one_percent(base):
     scene = apply(base, {"gaze_x": 0.1, "focus": 4.0})
     found = Playground().limit(scene).found

@@ -35,6 +35,9 @@ _DRAFT = 0.3
 """Accuracy of a first picture, in fractions of the peak: the fewest samples that the engine tries."""
 _LIMIT_ACCURACY = 0.01
 """Of the pictures that the limit of a thin lens is computed from: with these it is within 1 % (tests)."""
+_SLOW = 0.4
+"""Seconds of a thin lens's picture above which its limit is not computed: it takes up to forty times as many."""
+_MOST_SAMPLES = 4_000_000
 _MOST_PIXELS = 1024 * 1024
 _MOST_BYTES = 1 << 30
 # Watts that a target is kept for: the picture is in proportion.
@@ -94,6 +97,8 @@ class Playground:
 
     def __init__(self, most: int = 12) -> None:
         self._most = most
+        # Of the last scenes' pictures, the target being prepared.
+        self._seconds: OrderedDict[Scene, float] = OrderedDict()
         # Fewer than the engine keeps traces of.
         self._traced: deque[tuple[Any, ...]] = deque(maxlen=8)
         self._kept: OrderedDict[tuple[Scene, bool, float], _Target] = OrderedDict()
@@ -140,7 +145,11 @@ class Playground:
         target, coarse, prepared = self._prepared(scene, largest_sine(sines), draft)
         if isinstance(scene.target.lens, PrescriptionLens):
             self._traced.append(_trace_of(scene))
+        start = time.perf_counter()
         image = _image(scene, target, sines)
+        self._seconds[scene] = time.perf_counter() - start
+        while len(self._seconds) > self._most:
+            self._seconds.popitem(last=False)
         return Result(
             image=image,
             frame=expose(image, scene, seed)[0],
@@ -160,6 +169,8 @@ class Playground:
         reasons = {name: not_told(scene, name) for name in LIMITS}
         if traced and reasons["object_distance"] is None:
             reasons["object_distance"] = "takes long behind a traced lens, ask tapetum plan for it by name"
+        if not traced and self._seconds.get(scene, 0.0) > _SLOW:
+            reasons = dict.fromkeys(LIMITS, "takes long in this scene, ask tapetum plan for it")
         left_out = {name: why for name, why in reasons.items() if why is not None}
         names = [name for name in LIMITS if name not in left_out]
         own = scene.sampling.accuracy
@@ -190,10 +201,12 @@ class Playground:
                 raise
             # Too few samples for this lens: the engine says so, and the full picture comes at once.
             return self._prepared(scene, steepest, draft=False)
-        needs = plan.bytes_needed(1, math.prod(scene.probe.sensor.pixels))
-        if needs > _MOST_BYTES:
-            what = f"this scene's sampling takes {needs / 1e9:.2g} GB, more than the page gives it"
-            raise InputError(what, where="sampling", remedy="ask for less accuracy, or use tapetum simulate")
+        # A phone's plan is that of one of its cameras.
+        across, down = plan.columns, plan.rows
+        if across * down > _MOST_SAMPLES or plan.bytes_needed(1, math.prod(optics.probe.sensor.pixels)) > _MOST_BYTES:
+            what = f"{across} x {down} samples over the pupil are more than a page can wait for"
+            remedy = "focus nearer to the light's source, stop down, lower the accuracy, or use tapetum simulate"
+            raise InputError(what, where="sampling", remedy=remedy)
         self._kept[optics, coarse, up_to] = camera
         while len(self._kept) > self._most:
             self._kept.popitem(last=False)

@@ -54,15 +54,19 @@ class Asked(BaseModel):
 
 
 def play_router() -> APIRouter:
-    """Return the router of `/play` and `/api/play`; all of its scenes are computed one after the other, in a thread."""
+    """Return the router of `/play` and `/api/play`; pictures are computed one by one in a thread, limits in another."""
     router = APIRouter()
     ground = Playground()
-    # One thread of linear algebra: the pictures are small, and a second one waits more than it works.
-    worker = ThreadPoolExecutor(1, "play", initializer=torch.set_num_threads, initargs=(1,))
-    newest: dict[tuple[str, str], int] = {}
+    # One thread of linear algebra: the pictures are small, and a second one waits more than it works. A limit takes up
+    # to seconds, which no picture waits for.
+    workers = {
+        part: ThreadPoolExecutor(1, f"play-{part}", initializer=torch.set_num_threads, initargs=(1,))
+        for part in ("picture", "limit")
+    }
+    newest: dict[tuple[str, str, str], int] = {}
     count = [0, 0]
 
-    async def computed(key: tuple[str, str], work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
+    async def computed(key: tuple[str, str, str], work: Callable[[], dict[str, Any]]) -> dict[str, Any]:
         if count[1] >= _MOST_WAITING:
             raise HTTPException(503, "too many scenes wait to be computed; try again in a second")
         count[0] += 1
@@ -73,7 +77,7 @@ def play_router() -> APIRouter:
 
         count[1] += 1
         try:
-            answer = await asyncio.get_running_loop().run_in_executor(worker, run)
+            answer = await asyncio.get_running_loop().run_in_executor(workers[key[2]], run)
         finally:
             count[1] -= 1
             if newest.get(key) == number:
@@ -89,7 +93,7 @@ def play_router() -> APIRouter:
     @router.get("/api/play")
     async def describe() -> dict[str, Any]:
         """Return the settings with their ranges, the scenes to begin with, and the catalogue's lenses."""
-        return await asyncio.get_running_loop().run_in_executor(worker, _described)
+        return await asyncio.get_running_loop().run_in_executor(workers["picture"], _described)
 
     body = {"content": {"application/json": {"schema": Asked.model_json_schema()}}, "required": True}
 
@@ -110,7 +114,7 @@ def play_router() -> APIRouter:
                 return limit_json(ground.limit(scene))
             return result_json(scene, ground.result(scene, seed=asked.seed))
 
-        return await computed((asked.page, asked.side), work)
+        return await computed((asked.page, asked.side, asked.part), work)
 
     return router
 

@@ -167,6 +167,7 @@ function unset(name) {
 function changed(side) {
   side.wanted += 1;
   side.moved = performance.now();
+  side.root.querySelector(".limit").classList.add("old");
   if (side === sides[chosen]) show(side);
   keepLink();
   nameSide(side);
@@ -236,38 +237,53 @@ async function pump(side) {
   try {
     while (side.done !== side.wanted) {
       const number = side.wanted;
-      const begun = performance.now();
       const found = await ask(side, { draft: true });
       if (found === null) continue;
       if (found.refused) refuse(side, found.refused);
-      else await arrived(side, found, performance.now() - begun);
+      else await arrived(side, found);
       if (side.wanted !== number) continue;
       if (found.refused) { side.done = number; break; }
       await stillFor(side, IDLE);
       if (side.wanted !== number) continue;
       if (found.draft) {
-        const again = performance.now();
         const full = await ask(side, {});
         if (full && side.wanted === number) {
           if (full.refused) refuse(side, full.refused);
-          else await arrived(side, full, performance.now() - again);
+          else await arrived(side, full);
         }
         if (side.wanted !== number) continue;
       }
-      const limit = await ask(side, { part: "limit" });
-      if (side.wanted === number && limit) showLimit(side, limit);
       if (side.wanted === number) side.done = number;
     }
   } finally {
     side.busy = false;
   }
+  askLimit(side);
   if (filming) setTimeout(() => nextFrame(side), 120);
 }
 
+// The limit may take seconds; pictures do not wait for it.
+async function askLimit(side) {
+  if (side.limiting) return;
+  side.limiting = true;
+  try {
+    while (side.limited !== side.done && !side.root.classList.contains("stale")) {
+      const number = side.done;
+      const limit = await ask(side, { part: "limit" });
+      if (limit) showLimit(side, limit);
+      side.limited = number;
+      side.root.querySelector(".limit").classList.toggle("old", side.wanted !== number);
+    }
+  } finally {
+    side.limiting = false;
+  }
+}
+
 async function stillFor(side, wait) {
-  // A thin lens's limit takes so little that it need not wait.
-  if (side.result && !side.result.draft && side.quick) return;
-  while (performance.now() - side.moved < wait) await new Promise((go) => setTimeout(go, 40));
+  // Only a first picture is followed by a dearer one.
+  while (side.result && side.result.draft && performance.now() - side.moved < wait) {
+    await new Promise((go) => setTimeout(go, 40));
+  }
 }
 
 async function nextFrame(side) {
@@ -277,7 +293,7 @@ async function nextFrame(side) {
   const number = side.wanted;
   const found = await ask(side, { draft: true });
   side.busy = false;
-  if (found && !found.refused && number === side.wanted) await arrived(side, found, 0, true);
+  if (found && !found.refused && number === side.wanted) await arrived(side, found, true);
   if (side.done !== side.wanted) pump(side);
   else setTimeout(() => nextFrame(side), 120);
 }
@@ -291,7 +307,7 @@ function refuse(side, why) {
   side.root.querySelector(".took").textContent = side.result ? "What is shown, dimmed, is the last scene that could be computed." : "";
 }
 
-async function arrived(side, found, waited, filmed = false) {
+async function arrived(side, found, filmed = false) {
   const [image, frame] = await Promise.all([picture(found.image), picture(found.frame)]);
   side.result = found;
   side.pixels = { image, frame };
@@ -314,8 +330,6 @@ async function arrived(side, found, waited, filmed = false) {
   took.textContent = found.draft
     ? `First picture, ${found.draft === "thin lens" ? "as of a thin lens of this focal length and aperture" : `on few samples (${claim})`}; the full one follows.`
     : `${found.prepared ? "Kept target" : "New target"}: ${Math.round(found.milliseconds)} ms; ${claim}; ${found.propagation}.`;
-  side.took = waited;
-  side.quick = found.milliseconds < 120 && !side.slowLimit;
   document.documentElement.dataset.drawn = String(Number(document.documentElement.dataset.drawn || 0) + 1);
 }
 
@@ -534,7 +548,6 @@ function showLimit(side, limit) {
     side.root.querySelector(".about-limit").textContent = limit.refused;
     return;
   }
-  side.slowLimit = limit.milliseconds > 150;
   fill(list, Object.entries(limit.bounds).map(([name, value]) => {
     const unit = limit.units[name];
     if (value === null) return [NAMES[name] || name, "no information"];
@@ -594,7 +607,7 @@ function makeSide(name) {
   const scene = "thin-lens" in known.scenes ? "thin-lens" : Object.keys(known.scenes)[0];
   const side = {
     name, root, scene, values: {}, shown: { ...known.scenes[scene] }, wanted: 0, done: 0, busy: false, moved: 0,
-    result: null, seed: 0, quick: false, slowLimit: false,
+    limiting: false, limited: 0, result: null, seed: 0,
   };
   root.addEventListener("pointerdown", () => choose(name));
   drag(root.querySelector(".image"), side);
