@@ -3,6 +3,7 @@
 
 const PAGE = Math.random().toString(36).slice(2);
 const IDLE = 220; // ms without a change before the dearer answers are asked for
+const PATIENCE = 1200; // ms of waiting after which the page says so
 const STEPS = 1000;
 const ONE_LENS = ["focal_length", "f_number"];
 const $ = (id) => document.getElementById(id);
@@ -211,6 +212,9 @@ function applies(name, shown) {
 // ---- asking the server ----
 
 async function ask(side, what) {
+  const patience = setTimeout(() => {
+    if (what.part !== "limit") side.root.querySelector(".took").textContent = "Still computing: this scene takes its time.";
+  }, PATIENCE);
   const body = { scene: side.scene, settings: side.values, page: PAGE, side: side.name, seed: side.seed, ...what };
   let answer;
   try {
@@ -219,6 +223,8 @@ async function ask(side, what) {
     });
   } catch {
     return { refused: "the server does not answer; is tapetum still running?" };
+  } finally {
+    clearTimeout(patience);
   }
   if (answer.status === 409) return null;
   let found;
