@@ -6,6 +6,7 @@ import base64
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import cv2
 import numpy as np
@@ -94,3 +95,35 @@ def test_of_requests_that_wait_the_newest_of_a_page_is_computed(monkeypatch):
         statuses = [one.result() for one in (first, other, older, newest)]
     assert statuses[:2] == [200, 200]
     assert sorted(statuses[2:]) == [200, 409] and len(computed) == 3
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_requests_made_up_from_the_description_find_no_fault(monkeypatch):
+    import schemathesis
+    from hypothesis import HealthCheck, given, settings
+    from schemathesis.specs.openapi.checks import positive_data_acceptance
+
+    # What is computed is tried above.
+    monkeypatch.setattr("tapetum.live.playground.router.result_json", lambda scene, result: {})
+    monkeypatch.setattr("tapetum.live.playground.router.limit_json", lambda limit: {})
+    monkeypatch.setattr(Playground, "limit", lambda self, scene: None)
+    monkeypatch.setattr(Playground, "first", lambda self, base, values, seed: (apply(base, values), None))
+    monkeypatch.setattr(Playground, "result", lambda self, scene, seed: None)
+    schema = schemathesis.openapi.from_asgi("/openapi.json", make_play_app())
+    made = settings(
+        max_examples=15,
+        deadline=None,
+        derandomize=True,
+        database=None,
+        suppress_health_check=[HealthCheck.too_slow, HealthCheck.filter_too_much],
+    )
+    operations: Any = schema.get_all_operations()
+    for operation in (found.ok() for found in operations):
+
+        @made
+        @given(case=operation.as_strategy())
+        def asks(case: Any) -> None:
+            # Values in range may still make no camera: that is refused as bad ones are.
+            case.call_and_validate(excluded_checks=[positive_data_acceptance])
+
+        asks()

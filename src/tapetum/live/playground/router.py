@@ -14,7 +14,7 @@ from tapetum.bench import load_scene, scene_names
 from tapetum.errors import InputError
 from tapetum.live.app import STATIC, Problem, make_base
 from tapetum.live.playground.core import Playground
-from tapetum.live.playground.settings import apply
+from tapetum.live.playground.settings import SETTINGS, apply
 from tapetum.live.playground.wire import described, limit_json, result_json
 
 from fastapi import APIRouter, FastAPI, HTTPException, Request  # isort: skip
@@ -95,7 +95,7 @@ def play_router() -> APIRouter:
         """Return the settings with their ranges, the scenes to begin with, and the catalogue's lenses."""
         return await asyncio.get_running_loop().run_in_executor(workers["picture"], _described)
 
-    body = {"content": {"application/json": {"schema": Asked.model_json_schema()}}, "required": True}
+    body = {"content": {"application/json": {"schema": _schema()}}, "required": True}
 
     @router.post("/api/play", responses=_REFUSED, openapi_extra={"requestBody": body})
     async def play(request: Request) -> dict[str, Any]:
@@ -117,6 +117,20 @@ def play_router() -> APIRouter:
         return await computed((asked.page, asked.side, asked.part), work)
 
     return router
+
+
+def _schema() -> dict[str, Any]:
+    """JSON Schema of a request, with the scenes' names and every setting's range."""
+    schema = Asked.model_json_schema()
+    values: dict[str, Any] = {
+        one.name: {"enum": list(one.choices)}
+        if one.choices
+        else {"type": "number", "minimum": one.low, "maximum": one.high}
+        for one in SETTINGS
+    }
+    schema["properties"]["scene"]["enum"] = scene_names()
+    schema["properties"]["settings"] = {"type": "object", "properties": values, "additionalProperties": False}
+    return schema
 
 
 async def _read(request: Request) -> Asked:
