@@ -107,6 +107,11 @@ def test_information_against_differences(validated: Validated, way: str) -> None
     assert torch.allclose(bounds, torch.linalg.inv(want).diagonal().sqrt(), rtol=1e-2)
 
 
+def test_a_target_that_reflects_nothing_tells_nothing() -> None:
+    dark = load_scene("thin-lens", ("target.sensor.reflectance=0", "probe.sensor.background=5"))
+    assert set(fisher(dark).bounds.values()) == {math.inf}
+
+
 def test_gaze_is_a_place_in_the_picture_not_an_angle() -> None:
     """With the focal length the image moves by z tan θ unless the gaze is what stays."""
     scene = bench()

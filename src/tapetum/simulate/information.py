@@ -310,6 +310,9 @@ _FREE = {"gaze_x": 1.0, "gaze_y": 1.0, "place_x": 1e-6, "place_y": 1e-6}
 
 def _jacobian(outputs: torch.Tensor, inputs: torch.Tensor) -> torch.Tensor:
     """∂outputs/∂inputs, [P, N], by one backward pass more than there are inputs: outputs are many."""
+    if not outputs.requires_grad:
+        # Nothing returns, whatever the inputs are.
+        return outputs.new_zeros(len(inputs), len(outputs))
     # Jᵀu is linear in u: its own derivative along each input is a row of J.
     u = torch.zeros_like(outputs, requires_grad=True)
     (pulled,) = torch.autograd.grad(outputs, inputs, u, create_graph=True)

@@ -22,7 +22,7 @@ from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoic
 from tapetum.simulate.radiometry import illumination_curvature
 from tapetum.simulate.reflections import glinting
 
-__all__ = ["LABEL_ERRORS", "PARAMETERS", "Plan", "label_line", "plan_bench"]
+__all__ = ["LABEL_ERRORS", "PARAMETERS", "Plan", "eye_check", "label_line", "plan_bench"]
 
 PARAMETERS = ("gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power")
 
@@ -164,7 +164,7 @@ def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] 
         # Parameters named by the user are refused, not left out.
         limit=fisher(scene, parameters) if parameters or not left_out else None,
         left_out=left_out,
-        eye=_eye(scene),
+        eye=eye_check(scene),
     )
 
 
@@ -258,7 +258,8 @@ def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
     )
 
 
-def _eye(scene: Scene) -> EyeCheck:
+def eye_check(scene: Scene) -> EyeCheck:
+    """Eye safety of a scene at its distance, or why it is not computed."""
     try:
         return EyeCheck(eye_safety(beam_of(scene), (scene.distance,)), None)
     except InputError as error:

@@ -1,0 +1,6 @@
+"""The bench to play with: settings of a scene in, pictures and figures out."""
+
+from tapetum.live.playground.core import Limit, Playground, Result
+from tapetum.live.playground.settings import SETTINGS, Setting, apply, settings_of
+
+__all__ = ["SETTINGS", "Limit", "Playground", "Result", "Setting", "apply", "settings_of"]
