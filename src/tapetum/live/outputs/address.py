@@ -42,8 +42,9 @@ def parse_address(text: str, *, like: str, port: int | None = None) -> Address:
         raise InputError(f"{str(error).lower()}: {_masked(text)!r}", where="output", remedy=f"write {like}") from None
     if not parts.hostname:
         raise InputError(f"no host in {_masked(text)!r}", where="output", remedy=f"write {like}")
-    if any(ord(letter) <= 32 or ord(letter) == 127 for letter in text):
-        raise InputError(f"a space or control character in {_masked(text)!r}", where="output", remedy=f"write {like}")
+    if any(ord(letter) <= 32 or ord(letter) in (127, 35) for letter in text):
+        what = f"a space, # or control character in {_masked(text)!r}"
+        raise InputError(what, where="output", remedy=f"write {like}, such characters as %20 or %23")
     if not (number := port if number is None else number):
         raise InputError(f"no port in {_masked(text)!r}", where="output", remedy=f"write {like}")
     user, password = (None if one is None else unquote(one) for one in (parts.username, parts.password))

@@ -19,6 +19,7 @@ __all__ = ["Counts", "Output", "Queued"]
 
 _EVENTS = 1000
 _IDLE = 1.0
+_GRACE = 0.3  # s for a message under way to notice that its time is over
 
 
 class Output(Protocol):
@@ -138,7 +139,7 @@ class Queued(ABC):
             self._change.notify()
         self.closing.set()
         if self._thread.is_alive():
-            self._thread.join(self._patience)
+            self._thread.join(self._patience + _GRACE)
         with self._change:
             self._drop_all()
 
