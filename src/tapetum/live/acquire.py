@@ -51,7 +51,9 @@ class Acquisition:
         Whether the source gives frames, and whether it is at its end.
     """
 
-    def __init__(self, opens: Callable[[], Source], mode: str = "newest", told: Told | None = None, *, repeat: bool = False) -> None:
+    def __init__(
+        self, opens: Callable[[], Source], mode: str = "newest", told: Told | None = None, *, repeat: bool = False
+    ) -> None:
         self._opens, self.mode = opens, one_of(mode, MODES, "mode")
         self.repeat = repeat
         self._told: Told = told or (lambda what, why: None)
@@ -146,7 +148,8 @@ class Acquisition:
             since = moment - self._begin
             # Of a recording that is read faster than it was filmed, delays count from the reading.
             taken = time.monotonic_ns() if self.mode == "all" and not source.live else moment
-            yield replace(frame, time=since / 1e9, monotonic_ns=taken, utc_ns=self._utc + since)
+            own = frame.time
+            yield replace(frame, time=since / 1e9, monotonic_ns=taken, utc_ns=self._utc + since, camera_time=own)
 
     def _offer(self, frame: Frame, live: bool) -> None:
         self.arrived += 1

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from tapetum.errors import InputError
 from tapetum.live.outputs.base import Queued
+from tapetum.live.outputs.lsl import Lsl
 from tapetum.live.outputs.mqtt import Mqtt
 from tapetum.live.outputs.osc import Osc
 from tapetum.live.outputs.webhook import Webhook
@@ -16,6 +17,7 @@ __all__ = ["OUTPUTS", "open_output"]
 
 OUTPUTS: dict[str, Callable[[str], Queued]] = {
     "osc": Osc,
+    "lsl": Lsl,
     "mqtt": Mqtt,
     "mqtts": Mqtt,
     "http": Webhook,
