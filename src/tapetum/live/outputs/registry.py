@@ -11,6 +11,7 @@ from tapetum.live.outputs.base import Queued
 from tapetum.live.outputs.lsl import Lsl
 from tapetum.live.outputs.mqtt import Mqtt
 from tapetum.live.outputs.osc import Osc
+from tapetum.live.outputs.tracks import Tracks
 from tapetum.live.outputs.webhook import Webhook
 
 __all__ = ["OUTPUTS", "open_output"]
@@ -22,6 +23,9 @@ OUTPUTS: dict[str, Callable[[str], Queued]] = {
     "mqtts": Mqtt,
     "http": Webhook,
     "https": Webhook,
+    ".parquet": Tracks,
+    ".csv": Tracks,
+    ".jsonl": Tracks,
 }
 """By scheme or suffix."""
 
