@@ -155,7 +155,8 @@ class Acquisition:
             since = moment - self._begin
             # Of a recording that is read faster than it was filmed, delays count from the reading.
             taken = time.monotonic_ns() if self.mode == "all" and not source.live else moment
-            yield replace(frame, time=since / 1e9, monotonic_ns=taken, utc_ns=self._utc + since)
+            own = frame.time
+            yield replace(frame, time=since / 1e9, monotonic_ns=taken, utc_ns=self._utc + since, camera_time=own)
 
     def _offer(self, frame: Frame, live: bool) -> None:
         self.arrived += 1

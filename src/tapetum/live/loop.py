@@ -232,7 +232,8 @@ class Watch:
         health = Health(rate, delay, self._frames, reading.lost, reading.refused, reading.connected, ended, self._fault)
         size = (0, 0) if frame is None else frame.image.shape[::-1]
         number = -1 if frame is None else frame.index
-        self.state = State(self.state.source, number, utc_ns, size, self.events.cameras, health)
+        clocks = (None, None) if frame is None else (frame.monotonic_ns, frame.camera_time)
+        self.state = State(self.state.source, number, utc_ns, size, self.events.cameras, health, *clocks)
         for listener in self.listeners:
             listener.state(self.state)
         if now - self._expired > _EXPIRE_EVERY:

@@ -70,7 +70,20 @@ class Health:
 
 @dataclass(frozen=True)
 class State:
-    """A moment of the watch: number and times of the frame, its size in pixels (width, height), cameras and health."""
+    """A moment of the watch.
+
+    Parameters
+    ----------
+    source, frame, utc_ns
+        Name of the source, number of the frame, and when it was taken, UTC in nanoseconds since 1970.
+    size
+        Width and height of the frame, in pixels.
+    cameras, health
+        The cameras that were told of, and how the watch does.
+    monotonic_ns, camera_time
+        When the frame was taken by this machine's monotonic clock, in nanoseconds, and by the source's own, in seconds
+        since it was opened; None where that is not known.
+    """
 
     source: str
     frame: int
@@ -78,6 +91,8 @@ class State:
     size: tuple[int, int]
     cameras: tuple[CameraState, ...]
     health: Health
+    monotonic_ns: int | None = None
+    camera_time: float | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return plain values."""

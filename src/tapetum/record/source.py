@@ -35,6 +35,8 @@ class Frame:
         Exposure time in seconds, and whether the probe's laser was on.
     lost
         Frames known to be lost since the one before.
+    camera_time
+        Seconds by the source's own clock, where `time` is by another one.
     """
 
     index: int
@@ -47,6 +49,7 @@ class Frame:
     exposure: float | None = None
     lit: bool | None = None
     lost: int = 0
+    camera_time: float | None = None
 
     def __post_init__(self) -> None:
         if self.image.ndim != 2 or self.image.dtype not in (np.uint8, np.uint16):

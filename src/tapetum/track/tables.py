@@ -45,6 +45,8 @@ _EVENT = {"event": pa.string()}
 _ASYMMETRY = {"asymmetry": pa.float64()}
 _LATER = {**MOMENT, **_EVENT, **_ASYMMETRY}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
+# Of a live watch's rows: the camera's stay, as its events name it.
+_STAY = {"id": pa.string()}
 _JUDGED = {"applies": pa.bool_(), "reason": pa.string()}
 _SPOT = {name: pa.from_numpy_dtype(kind) for name, kind in Detections.types().items()}
 _GAZE = {f"gaze_{axis}{end}": pa.float64() for axis in "xy" for end in ENDS}
@@ -220,7 +222,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     if not place.is_file():
         raise InputError("no such file", where=place, remedy="check the path")
     try:
-        known = {**_DEVICE, **_JUDGED, **{field.name: field.type for field in schema}}
+        known = {**_DEVICE, **_JUDGED, **_STAY, **{field.name: field.type for field in schema}}
         table = FORMATS[suffix].read(place, known)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it again") from error
