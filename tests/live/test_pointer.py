@@ -100,7 +100,7 @@ def test_one_mark_that_was_not_looked_at_bends_the_map_little_and_shows() -> Non
 def test_gazes_that_fix_no_map_are_refused(points: list[tuple[float, float]]) -> None:
     marks = [(0, 0), (1000, 0), (1000, 900), (0, 900)]
     made = [Fix(*mark, *gaze, 0.001) for mark, gaze in zip(marks, points, strict=False)]
-    with pytest.raises(InputError, match="calibration: .*;"):
+    with pytest.raises(InputError, match=r"calibration: .*;"):
         fit(SCREEN, made)
 
 
@@ -147,9 +147,8 @@ def test_one_mark_corrects_a_shift_within_twenty_seconds() -> None:
 
 
 def test_a_gaze_that_moves_or_stays_at_the_mark_before_is_not_taken() -> None:
-    guide, moving = Guide(SCREEN, 4), []
-    for k in range(200):
-        moving.append(guide.update(camera(0.1 * math.sin(k / 10), 0.0), k / 20).say)
+    guide = Guide(SCREEN, 4)
+    moving = [guide.update(camera(0.1 * math.sin(k / 10), 0.0), k / 20).say for k in range(200)]
     assert not guide.fixes and "hold still" in moving
     slow = [guide.update(camera(0.02 * (k / 20), 0.0, 0.001), 10 + k / 20).say for k in range(100)]
     assert not guide.fixes and "hold still" in slow, "a slow drift is a movement too"

@@ -16,7 +16,10 @@ from tapetum.cli.options import Device, Models, option
 from tapetum.errors import InputError, one_of
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tapetum.live.doors import Doors
+    from tapetum.live.outputs import Queued
 
 _PORT = 8750
 
@@ -26,7 +29,7 @@ def serve(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="demo, a room without hardware; camera:0, video, folder of images, recording or bench:SCENE.",
+            help="demo, a room without hardware; bench, to play with; camera:0, video, folder, recording, bench:SCENE.",
         ),
     ],
     models: Models = None,
@@ -35,6 +38,13 @@ def serve(
     ] = "cameras",
     log: Annotated[
         Path | None, option("FILE", "Keep events and their pictures here, NAME.db; else they end with the command.")
+    ] = None,
+    outputs: Annotated[
+        list[str] | None,
+        option("TEXT", "Tell a receiver: osc://…, mqtt://…, https://…, lsl:NAME, FILE.parquet; several times.", "--to"),
+    ] = None,
+    rules: Annotated[
+        Path | None, option("FILE", "Rules of a guard, YAML: when an alert is raised, and who is told.")
     ] = None,
     every: Annotated[
         bool, typer.Option("--every-frame", help="Leave none of a stored source's frames out; else real time.")
@@ -59,7 +69,7 @@ def serve(
 ) -> None:
     """Watch a source live: find cameras, follow them, and show them, with what happens, on a page.
 
-    Ends with Ctrl-C; the page stays after a stored source's end.
+    Ends with Ctrl-C; the page stays after a stored source's end. SOURCE bench shows the virtual bench with sliders.
     """
     from tapetum.live.app import make_app
     from tapetum.live.doors import is_loopback, make_token
@@ -74,6 +84,19 @@ def serve(
     if token is None and not is_loopback(address):
         token = make_token()
     bound = _bound(address, port)
+    if source == "bench" and not Path(source).exists():
+        from tapetum.live.doors import Doors
+        from tapetum.live.playground.router import make_play_app
+
+        _run(Doors(make_play_app(), _hosts(address, names), token), bound, token, "the bench to play with", browse)
+        return
+    guard = None
+    if rules is not None:
+        from tapetum.live.guard import Guard
+        from tapetum.live.rules import load_rules
+
+        guard = Guard(load_rules(rules))
+    listeners = _opened(outputs or ())
     watch = Watch(
         lambda: open_frames(source, stream, rate=rate),
         name=source,
@@ -82,9 +105,33 @@ def serve(
         mode="all" if every else "newest",
         repeat=repeat,
         log=None if log is None else Log(log),
+        listeners=listeners,
+        guard=guard,
     )
-    watch.start()
+    try:
+        if guard is not None:
+            guard.rules.check_outputs({one.name for one in listeners}, str(rules))
+        watch.start()
+    except InputError:
+        for one in listeners:
+            one.close()
+        raise
     _run(make_app(watch, _hosts(address, names), token), bound, token, f"watching {source}", browse)
+
+
+def _opened(texts: Sequence[str]) -> list[Queued]:
+    """Open the receivers; where one cannot be, those before it are closed."""
+    from tapetum.live.outputs import open_output
+
+    opened: list[Queued] = []
+    try:
+        for text in texts:
+            opened.append(open_output(text))  # noqa: PERF401
+    except InputError:
+        for one in opened:
+            one.close()
+        raise
+    return opened
 
 
 def _hosts(address: str, names: list[str] | None) -> tuple[str, ...]:

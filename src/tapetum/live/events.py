@@ -19,7 +19,7 @@ from tapetum.track.rows import TrackedFrame, TrackRow
 __all__ = ["KINDS", "Event", "Events", "Ignored", "Region"]
 
 KINDS = (
-    *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device"),
+    *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "alert"),
     *("source lost", "source returned", "source ended"),
 )
 """What events tell."""
@@ -38,7 +38,7 @@ class Event:
     utc_ns
         When the frame was taken that showed it.
     detail
-        The region, the device, or why a source was lost.
+        The region, the device, the rule of an alert, or why a source was lost.
     before, after
         The camera before and after; None before `new` and after `end`, and both for a source.
     """

@@ -91,9 +91,7 @@ class Guard:
         here = {one.id: one for one in state.cameras}
         for camera in here.values():
             # A guard that begins while the watch runs takes what it finds.
-            known = self._known.setdefault(
-                camera.id, _Known(camera, camera.active, camera.device, set(camera.regions))
-            )
+            known = self._known.setdefault(camera.id, _Known(camera, camera.active, camera.device, set(camera.regions)))
             known.camera = camera
         for gone in [one for one in self._known if one not in here]:
             del self._known[gone]

@@ -6,7 +6,7 @@ import sqlite3
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import cv2
@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from tapetum.live.acquire import Acquisition
 from tapetum.live.events import Event, Events, Ignored, Region
+from tapetum.live.guard import Guard
 from tapetum.live.log import Log
 from tapetum.live.state import Health, State
 from tapetum.record.source import Frame, Source, full_scale_of
@@ -72,6 +73,8 @@ class Watch:
         Parts of the cameras' fields to report on.
     listeners
         Who is told of events and states.
+    guard
+        Rules whose alerts are published as events of the kind "alert"; its regions are reported on too.
     timing
         Seconds `confirm`, `hold`, `cooldown` and `gone` of `Events`.
 
@@ -95,10 +98,13 @@ class Watch:
         log: Log | None = None,
         regions: Iterable[Region] = (),
         listeners: Iterable[Listener] = (),
+        guard: Guard | None = None,
         timing: dict[str, float] | None = None,
     ) -> None:
         self.acquisition = Acquisition(opens, mode, self._told_of_source, repeat=repeat)
         self.log = Log(":memory:") if log is None else log
+        self.guard = guard
+        regions = (*regions, *(() if guard is None else guard.rules.areas()))
         self.events = Events(regions, ignored=self.log.ignored(), **(timing or {}))
         self.listeners = list(listeners)
         self.state = State(name, -1, time.time_ns(), (0, 0), (), Health())
@@ -184,16 +190,21 @@ class Watch:
             if frame.lit is not False:
                 self._shown = frame
             utc = frame.utc_ns or time.time_ns()
-            for event in self.events.update(tracked, utc, self._offset):
+            made = self.events.update(tracked, utc, self._offset)
+            for event in made:
                 self._publish(event)
             self._set_state(utc)
+            if self.guard is not None:
+                for alert in self.guard.update(self.state, made):
+                    self._publish(alert.as_event(), alert.tell)
 
     def _taken(self) -> Iterator[Frame]:
         for frame in self.acquisition:
             self._frame = frame
             yield frame
 
-    def _publish(self, event: Event) -> None:
+    def _publish(self, event: Event, tell: Collection[str] = ()) -> None:
+        """Log an event, and tell the listeners of these names of it, or all."""
         # Written before it is told, so that who is told can read it.
         try:
             self.log.add(event, self._evidence(event))
@@ -201,7 +212,8 @@ class Watch:
             # A full disk must not stop the watch.
             self._fault = f"the log cannot be written ({error})"
         for listener in self.listeners:
-            listener.event(event)
+            if not tell or getattr(listener, "name", "") in tell:
+                listener.event(event)
 
     def _evidence(self, event: Event) -> bytes | None:
         """The camera's surroundings in the latest shown frame, JPEG; None at the end of a stay."""

@@ -1,8 +1,8 @@
 """From a camera's gaze to the point of a screen that it is pointed at.
 
 The probe stands beside a screen and sees a camera that somebody points at it. Where the probe lies in the camera's field
-follows from where the camera points: by a projective map of the plane, as long as the camera turns in place and is not
-rolled. Looking at a few known marks finds that map (see `tapetum.live.guide`).
+follows from where the camera points: by a projective map of the plane, as long as the camera turns in place without
+roll. Looking at a few known marks finds that map (see `tapetum.live.guide`).
 """
 
 from __future__ import annotations
@@ -310,6 +310,8 @@ class Pointer:
         corners = [calibration.point(x, y) for x in camera.gaze_x[1:] for y in camera.gaze_y[1:]]
         known = np.array([one for one in corners if one is not None] or [at])
         half = (known.max(0) - known.min(0)) / 2
-        x, y = (one.update(value / screen.width, time) * screen.width for one, value in zip(self._filters, at, strict=True))
+        x, y = (
+            one.update(value / screen.width, time) * screen.width for one, value in zip(self._filters, at, strict=True)
+        )
         inside = 0 <= x < screen.width and 0 <= y < screen.height
         return Pointed(x, y, inside, float(half[0]), float(half[1]))

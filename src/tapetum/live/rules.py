@@ -92,7 +92,7 @@ Sides = Annotated[tuple[Side, Side, Side, Side], BeforeValidator(_sides)]
 
 @dataclass(frozen=True, config=STRICT)
 class Quiet:
-    """Hours without alerts: from a time of day to another, on the days on which they begin; past midnight if need be."""
+    """Hours without alerts: from a time of day to another, on the days on which they begin, also past midnight."""
 
     from_: Clock = Field(alias="from")  # pyright: ignore[reportGeneralTypeIssues]
     to: Clock = Field()
@@ -164,7 +164,9 @@ class Rules:
             where = one.when.looks_at
             if where is not None and where not in self.regions:
                 known = ", ".join(self.regions) or "there is none"
-                raise ValueError(f"rule {one.name!r} looks at {where!r}, which is no region; add it to regions: {known}")
+                raise ValueError(
+                    f"rule {one.name!r} looks at {where!r}, which is no region; add it to regions: {known}"
+                )
         for name, (left, top, right, bottom) in self.regions.items():
             if not (left < right and top < bottom):
                 raise ValueError(f"region {name!r} encloses nothing; give left < right and top < bottom")

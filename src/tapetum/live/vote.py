@@ -69,7 +69,12 @@ class Ballot:
             raise InputError(f"must be 0 to 60 s, is {self.dwell}", where="ballot.dwell")
         for k, one in enumerate(self.zones):
             for other in self.zones[:k]:
-                if one.left < other.right and other.left < one.right and one.top < other.bottom and other.top < one.bottom:
+                if (
+                    one.left < other.right
+                    and other.left < one.right
+                    and one.top < other.bottom
+                    and other.top < one.bottom
+                ):
                     what = f"{other.name} and {one.name} overlap"
                     raise InputError(what, where="ballot.zones", remedy="leave a gap between them")
 

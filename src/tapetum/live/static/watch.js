@@ -260,6 +260,7 @@ const KINDS = {
   seen: (who) => `${who} is seen`, gone: (who) => `${who} is gone`, imaging: (who) => `${who} images`,
   "not imaging": (who) => `${who} images no more`, looks: (who, what) => `${who} looks at ${what}`,
   "looks away": (who, what) => `${who} looks away from ${what}`, device: (who, what) => `${who} is taken for ${what}`,
+  alert: (who, what) => `Alert: ${what} (${who})`,
   "source lost": (_, what) => `The source went: ${what}`, "source returned": () => "The source returned",
   "source ended": () => "The recording is at its end",
 };
@@ -275,6 +276,7 @@ function happened(event) {
   if (event.picture) { image.src = `/api/events/${event.number}/picture`; image.alt = ""; image.loading = "lazy"; }
   const source = event.kind.startsWith("source");
   what.textContent = (KINDS[event.kind] ?? ((who) => `${who}: ${event.kind}`))(source ? "" : name(event.id), event.detail);
+  if (event.kind === "alert") item.classList.add("alert");
   item.append(when, image, what);
   $("events").prepend(item);
   while ($("events").children.length > EVENTS) $("events").lastChild.remove();
