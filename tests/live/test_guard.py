@@ -18,7 +18,8 @@ from tapetum.record.source import Frame
 from tapetum.track.detections import Detections
 from tapetum.track.rows import TrackedFrame, TrackRow
 
-RULES = """
+HEAD = "schema: tapetum/rules/1\n"
+RULES = """schema: tapetum/rules/1
 regions: {model: [-0.2, -0.2, 0.2, 0.2]}
 rules:
   - {name: here, cooldown: 0 s}
@@ -75,7 +76,7 @@ def test_alerts_of_a_watch_are_events_and_go_to_whom_the_rule_names(three_second
         def close(self) -> None: ...
 
     one, other = Hears("one"), Hears("other")
-    rules = rules_from_text("rules: [{name: here, tell: [one]}]")
+    rules = rules_from_text(HEAD + "rules: [{name: here, tell: [one]}]")
     watch = watched(lambda: Scripted(three_seconds), guard=Guard(rules), listeners=[one, other])
     alerts = [event for event in watch.log.events() if event["kind"] == "alert"]
     assert [(event["detail"], event["picture"]) for event in alerts] == [("here", True)] * 2
@@ -83,7 +84,7 @@ def test_alerts_of_a_watch_are_events_and_go_to_whom_the_rule_names(three_second
 
 
 def test_quiet_hours_hold_back_and_tell_at_their_end() -> None:
-    guard = Guard(rules_from_text('rules: [{name: here}]\nquiet: [{from: "22:00", to: "06:00"}]'))
+    guard = Guard(rules_from_text(HEAD + 'rules: [{name: here}]\nquiet: [{from: "22:00", to: "06:00"}]'))
     camera = watched_camera()
     at = lambda hour: State("", 0, round(hour * 3600e9), (1, 1), (camera,), Health())  # noqa: E731
     assert guard.update(at(23.0)) == [] == guard.update(at(29.9))
@@ -109,12 +110,12 @@ def watched_camera():
         ("rules: [{name: a}]\ntime_zone: Mars/Base", "Mars/Base"),
         ("rules: [{name: a}]\nregions: {door: [1, 0, 0, 1]}", "'door' encloses nothing"),
         ("rules: [{name: a, sound: loud}]", "sound"),
-        ("- 3", "rules"),
+        ("more: 3", "rules"),
     ],
 )
 def test_bad_rules_name_file_and_field(tmp_path: Path, text: str, complaint: str) -> None:
     path = tmp_path / "guard.yaml"
-    path.write_text(text)
+    path.write_text(HEAD + text)
     with pytest.raises(InputError) as raised:
         load_rules(path)
     assert complaint in str(raised.value) and "guard.yaml" in str(raised.value)
@@ -122,4 +123,4 @@ def test_bad_rules_name_file_and_field(tmp_path: Path, text: str, complaint: str
 
 def test_a_rule_that_tells_nobody_there_is_refused() -> None:
     with pytest.raises(InputError, match=r"there is no output 'pager'"):
-        rules_from_text("rules: [{name: a, tell: [pager]}]").check_outputs({"osc"})
+        rules_from_text(HEAD + "rules: [{name: a, tell: [pager]}]").check_outputs({"osc"})

@@ -1,6 +1,6 @@
 """From a camera's gaze to the point of a screen that it is pointed at.
 
-The probe stands beside a screen and sees a camera that somebody points at it. Where the probe lies in the camera's field
+The probe stands beside a screen and sees a camera that somebody points at it. Where the probe lies in its field
 follows from where the camera points: by a projective map of the plane, as long as the camera turns in place without
 roll. Looking at a few known marks finds that map (see `tapetum.live.guide`).
 """
