@@ -28,6 +28,8 @@ from tapetum.bench.scene import (
     outside_of_model,
 )
 from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask, at_wavelength
+from tapetum.bench.tolerances import Tolerances, load_tolerances, tolerance_names
+from tapetum.bench.units import draw_unit
 
 __all__ = [
     "CameraUnit",
@@ -50,13 +52,16 @@ __all__ = [
     "Target",
     "TargetSensor",
     "ThinLens",
+    "Tolerances",
     "as_scene",
     "at_wavelength",
+    "draw_unit",
     "field_path",
     "lens_names",
     "load_lens",
     "load_phone",
     "load_scene",
+    "load_tolerances",
     "outside_of_model",
     "phone_names",
     "scene_dict",
@@ -64,5 +69,6 @@ __all__ = [
     "scene_names",
     "scene_schema",
     "scene_yaml",
+    "tolerance_names",
     "with_values",
 ]

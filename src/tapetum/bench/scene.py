@@ -7,9 +7,10 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Discriminator, Field, Tag, model_validator
+from pydantic import BeforeValidator, Discriminator, Field, PlainValidator, Tag, WithJsonSchema, model_validator
 from pydantic.dataclasses import dataclass
 
+from tapetum.bench.faults import build
 from tapetum.bench.illumination import Illumination, Line, SecondBeam, Wavelength
 from tapetum.bench.measured import sensor_values
 from tapetum.bench.phone import CameraUnit, Phone, load_phone
@@ -134,6 +135,22 @@ class Target:
         return self
 
 
+def _whole_phone(value: object) -> Phone | None:
+    if value is None or isinstance(value, Phone):
+        return value
+    if not isinstance(value, dict):
+        raise ValueError(f"{value!r:.60} is no phone; give the fields of a phone's file")
+    return build(Phone, {key: one for key, one in value.items() if key != "schema"}, "built")
+
+
+# Opaque to the short names of a scene's fields: a phone's own `wavelength` must not make another one ambiguous.
+AnyPhone = Annotated[
+    Any,
+    PlainValidator(_whole_phone),
+    WithJsonSchema({"anyOf": [{"type": "object"}, {"type": "null"}], "description": "a phone, as in its file"}),
+]
+
+
 @dataclass(frozen=True, config=STRICT)
 class PhoneTarget:
     """A phone as target: one of its cameras is pointed at the scene, all of them reflect.
@@ -151,6 +168,8 @@ class PhoneTarget:
         open). Sensors reflect while they image, filters always.
     rotation
         As of a `Target`.
+    built
+        The whole phone as in its file, where this copy differs from the catalogue's: see `draw_unit`.
     """
 
     name: str
@@ -159,9 +178,12 @@ class PhoneTarget:
     camera: str | None = None
     imaging: bool = True
     rotation: tuple[Angle, Angle] = (0.0, 0.0)
+    built: AnyPhone = None
 
     @model_validator(mode="after")
     def _is_a_phone(self) -> PhoneTarget:
+        if self.built is not None and self.built.name != load_phone(self.name).name:
+            raise ValueError(f"built describes {self.built.name!r}, not {self.name!r}; leave it out or name that phone")
         names = [unit.name for unit in self.phone.cameras]
         if self.camera is not None and self.camera not in names:
             raise ValueError(f"{self.name} has no camera {self.camera!r}; use {' or '.join(names)}")
@@ -172,7 +194,7 @@ class PhoneTarget:
     @property
     def phone(self) -> Phone:
         """The phone itself."""
-        return load_phone(self.name)
+        return load_phone(self.name) if self.built is None else self.built
 
     @property
     def unit(self) -> CameraUnit:

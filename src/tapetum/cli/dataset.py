@@ -104,6 +104,12 @@ def synth(
     out: SetOut,
     size: Annotated[str, option("SIZE", _SIZES)] = "small",
     seed: Seed = SEED,
+    units: Annotated[
+        int | None, option("N", "Copies of every camera, drawn from tolerances; each films all its videos.", min=1)
+    ] = None,
+    tolerances: Annotated[
+        str | None, option("FILE", "With --units: thin, traced, phone or a YAML file; by default the camera's kind.")
+    ] = None,
     processes: Processes = None,
     cluster: Cluster = None,
     force: Force = False,
@@ -113,11 +119,15 @@ def synth(
     What is done is kept in SET.part: after an interruption, the same command carries on.
     """
     check_output(out, force, "tapetum-dataset")
-    from tapetum.data.synth import KINDS, SIZES, make_plan, synthesise
+    if tolerances is not None and units is None:
+        raise InputError("has no meaning without --units", where="--tolerances", remedy="say how many copies")
+    from tapetum.data.synth import KINDS, SIZES, Units, make_plan, synthesise
 
-    plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed)
+    copies = None if units is None else Units(units, tolerances)
+    plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed, copies)
     try:
         synthesise(plan, out, processes=film_count(processes), cluster=cluster, progress=bar, overwrite=force)
     except KeyboardInterrupt as error:
         raise StoppedError("what is done is kept, and the same command carries on") from error
-    say_split(out, f"{len(plan.videos)} videos, seed {seed}: ")
+    told = f"{len(plan.units)} units, " if plan.units else ""
+    say_split(out, f"{told}{len(plan.videos)} videos, seed {seed}: ")

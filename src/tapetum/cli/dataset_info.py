@@ -57,6 +57,8 @@ def lines(path: str, dataset: xr.Dataset, quality: DatasetQuality, leaks: list[L
             continue
         span = f"{label.spread.least:.3f} to {label.spread.most:.3f}, mean {label.spread.mean:.3f} ({label.unit})"
         yield f"  {name}: {span} {_drawn(label.spread)}"
+    if units := dataset.tp.units:
+        yield f"  units: {len(units)} copies of cameras"
     told = dataset.tp.recordings
     for number, (name, (train, test)) in enumerate(zip(quality.recordings, quality.per_recording, strict=True)):
         counts = f"{train + test} frames"

@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from tapetum.cli.models import find_model
-from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, option
+from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, Split, option
 from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 from tapetum.progress import bar
@@ -31,6 +31,7 @@ def evaluate(
             "--out",
         ),
     ] = None,
+    split: Split = "time",
     device: Device = "auto",
     as_json: AsJson = False,
     force: Force = False,
@@ -41,14 +42,18 @@ def evaluate(
         remedy = "name a folder for the whole report, or NAME.json for the numbers alone"
         raise InputError(f"unknown kind of report {out.suffix!r}", where=out, remedy=remedy)
     check_output(out, force, None if numbers_alone else "tapetum-evaluation")
-    from tapetum.data import open_dataset
+    from tapetum.data import open_dataset, split_by
     from tapetum.files import atomic_file
     from tapetum.models import model_card
     from tapetum.report.evaluation import describe, gather, score, write_evaluation
     from tapetum.report.evaluation.write import samples, subject_of
 
     fitted = find_model(model, device)
-    data = open_dataset(dataset)
+    data = split_by(open_dataset(dataset), split)
+    trained = set((getattr(fitted, "training_", None) or {}).get("units") or ())
+    if split == "unit" and (both := sorted(trained & set(data.tp.test.tp.units))):
+        what = f"the model was trained on {', '.join(both)}, which is to test it"
+        raise InputError(what, where="--split", remedy="train it with --split unit, or leave the option out")
     outcome = gather(fitted, data, progress=bar)
     scores = score(outcome)
     if out is not None and numbers_alone:
@@ -56,8 +61,9 @@ def evaluate(
             part.write_text(json.dumps(scores, indent=1) + "\n", encoding="utf-8")
     elif out is not None:
         card = model_card(model) if Path(model).is_dir() else None
+        how = "" if split == "time" else f" --split {split}"
         subject = subject_of(fitted, data, model_name=model, card=card)
-        subject = dataclasses.replace(subject, command=f"tapetum evaluate {model} {dataset} -o {out}")
+        subject = dataclasses.replace(subject, command=f"tapetum evaluate {model} {dataset}{how} -o {out}")
         rrs, rrs_at = samples(outcome, data)
         write_evaluation(out, outcome, subject, rrs=rrs, rrs_at=rrs_at, overwrite=force, progress=bar)
     typer.echo(json.dumps(scores) if as_json else describe(scores))

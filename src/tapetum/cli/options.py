@@ -29,6 +29,14 @@ SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENES)]
 SetPath = Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")]
 ModelName = Annotated[str, typer.Argument(metavar="MODEL", help=f"{_MODELS}.")]
 SetOut = Annotated[Path, option("SET", "The dataset to write, NAME.zarr.", "-o", "--out")]
+Split = Annotated[
+    str,
+    option(
+        "HOW",
+        "What tests: the end of every video (time), the units that train nothing (unit), or the end of the others' "
+        "videos (seen-unit). The last fifth of each camera's units trains nothing, at least one.",
+    ),
+]
 TracksOut = Annotated[Path, option("TRACKS", "The table to write: .parquet, .csv or .jsonl.", "-o", "--out")]
 Changes = Annotated[list[str] | None, option("KEY=VALUE", "Change any field of the scene; repeatable.", "--set")]
 Models = Annotated[list[str] | None, option("MODEL", f"{_MODELS}; repeatable.", "--model")]

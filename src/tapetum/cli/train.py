@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from tapetum.cli.options import Device, Force, Processes, SeedIfGiven, SetPath, count_of, option
+from tapetum.cli.options import Device, Force, Processes, SeedIfGiven, SetPath, Split, count_of, option
 from tapetum.cli.outputs import check_output
 from tapetum.defaults import SEED
 from tapetum.durable import sole_writer
@@ -55,6 +55,7 @@ def train(
         str | None, option("HOW", "networks: take the background off before the root (level) or after (root).")
     ] = None,
     gain: Annotated[float | None, option("X", "networks: how far brightness is varied, in parts of e.", min=0)] = None,
+    split: Split = "time",
     seed: SeedIfGiven = None,
     device: Device = "auto",
     processes: Processes = None,
@@ -96,11 +97,11 @@ def train(
     if network and checkpoint.exists() and not (resume or force):
         remedy = "go on with --resume, or start over with --overwrite"
         raise InputError("an unfinished training is kept here", where=checkpoint, remedy=remedy)
-    from tapetum.data import open_dataset
+    from tapetum.data import open_dataset, split_by
     from tapetum.models import ZernikeRidge, save_model
     from tapetum.models.training import remove_checkpoint
 
-    data = open_dataset(dataset)
+    data = split_by(open_dataset(dataset), split)
     if intervals is not None:
         options["calibration_fraction"] = 0.1 if intervals else 0.0
     with told_when_full(out):

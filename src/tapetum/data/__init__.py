@@ -10,6 +10,7 @@ from tapetum.data.dataset import (
     image_batches,
     open_dataset,
 )
+from tapetum.data.units import split_by
 
 __all__ = [
     "DatasetAccessor",
@@ -24,4 +25,5 @@ __all__ = [
     "find_peak",
     "image_batches",
     "open_dataset",
+    "split_by",
 ]

@@ -32,6 +32,7 @@ __all__ = [
     "TEST",
     "TRAIN",
     "TRUE_GAZE",
+    "UNIT",
     "VERSION",
     "DatasetAccessor",
     "class_variable",
@@ -59,6 +60,9 @@ STD = "_std"
 
 DEVICE = "device"
 """The only label that is a class: integers, named by the variable's attribute ``classes``."""
+
+UNIT = "unit"
+"""Variable that tells the copies of a camera apart, where they are known: integers, named as those of `DEVICE`."""
 
 _NEEDED = ("image", "split", "recording")
 _AGAIN = "build the dataset again"
@@ -223,8 +227,8 @@ def open_dataset(path: str | Path) -> xr.Dataset:
         ``image(frame, y, x)`` in counts, the labels with their ``units``, ``centre_x``, ``centre_y`` (pixels of the
         frame), ``snr``, ``quality``, ``recording``, ``time`` (s), ``frame_index``, ``label_back``, ``label_ahead`` (s,
         time span of the measurements behind a label), ``split``; where known ``gaze_x_std`` and ``gaze_y_std``, the
-        standard deviations of the labels; in synthesised sets also ``true_gaze_x`` and
-        ``true_gaze_y``. See `DatasetAccessor`.
+        standard deviations of the labels, and ``unit``, the copy of the camera; in synthesised sets also
+        ``true_gaze_x`` and ``true_gaze_y``. See `DatasetAccessor`.
 
     Raises
     ------
@@ -280,11 +284,13 @@ def _faults(dataset: xr.Dataset, group: zarr.Group, targets: Sequence[str], *, c
     found = []
     if missing := [name for name in (*_NEEDED, *targets) if name not in dataset]:
         found.append(f"lacks {', '.join(missing)}")
-    if DEVICE in targets and DEVICE in dataset:
-        classes, numbers = dataset[DEVICE].attrs.get("classes"), np.asarray(dataset[DEVICE].values)
+    for name in (*((DEVICE,) if DEVICE in targets else ()), UNIT):
+        if name not in dataset:
+            continue
+        classes, numbers = dataset[name].attrs.get("classes"), np.asarray(dataset[name].values)
         known = len(classes) if isinstance(classes, list) else 0
         if not isinstance(classes, list) or (numbers.size and not 0 <= numbers.min() <= numbers.max() < known):
-            found.append(f"{DEVICE} lacks names for its numbers")
+            found.append(f"{name} lacks names for its numbers")
     for name in dataset.variables if chunks else ():
         array = group[str(name)]
         # Zarr silently reads a missing chunk as zeros.
@@ -357,6 +363,14 @@ class DatasetAccessor:
     def classes(self) -> tuple[str, ...]:
         """Names of the numbers in `device`; empty without this label."""
         return tuple(self._dataset[DEVICE].attrs["classes"]) if DEVICE in self._dataset else ()
+
+    @property
+    def units(self) -> tuple[str, ...]:
+        """Names of the units that occur, copies of cameras; empty where the set does not tell them apart."""
+        if UNIT not in self._dataset:
+            return ()
+        names = self._dataset[UNIT].attrs["classes"]
+        return tuple(names[int(number)] for number in np.unique(np.asarray(self._dataset[UNIT].values)))
 
     @property
     def full_scale(self) -> float:

@@ -26,6 +26,7 @@ from tapetum.data.dataset import (
     TEST,
     TRAIN,
     TRUE_GAZE,
+    UNIT,
     VERSION,
     class_variable,
     split_variable,
@@ -82,7 +83,7 @@ class DatasetWriter:
     """Appends crops and their values to a store in whole chunks. Made by `dataset_writer`.
 
     `told` becomes the store's attribute ``recordings``: the fate of each recording's frames. `attributes` are further
-    JSON attributes of the store.
+    JSON attributes of the store; `units` are the names of the numbers in the column `unit`, if it is added.
     """
 
     def __init__(
@@ -96,6 +97,7 @@ class DatasetWriter:
     ) -> None:
         self.told: list[dict[str, Any]] = []
         self.attributes: dict[str, Any] = {}
+        self.units: list[str] = []
         self._group, self._rules, self._names, self._classes = group, rules, names, classes
         self._full_scale = full_scale
         self._columns: dict[str, list[float]] = {}
@@ -188,11 +190,14 @@ class DatasetWriter:
             if f"{name}{STD}" in self._columns:
                 about = {"units": QUANTITIES[name], "long_name": "standard deviation of the label"}
                 kinds[f"{name}{STD}"] = (np.float32, about)
-        found = {name: (np.asarray(self._columns[name], kind), about) for name, (kind, about) in kinds.items()}
+        found: dict[str, tuple[NDArray[Any], dict[str, Any]]] = {}
+        found |= {name: (np.asarray(self._columns[name], kind), about) for name, (kind, about) in kinds.items()}
         if DEVICE in self._names:
             named = [self._classes[int(number)] for number in self._columns[DEVICE]]
             device = class_variable(named, self._classes)
             found[DEVICE] = device.values, dict(device.attrs)
+        if UNIT in self._columns:
+            found[UNIT] = np.asarray(self._columns[UNIT], np.int32), {**_UNIT, "classes": self.units}
         split = split_variable(np.asarray(self._columns["split"], dtype=np.int8))
         found["split"] = split.values, dict(split.attrs)
         for name, (values, about) in found.items():
@@ -263,5 +268,6 @@ _COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
     "label_back": (np.float32, {"units": "s", "long_name": "how far the label reaches back of the frame"}),
     "label_ahead": (np.float32, {"units": "s", "long_name": "how far the label reaches ahead of the frame"}),
 }
+_UNIT = {"long_name": "copy of the camera"}
 # Of synthesised sets only.
 _TRUE = (np.float32, {"units": QUANTITIES["gaze_x"], "long_name": "where it really looked, which no label tells"})

@@ -274,6 +274,7 @@ class TrainingPart:
             if kept
             else "none: every training frame is fitted, as in the paper",
             "centring": self.dataset.attrs.get("centring"),
+            **({"units": list(units)} if (units := self.dataset.tp.units) else {}),
             # The constant estimate that serves as the baseline.
             "mean": dict(zip(self.quantities, self.targets.mean(axis=0).tolist(), strict=True)),
         }

@@ -15,11 +15,11 @@ from typing import Any
 
 import numpy as np
 
-from tapetum.bench import Scene, load_scene, scene_dict, with_values
+from tapetum.bench import Scene, Tolerances, draw_unit, load_scene, scene_dict, with_values
 from tapetum.data.dataset import DEVICE
 from tapetum.data.write import CHUNK, Rules
 from tapetum.defaults import SEED
-from tapetum.errors import one_of
+from tapetum.errors import InputError, one_of
 from tapetum.record import HandMotion, Session
 from tapetum.record.stray import FixedPattern
 
@@ -33,6 +33,7 @@ __all__ = [
     "Part",
     "Plan",
     "SetRecipe",
+    "Units",
     "Video",
     "focusing_plan",
     "make_plan",
@@ -71,13 +72,26 @@ _SWAY = 0.01
 
 
 @dataclass(frozen=True)
+class Units:
+    """How many copies of every camera to film, drawn from which tolerances: None for those of the kind of target."""
+
+    count: int
+    tolerances: Tolerances | str | None = None
+
+    def __post_init__(self) -> None:
+        if self.count < 1:
+            raise InputError(f"must be positive, is {self.count}", where="--units", remedy="give a number of copies")
+
+
+@dataclass(frozen=True)
 class Video:
-    """One video to film: its scene, its session, and the labels that are constant within it."""
+    """One video to film: its scene, its session, the labels that are constant within it, and its unit's number."""
 
     name: str
     scene: Scene
     session: Session
     labels: tuple[tuple[str, float | str], ...] = ()
+    unit: int | None = None
 
     @property
     def frames(self) -> int:
@@ -87,7 +101,9 @@ class Video:
     def as_dict(self) -> dict[str, Any]:
         """Return everything that determines the video, as plain values."""
         session = json.loads(json.dumps(dataclasses.asdict(self.session), default=str))
-        return {"name": self.name, "scene": scene_dict(self.scene), "session": session, "labels": dict(self.labels)}
+        own = {} if self.unit is None else {"unit": self.unit}
+        told = {"name": self.name, "scene": scene_dict(self.scene), "session": session}
+        return {**told, "labels": dict(self.labels), **own}
 
 
 @dataclass(frozen=True)
@@ -114,6 +130,8 @@ class Plan:
         How frames are selected, cut and split.
     piece
         Frames of a part.
+    units
+        Names of the copies of cameras, by number; none where every camera is the one of its scene.
     """
 
     kind: str
@@ -122,6 +140,7 @@ class Plan:
     videos: tuple[Video, ...]
     rules: Rules = dataclasses.field(default_factory=Rules)
     piece: int = PIECE
+    units: tuple[str, ...] = ()
 
     @property
     def parts(self) -> tuple[Part, ...]:
@@ -153,6 +172,7 @@ class Plan:
             "piece": self.piece,
             "videos": [video.as_dict() for video in self.videos],
             "software": importlib.metadata.version("tapetum"),
+            **({"units": list(self.units)} if self.units else {}),
         }
 
     @property
@@ -178,12 +198,38 @@ class SetRecipe:
     rules: Rules = dataclasses.field(default_factory=Rules)
     settings: tuple[str, ...] = ()
 
-    def plan(self, scene: Scene | None = None, size: str = "small", seed: int = SEED) -> Plan:
-        """Return the plan of the set, for the given scene or the bundled one."""
+    def plan(
+        self, scene: Scene | None = None, size: str = "small", seed: int = SEED, units: Units | None = None
+    ) -> Plan:
+        """Return the plan of the set, for the given scene or the bundled one.
+
+        With `units`, every video is filmed once with each copy of its camera. A device is a camera; all videos of a set
+        without devices show copies of one.
+        """
         one_of(size, SIZES, "size")
         scene = load_scene(self.name, self.settings) if scene is None else scene
-        videos = (self._video(n, name, labels, scene, size, seed) for n, (name, labels) in enumerate(self.videos))
-        return Plan(self.name, size, seed, tuple(videos), self.rules)
+        videos = tuple(self._video(n, name, labels, scene, size, seed) for n, (name, labels) in enumerate(self.videos))
+        plan = Plan(self.name, size, seed, videos, self.rules)
+        return plan if units is None else self._copied(plan, scene, units)
+
+    def _copied(self, plan: Plan, scene: Scene, units: Units) -> Plan:
+        """The plan with every video filmed once with each copy of its camera."""
+        cameras = [str(labels.get(DEVICE, self.name)) for _, labels in self.videos]
+        order = list(dict.fromkeys(cameras))
+        videos, names, count = list[Video](), list[str](), len(self.videos)
+        for n, (name, labels) in enumerate(self.videos):
+            camera = order.index(cameras[n])
+            for copy in range(units.count):
+                seed = _unit_seed(plan.seed, KINDS.index(self.name), camera, copy)
+                number = camera * units.count + copy
+                if number == len(names):
+                    names.append(f"{cameras[n]}-{seed:08x}")
+                called = f"{name}-unit-{copy + 1}"
+                video = self._video(copy * count + n, called, labels, scene, plan.size, plan.seed)
+                videos.append(
+                    dataclasses.replace(video, scene=draw_unit(video.scene, units.tolerances, seed), unit=number)
+                )
+        return dataclasses.replace(plan, videos=tuple(videos), units=tuple(names))
 
     def _video(self, number: int, name: str, labels: Labels, scene: Scene, size: str, seed: int) -> Video:
         # Videos differ only in seed and label: a background that is constant within a video would identify it, and so
@@ -242,7 +288,12 @@ SETS: dict[str, SetRecipe] = {
 KINDS = tuple(SETS)
 
 
-def make_plan(kind: str, size: str = "small", seed: int = SEED) -> Plan:
+def _unit_seed(seed: int, kind: int, camera: int, copy: int) -> int:
+    """The seed of one copy; its spawn key keeps it apart from the seeds of videos."""
+    return int(np.random.SeedSequence([seed, kind], spawn_key=(camera, copy)).generate_state(1)[0])
+
+
+def make_plan(kind: str, size: str = "small", seed: int = SEED, units: Units | None = None) -> Plan:
     """Return the plan of one of the sets, from its bundled scene; an unknown kind or size raises an InputError.
 
     Parameters
@@ -253,8 +304,10 @@ def make_plan(kind: str, size: str = "small", seed: int = SEED) -> Plan:
         `paper`; `laptop`: the same videos of 8 to 30 seconds; `small`: of 2 to 4 seconds, too few frames to learn from.
     seed
         Of everything random.
+    units
+        Copies of every camera, each of which films all its videos; None for the camera of the scene alone.
     """
-    return SETS[one_of(kind, KINDS, "kind")].plan(None, size, seed)
+    return SETS[one_of(kind, KINDS, "kind")].plan(None, size, seed, units)
 
 
 def rotation_plan(scene: Scene, size: str = "small", seed: int = SEED) -> Plan:

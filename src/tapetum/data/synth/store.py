@@ -14,7 +14,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from tapetum.data.dataset import DEVICE, QUANTITIES
+from tapetum.data.dataset import DEVICE, QUANTITIES, UNIT
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.write import dataset_writer
 from tapetum.errors import InputError
@@ -120,10 +120,12 @@ class Staging:
         names = tuple(name for name in (*QUANTITIES, DEVICE) if name in labels)
         with dataset_writer(out, plan.rules, names, plan.classes, plan.full_scale, overwrite=overwrite) as writer:
             writer.told = [_heading(plan, number) for number in range(len(plan.videos))]
+            writer.units = list(plan.units)
             for part in progress(plan.parts, "putting the set together", total=len(plan.parts)):
-                made = self.read(part)
+                made, unit = self.read(part), plan.videos[part.video].unit
+                own = {} if unit is None else {UNIT: unit}
                 for n, crop in enumerate(made.crops):
-                    writer.add(crop, **{name: values[n] for name, values in made.columns.items()})
+                    writer.add(crop, **{name: values[n] for name, values in made.columns.items()}, **own)
                 _count(writer.told[part.video], made)
             about = {"kind": plan.kind, "size": plan.size, "seed": plan.seed, "plan": plan.digest}
             writer.attributes["synth"] = about
@@ -152,7 +154,8 @@ def _heading(plan: Plan, number: int) -> dict[str, Any]:
     # From the plan alone, so that the same command gives the same set to the last byte.
     own = uuid.uuid5(uuid.NAMESPACE_URL, f"tapetum:{plan.digest}:{number}")
     head = {"name": video.name, "uuid": str(own), "frames": 0, "used": 0, "left_out": {}}
-    return {**head, "seed": video.session.seed, "labels": dict(video.labels)}
+    own = {} if video.unit is None else {UNIT: plan.units[video.unit]}
+    return {**head, "seed": video.session.seed, "labels": dict(video.labels), **own}
 
 
 def _count(told: dict[str, Any], made: Made) -> None:
