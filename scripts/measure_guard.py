@@ -133,7 +133,8 @@ def frames(script: Script, seed: int) -> Iterator[tuple[float, Detections, list[
             if not true["here"][place, k] or time < hidden[place] or rng.random() < _MISSED:
                 continue
             sway = 12 * math.sin(0.7 * time + place), 8 * math.sin(1.1 * time)
-            spots.append((x + sway[0] + rng.normal(0, 0.4), y + sway[1] + rng.normal(0, 0.4), 100 * rng.lognormal(0, 0.1)))
+            at = x + sway[0] + rng.normal(0, 0.4), y + sway[1] + rng.normal(0, 0.4)
+            spots.append((*at, 100 * rng.lognormal(0, 0.1)))
             gaze = np.array([0.0, 0.0] if true["looks"][place, k] else [away[place, k // 150], 0.1])
             gaze = rng.uniform(-0.5, 0.5, 2) if rng.random() < _WILD else gaze + rng.normal(0, _GAZE, 2)
             kind = rng.choice(4, p=_CLASSES[bool(true["images"][place, k])])
@@ -154,7 +155,7 @@ def _detections(spots: Sequence[tuple[float, float, float]]) -> Detections:
     x, y, peak = np.array(spots).reshape(-1, 3).T
     zero = np.zeros(len(x))
     columns = {"x": x, "y": y, "peak_x": x, "peak_y": y, "peak": peak, "snr": peak / 8, "diameter": zero + 6.0}
-    return Detections.of({**{name: zero for name in Detections.names()}, **columns})
+    return Detections.of({**dict.fromkeys(Detections.names(), zero), **columns})
 
 
 def guarded(script: Script, seed: int) -> list[Alert]:
@@ -189,12 +190,14 @@ def score(script: Script, alerts: Sequence[Alert]) -> Score:
 
 def main(seeds: Sequence[int]) -> None:
     """Print a row a seed."""
-    print("| seed | happenings | found within 1 s | false alerts | median delay, s | longest, s |\n|---|---|---|---|---|---|")
+    print("| seed | happenings | found within 1 s | false alerts | median delay, s | longest, s |")
+    print("|---|---|---|---|---|---|")
     for seed in seeds:
         script = draw_script(seed)
         told = score(script, guarded(script, seed))
         median, longest = (np.median(told.delays), max(told.delays)) if told.delays else (math.nan, math.nan)
-        print(f"| {seed} | {told.happenings} | {told.found} | {told.false} | {median:.2f} | {longest:.2f} |", flush=True)
+        counts = f"{told.happenings} | {told.found} | {told.false}"
+        print(f"| {seed} | {counts} | {median:.2f} | {longest:.2f} |", flush=True)
 
 
 if __name__ == "__main__":
