@@ -50,6 +50,8 @@ def test_the_demo_is_served_until_it_is_stopped(tmp_path: Path, end: signal.Sign
         (["demo", "--log", "none/events.db"], "make the folder none first"),
         (["demo", "--model", "no-such-model"], "no-such-model"),
         (["demo", "--address", "no.such.host.invalid"], "no.such.host.invalid"),
+        (["demo", "--to", "pigeon://roof"], "unknown kind of output 'pigeon://roof'"),
+        (["demo", "--rules", "none.yaml"], "none.yaml"),
     ],
 )
 def test_bad_input_is_one_line(
@@ -58,6 +60,13 @@ def test_bad_input_is_one_line(
     monkeypatch.chdir(tmp_path)
     ran = run("serve", *arguments, "--port", 0)
     assert ran.code == 2 and complaint in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_rules_that_tell_an_output_that_is_none_are_refused(run: Callable[..., object], tmp_path: Path) -> None:
+    rules = tmp_path / "guard.yaml"
+    rules.write_text("schema: tapetum/rules/1\nrules: [{name: here, tell: [pager]}]\n")
+    ran = run("serve", "demo", "--rules", rules, "--to", tmp_path / "tracks.csv", "--port", 0)
+    assert ran.code == 2 and "there is no output 'pager'" in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
 
 
 def test_a_port_in_use_is_refused(run: Callable[..., object]) -> None:
