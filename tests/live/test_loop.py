@@ -14,6 +14,7 @@ from tests.live.conftest import Scripted, room_frames, watched
 
 from tapetum.live.events import Event, Ignored
 from tapetum.live.log import Log
+from tapetum.live.outputs.base import Queued
 from tapetum.live.state import State
 from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.source import Frame
@@ -98,6 +99,21 @@ def test_a_full_disk_stops_the_log_and_not_the_watch(three_seconds: list[Frame],
     watch = watched(lambda: Scripted(three_seconds), log=log, listeners=[Hears()])
     assert "the log cannot be written (database or disk is full)" in watch.state.health.fault
     assert watch.state.health.frames == 60 and len(told) == 5
+
+
+def test_a_receiver_that_is_down_is_named_with_its_losses(three_seconds: list[Frame]) -> None:
+    class Down(Queued):
+        def send_event(self, event: Event) -> None:
+            raise OSError("nobody answers")
+
+    down = Down("osc://there:9000")
+    down.start()
+    watch = watched(lambda: Scripted(three_seconds), listeners=[down])
+    assert watch.state.health.frames == 60
+    down.close()
+    assert down.counts.failed == 5
+    watch._set_state(0)
+    assert watch.state.health.receivers == ("osc://there:9000: 5 messages lost (nobody answers)",)
 
 
 def test_a_camera_that_is_unplugged_for_a_moment_is_told_and_its_stay_goes_on_or_ends(

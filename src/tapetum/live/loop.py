@@ -17,6 +17,7 @@ from tapetum.live.acquire import Acquisition
 from tapetum.live.events import Event, Events, Ignored, Region
 from tapetum.live.guard import Guard
 from tapetum.live.log import Log
+from tapetum.live.outputs.base import Counts
 from tapetum.live.state import Health, State
 from tapetum.record.source import Frame, Source, full_scale_of
 from tapetum.track.pipeline import make_detector, track, usual_tracker
@@ -241,7 +242,9 @@ class Watch:
         if len(self._times) > 1:
             rate = (len(self._times) - 1) / max(self._times[-1][0] - self._times[0][0], 1e-9)
             delay = sum(one for _, one in self._times) / len(self._times)
-        health = Health(rate, delay, self._frames, reading.lost, reading.refused, reading.connected, ended, self._fault)
+        counts = self._frames, reading.lost, reading.refused
+        unreached = tuple(filter(None, map(_unreached, self.listeners)))
+        health = Health(rate, delay, *counts, reading.connected, ended, self._fault, unreached)
         size = (0, 0) if frame is None else frame.image.shape[::-1]
         number = -1 if frame is None else frame.index
         clocks = (None, None) if frame is None else (frame.monotonic_ns, frame.camera_time)
@@ -251,6 +254,15 @@ class Watch:
         if now - self._expired > _EXPIRE_EVERY:
             self._expired = now
             self.log.expire()
+
+
+def _unreached(listener: Listener) -> str:
+    """What did not reach a receiver, and why; empty where all did."""
+    counts: Counts | None = getattr(listener, "counts", None)
+    if counts is None or not (counts.dropped or counts.failed or counts.fault):
+        return ""
+    why = f" ({counts.fault})" if counts.fault else ""
+    return f"{getattr(listener, 'name', '')}: {counts.dropped + counts.failed} messages lost{why}"
 
 
 def _jpeg(image: NDArray[Any], full_scale: int | None, width: int) -> bytes:

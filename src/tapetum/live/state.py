@@ -56,7 +56,10 @@ class CameraState:
 
 @dataclass(frozen=True)
 class Health:
-    """How the watch does: frames a second, seconds from a frame to its result, counts, and what is wrong."""
+    """How the watch does: frames a second, seconds from a frame to its result, counts, and what is wrong.
+
+    `receivers` names those whom messages did not reach: how many were lost, and why.
+    """
 
     rate: float = 0.0
     delay: float = 0.0
@@ -66,6 +69,7 @@ class Health:
     connected: bool = False
     ended: bool = False
     fault: str = ""
+    receivers: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

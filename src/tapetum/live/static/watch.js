@@ -127,8 +127,9 @@ function drawHealth() {
   say("frames", health.frames.toLocaleString("en"));
   say("lost", health.lost.toLocaleString("en"));
   say("source", state.source);
-  say("fault", health.fault);
-  $("fault").hidden = !health.fault;
+  const wrong = [health.fault, ...health.receivers].filter(Boolean).join(" · ");
+  say("fault", wrong);
+  $("fault").hidden = !wrong;
   say("count", String(state.cameras.length));
   $("none").hidden = state.cameras.length > 0;
 }
