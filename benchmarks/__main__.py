@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 NAMES = ("retroreflection", "growth", "lenses", "features", "detection", "tracking", "filming", "synth")
-NAMES += ("playground", "learning", "training", "inference", "gpu")
+NAMES += ("live", "playground", "learning", "training", "inference", "gpu")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
