@@ -19,9 +19,15 @@ from tapetum.errors import InputError, MissingExtraError, TapetumError
 
 
 def workers() -> list[psutil.Process]:
-    """Worker processes that this one has started."""
-    children = psutil.Process().children(recursive=True)
-    return [child for child in children if any("spawn_main" in word for word in child.cmdline())]
+    """Worker processes that this one has started and that still run."""
+    found = []
+    for child in psutil.Process().children(recursive=True):
+        try:
+            if any("spawn_main" in word for word in child.cmdline()):
+                found.append(child)
+        except psutil.NoSuchProcess:  # ended meanwhile; a zombie, whose end nobody has asked for yet, is one of these
+            continue
+    return found
 
 
 @pytest.fixture
