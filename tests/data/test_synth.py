@@ -82,6 +82,21 @@ def test_it_keeps_how_sure_each_label_is(whole: Path):
     assert not {"gaze_x_std", "gaze_y_std"} & set(dataset.tp.targets)
 
 
+def test_a_faster_target_camera_makes_better_labels(whole: Path, tmp_path: Path):
+    plan = replace(little_plan(1), rules=Rules(side=40, test_fraction=0))
+    assert plan.with_target_rate(60).digest != plan.digest
+    fast = open_dataset(synthesise(plan.with_target_rate(60), tmp_path / "fast.zarr"))
+    slow = open_dataset(whole)
+    slow = slow.isel(frame=np.flatnonzero(slow["recording"].values == 0))
+    assert np.isin(slow["frame_index"].values, fast["frame_index"].values).all()
+
+    def rms(dataset):
+        return float(np.sqrt(np.mean((dataset["gaze_x"].values - dataset["true_gaze_x"].values) ** 2)))
+
+    assert rms(fast) < 0.5 * rms(slow)
+    assert np.median(fast["gaze_x_std"].values) < np.median(slow["gaze_x_std"].values)
+
+
 def test_the_last_fifth_of_every_video_tests(whole: Path):
     dataset = open_dataset(whole)
     for number, one in enumerate(dataset.tp.recordings):

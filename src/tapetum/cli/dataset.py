@@ -110,6 +110,9 @@ def synth(
     tolerances: Annotated[
         str | None, option("FILE", "With --units: thin, traced, phone or a YAML file; by default the camera's kind.")
     ] = None,
+    target_rate: Annotated[
+        float | None, option("HZ", "Frames a second of the target's camera, which labels (15).", min=1, max=1000)
+    ] = None,
     processes: Processes = None,
     cluster: Cluster = None,
     force: Force = False,
@@ -125,6 +128,7 @@ def synth(
 
     copies = None if units is None else Units(units, tolerances)
     plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed, copies)
+    plan = plan if target_rate is None else plan.with_target_rate(target_rate)
     try:
         synthesise(plan, out, processes=film_count(processes), cluster=cluster, progress=bar, overwrite=force)
     except KeyboardInterrupt as error:

@@ -175,6 +175,17 @@ class Plan:
             **({"units": list(self.units)} if self.units else {}),
         }
 
+    def with_target_rate(self, rate: float) -> Plan:
+        """The same plan with target cameras of `rate` frames per second, which only makes better labels.
+
+        Raises an InputError for a rate that no session has.
+        """
+        videos = (
+            dataclasses.replace(video, session=dataclasses.replace(video.session, target_rate=rate))
+            for video in self.videos
+        )
+        return dataclasses.replace(self, videos=tuple(videos))
+
     @property
     def digest(self) -> str:
         """SHA-256 of `as_dict`."""
