@@ -12,6 +12,7 @@ from tapetum.bench import with_values
 from tapetum.errors import InputError
 from tapetum.record import HandMotion, Placed, ProbeShake
 from tapetum.record.shot import Shot
+from tapetum.record.source import Frame
 from tapetum.track import Detections, Tracker, track
 from tapetum.track.ghosts import Ghost
 from tapetum.track.metrics import TrackScores, score_tracks
@@ -240,3 +241,12 @@ def test_three_cameras_of_the_virtual_bench_keep_their_numbers(shake: float) -> 
     assert scores.changes == 0 and scores.idf1 >= 0.95, scores
     # None of the cameras is lost as the ghost of a brighter one: by their heights alone a third of the places is.
     assert scores.missed <= 0.07 * sum(len(names) for names, _ in truth), scores
+
+
+def test_lobes_and_smeared_ghosts_of_one_camera_are_no_cameras() -> None:
+    """The demo's camera alone: out of focus its picture has lobes, and its ghost is smeared."""
+    scene = load_scene("hand-held")
+    images = Shot(scene, Session(20.0, 15.0, 7)).probe(68, 96)
+    frames = [Frame(n, n / 15.0, image) for n, image in enumerate(images)]
+    tracked = track(frames, detect_options={"known_ghost": Ghost.of(scene)})
+    assert {row.track for one in tracked for row in one.rows} == {1}

@@ -33,6 +33,8 @@ LARGEST_FRAME = 2**27
 """Most pixels of a frame: where light is everywhere the search keeps some forty bytes for each, here 5 GB."""
 # Heights of stray light over those of the frame's brightest spot, and of rings over their own spot's.
 _STRAY, _RINGS = 0.03, 0.07
+# The same of light that touches a brighter spot: lobes of a defocused retro-reflection reach 0.12 of its height.
+_LOBES = 0.2
 
 
 def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: float) -> NDArray[np.bool_]:
@@ -49,10 +51,13 @@ def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: 
 
 
 def _halos(spots: dict[str, NDArray[Any]], stray: float) -> NDArray[np.bool_]:
-    """Return which spots are stray light close around a brighter one."""
-    x, y, peak = spots["x"], spots["y"], spots["peak"]
-    near = np.hypot(x[:, None] - x, y[:, None] - y) <= 3 * spots["diameter"]
-    return np.asarray((near & (peak[:, None] < stray * peak)).any(1))
+    """Return which spots are stray light close around a brighter one, or a lobe that touches it."""
+    x, y, peak, size = (spots[name] for name in ("x", "y", "peak", "diameter"))
+    away = np.hypot(x[:, None] - x, y[:, None] - y)
+    near = (away <= 3 * size) & (peak[:, None] < stray * peak)
+    # A lobe is no smaller than the spot that it belongs to: a second camera close by mostly is.
+    touching = (away <= 0.6 * (size[:, None] + size)) & (size[:, None] > size)
+    return np.asarray((near | (touching & (peak[:, None] < _LOBES * peak))).any(1))
 
 
 def detect(
@@ -207,8 +212,11 @@ class SpotDetector:
         self.options = options
 
     def tracker(self) -> Tracker:
-        """Return a tracker; where the ghost is known it needs no guard of its own against ghosts."""
-        return Tracker() if self.options.get("known_ghost") is None else Tracker(ghost_ratio=0.0)
+        """Return a tracker; where the ghost is known it needs no guard of its own against ghosts.
+
+        A spot is numbered then once it was seen in two of three frames: single lobes and pieces of ghosts are not.
+        """
+        return Tracker() if self.options.get("known_ghost") is None else Tracker(ghost_ratio=0.0, persist=(2, 3))
 
     def __call__(self, frame: Frame, /) -> Detections:
         return detect(frame.image, **{"full_scale": frame.full_scale, **self.options})

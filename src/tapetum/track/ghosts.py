@@ -31,8 +31,9 @@ _DIMMER = 0.5
 # How far from its place the middle of a smeared ghost may lie, as a share of its diameter and of the way to its bright
 # spot.
 _ON_THE_WAY = 0.6
-# The second beam's light has another gaze, so that its spot may be cut elsewhere: in pixels.
-_REACH_OF_A_SCENE = 15.0
+# The second beam's light has another gaze, so that its spot may be cut elsewhere: in pixels, and as a share of the
+# bright spot's diameter.
+_REACH_OF_A_SCENE, _CUT = 15.0, 0.4
 # How far offsets of one ghost may lie apart: in pixels, and as a share of the spots' diameter.
 _WITHIN, _OF_SIZE = 3.0, 0.1
 _FEWEST = 5
@@ -92,6 +93,7 @@ class Ghost:
             share = peak / max(float(peak[n]), 1e-12) / self.ratio
             near = off <= self.reach
             if diameter is not None:
+                near |= off <= _CUT * diameter[n]
                 away = math.hypot(self.dx, self.dy)
                 touching = (diameter > diameter[n]) | ((diameter + diameter[n]) / 2 > away)
                 near |= touching & (off <= _ON_THE_WAY * np.minimum(diameter, away))
