@@ -6,7 +6,7 @@ import importlib
 from types import ModuleType
 from typing import Any
 
-__all__ = ["InputError", "MissingExtraError", "StoppedError", "TapetumError", "need"]
+__all__ = ["InputError", "MissingExtraError", "StoppedError", "TapetumError", "need", "of_type", "one_of"]
 
 
 class TapetumError(Exception):
@@ -58,6 +58,13 @@ def need(module: str, extra: str) -> ModuleType:
     except ImportError as error:
         remedy = f"pip install 'tapetum[{extra}]'"
         raise MissingExtraError(f"{module} is not installed", remedy=remedy) from error
+
+
+def of_type(value: object, kinds: type | tuple[type, ...], where: str, remedy: str) -> None:
+    """Raise an InputError, with the type that was given, unless `value` is one of `kinds`."""
+    if not isinstance(value, kinds):
+        given = "None" if value is None else f"of type {type(value).__name__}"
+        raise InputError(f"is {given}", where=where, remedy=remedy)
 
 
 def one_of(value: Any, allowed: tuple[str, ...], where: str) -> str:

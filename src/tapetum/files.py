@@ -15,12 +15,26 @@ from pathlib import Path
 from tapetum.durable import clean_leftovers, exchange, part_name, sole_writer, sync, sync_tree
 from tapetum.errors import InputError
 
-__all__ = ["atomic_file", "atomic_folder", "free_name", "replace_folder", "sha256_file", "told_when_full"]
+__all__ = ["atomic_file", "atomic_folder", "free_name", "read_text", "replace_folder", "sha256_file", "told_when_full"]
 
 
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
 _IMPOSSIBLE = (errno.ENOTDIR, errno.EISDIR, errno.ENAMETOOLONG, errno.EEXIST, errno.ENOTEMPTY)
+
+
+def read_text(path: str | os.PathLike[str], remedy: str, encoding: str = "utf-8") -> str:
+    """Return a text file's content; raises an InputError with the remedy where it is missing, no file or no text."""
+    try:
+        return Path(path).read_text(encoding)
+    except UnicodeDecodeError as error:
+        raise InputError("is no text", where=path, remedy=remedy) from error
+    except FileNotFoundError as error:
+        raise InputError("no such file", where=path, remedy=remedy) from error
+    except PermissionError as error:
+        raise InputError("may not be read", where=path, remedy="check its permissions") from error
+    except OSError as error:
+        raise InputError(f"cannot be read ({error.strerror or error})", where=path, remedy=remedy) from error
 
 
 @contextlib.contextmanager

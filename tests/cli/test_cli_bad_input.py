@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import json
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -298,3 +301,56 @@ def test_an_output_below_a_file(run, chain, tmp_path: Path, command: str) -> Non
     complaint = ran.err.splitlines()[-1]
     assert f"{tmp_path / 'file'} is a file, not a folder" in complaint
     assert files(tmp_path) == {"file": b"dear"}
+
+
+def test_what_is_read_is_never_written(run, tmp_path: Path) -> None:
+    picture, scene = tmp_path / "lit.png", tmp_path / "bench.png"
+    cv2.imwrite(str(picture), np.full((64, 64), 20, np.uint8))
+    scene.write_text(SCENE)
+    before = files(tmp_path)
+    for words in (
+        ("detect", picture, "-o", tmp_path / "found.csv", "--picture", picture, "--overwrite"),
+        ("simulate", scene, "-o", scene, "--overwrite"),
+    ):
+        ran = run(*words)
+        assert ran.code == 2 and ran.complaint.endswith("is what is read; name another file to write")
+    same = run("detect", picture, "--dark", picture, "-o", tmp_path / "found.csv")
+    assert same.code == 2 and "--dark: is LIT itself" in same.complaint
+    table = run("detect", picture, "-o", tmp_path / "x.png", "--picture", tmp_path / "x.png")
+    assert table.code == 2 and "--picture: is the table too" in table.complaint
+    assert files(tmp_path) == before
+
+
+def test_a_file_where_a_folder_belongs_and_the_reverse(run, tmp_path: Path) -> None:
+    (tmp_path / "model").write_text("no model")
+    ran = run("track", tmp_path, "--model", tmp_path / "model", "-o", tmp_path / "x.csv")
+    assert ran.code == 2 and "model: is a file, and a model is a folder" in ran.complaint
+    ran = run("simulate", tmp_path, "-o", tmp_path / "x.npy")
+    assert ran.code == 2 and "is a folder; give the path of a YAML file" in ran.complaint
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_an_output_that_cannot_be_written() -> None:
+    with Path("/dev/full").open("w") as full:
+        ran = subprocess.run(
+            [sys.executable, "-m", "tapetum", "cameras", "--json"], stdout=full, stderr=subprocess.PIPE, text=True
+        )
+    assert ran.returncode == 2, ran.stderr
+    assert ran.stderr.startswith("error: standard output: cannot be written (No space left")
+    assert len(ran.stderr.splitlines()) == 1
+
+
+def test_ctrl_c_while_the_command_line_imports() -> None:
+    """The interruption comes from within the import, at a moment that does not depend on the machine."""
+    code = """
+import sys
+class Interrupt:
+    def find_spec(self, name, path=None, target=None):
+        if name == "tapetum.cli.plan":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Interrupt())
+from tapetum.__main__ import main
+sys.exit(main())
+"""
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (ran.returncode, ran.stderr) == (130, "interrupted\n")

@@ -11,6 +11,7 @@ from typing import Any
 
 from tapetum.bench.plain_yaml import read_mapping
 from tapetum.errors import InputError
+from tapetum.files import read_text
 
 __all__ = ["Catalogue"]
 
@@ -41,6 +42,8 @@ class Catalogue:
             return Path(str(resources.files("tapetum.bench") / self.folder / f"{source}.yaml"))
         if Path(source).is_file():
             return Path(source)
+        if Path(source).is_dir():
+            raise InputError("is a folder", where=source, remedy=f"give the path of a {self.suffixes} file")
         near = difflib.get_close_matches(source, self.names, n=3, cutoff=self.likeness)
         listed = f"give the path of a {self.suffixes} file, or one of {', '.join(self.names)}"
         remedy = f"did you mean {' or '.join(near)}?" if near else listed
@@ -48,9 +51,4 @@ class Catalogue:
 
     def read(self, source: str) -> dict[str, Any]:
         """Return what a YAML file holds, by its name or path, without its `schema`; errors as of `read_mapping`."""
-        try:
-            text = self.path(source).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            remedy = f"give a {self.suffixes} file"
-            raise InputError(f"cannot be read as text ({error})", where=source, remedy=remedy) from error
-        return read_mapping(text, self.schema, source)
+        return read_mapping(read_text(self.path(source), f"give a {self.suffixes} file"), self.schema, source)

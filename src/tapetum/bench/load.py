@@ -16,7 +16,7 @@ from tapetum.bench.faults import adapter, build
 from tapetum.bench.measured import beam_values, sensor_values
 from tapetum.bench.plain_yaml import field_paths, parse
 from tapetum.bench.scene import SCHEMA, Scene
-from tapetum.errors import InputError
+from tapetum.errors import InputError, of_type
 
 __all__ = [
     "as_scene",
@@ -172,7 +172,10 @@ def _indexed(key: str, words: tuple[str, ...]) -> tuple[str, ...]:
 
 def _parsed(changes: Iterable[str]) -> dict[str, Any]:
     values: dict[str, Any] = {}
+    if isinstance(changes, str) or not isinstance(changes, Iterable):
+        raise InputError(f"is no list: {changes!r:.40}", where="changes", remedy='give a list of texts, ["distance=3"]')
     for change in changes:
+        of_type(change, str, "changes", "give texts, KEY=VALUE")
         key, sign, text = change.partition("=")
         if not sign or not key:
             raise InputError(f"{change!r} is no change", where="--set", remedy="write KEY=VALUE")

@@ -7,11 +7,11 @@ my-ghost.yaml` the beam of `tapetum calibrate ghost`. Paths start from the curre
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 from tapetum.bench.plain_yaml import read_mapping
 from tapetum.errors import InputError
+from tapetum.files import read_text
 
 __all__ = ["GHOST_SCHEMA", "SENSOR_SCHEMA", "beam_values", "read_measured", "sensor_values"]
 
@@ -21,12 +21,7 @@ GHOST_SCHEMA = "tapetum/ghost/1"
 
 def read_measured(path: str | os.PathLike[str], schema: str, command: str) -> dict[str, Any]:
     """Return what a file of a calibration holds; raise an InputError with the command that makes one otherwise."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = "no such file" if isinstance(error, FileNotFoundError) else f"cannot be read as text ({error})"
-        raise InputError(reason, where=path, remedy=f"give a file that `tapetum {command}` wrote") from error
-    return read_mapping(text, schema, str(path))
+    return read_mapping(read_text(path, f"give a file that `tapetum {command}` wrote"), schema, str(path))
 
 
 def _part(path: str, schema: str, command: str, key: str) -> dict[str, Any]:

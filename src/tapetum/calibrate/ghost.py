@@ -225,6 +225,9 @@ def calibrate_second_beam(
     try:
         pairs = ghost_pairs(found())
     except InputError as error:
+        # Of the frames an error names the file; of the ghost the option of another command.
+        if error.where != "--calibrate-ghost":
+            raise
         raise InputError(error.what, where="calibrate ghost", remedy=error.remedy) from error
     ghost = ghost_of(pairs)
     spread = pairs[:, 1:4].std(axis=0, ddof=1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import importlib.metadata
 import os
 import sys
@@ -171,7 +172,10 @@ def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1, ""
     except OSError as error:
-        # A file that cannot be read or written; an error without a file name is a bug.
+        # A file that cannot be read or written; the output itself has no name, another error without one is a bug.
+        if error.filename is None and error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 2, f"error: standard output: cannot be written ({error.strerror}); direct it elsewhere"
         if error.filename is None:
             raise
         return 2, f"error: {error.filename}: {error.strerror or error}; check the path and its permissions"

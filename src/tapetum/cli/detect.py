@@ -42,8 +42,13 @@ def detect(
     """
     if picture is not None and picture.suffix.lower() != ".png":
         raise InputError("cannot be drawn in this format", where=picture, remedy="name it NAME.png")
+    inputs = [lit] if dark is None else [lit, dark]
     for path in (out, picture):
-        check_output(path, force)
+        check_output(path, force, sources=inputs)
+    if picture is not None and picture.resolve() == out.resolve():
+        raise InputError("is the table too", where="--picture", remedy="name another file")
+    if dark is not None and lit.exists() and dark.exists() and lit.samefile(dark):
+        raise InputError("is LIT itself", where="--dark", remedy="give the picture with the light off, or leave it out")
     from tapetum.detection import find_cameras
     from tapetum.record.images import read_image
     from tapetum.track.tables import checked_suffix, table_writer

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from tapetum.errors import InputError, StoppedError
@@ -22,14 +22,19 @@ _MARKERS = {
 _UNFINISHED = ".tapetum-unfinished"
 
 
-def check_output(out: Path | None, force: bool, holds: str | None = None) -> None:
-    """Refuse to replace an existing output, before any work; no check for None.
+def check_output(
+    out: Path | None, force: bool, holds: str | None = None, *, sources: Sequence[Path | str] = ()
+) -> None:
+    """Refuse to replace an existing output, and a source always, before any work; no check for None.
 
     With `--overwrite` a file may be replaced by a file, and a folder by one that `holds` the same, a key of `_MARKERS`.
     The writers keep the existing output until the new one is complete.
     """
     if out is None or not (out.exists() or out.is_symlink()):
         return
+    for source in map(Path, sources):
+        if source.exists() and source.samefile(out):
+            raise InputError("is what is read", where=out, remedy="name another file to write")
     if not force:
         raise InputError("exists already", where=out, remedy="choose another name or pass --overwrite")
     known = not out.is_dir()

@@ -61,7 +61,7 @@ def simulate(
     """
     if out.suffix.lower() not in IMAGE_SUFFIXES:
         raise InputError(f"unknown image type {out.suffix!r}", where=out, remedy=f"use {', '.join(IMAGE_SUFFIXES)}")
-    check_output(out, force, "store of images" if out.suffix.lower() == ".zarr" else None)
+    check_output(out, force, "store of images" if out.suffix.lower() == ".zarr" else None, sources=[scene])
     base = load_scene(scene, changes or ())
     axes = [parse_sweep(text) for text in sweeps or ()]
     if len(axes) > 2:

@@ -84,10 +84,8 @@ def track(
         raise InputError("is the file of the tracks too", where="--detections", remedy="name another file")
     if smooth is not None:
         one_of(smooth, WAYS, "--smooth")
-    if source.exists() and source.resolve() == out.resolve():
-        raise InputError("is the source itself", where="--out", remedy="name another file")
     for path in (out, detections):
-        check_output(path, force)
+        check_output(path, force, sources=[source])
     from tapetum.track.detect import DETECTORS
 
     one_of(detector, tuple(DETECTORS), "--detector")

@@ -7,7 +7,6 @@ import functools
 import os
 import zoneinfo
 from collections.abc import Collection, Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
@@ -18,6 +17,7 @@ from tapetum.bench.plain_yaml import field_paths, read_mapping
 from tapetum.bench.quantity import to_si
 from tapetum.bench.strict import STRICT
 from tapetum.errors import InputError
+from tapetum.files import read_text
 from tapetum.live.events import Region
 
 __all__ = ["SCHEMA", "Conditions", "Quiet", "Rule", "Rules", "load_rules", "rules_from_text"]
@@ -206,12 +206,7 @@ def load_rules(path: str | os.PathLike[str]) -> Rules:
     InputError
         When the file is missing, no YAML, of another schema, or holds an unknown key or a wrong value.
     """
-    file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=file, remedy="give a YAML file") from error
-    return rules_from_text(text, str(file))
+    return rules_from_text(read_text(path, "give a YAML file"), str(path))
 
 
 def rules_from_text(text: str, where: str = "rules") -> Rules:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, TypeAlias, TypeVar
 
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tapetum.data.dataset import DEVICE, STD, TRAIN, image_batches
 from tapetum.data.embargo import meeting, reach_of
-from tapetum.errors import InputError
+from tapetum.errors import InputError, of_type
 from tapetum.models.domain import Domain, judged
 from tapetum.models.features import as_images
 from tapetum.models.intervals import Intervals
@@ -198,6 +198,7 @@ def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
     """Return the labels of a target: "gaze", "focus", "device", "phone", a label's own name or several."""
     if isinstance(target, str):
         return TARGETS.get(target, (target,))
+    of_type(target, Iterable, "target", f"give one of {', '.join(TARGETS)} or labels' names")
     if not target:
         remedy = f"give one of {', '.join(TARGETS)} or labels' names"
         raise InputError("nothing to estimate", where="target", remedy=remedy)
@@ -290,6 +291,7 @@ def training_part(
     (`tapetum.data.embargo`) are dropped. Test frames are never used. Raises an InputError when there are too few
     training frames, or a label is missing, not finite or constant.
     """
+    of_type(dataset, xr.Dataset, "dataset", "open it by tapetum.data.open_dataset, or make one by dataset_from_arrays")
     if not 0 <= calibration_fraction < 1:
         what = f"must lie in 0 ... 1, is {calibration_fraction}"
         raise InputError(what, where="calibration_fraction", remedy="0.1 is usual")

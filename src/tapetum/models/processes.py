@@ -34,7 +34,7 @@ def training_device(name: str | torch.device) -> torch.device:
     cuda = torch.cuda.device_count()
     if name == "auto":
         return torch.device("cuda" if cuda else "cpu")
-    remedy = 'use "auto", "cpu" or "cuda"'
+    remedy = 'use "auto", "cpu" or a CUDA device that is there'
     try:
         device = torch.device(name)
     except RuntimeError as error:

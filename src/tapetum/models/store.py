@@ -159,7 +159,8 @@ def model_card(path: str | Path) -> dict[str, Any]:
     """
     folder = Path(path)
     if not folder.is_dir():
-        raise InputError("there is no such model folder", where=folder, remedy="train one with `tapetum train`")
+        what = "is a file, and a model is a folder" if folder.exists() else "there is no such model folder"
+        raise InputError(what, where=folder, remedy="train one with `tapetum train`")
     try:
         card = read_json(folder / CARD)
     except FileNotFoundError as error:

@@ -96,11 +96,11 @@ class ZernikeRidge(Estimator):
         standardise: bool = False,
         calibration_fraction: float = 0.0,
     ) -> None:
-        self.target = target if isinstance(target, str) else tuple(target)
-        self.target_names = self.quantities = target_names(self.target)
+        self.target_names = self.quantities = target_names(target)
+        self.target = target if isinstance(target, str) else self.target_names
         if DEVICE in self.target_names:
-            remedy = "use ResNet18, or name quantities as the target"
-            raise InputError("a linear model of quantities does not tell devices", where="target", remedy=remedy)
+            remedy = "use a network (--kind resnet18), or name quantities"
+            raise InputError("a linear model of quantities does not tell devices", where="label", remedy=remedy)
         self.scales = tuple(int(s) for s in scales)
         self.order = int(order)
         self.powers = tuple(int(p) for p in powers)

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from tapetum.bench import Scene, as_scene
+from tapetum.errors import of_type
 from tapetum.progress import Progress, quiet
 from tapetum.record.beats import CameraClock
 from tapetum.record.layout import StreamInfo
@@ -45,6 +46,8 @@ def film(
     InputError
         For a session without frames, a full disk, an existing recording, or an unsupported scene.
     """
+    of_type(session or Session(), Session, "session", "give a tapetum.Session")
+    of_type(out, (str, os.PathLike), "out", "give the path of a folder, NAME.rec")
     shot = Shot(as_scene(scene), session or Session())
     # Refuses unsupported scenes before anything is written.
     truth = shot.truth()

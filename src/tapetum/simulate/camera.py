@@ -625,7 +625,7 @@ def scene_geometry(
 def pick_device(device: torch.device | str) -> torch.device:
     """The device named, or for "auto" a GPU where there is one."""
     if str(device) != "auto":
-        remedy = 'use "auto", "cpu" or "cuda"'
+        remedy = 'use "auto", "cpu" or a CUDA device that is there'
         try:
             found = torch.device(device)
         except RuntimeError as error:

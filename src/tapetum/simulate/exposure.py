@@ -19,7 +19,7 @@ import numpy.typing as npt
 import torch
 
 from tapetum.bench import Probe, ProbeSensor, Scene, as_scene
-from tapetum.errors import InputError
+from tapetum.errors import InputError, of_type
 from tapetum.simulate.image import Image
 from tapetum.simulate.radiometry import electrons
 
@@ -56,9 +56,16 @@ def expose(
     InputError
         For an image that names no wavelength, and as `digitise`.
     """
+    of_type(image, Image, "image", "give what tapetum.retroreflect returns")
+    try:
+        rng = np.random.default_rng(seed)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"must be a whole number from 0, is {seed!r}", where="seed", remedy="give 0 or more"
+        ) from error
     probe = probe if isinstance(probe, Probe) else as_scene(probe).probe
     mean = electrons(image.light.detach(), probe.sensor, _wavelength(image, None))
-    return digitise(mean, probe.sensor, np.random.default_rng(seed))
+    return digitise(mean, probe.sensor, rng)
 
 
 def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) -> npt.NDArray[np.uint8 | np.uint16]:

@@ -101,7 +101,11 @@ def plan_scene(scene: Scene, steepest: float, accuracy: float | None = None) -> 
 def _degrees(scene: Scene, rotation: Rotation | None) -> torch.Tensor:
     if rotation is None:
         return torch.rad2deg(torch.tensor([scene.target.rotation], dtype=torch.float64))
-    degrees = torch.as_tensor(rotation, dtype=torch.float64)
+    try:
+        degrees = torch.as_tensor(rotation, dtype=torch.float64)
+    except (TypeError, ValueError, RuntimeError) as error:
+        remedy = "give a number, [B] or [B, 2] in degrees"
+        raise InputError(f"is no number: {rotation!r:.40}", where="rotation", remedy=remedy) from error
     if degrees.ndim == 0:
         degrees = degrees[None]
     if degrees.ndim == 1:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 
 from tapetum.data.crop import crop
-from tapetum.errors import InputError, one_of
+from tapetum.errors import InputError, of_type, one_of
 from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
 from tapetum.record.frames import open_frames
@@ -67,6 +67,8 @@ def _loaded(models: Models) -> list[Predictor]:
             from tapetum.models import load_predictor
 
             one = load_predictor(Path(one))
+        if not callable(getattr(one, "predict", None)):
+            raise InputError(f"is no model: {one!r:.40}", where="model", remedy="give a fitted model or its folder")
         estimators.append(one)
     names = [name for estimator in estimators for name in estimator.target_names]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -231,6 +233,10 @@ def usual_tracker(detector: Detector) -> Tracker:
 
 
 def _opened(source: Frames, stream: str) -> Source | Iterable[Frame]:
+    remedy = "give a path, a camera, or Frames: Frame(n, time, image) for an image of an array"
+    of_type(source, (str, os.PathLike, Iterable, Source), "source", remedy)
+    if isinstance(source, np.ndarray):
+        raise InputError("is an array", where="source", remedy=remedy)
     # A truncated video gives its readable frames first: their rows are kept, and the error says so.
     return open_frames(source, stream, late=True) if isinstance(source, (str, os.PathLike)) else source
 

@@ -16,6 +16,7 @@ from tapetum.data.dataset import DEVICE
 from tapetum.data.importing.arrays import AGAIN, ARRAY_SUFFIXES, read_array
 from tapetum.data.importing.mapping import Column, LabelsEntry
 from tapetum.errors import InputError
+from tapetum.files import read_text
 from tapetum.record.source import existing
 
 __all__ = ["TABLE_SUFFIXES", "Reader", "held_out", "label_values", "numbers", "read_text_table", "seconds", "texts"]
@@ -34,10 +35,7 @@ def read_text_table(path: str | Path) -> dict[str, list[str]]:
     when the file is missing, empty, no text, or its lines differ in their number of cells.
     """
     file = existing(path)
-    try:
-        text = file.read_text(encoding="utf-8-sig")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=file, remedy="save it as CSV in UTF-8") from error
+    text = read_text(file, "save it as CSV in UTF-8", "utf-8-sig")
     if "\0" in text:
         raise InputError("holds bytes that are no text", where=file, remedy=AGAIN)
     head = text.partition("\n")[0]

@@ -7,7 +7,6 @@ import functools
 import json
 import os
 from collections.abc import Mapping
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BeforeValidator, Field, TypeAdapter, ValidationError, model_validator
@@ -17,7 +16,7 @@ from tapetum.bench.faults import first_fault
 from tapetum.bench.plain_yaml import field_paths, read_mapping
 from tapetum.bench.quantity import to_si
 from tapetum.bench.strict import STRICT, Share
-from tapetum.errors import InputError
+from tapetum.files import read_text
 
 __all__ = [
     "SCHEMA",
@@ -258,12 +257,7 @@ def load_mapping(path: str | os.PathLike[str]) -> ImportMapping:
     InputError
         When the file is missing, no YAML, of another schema, or holds an unknown key or a wrong value.
     """
-    file = Path(path)
-    try:
-        text = file.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"cannot be read as text ({error})", where=file, remedy="give a YAML file") from error
-    return mapping_from_text(text, str(file))
+    return mapping_from_text(read_text(path, "give a YAML file"), str(path))
 
 
 def mapping_from_text(text: str, where: str) -> ImportMapping:
