@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, ClassVar, Self, TypeAlias, TypeVar
 
@@ -194,11 +194,11 @@ def frame_count(data: Data) -> int:
     return 1 if np.ndim(data) == 2 else len(data)
 
 
-def target_names(target: str | tuple[str, ...]) -> tuple[str, ...]:
+def target_names(target: str | Sequence[str]) -> tuple[str, ...]:
     """Return the labels of a target: "gaze", "focus", "device", "phone", a label's own name or several."""
     if isinstance(target, str):
         return TARGETS.get(target, (target,))
-    of_type(target, Iterable, "target", f"give one of {', '.join(TARGETS)} or labels' names")
+    of_type(target, Sequence, "target", f"give one of {', '.join(TARGETS)} or labels' names")
     if not target:
         remedy = f"give one of {', '.join(TARGETS)} or labels' names"
         raise InputError("nothing to estimate", where="target", remedy=remedy)
