@@ -45,6 +45,7 @@ def test_bundled_scenes_as_text(run, scene: str) -> None:
         "Link",
         "Sampling",
         "Cramér-Rao",
+        "Gaze",
         "Eye",
         "An",
     ]

@@ -22,12 +22,12 @@ from tapetum.files import atomic_file
 from tapetum.record.source import Frame
 from tapetum.report.figures._style import MODELS, QUIET, dress, new_figure
 from tapetum.track.detections import Detections
-from tapetum.track.ghosts import Ghost, ghost_of, ghost_pairs
+from tapetum.track.ghosts import APART, Ghost, ghost_apart, ghost_of, ghost_pairs
 from tapetum.track.pipeline import make_detector
 
 __all__ = ["GhostCalibration", "calibrate_second_beam"]
 
-_FRAMES, _SATURATED, _MOVED, _HELD, _APART = 20, 0.2, 30.0, 0.5, 1.3
+_FRAMES, _SATURATED, _MOVED, _HELD = 20, 0.2, 30.0, 0.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +82,8 @@ class GhostCalibration:
             Check(
                 "offset over the spots' diameter",
                 f"{away / self.diameter:.2f}",
-                f"{_APART:g} or more",
-                away >= _APART * self.diameter,
+                f"{APART:g} or more",
+                away >= APART * self.diameter,
                 "the bright spot touches the ghost and cuts it: make the spots smaller by the target's focus",
             ),
             Check(
@@ -233,7 +233,7 @@ def calibrate_second_beam(
     spread = pairs[:, 1:4].std(axis=0, ddof=1)
     diameter = float(np.median(pairs[:, 4]))
     way = np.median(pairs[:, 1:3], axis=0)
-    cut = 0.0 if math.hypot(*way) >= _APART * diameter else diameter / 4
+    cut = 0.0 if ghost_apart(pairs) >= APART else diameter / 4
     along = np.abs(way) / math.hypot(*way)
     ratio = math.exp(float(np.median(pairs[:, 3])))
     dx, dy = (Measured(float(way[n]), float(math.hypot(spread[n], cut * along[n]))) for n in (0, 1))

@@ -184,7 +184,8 @@ def _record(image: Image, axes: list[Sweep], out: Path) -> dict[str, Any]:
 def _say(image: Image, scene: Scene, out: Path) -> str:
     count, rows, columns = image.irradiance.shape
     error = image.metadata["expected_error"]
-    claim = f"error within {error:.1e} of the peak"
+    asked = scene.sampling.accuracy
+    claim = f"error within {error:.1e} of the peak" + (f" (asked {asked:g})" if error > 1.05 * asked else "")
     if not math.isfinite(error):
         # Not known, or without meaning, for two reasons.
         claim = "sampled by hand more coarsely than planned: error unknown"

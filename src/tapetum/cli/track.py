@@ -162,15 +162,19 @@ def _calibrate(
         raise InputError("cannot hold a ghost", where=out, remedy="name it NAME.json")
     from tapetum.record.frames import open_frames
     from tapetum.record.reader import taken
-    from tapetum.track.ghosts import calibrate_ghost
+    from tapetum.track.ghosts import APART, ghost_apart, ghost_of, ghost_pairs
     from tapetum.track.pipeline import make_detector
 
     # The rule of the bench would drop whatever is dim near a brighter one, marked or not.
     free = {"ghost_ratio": 0.0, "stray": 0.0} if detector == "spots" else {}
     find = make_detector(detector, {**options, **free, "ghosts": "mark"})
     frames = taken(open_frames(source, stream), threading.Event(), seconds)
-    found = calibrate_ghost(find(frame) for frame in frames)
+    pairs = ghost_pairs(find(frame) for frame in frames)
+    found = ghost_of(pairs)
     found.save(out)
+    if (apart := ghost_apart(pairs)) < APART:
+        told = f"the ghost stands {apart:.2f} diameters of its spot away, and is cut by it where that is under {APART}"
+        typer.echo(f"note: {told}; make the spots smaller by the target's focus", err=True)
     if as_json:
         typer.echo(json.dumps({**asdict(found), "out": str(out)}))
         return

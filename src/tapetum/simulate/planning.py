@@ -22,7 +22,7 @@ from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoic
 from tapetum.simulate.radiometry import illumination_curvature
 from tapetum.simulate.reflections import glinting
 
-__all__ = ["LABEL_ERRORS", "PARAMETERS", "Plan", "eye_check", "label_line", "plan_bench"]
+__all__ = ["LABEL_ERRORS", "PARAMETERS", "Plan", "eye_check", "plan_bench"]
 
 PARAMETERS = ("gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power")
 
@@ -95,6 +95,7 @@ class Plan:
             "Sampling",
             *(line for one in self.sampling.rows() for line in row(*one)),
             *self._limit_lines(),
+            *_label_lines(),
             "Eye safety",
             *(line for one in self.eye.rows() for line in row(*one)),
             NOT_A_CERTIFICATE,
@@ -118,9 +119,13 @@ class Plan:
         ]
 
 
-def label_line() -> list[str]:
-    """What a faster target camera, or a trigger, buys for the labels."""
-    return row("label error", ", ".join(f"{how} {error:.1e}" for how, error in LABEL_ERRORS.items()) + " of field")
+def _label_lines() -> list[str]:
+    """What a faster target camera, or one whose frames a trigger takes together with the probe's, buys for labels."""
+    said = ", ".join(f"{how} {error:.1e}" for how, error in LABEL_ERRORS.items())
+    return [
+        "Gaze labels of a hand-held target, by its own camera's frame rate",
+        *row("RMS error", f"{said} of the field"),
+    ]
 
 
 _FOCUS = ("object_distance", "focal_length")

@@ -21,7 +21,10 @@ from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.track.detections import Detections
 
-__all__ = ["Ghost", "calibrate_ghost", "ghost_of", "ghost_pairs", "is_ghost"]
+__all__ = ["APART", "Ghost", "calibrate_ghost", "ghost_apart", "ghost_of", "ghost_pairs", "is_ghost"]
+
+APART = 1.3
+"""Diameters of the bright spot between it and its ghost from which it does not cut the ghost."""
 
 _FORMAT = "tapetum-ghost"
 _YAML = (".yaml", ".yml")
@@ -180,6 +183,11 @@ def ghost_of(pairs: NDArray[np.float64]) -> Ghost:
     dx, dy, ratio = np.median(pairs[:, 1:4], axis=0)
     spread = float(np.median(np.hypot(pairs[:, 1] - dx, pairs[:, 2] - dy)))
     return Ghost(round(float(dx), 3), round(float(dy), 3), round(math.exp(ratio), 5), round(max(2.0, 4 * spread), 2))
+
+
+def ghost_apart(pairs: NDArray[np.float64]) -> float:
+    """Return the way from spot to ghost over the spot's diameter, of `ghost_pairs`; see `APART`."""
+    return float(np.hypot(*np.median(pairs[:, 1:3], axis=0)) / np.median(pairs[:, 4]))
 
 
 def ghost_pairs(frames: Iterable[Detections]) -> NDArray[np.float64]:
