@@ -75,6 +75,7 @@ class Guide:
         self.screen, self.marks, self.before = screen, MARKS[marks], before
         self.fixes: list[Fix] = []
         self._since: float | None = None
+        self._estimated: int | None = None
         # Time, gaze and its standard deviation.
         self._window: deque[tuple[float, float, float, float]] = deque(maxlen=1000)
 
@@ -94,7 +95,9 @@ class Guide:
         if camera.gaze_x is None or camera.gaze_y is None:
             self._window.clear()
             return self._step(0.0, "no gaze")
-        if time - self._since < _SETTLE or (self._window and time <= self._window[-1][0]):
+        known = camera.estimated_utc_ns is not None and camera.estimated_utc_ns == self._estimated
+        self._estimated = camera.estimated_utc_ns
+        if known or time - self._since < _SETTLE or (self._window and time <= self._window[-1][0]):
             return self._step(self._rested(time), "look")
         std = max(camera.gaze_x[2] - camera.gaze_x[1], camera.gaze_y[2] - camera.gaze_y[1]) / 2 / _SIGMA
         self._window.append((time, camera.gaze_x[0], camera.gaze_y[0], std))

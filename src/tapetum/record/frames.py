@@ -12,6 +12,7 @@ from tapetum.errors import one_of
 from tapetum.record.camera import Camera, is_camera
 from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.genicam import GenicamCamera, is_genicam
+from tapetum.record.hand import Hands, is_hands
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
 from tapetum.record.recording import is_recording, open_recording
 from tapetum.record.session import Session
@@ -72,6 +73,9 @@ SOURCES: dict[str, SourceKind] = {
     "demo": SourceKind(
         lambda name: name == "demo" and not Path(name).exists(), lambda name, asked: DrawnRoom(asked.rate or 20.0)
     ),
+    "hand": SourceKind(
+        lambda name: is_hands(name) and not Path(name).exists(), lambda name, asked: Hands(name, rate=asked.rate)
+    ),
     "bench": SourceKind(lambda name: name.startswith(_BENCH), _bench),
     "recording": SourceKind(
         lambda name: is_recording(existing(name)),
@@ -105,7 +109,7 @@ def open_frames(
     source
         A camera of this machine (`camera:0`, `v4l2:0,Y12`, `genicam:NAME`: see `tapetum cameras`), a scene of the
         virtual bench, filmed for a minute while it is read (`bench:hand-held`, `bench:FILE.yaml`), `demo`, a drawn
-        room with three cameras in real time, a folder of images
+        room with three cameras in real time, `hand` or `hand:3`, cameras in simulated hands, a folder of images
         (in natural order; 8 or 16 bit; colour becomes grey), one image file, a `.npy` array [N, H, W], a `NAME.rec`
         folder, or a video file.
     stream
