@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import cv2
@@ -191,8 +192,12 @@ class Watch:
                 self._offset = self._last_track
                 self._find = make_detector(self._detector)
                 time.sleep(_PAUSE)
-        for event in self.events.end_all(self.state.utc_ns):
+        ended = self.events.end_all(self.state.utc_ns)
+        for event in ended:
             self._publish(event)
+        if self.guard is not None:
+            # No alert holds of a camera that is no longer watched.
+            self.guard.update(replace(self.state, cameras=()), ended)
         self._set_state(self.state.utc_ns, ended=True)
 
     def _follow(self) -> None:

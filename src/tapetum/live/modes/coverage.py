@@ -27,6 +27,7 @@ _ENOUGH = 1.0  # s for which a cell must have been seen
 _LEAST = 0.04  # response of the correlation below which the pictures do not show the same
 _LONGEST = 0.5  # s between two pictures that are compared, and that a picture may count for
 _STEP = 0.45  # of the picture: the largest turn between two pictures
+_TURNED = 0.15  # of the picture: the turn after which the next one is compared with a new picture
 _NEAR = 0.08  # of the picture: sightings this close are one
 _MOST = 60
 
@@ -108,7 +109,10 @@ class Coverage:
         self.advice = "hold still"
         self._begun: float | None = None
         self._time = 0.0
-        self._before: npt.NDArray[np.float32] | None = None
+        # What the pictures are compared with, when it was taken and where the probe looked; the window shortens small
+        # shifts, so that it is kept until the probe has turned far enough.
+        self._key: npt.NDArray[np.float32] | None = None
+        self._key_place: Array = np.zeros(2)
         self._window: Any = None
 
     def update(self, image: npt.NDArray[Any], time: float) -> None:
@@ -116,21 +120,25 @@ class Coverage:
         small = self._small(image)
         self._begun = time if self._begun is None else self._begun
         step = time - self._time
-        if self._before is None or self._before.shape != small.shape or not 0 < step <= _LONGEST:
-            lost = self._before is not None and step > 0
-            self._before, self._time = small, time
+        self._time = time
+        if self._key is None or self._key.shape != small.shape or not 0 < step <= _LONGEST:
+            lost = self._key is not None and step > 0
+            self._key, self._key_place = small, self.place
             self.advice = "go slower" if lost else self.advice
             return
-        (dx, dy), response = cv2.phaseCorrelate(self._before, small, self._window)
+        (dx, dy), response = cv2.phaseCorrelate(self._key, small, self._window)
         turn = np.array([-dx / small.shape[1], -dy / small.shape[0]])
-        self._before, self._time = small, time
         if response < _LEAST or np.abs(turn).max() > _STEP:
             # Where it looks now is not known: the map goes on from the last place that was.
+            self._key, self._key_place = small, self.place
             self.advice = "go slower"
             return
-        self.place = np.clip(self.place + turn, -_REACH / _CELLS + 1, _REACH / _CELLS - 1)
+        limit = _REACH / _CELLS - 1
+        before, self.place = self.place, np.clip(self._key_place + turn, -limit, limit)
+        if np.abs(turn).max() > _TURNED:
+            self._key, self._key_place = small, self.place
         self._mark(step)
-        speed = float(np.hypot(*turn)) / step
+        speed = float(np.hypot(*(self.place - before))) / step
         here = float(self.map[self._cells()].mean())
         self.advice = "go slower" if speed > 0.5 else "go on" if here >= _ENOUGH else "hold still"
 
@@ -185,7 +193,7 @@ class Coverage:
         small = np.sqrt(small)
         if self._window is None or self._window.shape != small.shape:
             self._window = cv2.createHanningWindow((small.shape[1], small.shape[0]), cv2.CV_32F)
-        return small - float(small.mean())
+        return (small - small.mean()).astype(np.float32)
 
     def _cells(self) -> tuple[slice, slice]:
         """The cells that the probe looks at."""

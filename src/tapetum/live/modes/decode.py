@@ -88,7 +88,9 @@ def film(content: bytes) -> None:
     import numpy as np
 
     sent = 0
-    with av.open(io.BytesIO(content), options={"format_whitelist": CONTAINERS, "protocol_whitelist": ""}) as opened:
+    with av.open(
+        io.BytesIO(content), "r", options={"format_whitelist": CONTAINERS, "protocol_whitelist": ""}
+    ) as opened:
         if not opened.streams.video:
             refuse("holds no pictures")
         stream = opened.streams.video[0]

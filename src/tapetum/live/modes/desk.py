@@ -182,7 +182,7 @@ def _hours(quiet: Quiet) -> str:
     if len(days) == len(DAYS):
         named = "every day"
     else:
-        first, last = DAYS.index(days[0]), DAYS.index(days[-1])
-        row = tuple(DAYS[first : last + 1]) == tuple(days) and len(days) > 2
-        named = f"{days[0]} to {days[-1]}" if row else ", ".join(days)
+        places = [DAYS.index(one) for one in days]
+        row = len(places) > 2 and places == list(range(min(places), max(places) + 1))
+        named = f"{DAYS[min(places)]} to {DAYS[max(places)]}" if row else ", ".join(days)
     return f"{quiet.from_:%H:%M} to {quiet.to:%H:%M}, {named}"

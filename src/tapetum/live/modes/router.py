@@ -15,7 +15,7 @@ from tapetum.live.vote import Ballot, Tally
 from tapetum.record.hand import Aim
 
 from fastapi import APIRouter, HTTPException, Path, Query, Request, Response  # isort: skip
-from pydantic import BaseModel, Field  # isort: skip
+from pydantic import BaseModel, BeforeValidator, Field  # isort: skip
 
 __all__ = ["LARGEST", "modes_router"]
 
@@ -27,9 +27,11 @@ _UPLOADS_AT_ONCE = 2
 _CONFLICT: dict[int | str, dict[str, Any]] = {
     409: {"model": Problem, "description": "Not as things stand; the reason says what is missing."}
 }
-_FULL: dict[int | str, dict[str, Any]] = {413: {"model": Problem}, 503: {"model": Problem}}
+_FULL: dict[int | str, dict[str, Any]] = {413: {"model": Problem}, 429: {"model": Problem}}
 _JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": {}}}, 404: {"model": Problem}}
 
+# JSON knows no whole numbers: 3.0 is one.
+_Whole = BeforeValidator(lambda value: int(value) if isinstance(value, float) and value.is_integer() else value)
 Share = Annotated[float, Field(ge=-1, le=2)]
 Side = Annotated[float, Field(ge=-10, le=10)]
 
@@ -41,10 +43,10 @@ class Calibrating(Strict):
     are only wanted for errors as angles.
     """
 
-    marks: Literal[1, 4, 9] = 9
+    marks: Annotated[Literal[1, 4, 9], _Whole] = 9
     camera: str = Field("", max_length=64)
-    width: int = Field(gt=0, le=100_000)
-    height: int = Field(gt=0, le=100_000)
+    width: Annotated[int, _Whole] = Field(gt=0, le=100_000)
+    height: Annotated[int, _Whole] = Field(gt=0, le=100_000)
     across: float | None = Field(None, gt=0, le=1000)
     distance: float | None = Field(None, gt=0, le=1000)
 
@@ -72,7 +74,7 @@ class Asking(Strict):
 class Acknowledging(Strict):
     """The number of an alert's event; without it, all alerts."""
 
-    number: int | None = Field(None, ge=1, le=2**62)
+    number: Annotated[int | None, _Whole] = Field(None, ge=1, le=2**62)
 
 
 class Pointed(Strict):
@@ -80,7 +82,7 @@ class Pointed(Strict):
 
     x: Share
     y: Share
-    hand: int = Field(0, ge=0, le=2)
+    hand: Annotated[int, _Whole] = Field(0, ge=0, le=2)
 
 
 class Begun(BaseModel):
@@ -122,8 +124,11 @@ def modes_router(modes: Modes, aim: Aim | None = None) -> APIRouter:
     @router.post("/api/vote", status_code=204, responses=_CONFLICT)
     async def ask(asked: Asking) -> None:
         """Begin a vote; the one before ends."""
-        zones = tuple(Region(one.name, one.left, one.top, one.right, one.bottom) for one in asked.zones)
-        ballot = Ballot(asked.question, zones, asked.plane, asked.dwell, asked.keep)
+        try:
+            zones = tuple(Region(one.name, one.left, one.top, one.right, one.bottom) for one in asked.zones)
+            ballot = Ballot(asked.question, zones, asked.plane, asked.dwell, asked.keep)
+        except InputError as error:
+            raise HTTPException(409, str(error)) from error
         if asked.plane == "screen" and modes.exhibit.calibration is None:
             raise HTTPException(409, "zones of a screen need a calibration: make one under Exhibit")
         await asyncio.to_thread(modes.poll.begin, ballot, modes.exhibit.calibration)
@@ -138,10 +143,13 @@ def modes_router(modes: Modes, aim: Aim | None = None) -> APIRouter:
         """Return the tally after each voice of the latest vote, the oldest first."""
         return await asyncio.to_thread(modes.poll.replayed)
 
-    @router.post("/api/guard/acknowledged", status_code=204)
+    @router.post("/api/guard/acknowledged", status_code=204, responses={404: {"model": Problem}})
     async def acknowledge(asked: Acknowledging) -> None:
         """Acknowledge an alert, or all."""
-        await asyncio.to_thread(modes.desk.acknowledge, asked.number, time.time_ns())
+        try:
+            await asyncio.to_thread(modes.desk.acknowledge, asked.number, time.time_ns())
+        except InputError as error:
+            raise HTTPException(404, str(error)) from error
 
     raw = {"content": {"application/octet-stream": {"schema": {"type": "string", "format": "binary"}}}}
 
@@ -160,7 +168,7 @@ def modes_router(modes: Modes, aim: Aim | None = None) -> APIRouter:
         """
         nonlocal reading
         if modes.scan.full or reading >= _UPLOADS_AT_ONCE:
-            raise HTTPException(503, "too many uploads wait; try again in some seconds")
+            raise HTTPException(429, "too many uploads wait; try again in some seconds")
         reading += 1
         try:
             content = bytearray()
@@ -170,8 +178,6 @@ def modes_router(modes: Modes, aim: Aim | None = None) -> APIRouter:
                     raise HTTPException(413, f"larger than {UPLOAD >> 20} MB")
         finally:
             reading -= 1
-        if not content:
-            raise InputError("is empty", where="upload", remedy="choose a file")
         return Begun(id=modes.scan.begin(bytes(content), kind, first))
 
     @router.get("/api/scan/{number}/picture", responses=_JPEG, response_class=Response)

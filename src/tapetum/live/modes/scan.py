@@ -30,6 +30,7 @@ _SHOWN = 30  # candidates
 _LIKELY = 1.0  # expected false alarms a picture above which nothing is shown
 _CROP, _SIDE = 48, 160  # pixels of a candidate's picture, and of that on the page
 _WIDTH = 960
+_LASTING = 0.25  # of a film's frames
 _FEWEST = 3  # frames of a film in which a candidate is seen
 
 
@@ -50,7 +51,7 @@ class Candidate:
     frames
         In how many frames of a film it was seen.
     likely
-        Whether it is worth a look: less than one false alarm in a hundred pictures, or seen through a third of a film.
+        Whether it is worth a look: less than one false alarm in a hundred pictures, or seen through a quarter of a film.
     """
 
     number: int
@@ -266,7 +267,8 @@ class _Seen:
 
 def _of_film(frames: Iterator[Frame]) -> _Result:
     """Candidates of a film: what the tracker follows through several frames, in its best one."""
-    find = make_detector("cameras")
+    # Much is let through in a frame, for what is none rarely lasts.
+    find = make_detector("cameras", {"false_alarms": _LIKELY})
     now: list[Frame] = []
 
     def taken() -> Iterator[Frame]:
@@ -296,7 +298,7 @@ def _of_film(frames: Iterator[Frame]) -> _Result:
     result = _Result(Searched(0, "", "", 0, *size, count, note=note), middle)
     candidates = []
     for k, one in enumerate(lasting[:_SHOWN], 1):
-        likely = one.frames >= max(_FEWEST, count / 3)
+        likely = one.frames >= max(_FEWEST, _LASTING * count)
         candidates.append(Candidate(k, one.x, one.y, one.diameter, one.snr, likely, frames=one.frames))
         result.crops[k, "lit"] = one.picture
     result.told = Searched(**{**vars(result.told), "candidates": tuple(candidates)})
@@ -310,11 +312,11 @@ def _crop(image: npt.NDArray[np.uint8], x: float, y: float, diameter: float) -> 
         max(0, min(round(at) - side // 2, size - side)) for at, size in zip((x, y), image.shape[::-1], strict=True)
     )
     part = image[top : top + side, left : left + side]
-    return _jpeg(cv2.resize(part, (_SIDE, _SIDE), interpolation=cv2.INTER_CUBIC), _SIDE)
+    return _jpeg(np.asarray(cv2.resize(part, (_SIDE, _SIDE), interpolation=cv2.INTER_CUBIC), np.uint8), _SIDE)
 
 
 def _jpeg(image: npt.NDArray[np.uint8], width: int) -> bytes:
     if image.shape[1] > width:
         scale = width / image.shape[1]
-        image = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)  # pyright: ignore
+        image = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
     return cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, 85])[1].tobytes()
