@@ -153,4 +153,4 @@ def test_requests_made_up_from_the_description_find_no_fault(served: tuple[Doors
             case.call_and_validate()
 
         asks()
-    assert len(paths) == 14
+    assert len(paths) == 15

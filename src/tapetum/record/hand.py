@@ -95,6 +95,7 @@ class _Hand:
     goal: Array = field(default_factory=lambda: np.array([0.5, 0.5]))
     tremble: Array = field(default_factory=lambda: np.zeros(2))
     until: float = 0.0
+    latest: Array = field(default_factory=lambda: np.zeros(2))
 
     def gaze(self, told: tuple[float, float] | None, time: float, step: float) -> Array:
         """Move for `step` seconds; return the gaze."""
@@ -108,7 +109,8 @@ class _Hand:
         c, s = math.cos(_ROLL[self.number]), math.sin(_ROLL[self.number])
         # Whoever points to the right sees the probe on the left.
         away = -_REACH * (self.at - 0.5) * [1.0, 0.75]
-        return np.array([c * away[0] - s * away[1], s * away[0] + c * away[1]]) + self.tremble
+        self.latest = np.array([c * away[0] - s * away[1], s * away[0] + c * away[1]]) + self.tremble
+        return self.latest
 
 
 class Hands:

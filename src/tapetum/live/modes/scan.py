@@ -110,6 +110,7 @@ class Scan:
         self._coverage: Coverage | None = None
         self._running = False
         self._before = 0.0
+        self._shown = -1
 
     @property
     def full(self) -> bool:
@@ -158,8 +159,10 @@ class Scan:
     def update(self, state: State, frame: Frame | None) -> None:
         """Take a state of the watch, and its latest lit frame."""
         with self._lock:
-            if not self._running or frame is None or state.utc_ns / 1e9 == self._before:
+            # Between two lit frames the same one is shown.
+            if not self._running or frame is None or frame.index == self._shown:
                 return
+            self._shown = frame.index
             size = frame.image.shape[1], frame.image.shape[0]
             if min(size) < 16:
                 return
