@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from tapetum.live.doors import Doors
     from tapetum.live.outputs import Queued
+    from tapetum.models import Predictor
 
 _PORT = 8750
 
@@ -100,8 +101,11 @@ def serve(
     from tapetum.live.modes.router import LARGEST, modes_router
     from tapetum.record.frames import open_frames
     from tapetum.record.hand import Aim, Hands, how_many, is_hands
+    from tapetum.record.network import is_network, without_password
     from tapetum.track.detect import DETECTORS
 
+    # An address may hold a password.
+    shown = without_password(source) if is_network(source) else source
     hands = is_hands(source) and not Path(source).exists()
     if hands and detector is None and not models:
         # What they are made for.
@@ -128,9 +132,9 @@ def serve(
     aim = Aim() if hands else None
     watch = Watch(
         lambda: open_frames(source, stream, rate=rate) if aim is None else Hands(source, aim, rate),
-        name=source,
+        name=shown,
         detector=detector,
-        models=[find_model(name, device) for name in models or ()],
+        models=[_quick(find_model(name, device), device) for name in models or ()],
         mode="all" if every else "newest",
         repeat=repeat,
         log=Log(":memory:" if log is None else log, days=days, picture_days=picture_days),
@@ -156,7 +160,24 @@ def serve(
         pushed=modes.text,
         largest=LARGEST,
     )
-    _run(app, bound, token, f"watching {source}", browse)
+    _run(app, bound, token, f"watching {shown}", browse)
+
+
+def _quick(model: Predictor, device: str) -> Predictor:
+    """Return a network on ONNX Runtime where it computes on the processor and the extra `fast` is installed."""
+    import importlib.util
+
+    from tapetum.models import NetworkEstimator
+
+    if not isinstance(model, NetworkEstimator) or importlib.util.find_spec("onnxruntime") is None:
+        return model
+    import torch
+
+    if device not in ("auto", "cpu") or (device == "auto" and torch.cuda.is_available()):
+        return model
+    from tapetum.models.fast import FastResNet18
+
+    return FastResNet18(model)
 
 
 def _opened(texts: Sequence[str]) -> list[Queued]:

@@ -22,6 +22,9 @@ export function connect() {
   };
 }
 
+// Exported for the test of long watches.
+export function flood(message) { take(message); }
+
 function take(message) {
   if (message.type === "event") {
     if (message.event.number <= now.last) return;
