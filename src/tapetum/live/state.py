@@ -57,6 +57,10 @@ class CameraState:
     regions: tuple[str, ...] = ()
     estimated_utc_ns: int | None = None
 
+    def is_fresh(self, utc_ns: int) -> bool:
+        """Return whether its gaze is of the frame that was taken then, and not of an earlier one."""
+        return self.seen_utc_ns == utc_ns and self.estimated_utc_ns in (None, utc_ns)
+
 
 @dataclass(frozen=True)
 class Health:

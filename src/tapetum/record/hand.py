@@ -1,6 +1,6 @@
 """Cameras of the virtual bench that point where they are told, in real time: a visitor's hand before an exhibit.
 
-The probe stands in the middle of a screen 5.5 m away. Each hand holds a thin-lens camera, is turned a little about the
+The probe stands above a screen 5.5 m away. Each hand holds a thin-lens camera, is turned a little about the
 camera's axis, takes a moment to reach a new place, and trembles. What the probe sees of it is computed, with its noise.
 The motion is assumed, not measured on people.
 """
@@ -33,7 +33,8 @@ __all__ = ["Aim", "Hands", "how_many", "is_hands"]
 PREFIX = "hand"
 _MOST = 3
 _RATE = 12.0
-_REACH = 0.7  # of the camera's field that the screen's width takes up
+_REACH = 0.55  # of the camera's field that the screen's width takes up
+_PROBE = (0.5, -0.12)  # in fractions of the screen; a return seen along the axis is like none of the model's training
 _ROLL = (0.07, -0.05, 0.12)  # rad
 _SETTLE = 0.12  # s
 _TREMBLE, _TREMBLE_TIME = 0.003, 0.4  # of the field, and s over which it changes
@@ -71,7 +72,7 @@ class Aim:
 
     def point(self, x: float, y: float, hand: int = 0) -> None:
         """Point a hand at a place."""
-        if not (-1 <= x <= 2 and -1 <= y <= 2 and 0 <= hand < _MOST):
+        if not (-0.5 <= x <= 1.5 and -0.5 <= y <= 1.5 and 0 <= hand < _MOST):
             raise InputError(f"x {x}, y {y}, hand {hand} is out of reach", where="hand")
         with self._lock:
             self._told[hand] = x, y, time.monotonic()
@@ -108,7 +109,7 @@ class _Hand:
         self.tremble = kept * self.tremble + math.sqrt(1 - kept**2) * _TREMBLE * self.rng.standard_normal(2)
         c, s = math.cos(_ROLL[self.number]), math.sin(_ROLL[self.number])
         # Whoever points to the right sees the probe on the left.
-        away = -_REACH * (self.at - 0.5) * [1.0, 0.75]
+        away = -_REACH * (self.at - _PROBE) * [1.0, 0.75]
         self.latest = np.array([c * away[0] - s * away[1], s * away[0] + c * away[1]]) + self.tremble
         return self.latest
 
@@ -142,7 +143,8 @@ class Hands:
         # In the probe's focal plane, in metres.
         self._places = np.stack([aside, np.zeros_like(aside)], 1) * self._scene.probe.sensor.pitch
         self._over = threading.Event()
-        corner = np.array([[-1.0, -1.0], [1.0, 1.0]]) * (0.75 * _REACH + 4 * _TREMBLE)
+        # Places may lie beside the screen, by half its size.
+        corner = np.array([[-1.0, -1.0], [1.0, 1.0]]) * (1.3 * _REACH + 4 * _TREMBLE)
         steepest = largest_sine(tilt_of_gaze(self._scene, torch.from_numpy(corner)))
         self._camera = Camera(self._scene, steepest, edge="dimmed", device="cpu")
         window = self._camera.window()

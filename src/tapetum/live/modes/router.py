@@ -32,7 +32,7 @@ _JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": {}}}, 
 
 # JSON knows no whole numbers: 3.0 is one.
 _Whole = BeforeValidator(lambda value: int(value) if isinstance(value, float) and value.is_integer() else value)
-Share = Annotated[float, Field(ge=-1, le=2)]
+Share = Annotated[float, Field(ge=-0.5, le=1.5)]
 Side = Annotated[float, Field(ge=-10, le=10)]
 
 
