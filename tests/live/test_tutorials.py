@@ -128,7 +128,7 @@ def test_an_exhibit(tmp_path: Path) -> None:
             return now["exhibit"]["calibrated"] and now["exhibit"]
 
         made = room.until("/api/modes", follow, 240)
-        assert made["error"] < 100 and made["degrees"] < 1.0
+        assert made["error"] < 100 and made["degrees"] < 0.15
         end = time.monotonic() + 60
         while True:
             room.post("/api/hand", json.dumps({"x": 0.7, "y": 0.4}))

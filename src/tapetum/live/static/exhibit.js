@@ -46,6 +46,11 @@ function words({ hands }) {
   $("calibrate-cancel").hidden = !step || step.say === "done";
   $("calibrate-forget").hidden = $("calibrated").hidden = !exhibit.calibrated;
   $("hand-note").hidden = $("self-line").hidden = !hands;
+  if (hands && !$("across").dataset.set) {
+    // The simulated screen's, which a lens of 100 mm sees small.
+    $("across").dataset.set = "yes";
+    $("across").value = 0.17;
+  }
   if (exhibit.calibrated) {
     say("error-px", exhibit.error === null ? "unknown" : `${exhibit.error.toFixed(1)} px of ${exhibit.screen.width}`);
     say("error-deg", exhibit.degrees === null ? "unknown" : `${exhibit.degrees.toFixed(2)}°`);
