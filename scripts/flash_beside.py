@@ -3,9 +3,10 @@
     .venv/bin/python scripts/flash_beside.py
 
 The camera looks straight at the phone. By rays its return is a disc about the flash of radius 2 a |1 - d/x|, where a is
-its aperture's radius, d the distance and x its object distance: the phone's lens stands 10 mm beside the middle. Fresnel's
-integral over the aperture adds what diffraction brings there, which the simulator's pictures are too coarse for; where
-much arrives, the simulator itself is asked too, through centred apertures of 10 mm less and more the lens's radius.
+its aperture's radius, d the distance and x its object distance: the phone's lens stands 10 mm beside the middle.
+Fresnel's integral over the aperture adds what diffraction brings there, which the simulator's pictures are too coarse
+for; where rays arrive, the simulator itself is asked too, through centred apertures of 10 mm less and more the lens's
+radius.
 
 The return is compared with a pixel's light from a wall of reflectance 0.3 at the same distance in the same light, and
 with the glint that the front of the camera's lens throws back as a ball does.

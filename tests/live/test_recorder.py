@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import subprocess
 import sys
@@ -94,7 +95,8 @@ recorder = Recorder(Path(sys.argv[1]), least_free=0)
 print(recorder.start(), flush=True)
 rng = np.random.default_rng(0)
 for k in range(int(sys.argv[2])):
-    recorder.offer(Frame(k, k / 20, rng.integers(0, 255, (96, 128)).astype(np.uint8), monotonic_ns=k * 10**7 + 1, utc_ns=k))
+    image = rng.integers(0, 255, (96, 128)).astype(np.uint8)
+    recorder.offer(Frame(k, k / 20, image, monotonic_ns=k * 10**7 + 1, utc_ns=k))
     time.sleep(0.003)
 if len(sys.argv) > 3:
     print("ready", flush=True)
@@ -134,8 +136,6 @@ def test_kill_9_keeps_what_was_recorded(tmp_path: Path) -> None:
 
 def _readable(path: Path) -> list[Frame]:
     frames: list[Frame] = []
-    try:
+    with contextlib.suppress(InputError):
         frames.extend(open_recording(path).source("probe"))
-    except InputError:
-        pass
     return frames

@@ -122,8 +122,14 @@ def test_a_decoder_that_hangs_bursts_or_dies_is_an_error(
 
 
 @pytest.mark.parametrize(
-    "answer", ['{"width": 1000000, "height": 64, "time": 0}', '{"width": 64}', "[1]", '{"width": 64, "height": 64, "time": -1}']
-)  # fmt: skip
+    "answer",
+    [
+        '{"width": 1000000, "height": 64, "time": 0}',
+        '{"width": 64}',
+        "[1]",
+        '{"width": 64, "height": 64, "time": -1}',
+    ],
+)
 def test_what_a_decoder_that_was_taken_over_says_is_checked(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, answer: str
 ) -> None:

@@ -30,7 +30,9 @@ def section(title: str) -> str:
 
 
 def blocks(text: str, kind: str) -> list[str]:
-    return [re.sub(r"(?m)^ {3}", "", one) if one.startswith("   ") else one for one in re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL)]  # fmt: skip
+    found = re.findall(rf"```{kind}\n(.*?)```", text, re.DOTALL)
+    # Those of a numbered list are indented.
+    return [re.sub(r"(?m)^ {3}", "", one) if one.startswith("   ") else one for one in found]
 
 
 class Asked:

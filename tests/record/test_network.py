@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import http.server
+import itertools
 import threading
 import time
 from collections.abc import Iterator
@@ -71,7 +72,7 @@ def test_frames_come_until_the_camera_goes(camera: str) -> None:
             frames.append(one)  # noqa: PERF402
     source.close()
     assert len(frames) >= 6 and all(one.image.dtype == np.uint8 for one in frames)
-    assert all(a.time < b.time for a, b in zip(frames, frames[1:], strict=False))
+    assert all(a.time < b.time for a, b in itertools.pairwise(frames))
 
 
 def test_a_watch_connects_again(camera: str, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -75,15 +75,15 @@ class NetworkCamera(Live):
         except StopIteration:
             self.close()
             raise InputError("sends no picture", where=self.name, remedy="is the camera on?") from None
+        except InputError:
+            self.close()
+            raise
         except (FFmpegError, OSError, ValueError) as error:
             self.close()
             remedy = "check address, user and password, and that the camera is on"
             # FFmpeg's message may hold the address, and that a password.
             what = f"cannot be watched ({getattr(error, 'strerror', None) or type(error).__name__})"
             raise InputError(what, where=self.name, remedy=remedy) from None
-        except InputError:
-            self.close()
-            raise
         rate = self._stream.average_rate
         self.rate: float | None = float(rate) if rate and 0 < rate < 1000 else None
         self.hardware: dict[str, Any] = {

@@ -51,7 +51,7 @@ class Candidate:
     frames
         In how many frames of a film it was seen.
     likely
-        Whether it is worth a look: less than one false alarm in a hundred pictures, or seen through a quarter of a film.
+        Whether it is worth a look: less than one false alarm in a hundred pictures, or seen in a quarter of a film.
     """
 
     number: int
