@@ -25,7 +25,7 @@ _CELLS = 8  # cells across a picture
 _REACH = 64  # cells from the middle of the map to its edge
 _ENOUGH = 1.0  # s for which a cell must have been seen
 _LEAST = 0.04  # response of the correlation below which the pictures do not show the same
-_LONGEST = 0.5  # s between two pictures that are compared, and that a picture may count for
+_LONGEST, _COUNTED = 2.0, 0.5  # s between two pictures that are compared, and that a picture may count for
 _STEP = 0.45  # of the picture: the largest turn between two pictures
 _TURNED = 0.15  # of the picture: the turn after which the next one is compared with a new picture
 _NEAR = 0.08  # of the picture: sightings this close are one
@@ -137,7 +137,7 @@ class Coverage:
         before, self.place = self.place, np.clip(self._key_place + turn, -limit, limit)
         if np.abs(turn).max() > _TURNED:
             self._key, self._key_place = small, self.place
-        self._mark(step)
+        self._mark(min(step, _COUNTED))
         speed = float(np.hypot(*(self.place - before))) / step
         here = float(self.map[self._cells()].mean())
         self.advice = "go slower" if speed > 0.5 else "go on" if here >= _ENOUGH else "hold still"
