@@ -100,7 +100,10 @@ class _Stamps:
 def watched(
     targets: int, model: Any, clients: int, seconds: float, budget: float | None = None
 ) -> tuple[float, float, float, float]:
-    """Watch made frames, models by turns within a budget where one is given; return seconds a frame, median and 99th percentile of the delay, and cameras a frame."""
+    """Watch made frames, models by turns within a budget where one is given.
+
+    Return seconds a frame, median and 99th percentile of the delay, and cameras a frame.
+    """
     source, stamps = _Filmed(made(targets, 40)), _Stamps()
     models = [] if model is None else [model]
     watch = Watch(lambda: source, detector="spots", models=models, listeners=[stamps], budget=budget)
