@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -67,3 +68,18 @@ def watched(opens: Callable[[], Source], **options: Any) -> Watch:
 @pytest.fixture(scope="session")
 def three_seconds() -> list[Frame]:
     return room_frames(3)
+
+
+@pytest.fixture(scope="session")
+def chromium() -> Iterator[Any]:
+    from playwright.sync_api import sync_playwright
+    from tests.live.pages import CHROMIUM
+
+    if not CHROMIUM:
+        pytest.skip("Chromium is not installed: apt install chromium")
+    with sync_playwright() as play:
+        # Its sandbox refuses root.
+        arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
+        browser = play.chromium.launch(executable_path=CHROMIUM, args=arguments)
+        yield browser
+        browser.close()

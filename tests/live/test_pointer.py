@@ -131,6 +131,14 @@ def test_a_guided_calibration_of_somebody_who_trembles(marks: int, longest: floa
     assert made.utc_ns == 7 and made.error is not None and (marks == 4 or made.error < 25)
 
 
+def test_a_slow_watch_calibrates_too() -> None:
+    """At four frames a second no 0.8 s hold six samples: the window grows."""
+    guide = Guide(SCREEN, 4)
+    assert person(guide, np.random.default_rng(6), rate=4.0) < 40
+    for one in guide.result().fixes:
+        assert math.dist((one.gaze_x, one.gaze_y), gaze_of(one.x, one.y)) < 0.01
+
+
 def test_one_mark_corrects_a_shift_within_twenty_seconds() -> None:
     before = fit(SCREEN, fixes(9, np.random.default_rng(5)))
     guide = Guide(SCREEN, 1, before)

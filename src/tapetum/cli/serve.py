@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
     from tapetum.live.doors import Doors
     from tapetum.live.outputs import Queued
+    from tapetum.models import Predictor
 
 _PORT = 8750
 
@@ -29,15 +30,36 @@ def serve(
         str,
         typer.Argument(
             metavar="SOURCE",
-            help="demo, a room without hardware; bench, to play with; camera:0, video, folder, recording, bench:SCENE.",
+            help="demo, a room without hardware; hand or hand:3, simulated visitors; bench, to play with; camera:0, "
+            "rtsp://…, video, folder, recording, bench:SCENE.",
         ),
     ],
     models: Models = None,
     detector: Annotated[
-        str, option("NAME", "What finds them: cameras, in a room, or spots, in the beam of a dark bench.")
-    ] = "cameras",
+        str | None,
+        option("NAME", "What finds them: cameras, in a room (default), or spots, in the beam of a dark bench."),
+    ] = None,
+    activity: Annotated[
+        bool, typer.Option("--activity", help="Say of each camera if it images: of phones (see track --activity).")
+    ] = False,
+    budget: Annotated[
+        float,
+        option(
+            "S",
+            "Seconds a frame for all models; many cameras are estimated by turns. 0: all in each.",
+            "--model-time",
+            min=0,
+        ),
+    ] = 0.02,
     log: Annotated[
         Path | None, option("FILE", "Keep events and their pictures here, NAME.db; else they end with the command.")
+    ] = None,
+    days: Annotated[float, option("N", "Days that events are kept.", "--keep-days", min=0.01)] = 30.0,
+    picture_days: Annotated[
+        float, option("N", "Days that pictures of events are kept.", "--keep-picture-days", min=0.01)
+    ] = 7.0,
+    folder: Annotated[
+        Path | None, option("DIR", "Where the page's recordings, votes and calibration go; else it keeps none.")
     ] = None,
     outputs: Annotated[
         list[str] | None,
@@ -75,10 +97,20 @@ def serve(
     from tapetum.live.doors import is_loopback, make_token
     from tapetum.live.log import Log
     from tapetum.live.loop import Watch
+    from tapetum.live.modes import Modes
+    from tapetum.live.modes.router import LARGEST, modes_router
     from tapetum.record.frames import open_frames
+    from tapetum.record.hand import Aim, Hands, how_many, is_hands
+    from tapetum.record.network import is_network, without_password
     from tapetum.track.detect import DETECTORS
 
-    one_of(detector, tuple(DETECTORS), "--detector")
+    # An address may hold a password.
+    shown = without_password(source) if is_network(source) else source
+    hands = is_hands(source) and not Path(source).exists()
+    if hands and detector is None and not models:
+        # What they are made for.
+        detector, models = "spots", ["thin-lens-gaze"]
+    detector = one_of(detector or "cameras", tuple(DETECTORS), "--detector")
     if token is not None and len(token) < 16:
         raise InputError(f"has {len(token)} characters", where="--token", remedy="give 16 or more, or leave it out")
     if token is None and not is_loopback(address):
@@ -97,18 +129,22 @@ def serve(
 
         guard = Guard(load_rules(rules))
     listeners = _opened(outputs or ())
+    aim = Aim() if hands else None
     watch = Watch(
-        lambda: open_frames(source, stream, rate=rate),
-        name=source,
+        lambda: open_frames(source, stream, rate=rate) if aim is None else Hands(source, aim, rate),
+        name=shown,
         detector=detector,
-        models=[find_model(name, device) for name in models or ()],
+        models=[_quick(find_model(name, device), device) for name in models or ()],
         mode="all" if every else "newest",
         repeat=repeat,
-        log=None if log is None else Log(log),
+        log=Log(":memory:" if log is None else log, days=days, picture_days=picture_days),
         listeners=listeners,
         guard=guard,
+        activity=activity,
+        budget=budget or None,
     )
     try:
+        modes = Modes(watch, folder, how_many(source) if hands else 0)
         if guard is not None:
             guard.rules.check_outputs({one.name for one in listeners}, str(rules))
         watch.start()
@@ -116,7 +152,32 @@ def serve(
         for one in listeners:
             one.close()
         raise
-    _run(make_app(watch, _hosts(address, names), token), bound, token, f"watching {source}", browse)
+    app = make_app(
+        watch,
+        _hosts(address, names),
+        token,
+        [modes_router(modes, aim)],
+        pushed=modes.text,
+        largest=LARGEST,
+    )
+    _run(app, bound, token, f"watching {shown}", browse)
+
+
+def _quick(model: Predictor, device: str) -> Predictor:
+    """Return a network on ONNX Runtime where it computes on the processor and the extra `fast` is installed."""
+    import importlib.util
+
+    from tapetum.models import NetworkEstimator
+
+    if not isinstance(model, NetworkEstimator) or importlib.util.find_spec("onnxruntime") is None:
+        return model
+    import torch
+
+    if device not in ("auto", "cpu") or (device == "auto" and torch.cuda.is_available()):
+        return model
+    from tapetum.models.fast import FastResNet18
+
+    return FastResNet18(model)
 
 
 def _opened(texts: Sequence[str]) -> list[Queued]:

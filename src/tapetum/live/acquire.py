@@ -48,6 +48,8 @@ class Acquisition:
     ----------
     arrived, lost, refused
         Frames read; frames lost by the source or for want of time; frames whose time was not after the one before's.
+    taps
+        Who is handed every frame that is not refused, from the thread that reads: none of these may wait.
     connected, ended
         Whether the source gives frames, and whether it is at its end.
     """
@@ -58,6 +60,7 @@ class Acquisition:
         self._opens, self.mode = opens, one_of(mode, MODES, "mode")
         self.repeat = repeat
         self._told: Told = told or (lambda what, why: None)
+        self.taps: list[Callable[[Frame], None]] = []
         self.arrived = self.lost = self.refused = 0
         self.connected = self.ended = False
         self._waiting: deque[Frame] = deque()
@@ -167,6 +170,8 @@ class Acquisition:
         self._last = frame.time
         # A driver may use its buffer again.
         frame = replace(frame, index=self.arrived - 1, image=frame.image.copy())
+        for tap in self.taps:
+            tap(frame)
         with self._change:
             if self.mode == "newest":
                 kept = [one for one in self._waiting if one.lit != frame.lit]

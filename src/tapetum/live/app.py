@@ -22,9 +22,9 @@ from fastapi.staticfiles import StaticFiles  # noqa: E402
 from pydantic import BaseModel, ConfigDict, Field  # noqa: E402
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
-__all__ = ["STATIC", "make_app", "make_base"]
+__all__ = ["STATIC", "Problem", "Strict", "make_app", "make_base"]
 
 STATIC = Path(__file__).parent / "static"
 """The pages' files."""
@@ -34,11 +34,13 @@ _EVENTS = 50
 _NUMBER = Annotated[int, Query(ge=0, le=2**62)]
 
 
-class _Strict(BaseModel):
+class Strict(BaseModel):
+    """What a request may hold: no more than it names, and nothing that is not finite."""
+
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
-class IgnoredPlace(_Strict):
+class IgnoredPlace(Strict):
     """Every camera within `radius` pixels of a place is ignored."""
 
     x: float = Field(ge=0, le=1e5)
@@ -46,13 +48,13 @@ class IgnoredPlace(_Strict):
     radius: float = Field(gt=0, le=1e4)
 
 
-class IgnoredDevice(_Strict):
+class IgnoredDevice(Strict):
     """Every camera of a device is ignored."""
 
     device: str = Field(min_length=1, max_length=200)
 
 
-class Problem(_Strict):
+class Problem(Strict):
     """Why a request was refused, in one line."""
 
     detail: str
@@ -83,6 +85,9 @@ def make_app(
     hosts: tuple[str, ...] = ("127.0.0.1", "localhost", "::1"),
     token: str | None = None,
     routers: Iterable[APIRouter] = (),
+    *,
+    pushed: Callable[[], str] | None = None,
+    largest: dict[str, int] | None = None,
 ) -> Doors:
     """Return the server of a watch as an ASGI application; the watch is started and closed with it.
 
@@ -94,6 +99,10 @@ def make_app(
         As for `Doors`.
     routers
         Further requests that are answered, as those of the modes.
+    pushed
+        Gives a further message for the socket, which sends it when it has changed.
+    largest
+        As for `Doors`.
     """
 
     app = make_base("Tapetum watch")
@@ -154,7 +163,7 @@ def make_app(
     async def push(socket: WebSocket, after: _NUMBER = 0, pictures: bool = True) -> None:
         """Push states, pictures of frames and events; whoever reads slowly gets fewer states, and every event."""
         await socket.accept()
-        sender = asyncio.create_task(_push(socket, watch, after, pictures))
+        sender = asyncio.create_task(_push(socket, watch, after, pictures, pushed))
         with suppress(WebSocketDisconnect, RuntimeError):
             while True:
                 # What a client says means nothing, but its going does.
@@ -165,14 +174,15 @@ def make_app(
 
     for router in routers:
         app.include_router(router)
-    return Doors(app, hosts, token)
+    return Doors(app, hosts, token, largest=largest)
 
 
-async def _push(socket: WebSocket, watch: Watch, after: int, pictures: bool) -> None:
+async def _push(socket: WebSocket, watch: Watch, after: int, pictures: bool, pushed: Callable[[], str] | None) -> None:
     """Send the newest of everything, until the client goes; each message waits until the one before is taken."""
     told: Any = None
     shown = -1
     last = after
+    said = ""
     while True:
         state = watch.state
         if state is not told:
@@ -182,6 +192,9 @@ async def _push(socket: WebSocket, watch: Watch, after: int, pictures: bool) -> 
                 for event in await asyncio.to_thread(watch.log.events, last, _EVENTS):
                     last = event["number"]
                     await socket.send_json({"type": "event", "event": event})
+        if pushed is not None and (text := await asyncio.to_thread(pushed)) != said:
+            said = text
+            await socket.send_text(text)
         if pictures:
             number, picture = await asyncio.to_thread(watch.picture)
             if number > shown:

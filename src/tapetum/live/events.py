@@ -199,10 +199,11 @@ class Events:
         if row.active is not None and stay.active.update(row.active, row.time):
             told.append(self._event(stay, "update", "imaging" if row.active else "not imaging", utc_ns))
         device = stay.camera.device
-        if row.seen and device is not None and stay.device.update(device, row.time):
+        asked = row.seen and _asked(row)
+        if asked and device is not None and stay.device.update(device, row.time):
             told.append(self._event(stay, "update", "device", utc_ns, device))
         gaze = stay.camera.gaze_x, stay.camera.gaze_y
-        if row.seen and gaze[0] is not None and gaze[1] is not None:
+        if asked and gaze[0] is not None and gaze[1] is not None:
             for region in self.regions:
                 held = stay.regions.setdefault(region.name, _Held(False, self.hold, self.cooldown))
                 if held.update(region.holds(gaze[0][0], gaze[1][0]), row.time):
@@ -229,12 +230,20 @@ def _camera(row: TrackRow, number: int, utc_ns: int, before: CameraState | None,
     said: dict[str, Any] = {"x": row.x, "y": row.y, "seen": row.seen or (dark and before.seen), "active": row.active}
     if row.seen:
         said |= {"seen_utc_ns": utc_ns, "snr": row.snr, "diameter": row.diameter}
+    # Where it was another camera's turn, what was estimated before stands, with its age.
+    if row.seen and _asked(row):
+        said["estimated_utc_ns"] = utc_ns
         said |= {name: _interval(row.estimates, name) for name in ("gaze_x", "gaze_y")}
         device = row.estimates.get("device")
         if device is not None:
             likely = row.estimates.get("device_probability")
             said |= {"device": None if device == _NONE_OF_THESE else device, "device_probability": _finite(likely)}
     return replace(before, **said)
+
+
+def _asked(row: TrackRow) -> bool:
+    """Return whether models were asked about a row: where they take turns, others' rows hold no more than looks."""
+    return any(name != "asymmetry" for name in row.estimates)
 
 
 def _interval(estimates: Mapping[str, Any], name: str) -> tuple[float, float, float] | None:

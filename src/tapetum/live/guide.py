@@ -24,6 +24,7 @@ MARKS: dict[int, tuple[tuple[float, float], ...]] = {
 
 _SETTLE = 0.6  # s that the eye and hand take to reach a new mark, at least
 _WINDOW = 0.8  # s for which the gaze must rest
+_LONGEST = 4.0  # s over which so many samples may be spread
 _SAMPLES = 6
 _REST = 0.004  # of the field: standard deviation of a resting gaze, at most, where its intervals allow no more
 _DRIFT = 3.0  # standard errors between the halves of the window, at most
@@ -75,6 +76,7 @@ class Guide:
         self.screen, self.marks, self.before = screen, MARKS[marks], before
         self.fixes: list[Fix] = []
         self._since: float | None = None
+        self._estimated: int | None = None
         # Time, gaze and its standard deviation.
         self._window: deque[tuple[float, float, float, float]] = deque(maxlen=1000)
 
@@ -94,11 +96,14 @@ class Guide:
         if camera.gaze_x is None or camera.gaze_y is None:
             self._window.clear()
             return self._step(0.0, "no gaze")
-        if time - self._since < _SETTLE or (self._window and time <= self._window[-1][0]):
+        known = camera.estimated_utc_ns is not None and camera.estimated_utc_ns == self._estimated
+        self._estimated = camera.estimated_utc_ns
+        if known or time - self._since < _SETTLE or (self._window and time <= self._window[-1][0]):
             return self._step(self._rested(time), "look")
         std = max(camera.gaze_x[2] - camera.gaze_x[1], camera.gaze_y[2] - camera.gaze_y[1]) / 2 / _SIGMA
         self._window.append((time, camera.gaze_x[0], camera.gaze_y[0], std))
-        while self._window[0][0] < time - _WINDOW - 1e-9:
+        # Of a slow watch the window is longer, so that it holds as many samples.
+        while self._window[0][0] < time - (_WINDOW if len(self._window) > _SAMPLES else _LONGEST) - 1e-9:
             self._window.popleft()
         return self._judge(time)
 

@@ -60,6 +60,7 @@ class Log:
                 " utc_ns INTEGER NOT NULL, body TEXT NOT NULL, picture BLOB);"
                 "CREATE INDEX IF NOT EXISTS by_time ON events (utc_ns);"
                 "CREATE TABLE IF NOT EXISTS ignored (body TEXT PRIMARY KEY);"
+                "CREATE TABLE IF NOT EXISTS acknowledged (number INTEGER PRIMARY KEY, utc_ns INTEGER NOT NULL);"
                 f"PRAGMA user_version={_VERSION}; COMMIT;"
             )
             self.newest = int(self._base.execute("SELECT coalesce(max(number), 0) FROM events").fetchone()[0])
@@ -89,6 +90,32 @@ class Log:
             row = self._base.execute("SELECT picture FROM events WHERE number = ?", (number,)).fetchone()
         return None if row is None else row[0]
 
+    def alerts(self, most: int = 50) -> tuple[list[tuple[dict[str, Any], int | None]], int]:
+        """Return the latest alerts, newest first, each with when it was acknowledged, and how many wait for that."""
+        kind = "json_extract(body, '$.kind') = 'alert'"
+        with self._lock:
+            rows = self._base.execute(
+                "SELECT e.number, e.body, e.picture IS NOT NULL, a.utc_ns FROM events e"
+                f" LEFT JOIN acknowledged a USING (number) WHERE {kind} ORDER BY e.number DESC LIMIT ?",
+                (max(0, min(most, _MOST)),),
+            ).fetchall()
+            waiting = self._base.execute(
+                f"SELECT count(*) FROM events WHERE {kind} AND number NOT IN (SELECT number FROM acknowledged)"
+            ).fetchone()[0]
+        return [
+            ({"number": number, "picture": bool(has), **json.loads(body)}, done) for number, body, has, done in rows
+        ], waiting
+
+    def acknowledge(self, number: int | None, utc_ns: int) -> int:
+        """Acknowledge an alert, or all; return how many there were. One that was acknowledged keeps its time."""
+        which = "json_extract(body, '$.kind') = 'alert' AND (?1 IS NULL OR number = ?1)"
+        with self._lock:
+            count = self._base.execute(f"SELECT count(*) FROM events WHERE {which}", (number,)).fetchone()[0]
+            self._base.execute(
+                f"INSERT OR IGNORE INTO acknowledged SELECT number, ?2 FROM events WHERE {which}", (number, utc_ns)
+            )
+        return int(count)
+
     def ignore(self, one: Ignored) -> None:
         """Add to the ignored cameras."""
         with self._lock:
@@ -110,6 +137,7 @@ class Log:
         now = time.time_ns() if utc_ns is None else utc_ns
         with self._lock:
             self._base.execute("DELETE FROM events WHERE utc_ns < ?", (now - round(self.days * _DAY),))
+            self._base.execute("DELETE FROM acknowledged WHERE number NOT IN (SELECT number FROM events)")
             limit = (now - round(self.picture_days * _DAY),)
             self._base.execute("UPDATE events SET picture = NULL WHERE utc_ns < ? AND picture IS NOT NULL", limit)
 

@@ -7,6 +7,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Protocol
 
 import cv2
@@ -21,6 +22,7 @@ from tapetum.live.outputs.base import Counts
 from tapetum.live.state import Health, State
 from tapetum.record.source import Frame, Source, full_scale_of
 from tapetum.track.pipeline import make_detector, track, usual_tracker
+from tapetum.track.turns import Turns
 
 if TYPE_CHECKING:
     from tapetum.models import Predictor
@@ -76,6 +78,11 @@ class Watch:
         Who is told of events and states.
     guard
         Rules whose alerts are published as events of the kind "alert"; its regions are reported on too.
+    activity
+        Whether to say of each camera if it images (see `tapetum.track.activity`).
+    budget
+        Seconds that models may take of a frame; cameras are estimated by turns where they are too many for it, and
+        none waits for another. None: all in every frame.
     timing
         Seconds `confirm`, `hold`, `cooldown` and `gone` of `Events`.
 
@@ -100,6 +107,8 @@ class Watch:
         regions: Iterable[Region] = (),
         listeners: Iterable[Listener] = (),
         guard: Guard | None = None,
+        activity: bool = False,
+        budget: float | None = None,
         timing: dict[str, float] | None = None,
     ) -> None:
         self.acquisition = Acquisition(opens, mode, self._told_of_source, repeat=repeat)
@@ -111,6 +120,8 @@ class Watch:
         self.state = State(name, -1, time.time_ns(), (0, 0), (), Health())
         self.models = tuple(models)
         self._detector, self._lock = detector, threading.Lock()
+        self._activity = activity
+        self._turns = None if budget is None else Turns(budget)
         # Checks the names before a thread starts.
         self._find = make_detector(detector)
         self._frame: Frame | None = None
@@ -151,6 +162,11 @@ class Watch:
         self.log.forget_ignored()
         self.events.ignored = ()
 
+    @property
+    def shown(self) -> Frame | None:
+        """The latest frame that is shown; None before the first."""
+        return self._shown
+
     def picture(self) -> tuple[int, bytes]:
         """Return the number of the latest frame that is shown, and the frame as JPEG, at most 1280 pixels wide.
 
@@ -176,14 +192,26 @@ class Watch:
                 self._offset = self._last_track
                 self._find = make_detector(self._detector)
                 time.sleep(_PAUSE)
-        for event in self.events.end_all(self.state.utc_ns):
+        ended = self.events.end_all(self.state.utc_ns)
+        for event in ended:
             self._publish(event)
+        if self.guard is not None:
+            # No alert holds of a camera that is no longer watched.
+            self.guard.update(replace(self.state, cameras=()), ended)
         self._set_state(self.state.utc_ns, ended=True)
 
     def _follow(self) -> None:
         """Track until the source ends; the frame under way is `_frame`, as models wait for no second one."""
         follower = usual_tracker(self._find)
-        for tracked in track(self._taken(), model=self.models, tracker=follower, detector=self._find, batch=1):
+        for tracked in track(
+            self._taken(),
+            model=self.models,
+            tracker=follower,
+            detector=self._find,
+            batch=1,
+            activity=self._activity,
+            turns=self._turns,
+        ):
             frame = self._frame
             assert frame is not None
             self._frames += 1
@@ -213,7 +241,7 @@ class Watch:
             # A full disk must not stop the watch.
             self._fault = f"the log cannot be written ({error})"
         for listener in self.listeners:
-            if not tell or getattr(listener, "name", "") in tell:
+            if not tell or getattr(listener, "hears_all", False) or getattr(listener, "name", "") in tell:
                 listener.event(event)
 
     def _evidence(self, event: Event) -> bytes | None:

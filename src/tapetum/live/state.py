@@ -35,6 +35,9 @@ class CameraState:
         model does not apply.
     regions
         Names of the regions of its field that the probe stands in.
+    estimated_utc_ns
+        When the frame was taken that device and gaze are of: with many cameras models see each by turns. None without
+        a model.
     """
 
     id: str
@@ -52,6 +55,11 @@ class CameraState:
     gaze_x: tuple[float, float, float] | None = None
     gaze_y: tuple[float, float, float] | None = None
     regions: tuple[str, ...] = ()
+    estimated_utc_ns: int | None = None
+
+    def is_fresh(self, utc_ns: int) -> bool:
+        """Return whether its gaze is of the frame that was taken then, and not of an earlier one."""
+        return self.seen_utc_ns == utc_ns and self.estimated_utc_ns in (None, utc_ns)
 
 
 @dataclass(frozen=True)

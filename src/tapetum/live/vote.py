@@ -148,6 +148,9 @@ class Votes:
         """Count the dwell of a camera; a frame without its gaze neither counts nor breaks it."""
         if not camera.seen or camera.gaze_x is None or camera.gaze_y is None:
             return []
+        if camera.estimated_utc_ns not in (None, utc_ns):
+            # Its gaze is of an earlier frame.
+            return []
         zone = self._zone(camera.gaze_x[0], camera.gaze_y[0])
         if zone is None:
             self._at.pop(camera.id, None)

@@ -12,7 +12,9 @@ from tapetum.errors import one_of
 from tapetum.record.camera import Camera, is_camera
 from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.genicam import GenicamCamera, is_genicam
+from tapetum.record.hand import Hands, is_hands
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
+from tapetum.record.network import NetworkCamera, is_network
 from tapetum.record.recording import is_recording, open_recording
 from tapetum.record.session import Session
 from tapetum.record.shot import Shot
@@ -47,7 +49,7 @@ class SourceKind:
     opens
         Opens it.
     device
-        Whether it is a camera of this machine.
+        Whether it is a camera, of this machine or of a network.
     """
 
     takes: Callable[[str], bool]
@@ -68,9 +70,14 @@ SOURCES: dict[str, SourceKind] = {
     "camera": SourceKind(is_camera, lambda name, asked: Camera(name, asked.rate), device=True),
     "v4l2": SourceKind(is_v4l2, lambda name, asked: V4l2Camera(name, asked.rate), device=True),
     "genicam": SourceKind(is_genicam, lambda name, asked: GenicamCamera(name, asked.rate), device=True),
+    # Only where a person names it: no file, scene or page leads there.
+    "network": SourceKind(is_network, lambda name, asked: NetworkCamera(name), device=True),
     # A file or folder of that name comes first.
     "demo": SourceKind(
         lambda name: name == "demo" and not Path(name).exists(), lambda name, asked: DrawnRoom(asked.rate or 20.0)
+    ),
+    "hand": SourceKind(
+        lambda name: is_hands(name) and not Path(name).exists(), lambda name, asked: Hands(name, rate=asked.rate)
     ),
     "bench": SourceKind(lambda name: name.startswith(_BENCH), _bench),
     "recording": SourceKind(
@@ -91,7 +98,7 @@ To add one, write a `Source` in a file of its own, and name it here.
 
 
 def is_device(source: str) -> bool:
-    """Return whether a text names a camera of this machine, whether it is there or not."""
+    """Return whether a text names a camera, whether it is there or not."""
     return any(kind.device and kind.takes(source) for kind in SOURCES.values())
 
 
@@ -103,9 +110,10 @@ def open_frames(
     Parameters
     ----------
     source
-        A camera of this machine (`camera:0`, `v4l2:0,Y12`, `genicam:NAME`: see `tapetum cameras`), a scene of the
+        A camera of this machine (`camera:0`, `v4l2:0,Y12`, `genicam:NAME`: see `tapetum cameras`) or of a network
+        (`rtsp://…`, `http://…`), a scene of the
         virtual bench, filmed for a minute while it is read (`bench:hand-held`, `bench:FILE.yaml`), `demo`, a drawn
-        room with three cameras in real time, a folder of images
+        room with three cameras in real time, `hand` or `hand:3`, cameras in simulated hands, a folder of images
         (in natural order; 8 or 16 bit; colour becomes grey), one image file, a `.npy` array [N, H, W], a `NAME.rec`
         folder, or a video file.
     stream

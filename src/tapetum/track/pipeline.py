@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import os
 import threading
+import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -27,6 +28,7 @@ from tapetum.track.detections import Detections
 from tapetum.track.rows import TrackedFrame, about
 from tapetum.track.tables import checked_suffix, detections_schema, table_writer, track_schema
 from tapetum.track.tracker import Tracker
+from tapetum.track.turns import Turns
 
 if TYPE_CHECKING:
     from tapetum.models import Predictor
@@ -78,17 +80,20 @@ def _loaded(models: Models) -> list[Predictor]:
 
 
 def _estimates(
-    frames: Sequence[tuple[Frame, Detections]], estimators: Sequence[Predictor], side: int
+    frames: Sequence[tuple[Frame, Detections]], estimators: Sequence[Predictor], side: int, turns: Turns | None = None
 ) -> list[list[dict[str, Any]]]:
-    """Ask the models about every spot of several frames at once; [frames][spots]."""
+    """Ask the models about every spot of several frames at once, or those whose turn it is; [frames][spots]."""
     answers: list[list[dict[str, Any]]] = [[{} for _ in range(len(found))] for _, found in frames]
+    begun, asked = time.perf_counter(), 0
     if not estimators:
         return answers
     # A folder may mix 8 and 16 bit; a batch may not.
     alike: dict[tuple[str, float], list[tuple[int, int]]] = {}
     for n, (frame, found) in enumerate(frames):
         depth = (frame.image.dtype.str, float(frame.full_scale or np.iinfo(frame.image.dtype).max))
-        alike.setdefault(depth, []).extend((n, int(k)) for k in np.flatnonzero(~found.ghost))
+        chosen = np.flatnonzero(~found.ghost) if turns is None else turns.choose(found)
+        asked += len(chosen)
+        alike.setdefault(depth, []).extend((n, int(k)) for k in chosen)
     for (_, full_scale), places in sorted(alike.items()):
         if not places:
             continue
@@ -99,6 +104,8 @@ def _estimates(
             for row, (n, k) in enumerate(places):
                 told = {name: _plain(values[row]) for name, values in columns.items()}
                 answers[n][k] = _merged(answers[n][k], told, estimator.target_names)
+    if turns is not None:
+        turns.spent(asked, time.perf_counter() - begun)
     return answers
 
 
@@ -138,6 +145,7 @@ def track(
     side: int = SIDE,
     batch: int = 16,
     activity: bool = False,
+    turns: Turns | None = None,
     progress: Progress = quiet,
 ) -> Iterator[TrackedFrame]:
     """Find the retro-reflections in frames, follow them, and estimate the camera's state by models.
@@ -168,6 +176,8 @@ def track(
     activity
         Whether to say of each track if its camera images (`TrackRow.active`), for cameras whose filter's return
         overfills the probe's aperture, as phones' do.
+    turns
+        Has the models asked about some of a frame's spots only, by turns; rows of the others have no estimates.
     progress
         Shows how far the work is.
 
@@ -197,7 +207,7 @@ def track(
     follower = usual_tracker(find) if tracker is None else tracker
     frames = _opened(source, stream)
     pairs = _found(frames, taken(frames, threading.Event()), find)
-    tracked = _track(pairs, estimators, follower, side, batch, activity)
+    tracked = _track(pairs, estimators, follower, side, batch, activity, turns)
     return progress(tracked, "tracking", total=_count(frames))
 
 
@@ -264,15 +274,19 @@ def _track(
     side: int,
     batch: int,
     activity: bool,
+    turns: Turns | None = None,
 ) -> Iterator[TrackedFrame]:
     activities: dict[int, Activity] | None = {} if activity else None
     waiting: list[tuple[Frame, Detections]] = []
 
     def finished() -> Iterator[TrackedFrame]:
-        for (frame, found), answers in zip(waiting, _estimates(waiting, estimators, side), strict=True):
+        for (frame, found), answers in zip(waiting, _estimates(waiting, estimators, side, turns), strict=True):
             if activity:
                 _add_asymmetries(frame, found, answers)
-            yield TrackedFrame.of(about(frame), found, answers, tracker, activities)
+            tracked = TrackedFrame.of(about(frame), found, answers, tracker, activities)
+            if turns is not None:
+                turns.followed(tracked.rows, frame.time)
+            yield tracked
         waiting.clear()
 
     # Without models there is nothing to wait for.

@@ -90,7 +90,7 @@ class Lsl(Queued):
             own = [float(state.frame), _number(state.camera_time)]
             self._activity.push_sample([camera.track, float(camera.seen), _number(camera.active), *own], moment)
             if camera.seen_utc_ns == state.utc_ns:
-                self._gaze.push_sample([*_gaze(camera), *own], moment)
+                self._gaze.push_sample([*_gaze(camera, camera.is_fresh(state.utc_ns)), *own], moment)
 
     def end(self) -> None:
         """Let the outlets go: the library closes them when nothing holds them."""
@@ -110,7 +110,8 @@ def _number(value: float | None) -> float:
     return math.nan if value is None else float(value)
 
 
-def _gaze(camera: CameraState) -> list[float]:
+def _gaze(camera: CameraState, fresh: bool) -> list[float]:
     unknown = (None, None, None)
-    values = (*(camera.gaze_x or unknown), *(camera.gaze_y or unknown), camera.x, camera.y, camera.diameter, camera.snr)
+    gaze_x, gaze_y = (camera.gaze_x, camera.gaze_y) if fresh else (None, None)
+    values = (*(gaze_x or unknown), *(gaze_y or unknown), camera.x, camera.y, camera.diameter, camera.snr)
     return [float(camera.track), *(_number(value) for value in values)]

@@ -119,7 +119,9 @@ def _row(camera: CameraState, utc_ns: int) -> dict[str, Any]:
     """A camera as a row; what an earlier frame told of its gaze is none of this one."""
     row: dict[str, Any] = {name: getattr(camera, name) for name in ("id", "track", "x", "y", "active", "seen")}
     if camera.seen_utc_ns == utc_ns:
-        row |= {name: getattr(camera, name) for name in ("snr", "diameter", "device", "device_probability")}
+        row |= {name: getattr(camera, name) for name in ("snr", "diameter")}
+    if camera.is_fresh(utc_ns):
+        row |= {name: getattr(camera, name) for name in ("device", "device_probability")}
         for name, values in (("gaze_x", camera.gaze_x), ("gaze_y", camera.gaze_y)):
             if values is not None:
                 row |= {name: values[0], f"{name}_low": values[1], f"{name}_high": values[2]}

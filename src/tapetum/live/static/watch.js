@@ -1,44 +1,22 @@
-// The watch's page: one socket brings states, pictures and events; only the newest of each is kept.
+// The watch's view: the probe's picture, the cameras, where one looks, and the events.
 
-const $ = (id) => document.getElementById(id);
+import { $, bright, colour, colourName, name, number, percent, post, remove, say } from "/static/common.js";
+import { now, on } from "/static/socket.js";
+
 const view = $("view"), pen = view.getContext("2d");
-const COLOURS = 6, TRAIL = 120, SPAN = 120e3, EVENTS = 100;
-const numbers = new Map();  // by a camera's id: the number that people see
+const TRAIL = 120, SPAN = 120e3, EVENTS = 100;
 const trails = new Map();  // by a camera's id: places of the probe in its field
 const stays = new Map();  // by a camera's id: from and to when it was seen, ms
 const places = new Map();  // by a frame's number: its cameras, so that marks stand where that picture shows them
-let state = null, picture = null, shown = -1, chosen = null, last = 0, paused = false, retry = 500;
+let state = null, chosen = null;
 
-const colour = (id) => getComputedStyle(document.documentElement).getPropertyValue(`--c${(number(id) - 1) % COLOURS}`);
-const number = (id) => {
-  if (!numbers.has(id)) numbers.set(id, numbers.size + 1);
-  return numbers.get(id);
-};
-const name = (id) => `Camera ${number(id)}`;
-
-function connect() {
-  const scheme = location.protocol === "https:" ? "wss" : "ws";
-  const socket = new WebSocket(`${scheme}://${location.host}/ws?after=${last}`);
-  socket.binaryType = "blob";
-  socket.onopen = () => { retry = 500; };
-  socket.onmessage = ({ data }) => (typeof data === "string" ? take(JSON.parse(data)) : show(data));
-  socket.onclose = () => {
-    say("connected", "the watch does not answer", "off");
-    setTimeout(connect, retry);
-    retry = Math.min(retry * 2, 5000);
-  };
-}
-
-function take(message) {
-  if (message.type === "event") { happened(message.event); return; }
-  // A server that was started again, without a log, counts its events from the beginning.
-  if (state && message.frame < state.frame && message.health.frames < state.health.frames) last = 0;
+on("state", (message) => {
   state = message;
   places.set(message.frame, message.cameras);
   if (places.size > 40) places.delete(places.keys().next().value);
   for (const one of state.cameras) {
-    const now = state.utc_ns / 1e6, stay = stays.get(one.id) ?? { from: one.since_utc_ns / 1e6 };
-    stays.set(one.id, { ...stay, to: now });
+    const moment = state.utc_ns / 1e6, stay = stays.get(one.id) ?? { from: one.since_utc_ns / 1e6 };
+    stays.set(one.id, { ...stay, to: moment });
     if (one.gaze_x && one.gaze_y && one.seen) {
       const trail = trails.get(one.id) ?? [];
       trail.push([one.gaze_x[0], one.gaze_y[0]]);
@@ -50,35 +28,25 @@ function take(message) {
     if (to < state.utc_ns / 1e6 - SPAN) { stays.delete(id); trails.delete(id); }
   }
   requestAnimationFrame(draw);
-}
-
-let decoding = false;
-async function show(blob) {
-  // A picture that comes while one is decoded is left out; the next one comes soon.
-  if (paused || decoding) return;
-  decoding = true;
-  try {
-    const head = new DataView(await blob.slice(0, 8).arrayBuffer()), next = await createImageBitmap(blob.slice(8));
-    picture?.close();
-    [picture, shown] = [next, Number(head.getBigUint64(0))];
-    requestAnimationFrame(draw);
-  } finally { decoding = false; }
-}
+});
+on("picture", () => requestAnimationFrame(draw));
+on("event", happened);
 
 let drawn = 0;
 function draw() {
-  if (!state) return;
+  if (!state || $("view-watch").hidden) return;
   drawPicture();
   const now = performance.now();
   if (now - drawn < 100) return;  // words and lists need no more than ten changes a second
   drawn = now;
-  drawHealth();
+  $("none").hidden = state.cameras.length > 0;
   drawCameras();
   drawGaze();
   drawLine();
 }
 
 function drawPicture() {
+  const picture = now.picture;
   if (!picture) return;
   if (view.width !== picture.width || view.height !== picture.height) {
     view.width = picture.width;
@@ -87,7 +55,7 @@ function drawPicture() {
   pen.drawImage(picture, 0, 0);
   const scale = view.width / state.size[0], unit = view.width / Math.max(view.clientWidth, 1);
   pen.font = `600 ${14 * unit}px system-ui, sans-serif`;
-  for (const one of places.get(shown) ?? state.cameras) {
+  for (const one of places.get(now.shown) ?? state.cameras) {
     const x = (one.x + 0.5) * scale, y = (one.y + 0.5) * scale;
     const radius = Math.max(13 * unit, 0.8 * one.diameter * scale);
     pen.lineWidth = (one.id === chosen ? 3.5 : 2) * unit;
@@ -110,30 +78,6 @@ function drawPicture() {
   }
 }
 
-// On the picture, which is dark in both themes.
-const bright = (id) => ["#4fd1bd", "#ffb066", "#a99fff", "#ff8fc7", "#7fbfff", "#d3e36b"][(number(id) - 1) % COLOURS];
-
-function say(id, text, mood) {
-  if ($(id).textContent !== text) $(id).textContent = text;
-  if (mood !== undefined) $("state").className = mood;
-}
-
-function drawHealth() {
-  const { health } = state;
-  const word = health.ended ? "ended" : health.connected ? "live" : "no frames";
-  say("connected", word, health.connected ? "on" : "off");
-  say("rate", health.rate.toFixed(1));
-  say("delay", `${Math.round(health.delay * 1000)} ms`);
-  say("frames", health.frames.toLocaleString("en"));
-  say("lost", health.lost.toLocaleString("en"));
-  say("source", state.source);
-  const wrong = [health.fault, ...health.receivers].filter(Boolean).join(" · ");
-  say("fault", wrong);
-  $("fault").hidden = !wrong;
-  say("count", String(state.cameras.length));
-  $("none").hidden = state.cameras.length > 0;
-}
-
 function drawCameras() {
   const list = $("cameras"), ids = new Set(state.cameras.map((one) => one.id));
   for (const item of [...list.children]) if (!ids.has(item.dataset.id)) item.remove();
@@ -154,7 +98,7 @@ function card(id, list) {
   const item = document.createElement("li"), thumb = document.createElement("canvas");
   item.className = "camera";
   item.dataset.id = id;
-  item.style.setProperty("--colour", `var(--c${(number(id) - 1) % COLOURS})`);
+  item.style.setProperty("--colour", `var(${colourName(id)})`);
   thumb.width = thumb.height = 64;
   thumb.setAttribute("aria-hidden", "true");
   const middle = document.createElement("div"), button = document.createElement("button"), said = document.createElement("div");
@@ -185,11 +129,11 @@ function words(one) {
   return parts.join(" · ");
 }
 
-const percent = (share) => (share === null ? "?" : `${Math.round(100 * share)} %`);
 const within = ([value, low, high]) => `${value.toFixed(3).replace("-", "−")} ± ${((high - low) / 2).toFixed(3)}`;
 const lasting = (s) => (s < 60 ? `${s} s` : s < 3600 ? `${Math.floor(s / 60)} min` : `${Math.floor(s / 3600)} h`);
 
 function thumbnail(canvas, one) {
+  const picture = now.picture;
   if (!picture) return;
   const scale = picture.width / state.size[0], side = Math.max(48, 3 * one.diameter) * scale;
   const draw2d = canvas.getContext("2d");
@@ -267,8 +211,6 @@ const KINDS = {
 };
 
 function happened(event) {
-  if (event.number <= last) return;
-  last = event.number;
   const item = document.createElement("li"), when = document.createElement("time"), what = document.createElement("span");
   const moment = new Date(event.utc_ns / 1e6), image = event.picture ? document.createElement("img") : document.createElement("i");
   item.className = "event";
@@ -287,10 +229,7 @@ function happened(event) {
 async function ignore(id) {
   const one = state.cameras.find((camera) => camera.id === id);
   if (!one) return;
-  await fetch("/api/ignored", {
-    method: "POST", headers: { "content-type": "application/json" },
-    body: JSON.stringify({ x: Math.max(0, one.x), y: Math.max(0, one.y), radius: Math.max(40, 2 * one.diameter) }),
-  });
+  await post("/api/ignored", { x: Math.max(0, one.x), y: Math.max(0, one.y), radius: Math.max(40, 2 * one.diameter) });
   await ours();
 }
 
@@ -300,10 +239,10 @@ async function ours() {
   say("ignored", `${count} of ours ${count === 1 ? "is" : "are"} ignored.`);
 }
 
-$("forget").onclick = async () => { await fetch("/api/ignored", { method: "DELETE" }); await ours(); };
+$("forget").onclick = async () => { await remove("/api/ignored"); await ours(); };
 
 addEventListener("keydown", (event) => {
-  if (!state || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select, textarea")) return;
+  if (!state || $("view-watch").hidden || event.ctrlKey || event.metaKey || event.altKey || event.target.matches("input, select, textarea")) return;
   const at = state.cameras.findIndex((one) => one.id === chosen), count = state.cameras.length;
   if ((event.key === "ArrowDown" || event.key === "ArrowUp") && count) {
     chosen = state.cameras[(at + (event.key === "ArrowDown" ? 1 : count - 1)) % count].id;
@@ -313,12 +252,12 @@ addEventListener("keydown", (event) => {
   } else if (event.key === "i" && chosen) {
     ignore(chosen);
   } else if (event.key === "p") {
-    paused = !paused;
+    now.paused = !now.paused;
   } else {
     return;
   }
   draw();
 });
 
-connect();
+addEventListener("view", () => { drawn = 0; draw(); });
 ours();
