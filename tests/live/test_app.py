@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import warnings
 from collections.abc import Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -17,6 +18,7 @@ from starlette.websockets import WebSocketDisconnect
 from tests.live.conftest import Scripted, watched
 
 from tapetum.errors import InputError
+from tapetum.live import doors
 from tapetum.live.app import make_app
 from tapetum.live.doors import Doors, is_loopback
 from tapetum.live.loop import Watch
@@ -126,7 +128,9 @@ def test_a_token_is_demanded_and_kept_in_a_cookie(watch: Watch) -> None:
         assert json.loads(socket.receive_text())["type"] == "state"
 
 
-def test_bodies_floods_and_crowds_are_bounded(watch: Watch) -> None:
+def test_bodies_floods_and_crowds_are_bounded(watch: Watch, monkeypatch: pytest.MonkeyPatch) -> None:
+    # At one moment, however long a busy machine takes.
+    monkeypatch.setattr(doors, "time", SimpleNamespace(monotonic=lambda: 1000.0))
     ask = client(watch)
     answer = ask.post("/api/ignored", content=b"x" * (2 << 20))
     assert answer.status_code == 413 and "larger than 1048576 bytes" in answer.json()["detail"]
@@ -136,7 +140,7 @@ def test_bodies_floods_and_crowds_are_bounded(watch: Watch) -> None:
             yield b" " * (1 << 16)
 
     assert ask.post("/api/ignored", content=endless()).status_code == 413
-    codes = [ask.get("/api/ignored").status_code for _ in range(400)]
+    codes = [ask.get("/api/ignored").status_code for _ in range(220)]
     assert codes[0] == 200 and codes[-1] == 429
     small = Doors(make_app(watch).app, ("localhost",), clients=1)
     ask = TestClient(small, base_url="http://localhost:8750")
