@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 import torch
 import xarray as xr
+from tests.models.conftest import pictures
 
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
 from tapetum.models.adaptation import ALL, LAST
-
-from tests.models.conftest import pictures
 
 TINY = {"crop": 36, "size": 24, "epochs": 6, "batch": 20, "device": "cpu"}
 RATE = 15.0
