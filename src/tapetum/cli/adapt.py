@@ -68,6 +68,7 @@ def adapt(
     from tapetum.data.shares import of_unit
     from tapetum.models import NetworkEstimator, save_model
     from tapetum.models import adapt as adapt_network
+    from tapetum.models.kept_folds import remove_kept
 
     base = find_model(model, "cpu")
     if not isinstance(base, NetworkEstimator):
@@ -97,7 +98,7 @@ def adapt(
                 what = f"what is done is kept in {checkpoint}; go on with the same command and --resume"
                 raise StoppedError(what) from error
             save_model(adapted, out, overwrite=force)
-            _remove(checkpoint)
+            remove_kept(checkpoint)
         typer.echo(f"saved {out}")
         _say(adapted)
         if not data.tp.test.sizes["frame"]:
@@ -138,10 +139,3 @@ def _say(adapted: NetworkEstimator) -> None:
     typer.echo(f"adapted from {of.get('model')} by {of['frames']} frames{seconds}: {of['choice']}")
     for what, why in told["chosen"].items():
         typer.echo(f"chosen: {what}: {why}")
-
-
-def _remove(checkpoint: Path) -> None:
-    """Remove what an adaptation has kept, and nothing else."""
-    from tapetum.models.adaptation import remove_kept
-
-    remove_kept(checkpoint)

@@ -111,14 +111,14 @@ def spread_over(values: NDArray[np.float64], count: int, seed: int) -> NDArray[n
     cell that has any is taken at random, then another, until there are enough.
     """
     rng = np.random.default_rng([seed, 11])
-    order = rng.permutation(len(values))
+    order = np.asarray(rng.permutation(len(values)))
     if count >= len(values):
         return np.arange(len(values))
     axes = values[:, :_AXES]
     side = max(2, round((count / _A_CELL) ** (1 / axes.shape[1])))
     low, high = axes.min(axis=0), axes.max(axis=0)
     cell = np.minimum((side * (axes - low) / np.maximum(high - low, 1e-300)).astype(int), side - 1)
-    number = np.ravel_multi_index(tuple(cell.T), (side,) * axes.shape[1])
+    number = np.asarray(np.ravel_multi_index(tuple(cell.T), (side,) * axes.shape[1]))
     # The turn in which a frame would be taken: how many frames of its cell come before it in the random order.
     turn = np.empty(len(values))
     for one in np.unique(number):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import json
 import time
@@ -16,14 +15,15 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor
 
+from tapetum.data.dataset import STD
 from tapetum.data.embargo import meeting, reach_of
 from tapetum.errors import InputError
-from tapetum.files import atomic_file
 from tapetum.models.architectures import Network
 from tapetum.models.base import TrainingPart
 from tapetum.models.domain import fit_domain, picture_features
 from tapetum.models.intervals import fit_intervals
-from tapetum.models.last_layer import PENALTIES, LastLayer, corrected, folds_of
+from tapetum.models.kept_folds import WHOLE, KeptFolds
+from tapetum.models.last_layer import PENALTIES, LastLayer, corrected, folds_of, single_folds
 from tapetum.models.losses import MixedLoss
 from tapetum.models.network import NetworkEstimator
 from tapetum.models.processes import training_device
@@ -32,12 +32,11 @@ from tapetum.models.training import (
     TrainingSettings,
     augment,
     kept_epoch,
-    remove_checkpoint,
     train,
 )
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "LAST", "Adaptation", "remove_kept"]
+__all__ = ["ALL", "LAST", "Adaptation"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -55,7 +54,6 @@ _FEWEST_EPOCHS = 3
 _BATCH, _RATE = 16, 5e-4
 # Shares of the frames kept aside, where they are many: to choose and to calibrate.
 _CHOOSE, _CALIBRATE = 0.08, 0.17
-_STATE, _WHOLE = "adapt.json", "whole"
 
 
 @dataclass
@@ -71,10 +69,10 @@ class Adaptation:
     settings: TrainingSettings
     folds: NDArray[np.int64]
     few: bool
+    single: bool
     device: str
     progress: Progress
-    checkpoint: Path | None
-    resume: bool
+    kept: KeptFolds
     identity: dict[str, Any]
     on_epoch: Callable[[EpochReport], None] | None = None
     started: float = 0.0
@@ -84,7 +82,7 @@ class Adaptation:
         cls,
         base: NetworkEstimator,
         part: TrainingPart,
-        spread: bool,
+        sparse: bool,
         epochs: int | None,
         seed: int,
         precision: str,
@@ -112,14 +110,15 @@ class Adaptation:
             precision=precision,
         )
         count = _FOLDS if few else round(1 / (_CHOOSE + _CALIBRATE))
-        folds = folds_of(part.dataset, count)
+        single = few and sparse and _deviations(part) is not None
+        folds = single_folds(n, count, seed) if single else folds_of(part.dataset, count)
         centre, size = part.targets.mean(axis=0), part.targets.std(axis=0)
         identity = {
             "base": base.data_hash_,
             "data": part.data_hash,
             "frames": n,
             "settings": asdict(settings),
-            "spread": spread,
+            "single": single,
         }
         work = cls(
             base,
@@ -131,10 +130,10 @@ class Adaptation:
             settings,
             folds,
             few,
+            single,
             device,
             progress,
-            None if checkpoint is None else Path(checkpoint),
-            resume,
+            KeptFolds(None if checkpoint is None else Path(checkpoint), resume),
             json.loads(json.dumps(identity)),
             started=started,
         )
@@ -170,10 +169,10 @@ class Adaptation:
         return LastLayer(weight * factor[:, None], bias * factor + moved)
 
     def apart(self, aside: NDArray[np.bool_]) -> NDArray[np.intp]:
-        """Return the frames whose labels share no measurement with those of the frames aside."""
+        """Return the frames to fit: without those whose labels share a measurement with the labels of frames aside."""
         fits = ~aside
         span = reach_of(self.part.dataset)
-        if span is not None:
+        if span is not None and not self.single:
             fits &= ~meeting(span, np.asarray(self.part.dataset["recording"].values), fits, aside)
         places = np.flatnonzero(fits)
         if len(places) < 4:
@@ -192,16 +191,18 @@ class Adaptation:
         if self.part.weights is not None:
             columns.append(self.part.weights)
         wanted = torch.from_numpy(np.concatenate(columns, axis=1)[places].astype(np.float32))
-        last = choose is not None or not self.few or what == _WHOLE
-        folder = self.checkpoint / what if self.checkpoint is not None and last else None
+        last = choose is not None or not self.few or what == WHOLE
+        folder = self.kept.folder / WHOLE if self.kept.folder is not None and last else None
         settings = replace(self.settings, batch=min(self.settings.batch, max(2, len(places) // 2)))
 
         def validate(one: torch.nn.Module) -> float:
             assert choose is not None
             return float(np.abs(self.outputs(one, choose) - self.targets[choose]).mean())  # type: ignore[arg-type]
 
-        def shown(items: Iterable[T], label: str, *, total: int | None = None) -> Iterator[T]:
-            return self.progress(items, f"{what}: {label}", total=total)
+        part_of = what
+
+        def shown(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[T]:
+            return self.progress(items, f"{part_of}: {what}", total=total)
 
         history = train(
             network,
@@ -212,7 +213,7 @@ class Adaptation:
             validate=validate if choose is not None else None,
             device=self.device,
             checkpoint=folder,
-            resume=self.resume,
+            resume=self.kept.resume and folder is not None,
             identity={**self.identity, "part": what},
             progress=shown,
             on_epoch=self.on_epoch if last else None,
@@ -221,7 +222,7 @@ class Adaptation:
 
     def adapted(self, told: dict[str, Any]) -> NetworkEstimator:
         """Adapt, by folds or by parts."""
-        self._check_checkpoint()
+        self.kept.begin(self.identity)
         return self._by_folds(told) if self.few else self._by_parts(told)
 
     def _by_folds(self, told: dict[str, Any]) -> NetworkEstimator:
@@ -232,11 +233,11 @@ class Adaptation:
         residuals = np.full_like(self.targets, np.nan)
         for k, (aside, fit) in enumerate(zip(asides, fits, strict=True)):
             at = np.flatnonzero(aside)
-            kept = self._kept_fold(k)
+            kept = self.kept.fold(k)
             if kept is None:
                 network, _ = self.trained(fit, self.head(fit, penalty), f"fold {k + 1} of {len(asides)}")
                 kept = self.targets[at] - self.outputs(network, at)
-                self._keep_fold(k, kept)
+                self.kept.keep(k, kept)
             residuals[at] = kept
         everything = np.arange(len(self.targets))
         errors = {LAST: float(np.abs(last).mean()), ALL: float(np.abs(residuals).mean())}
@@ -245,7 +246,11 @@ class Adaptation:
         network = self._finished(best, everything, head)
         why = f"{self._said(errors)} on frames left out in turn, in {len(asides)} folds"
         intervals = f"from the errors on the frames left out in turn, in {len(asides)} folds (cross-conformal)"
-        own = residuals if best == ALL else last
+        own = np.abs(residuals if best == ALL else last)
+        wide = _deviations(self.part)
+        if self.single and wide is not None:
+            # Neighbours may share the error of their labels, which a network can learn of one and repeat for the other.
+            own = own + wide / self.spread_of
         chosen = {"fitted": f"{best}: {why}", "penalty": f"{penalty:.3g}: least error on the same frames"}
         summary = {"fitted": len(everything), "calibrated_on": len(everything), "embargo": 0, "chosen": chosen}
         return self._estimator(network, own * self.spread_of, self.snr, {**summary, "intervals": intervals}, told)
@@ -269,7 +274,7 @@ class Adaptation:
         chosen_mask[choose] = True
         _, penalty = self._last_layer([chosen_mask], [fit])
         head = self.head(fit, penalty)
-        network, history = self.trained(fit, head, _WHOLE, choose)
+        network, history = self.trained(fit, head, WHOLE, choose)
         errors = {
             LAST: float(np.abs(head(self.features[choose]) - self.targets[choose]).mean()),
             ALL: float(np.abs(self.outputs(network, choose) - self.targets[choose]).mean()),
@@ -315,7 +320,7 @@ class Adaptation:
     def _finished(self, what: str, places: NDArray[np.intp], head: LastLayer) -> Network:
         """Return the network that is kept: all layers trained on some frames, or only the last layer."""
         if what == ALL:
-            return self.trained(places, head, _WHOLE)[0]
+            return self.trained(places, head, WHOLE)[0]
         network = copy.deepcopy(self.base.network_)
         _with_outputs(network, self.targets.shape[1])
         head.put(network)
@@ -354,36 +359,13 @@ class Adaptation:
         model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
         return model
 
-    def _check_checkpoint(self) -> None:
-        """Begin the folder of a checkpoint, or refuse that of another adaptation."""
-        if self.checkpoint is None:
-            return
-        file = self.checkpoint / _STATE
-        if self.resume and file.exists():
-            try:
-                kept = json.loads(file.read_text(encoding="utf-8"))["identity"]
-            except (OSError, ValueError, KeyError, TypeError) as error:
-                what = f"damaged checkpoint ({error})"
-                raise InputError(what, where=file, remedy="remove the folder and adapt from the start") from error
-            if kept != self.identity:
-                what = "was left by an adaptation with other settings or other data"
-                raise InputError(what, where=self.checkpoint, remedy="remove the folder, or give the same arguments")
-            return
-        remove_kept(self.checkpoint)
-        self.checkpoint.mkdir(parents=True, exist_ok=True)
-        with atomic_file(file) as part:
-            part.write_text(json.dumps({"identity": self.identity}, indent=1) + "\n", encoding="utf-8")
 
-    def _kept_fold(self, number: int) -> Array | None:
-        file = None if self.checkpoint is None else self.checkpoint / f"fold-{number + 1}.json"
-        if file is None or not self.resume or not file.exists():
-            return None
-        return np.array(json.loads(file.read_text(encoding="utf-8")), dtype=float)
-
-    def _keep_fold(self, number: int, residuals: Array) -> None:
-        if self.checkpoint is not None:
-            with atomic_file(self.checkpoint / f"fold-{number + 1}.json") as part:
-                part.write_text(json.dumps(residuals.tolist()), encoding="utf-8")
+def _deviations(part: TrainingPart) -> Array | None:
+    """Return the standard deviations [N, K] of the labels; 0 where labels reach no other frame, None where unknown."""
+    names = [f"{name}{STD}" for name in part.quantities]
+    if all(name in part.dataset for name in names):
+        return np.stack([np.asarray(part.dataset[name].values, float) for name in names], axis=1)
+    return None if reach_of(part.dataset) is not None else np.zeros(part.targets.shape)
 
 
 def _with_outputs(network: Network, outputs: int) -> None:
@@ -391,14 +373,3 @@ def _with_outputs(network: Network, outputs: int) -> None:
     if network.head.out_features != outputs:
         what = f"the last layer has {network.head.out_features} outputs for {outputs} quantities"
         raise InputError(what, where="model", remedy="give a model of quantities alone")
-
-
-def remove_kept(checkpoint: Path) -> None:
-    """Remove what an adaptation has kept in a folder, and the folder if nothing else is in it."""
-    if not checkpoint.is_dir():
-        return
-    for file in (checkpoint / _STATE, *checkpoint.glob("fold-*.json")):
-        file.unlink(missing_ok=True)
-    remove_checkpoint(checkpoint / _WHOLE)
-    with contextlib.suppress(OSError):
-        checkpoint.rmdir()

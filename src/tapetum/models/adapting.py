@@ -22,6 +22,8 @@ __all__ = ["adapt"]
 
 # With fewer frames not even the estimates' mean is known.
 _FEWEST = 12
+# Frames spread over the field lie as far apart in time as in the field where they are at most this share of the film.
+_SPARSE = 0.25
 
 
 def adapt(
@@ -47,7 +49,9 @@ def adapt(
     these are all frames in turn, in 4 folds: the errors of the folds also set the intervals (cross-conformal
     prediction, V. Vovk, Ann. Math. Artif. Intell. 74, 9 (2015)), and the network that is returned is fitted to every
     frame. With more frames, 8 % of them decide, about the epoch too, and 17 % calibrate. Frames of different folds or
-    parts share no measurement of their labels. Test frames are never used.
+    parts share no measurement of their labels, except where frames are spread over a film at least four times as long:
+    these are divided one by one, and the labels' standard deviations are added to their errors. Test frames are never
+    used.
 
     Parameters
     ----------
@@ -97,7 +101,8 @@ def adapt(
         raise InputError("resume needs the folder of a checkpoint", where="checkpoint", remedy="pass checkpoint=FOLDER")
     chosen, told = _chosen(dataset, base, seconds, spread, seed)
     part = training_part(chosen, base.target_names, 0.0)
-    work = Adaptation.begin(base, part, spread, epochs, seed, precision, device, progress, checkpoint, resume)
+    sparse = spread and told["frames"] <= dataset.tp.train.sizes["frame"] * _SPARSE
+    work = Adaptation.begin(base, part, sparse, epochs, seed, precision, device, progress, checkpoint, resume)
     work.on_epoch = on_epoch
     return work.adapted({**_origin(base, name), **told})
 

@@ -13,7 +13,7 @@ from sklearn.linear_model import Ridge
 from tapetum.data.embargo import reach_of
 from tapetum.models.architectures import Network
 
-__all__ = ["PENALTIES", "LastLayer", "corrected", "folds_of"]
+__all__ = ["PENALTIES", "LastLayer", "corrected", "folds_of", "single_folds"]
 
 Array = NDArray[np.float64]
 
@@ -61,6 +61,11 @@ def corrected(before: LastLayer, features: Array, targets: Array, weights: Array
     ridge = Ridge(alpha=max(alpha, 1e-12)).fit(features, left, sample_weight=weights)
     turn = np.asarray(ridge.coef_, float).reshape(before.weight.shape)
     return LastLayer(before.weight + turn, before.bias + np.asarray(ridge.intercept_, float).ravel())
+
+
+def single_folds(frames: int, count: int, seed: int) -> NDArray[np.int64]:
+    """Return the fold of each frame, at random and of equal sizes: for frames that lie far apart."""
+    return np.random.default_rng([seed, 12]).permutation(np.arange(frames) % count)
 
 
 def folds_of(dataset: xr.Dataset, count: int) -> NDArray[np.int64]:
