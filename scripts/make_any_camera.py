@@ -1,6 +1,6 @@
 """Make the bundled backbone `any-camera`: gaze, learned from many lenses, copies, distances, focus and light.
 
-make models (half an hour of one core)
+make any-camera (about an hour of one quiet core)
 
 Films `UNITS` cameras of the virtual bench, each one copy drawn from its tolerances, `FRAMES` frames of each at gazes
 spread over its field; trains a ResNet-18 on four fifths of the cameras, from the weights of `thin-lens-gaze`; and sets
@@ -345,7 +345,7 @@ def main() -> None:
     taught = Taught.of(options.work, options.units, bar)
     model, scores = taught_network(taught, options.work, options.epochs, bar)
     notes = {
-        "command": "make models",
+        "command": "make any-camera",
         "recipe": "scripts/make_any_camera.py",
         "seed": SEED,
         "started_from": START,

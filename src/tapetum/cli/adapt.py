@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from tapetum.models import NetworkEstimator
     from tapetum.models.epochs import EpochReport
 
-_MODEL = "A network's folder, or the bundled any-camera or thin-lens-gaze."
+_MODEL = "A network's folder, or the bundled thin-lens-gaze."
 _FROM = "A dataset, NAME.zarr, or a labelled recording, NAME.rec, of the one camera."
 
 
@@ -72,7 +72,7 @@ def adapt(
 
     base = find_model(model, "cpu")
     if not isinstance(base, NetworkEstimator):
-        remedy = "give a network that `tapetum train` saved as a folder, or the bundled any-camera"
+        remedy = "give a network that `tapetum train` saved as a folder, or the bundled thin-lens-gaze"
         raise InputError(f"is no network that can be trained further ({base.kind})", where=model, remedy=remedy)
     _check_label(label, base, model)
     with _opened(film, base.crop) as data:

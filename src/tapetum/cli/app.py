@@ -74,7 +74,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
     "adapt": (
         adapt,
         "Fit a trained network to one camera, by seconds of film.",
-        "any-camera mine.rec -o mine --seconds 10",
+        "thin-lens-gaze mine.rec -o mine --seconds 10",
     ),
     "evaluate": (evaluate, "A model's errors on a dataset.", "my-model hand.zarr -o report"),
     "export": (export, "A trained network as one ONNX file.", "thin-lens-gaze -o gaze.onnx"),

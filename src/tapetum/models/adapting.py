@@ -93,7 +93,7 @@ def adapt(
     --------
     >>> from tapetum.data import open_dataset
     >>> from tapetum.models import pretrained
-    >>> mine = adapt(pretrained("any-camera"), open_dataset("mine.zarr"), seconds=10)  # doctest: +SKIP
+    >>> mine = adapt(pretrained("thin-lens-gaze"), open_dataset("mine.zarr"), seconds=10)  # doctest: +SKIP
     """
     _check_base(base)
     check_one_camera(dataset, base.target_names)
@@ -110,7 +110,7 @@ def adapt(
 def _check_base(base: Any) -> None:
     if not isinstance(base, NetworkEstimator):
         kind = getattr(base, "kind", type(base).__name__)
-        remedy = "give a network that `tapetum train` saved as a folder, or the bundled any-camera"
+        remedy = "give a network that `tapetum train` saved as a folder, or the bundled thin-lens-gaze"
         raise InputError(f"cannot be adapted: it is no trainable network ({kind})", where="model", remedy=remedy)
     if DEVICE in base.target_names:
         remedy = "train it again with the new camera's frames added"
