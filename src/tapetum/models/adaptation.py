@@ -193,7 +193,10 @@ class Adaptation:
         wanted = torch.from_numpy(np.concatenate(columns, axis=1)[places].astype(np.float32))
         last = choose is not None or not self.few or what == WHOLE
         folder = self.kept.folder / WHOLE if self.kept.folder is not None and last else None
-        settings = replace(self.settings, batch=min(self.settings.batch, max(2, len(places) // 2)))
+        # A fold takes as many steps as the whole, else its errors would be those of a shorter training.
+        epochs = round(self.settings.epochs * len(self.targets) / len(places)) if self.few else self.settings.epochs
+        batch = min(self.settings.batch, max(2, len(places) // 2))
+        settings = replace(self.settings, batch=batch, epochs=epochs)
 
         def validate(one: torch.nn.Module) -> float:
             assert choose is not None
@@ -353,7 +356,7 @@ class Adaptation:
             "calibration_fraction": _CALIBRATE,
         }
         model = type(base).from_state({**base.parameters(), **own}, state, architecture=base.kind)
-        model.device = base.device
+        model.device = self.device
         model.data_hash_ = part.data_hash
         took = {"took_seconds": round(time.monotonic() - self.started, 1)}
         model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
