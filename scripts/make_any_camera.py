@@ -39,6 +39,7 @@ from tapetum.models.augmentation import Augmentation
 from tapetum.models.domain import fit_domain, picture_features
 from tapetum.models.inputs import prepare
 from tapetum.models.intervals import fit_intervals
+from tapetum.models.last_layer import LastLayer, corrected
 from tapetum.models.losses import SmoothL1
 from tapetum.models.snr import crop_snr
 from tapetum.models.training import EpochReport, TrainingSettings, augment, train
@@ -220,16 +221,15 @@ class OwnHeads:
         return SmoothL1()(found, target[:, :2])
 
 
-def few_shot(features: Array, taught: Taught, places: NDArray[np.intp], shots: int = 24) -> Array:
-    """Errors [N, 2] of last layers fitted to `shots` frames of a camera, for its other frames."""
-    errors = []
-    for number in np.unique(taught.camera[places]):
-        own = places[taught.camera[places] == number]
-        if len(own) < shots + 8:
-            continue
-        x, y = features[own], taught.gaze[own]
-        alpha = float(x[:shots].var(axis=0).mean()) * shots
-        errors.append(y[shots:] - Ridge(alpha=alpha).fit(x[:shots], y[:shots]).predict(x[shots:]))
+def few_shot(
+    layer: LastLayer, features: Array, wanted: Array, camera: NDArray[np.int64], shots: int = 32, penalty: float = 10.0
+) -> Array:
+    """Errors [n, 2] of a last layer corrected by `shots` frames of each camera, for its other frames."""
+    errors = [np.empty((0, 2))]
+    for number in np.unique(camera):
+        x, y = features[camera == number], wanted[camera == number]
+        if len(x) > shots:
+            errors.append(y[shots:] - corrected(layer, x[:shots], y[:shots], None, penalty)(x[shots:]))
     return np.concatenate(errors)
 
 
@@ -249,8 +249,16 @@ def taught_network(
     weights = before.network_.state_dict()
     network.load_state_dict({**network.state_dict(), **{n: v for n, v in weights.items() if not n.startswith("fc.")}})
     features = outputs_of(network.eval().features, look)
-    scores: dict[str, Any] = {"before": np.abs(few_shot(features, taught, aside)).mean(axis=0).tolist()}
-    print(f"last layer by 24 frames of a camera aside, error on its others: {scores['before']} before", flush=True)
+    weight, bias = (one.detach().double().numpy() for one in before.network_.head.parameters())
+    shift, scale = before.scaling
+    first = LastLayer(weight * (scale / spread)[:, None], (bias * scale + shift - centre) / spread)
+
+    def adapted(layer: LastLayer, features: Array) -> list[float]:
+        """Mean errors on cameras that train nothing, the last layer corrected by some of their frames."""
+        return (spread * np.abs(few_shot(layer, features, wanted[aside], taught.camera[aside])).mean(axis=0)).tolist()
+
+    scores: dict[str, Any] = {"before": adapted(first, features[aside])}
+    print(f"last layer corrected by 32 frames of a camera aside: {scores['before']} before", flush=True)
     # The last layer of all starts where a ridge regression puts it, each camera's own at 0.
     start = Ridge(0.1 * float(features[fit].var(axis=0).mean()) * len(fit)).fit(features[fit], wanted[fit])
     with torch.no_grad():
@@ -262,12 +270,10 @@ def taught_network(
 
     def validate(trained: torch.nn.Module) -> float:
         assert isinstance(trained, Network)
-        seen = np.zeros((len(look), trained.width))
-        seen[aside] = outputs_of(trained.features, look[aside])
-        return float(np.abs(few_shot(seen, taught, aside)).mean())
+        return float(np.mean(adapted(_shared(trained), outputs_of(trained.features, look[aside]))))
 
     def told(report: EpochReport) -> None:
-        error = f"24 frames of a camera aside {report.validation_mae:.4f}"
+        error = f"corrected by 32 frames of a camera aside {report.validation_mae:.4f}"
         print(f"epoch {report.epoch}: loss {report.loss:.4f}, {error}", flush=True)
 
     train(
@@ -285,7 +291,7 @@ def taught_network(
         on_epoch=told,
     )
     features = outputs_of(network.features, look)
-    scores["after"] = np.abs(few_shot(features, taught, aside)).mean(axis=0).tolist()
+    scores["after"] = adapted(_shared(network), features[aside])
     # For a camera of which nothing is known, one last layer for all; cameras left out in turn choose its penalty.
     unit_alpha = float(features[fit].var(axis=0).mean()) * len(fit)
     folds = taught.camera[fit] % 7 % 5
@@ -330,6 +336,12 @@ def taught_network(
     guess = np.abs(taught.gaze[aside] - taught.gaze[fit].mean(axis=0)).mean(axis=0).tolist()
     cameras_aside = len(np.unique(taught.camera[aside]))
     return model, {"cameras": cameras_aside, "frames": len(aside), "mae": none, "guess": guess, "few_shot": scores}
+
+
+def _shared(network: Network) -> LastLayer:
+    """The last layer of all cameras, in training."""
+    weight, bias = (one.detach().double().numpy() for one in network.head.parameters())
+    return LastLayer(weight[:2], bias[:2])
 
 
 def main() -> None:
