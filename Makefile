@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PEERS := .peers
 DEMO_OUT ?= demo-out
 
-.PHONY: setup peers demo test test-all lint format bench validation docs models lock clean
+.PHONY: setup peers demo test test-all lint format bench validation docs models any-camera lock clean
 
 setup: $(VENV)/.ready
 
@@ -66,6 +66,10 @@ docs: setup
 # The bundled ResNet-18: films its training recordings and trains it (about half an hour on 2 cores).
 models: setup
 	$(BIN)/python scripts/make_models.py
+
+# A network that has seen many cameras (about an hour of one quiet core); a later run goes on where one stopped.
+any-camera: setup
+	OMP_NUM_THREADS=1 $(BIN)/python scripts/make_any_camera.py
 
 # Rewrites requirements.lock; needs uv (a pip-installable tool). A local build's suffix (+cpu) must not be locked.
 lock:

@@ -56,6 +56,7 @@ def test_every_command_that_writes_has_one_rule() -> None:
         "dataset import {folder} -o {out}.zarr",
         "dataset info {chain.dataset} --sheet {out}.png",
         "train {chain.dataset} -o {out}",
+        "adapt thin-lens-gaze {chain.dataset} -o {out}",
         "evaluate {chain.model} {chain.dataset} -o {out}",
         "evaluate {chain.model} {chain.dataset} -o {out}.json",
         "export thin-lens-gaze -o {out}.onnx",

@@ -111,3 +111,13 @@ def test_a_real_recording_is_aligned_by_its_blinking_and_an_offset(run, tmp_path
 def test_a_motion_that_cannot_be(run, tmp_path: Path, option: tuple[object, ...], words: str) -> None:
     ran = run("record", "hand-held", "-o", tmp_path / "a.rec", "--seconds", 1, *option)
     assert ran.code == 2 and words in ran.complaint and list(tmp_path.iterdir()) == []
+
+
+def test_the_guide_says_which_places_of_the_field_lack_labels(run, tmp_path: Path) -> None:
+    ran = run("record", "hand-held", "-o", tmp_path / "a.rec", "--seconds", 4, "--guide", *LITTLE)
+    assert ran.code == 0, ran.err
+    drawn = ran.out.split("as its picture shows it")[1].splitlines()[1:6]
+    assert all(set(row.replace(" ", "")) <= set("#+.") for row in drawn) and "." in "".join(drawn)
+    assert "lack labels; bring the laser's spot to:" in ran.out
+    refused = run("record", "hand-held", "-o", tmp_path / "b.rec", "--guide", "--no-labels", *LITTLE)
+    assert refused.code == 2 and "--guide: needs labels" in refused.complaint

@@ -89,7 +89,7 @@ def test_ctrl_c_in_the_training_says_how_to_go_on(run, chain, tmp_path: Path, mo
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patched:
-        patched.setattr(command, "_say_epoch", interrupted)
+        patched.setattr(command, "say_epoch", interrupted)
         ran = run("train", chain.dataset, "-o", tmp_path / "m", "--model", "resnet18", *TINY)
     assert ran.code == 130
     told = " ".join(ran.err.split())

@@ -12,6 +12,7 @@ from typing import Annotated
 import typer
 from typer.core import TyperGroup
 
+from tapetum.cli.adapt import adapt
 from tapetum.cli.calibrate import ghost, probe, sync
 from tapetum.cli.cameras import cameras
 from tapetum.cli.dataset import build, info, synth
@@ -71,6 +72,11 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
         "theirs --mapping map.yaml -o theirs.zarr",
     ),
     "train": (train, "Fit a model to a dataset.", "hand.zarr --kind zernike --label gaze -o my-model"),
+    "adapt": (
+        adapt,
+        "Fit a trained network to one camera, by seconds of film.",
+        "thin-lens-gaze mine.rec -o mine --seconds 10",
+    ),
     "evaluate": (evaluate, "A model's errors on a dataset.", "my-model hand.zarr -o report"),
     "export": (export, "A trained network as one ONNX file.", "thin-lens-gaze -o gaze.onnx"),
     "detect": (

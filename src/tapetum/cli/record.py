@@ -73,6 +73,9 @@ def record(
     stray: Annotated[
         bool, typer.Option("--stray", help="Add a dim room, a gradient and the sensor's own pattern.")
     ] = False,
+    guide: Annotated[
+        bool, typer.Option("--guide", help="Draw afterwards which places of the target's field lack labels.")
+    ] = False,
     no_labels: Annotated[bool, typer.Option("--no-labels", help="Do not look for the laser afterwards.")] = False,
     force: Force = False,
 ) -> None:
@@ -82,6 +85,8 @@ def record(
     --target-rate are its own. Of real sources, the probe's and that of --target-source, both are read at once until
     they end; --align, --offset and --blinker are theirs. `tapetum cameras` lists what is plugged in.
     """
+    if guide and no_labels:
+        raise InputError("needs labels", where="--guide", remedy="leave --no-labels out")
     for name, value in (("--seconds", seconds), ("--rate", rate), ("--roll", roll), ("--target-rate", target_rate)):
         if value is not None and not math.isfinite(value):
             raise InputError(f"must be finite, is {value}", where=name, remedy="give a number")
@@ -116,6 +121,8 @@ def record(
         recording = _film(scene, session, out, force)
     if recording is not None and not no_labels:
         _label(recording)
+        if guide:
+            _guide(recording)
 
 
 def _is_real(source: str) -> bool:
@@ -180,6 +187,19 @@ def _label(recording: Recording) -> None:
         with says_what_is_kept("label it by tapetum.record.label_recording"):
             raise
     typer.echo(f"labelled {summary.labelled} of {summary.n} frames")
+
+
+def _guide(recording: Recording) -> None:
+    """Draw which places of the field the labels reach."""
+    import numpy as np
+
+    from tapetum.data.field import field_guide, labels_by_cell
+
+    table = recording.labels()
+    assert table is not None  # it has just been labelled
+    gaze = np.stack([table.column(name).to_numpy(zero_copy_only=False) for name in ("gaze_x", "gaze_y")], axis=1)
+    typer.echo("labels over the target's field, as its picture shows it (# enough, + few, . none):")
+    typer.echo(field_guide(labels_by_cell(gaze.astype(float))))
 
 
 def _same(probe: str, target: str) -> bool:

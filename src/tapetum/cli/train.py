@@ -121,7 +121,7 @@ def train(
     if not data.tp.test.sizes["frame"]:
         typer.echo("no test frames: not evaluated")
         return
-    _evaluate(fitted, data, dataset, out)
+    save_evaluation(fitted, data, dataset, out)
 
 
 def _fitted_network(
@@ -136,7 +136,7 @@ def _fitted_network(
 
     def told(report: EpochReport) -> None:
         done.append(report)
-        _say_epoch(report)
+        say_epoch(report)
 
     try:
         return network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told)
@@ -148,7 +148,7 @@ def _fitted_network(
         raise StoppedError(what) from error
 
 
-def _evaluate(model: ZernikeRidge | NetworkEstimator, data: xr.Dataset, dataset: Path, out: Path) -> None:
+def save_evaluation(model: ZernikeRidge | NetworkEstimator, data: xr.Dataset, dataset: Path, out: Path) -> None:
     """Print the errors of a model that is saved, and put them on its card."""
     from tapetum.models.store import write_metrics
     from tapetum.report.evaluation import describe, evaluate_model
@@ -198,7 +198,7 @@ def _listed(numbers: tuple[int, ...]) -> str:
     return ", ".join(map(str, numbers))
 
 
-def _say_epoch(report: EpochReport) -> None:
+def say_epoch(report: EpochReport) -> None:
     held_out = "" if report.validation_mae is None else f", held-out error {report.validation_mae:.4f}"
     busy = "" if report.busy is None else f", GPU busy {report.busy:.0%}"
     speed = f"{report.images_per_second:.0f} images/s{busy}"

@@ -1,5 +1,6 @@
 """Estimators: images of retro-reflections in; gaze, focus and device out, with intervals and probabilities."""
 
+from tapetum.models.adapting import adapt
 from tapetum.models.architectures import ResNet18Network
 from tapetum.models.base import Data, Estimator, Predictor
 from tapetum.models.fast import load_predictor
@@ -26,6 +27,7 @@ __all__ = [
     "SimulationFit",
     "SimulationFitResult",
     "ZernikeRidge",
+    "adapt",
     "crop_snr",
     "feature_names",
     "load_model",

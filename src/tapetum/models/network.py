@@ -201,7 +201,7 @@ class NetworkEstimator(Estimator):
         aside = part.calibrate if patience is None else part.choose
 
         def validate(trained: nn.Module) -> float:
-            outputs = self._run(trained, images[aside], device)
+            outputs = self.run(trained, images[aside], device)
             if k:
                 return float(np.abs(self._scaled(outputs) - part.targets[aside]).mean())
             assert part.camera is not None  # a model estimates one or the other
@@ -244,8 +244,7 @@ class NetworkEstimator(Estimator):
             When the dataset lacks the model's labels or has too few training frames.
         """
         part = training_part(dataset, self.target_names, self.calibration_fraction)
-        found = self._map_batches(self._read, "reading the images", part.dataset, progress=progress)
-        images = torch.cat([seen for seen, _ in found]) / self._unit
+        images, _ = self.read(part.dataset, progress=progress)
         self._describe(images, np.asarray(part.dataset["recording"].values))
         return self
 
@@ -259,7 +258,7 @@ class NetworkEstimator(Estimator):
     def _calibrate(self, part: TrainingPart, images: Tensor, snr: NDArray[np.float64], device: torch.device) -> None:
         """Fit intervals, temperature and novelty to the held-out frames."""
         aside, k = part.calibrate, len(self.quantities)
-        found = self._run(self.network_, images[aside], device)
+        found = self.run(self.network_, images[aside], device)
         self.intervals_ = fit_intervals(part.targets[aside] - self._scaled(found), snr[aside])
         self.temperature_, self.novelty_ = 1.0, None
         if part.camera is None:
@@ -268,10 +267,10 @@ class NetworkEstimator(Estimator):
         own = part.camera[part.fit]
         few = np.concatenate([_spread_over(part.fit[own == c], _FRAMES_A_CLASS) for c in range(len(part.classes))])
         self.novelty_ = fit_novelty(
-            self._run(self.network_.features, images[few], device),
+            self.run(self.network_.features, images[few], device),
             part.camera[few],
             len(part.classes),
-            self._run(self.network_.features, images[aside], device),
+            self.run(self.network_.features, images[aside], device),
         )
 
     def _prepared(self, images: NDArray[np.generic], full_scale: float) -> Tensor:
@@ -281,7 +280,7 @@ class NetworkEstimator(Estimator):
         """Return prepared images [N, 1, size, size] and their SNR [N]."""
         return self._prepared(images, full_scale), crop_snr(images, full_scale)
 
-    def _run(self, network: Callable[[Tensor], Tensor], images: Tensor, device: torch.device) -> NDArray[np.float64]:
+    def run(self, network: Callable[[Tensor], Tensor], images: Tensor, device: torch.device) -> NDArray[np.float64]:
         """Return a network's outputs [N, ...] for prepared and scaled images."""
         with torch.inference_mode():
             found = [
@@ -294,6 +293,23 @@ class NetworkEstimator(Estimator):
         """Return the quantities [N, K] in their units."""
         return found[:, : len(self.quantities)] * self._spread + self._centre
 
+    @property
+    def unit(self) -> float:
+        """Standard deviation of the training images' pixels, by which `read` divides."""
+        self._check_fitted()
+        return self._unit
+
+    @property
+    def scaling(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Mean and standard deviation of the quantities, [K] each, in which the last layer counts them."""
+        self._check_fitted()
+        return self._centre, self._spread
+
+    def read(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> tuple[Tensor, NDArray[np.float64]]:
+        """Return a dataset's images as the fitted network takes them, [N, 1, size, size], and their SNR [N]."""
+        found = self._map_batches(self._read, "reading the images", dataset, progress=progress)
+        return torch.cat([seen for seen, _ in found]) / self.unit, np.concatenate([one for _, one in found])
+
     def _progress_label(self) -> str:
         return ARCHITECTURES[self.kind].title
 
@@ -304,7 +320,7 @@ class NetworkEstimator(Estimator):
         self.network_.eval()
         seen = self._prepared(images, full_scale) / self._unit
         # The network runs once, for the features and for the outputs of its last layer.
-        features = self._run(self.network_.features, seen, device)
+        features = self.run(self.network_.features, seen, device)
         weight, bias = (one.detach().double().cpu().numpy() for one in self.network_.head.parameters())
         found = features @ weight.T + bias
         return self._prediction(

@@ -1,0 +1,377 @@
+"""Make the bundled backbone `any-camera`: gaze, learned from many lenses, copies, distances, focus and light.
+
+make any-camera (about an hour of one quiet core)
+
+Films `UNITS` cameras of the virtual bench, each one copy drawn from its tolerances, `FRAMES` frames of each at gazes
+spread over its field; trains a ResNet-18 on four fifths of the cameras, from the weights of `thin-lens-gaze`; and sets
+its intervals by the other fifth, which it has not seen: what no retro-reflection shows of an unknown camera (where its
+point of symmetry lies, how large its sensor is) is in their width. In training each camera has a last layer of its own;
+in the end one for all is fitted. An interrupted run goes on where it stopped.
+
+Two lenses of the catalogue, `HELD_OUT`, are in no camera here: they stand for a lens that nobody has filmed. Copies
+have seeds from `FIRST_UNIT` on; no evaluation may use these.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import math
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from sklearn.linear_model import Ridge
+
+from tapetum.bench import Scene, draw_unit, load_scene, with_values
+from tapetum.cli.memory import keep_big_blocks
+from tapetum.data.write import Rules
+from tapetum.errors import InputError
+from tapetum.files import atomic_file
+from tapetum.models import NetworkEstimator, pretrained, save_model
+from tapetum.models.architectures import ARCHITECTURES, Network
+from tapetum.models.augmentation import Augmentation
+from tapetum.models.domain import fit_domain, picture_features
+from tapetum.models.inputs import prepare
+from tapetum.models.intervals import fit_intervals
+from tapetum.models.last_layer import LastLayer, corrected
+from tapetum.models.losses import SmoothL1
+from tapetum.models.snr import crop_snr
+from tapetum.models.training import EpochReport, TrainingSettings, augment, train
+from tapetum.progress import Progress, bar
+from tapetum.record.noise import counts
+from tapetum.record.patch import add_patch
+from tapetum.record.returns import returns_of
+from tapetum.record.shot import frame_rng
+from tapetum.record.stray import FixedPattern, Ground
+from tapetum.simulate.exposure import gain_of
+
+NAME = "any-camera"
+START = "thin-lens-gaze"
+SEED = 20261124
+UNITS, FRAMES = 300, 64
+FIRST_UNIT = 2_000_000
+HELD_OUT = ("compact-6mm-f1.9", "photo-50mm-f1.8")
+CROP, SIZE, EPOCHS, BATCH, RATE = 288, 96, 12, 32, 1e-3
+# Of five cameras one trains nothing and sets the intervals.
+_ASIDE = 5
+_PHONES = ("phone-a", "phone-b", "phone-c", "phone-d", "phone-e")
+# Largest gaze of the lenses of phones, which lose the light earlier; the others reach the field's edge.
+_WIDE, _NARROW = 0.48, 0.3
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Drawn:
+    """A camera to film: its scene, its family, the largest gaze, and the peak at the field's middle over full scale."""
+
+    scene: Scene
+    family: str
+    extent: float
+    peak: float
+    roll: float
+    pattern: bool
+
+
+def drawn_camera(number: int) -> Drawn:
+    """Return the camera of a number: equal numbers give equal cameras."""
+    rng = np.random.default_rng([SEED, number])
+
+    def log(low: float, high: float) -> float:
+        return float(np.exp(rng.uniform(math.log(low), math.log(high))))
+
+    family = str(rng.choice(["hand-held", "rotation", "thin", "traced"], p=[0.5, 0.25, 0.1, 0.15]))
+    changes: dict[str, Any] = {"sampling.accuracy": 0.03, "probe.sensor.pixels": [480, 480]}
+    extent = _WIDE
+    if family == "thin":
+        changes |= {"target.lens.focal_length": log(0.07, 0.14), "target.lens.aperture_radius": log(0.003, 0.005)}
+    elif family == "hand-held" and rng.random() < 0.3:
+        changes["target.lens.aperture_radius"] = log(0.0035, 0.0045)
+    elif family == "traced":
+        name = str(
+            rng.choice(["zoom-5-15mm", "cmount-12mm-f1.4", *_PHONES], p=[0.4, 0.2, 0.08, 0.08, 0.08, 0.08, 0.08])
+        )
+        own = {"zoom-5-15mm": log(0.0053, 0.0145), "cmount-12mm-f1.4": log(0.004, 0.012)}
+        extent = _NARROW if name in _PHONES else _WIDE
+        changes |= {"target.lens.name": name, "target.lens.focal_length": own.get(name)}
+        if name in _PHONES:
+            changes |= {"target.sensor.pixels": [640, 480], "target.sensor.pitch": 5.6e-6}
+    scene = load_scene("hand-held" if family in ("hand-held", "thin") else "rotation")
+    distance = log(4.5, 7.0) if rng.random() < 0.3 else 5.5
+    changes["distance"] = distance
+    changes["target.object_distance"] = distance * (log(0.93, 1.08) if rng.random() < 0.3 else 1.0)
+    if rng.random() < 0.2:
+        changes["illumination.wavelength"] = float(rng.uniform(520e-9, 860e-9))
+    if rng.random() < 0.2:
+        changes["probe.lens.focal_length"] = scene.probe.lens.focal_length * log(0.8, 1.25)
+    if rng.random() < 0.25:
+        size, turn = log(0.5e-3, 1.5e-3), rng.uniform(0, 2 * math.pi)
+        beam = {"ratio": log(0.02, 0.3), "angle": [size * math.cos(turn), size * math.sin(turn)]}
+        changes |= {f"illumination.second_beam.{name}": value for name, value in beam.items()}
+    changes["probe.sensor.background"] = float(rng.uniform(5, 100))
+    peak, roll, pattern = log(0.25, 1.0), 0.02 if rng.random() < 0.5 else 0.0, bool(rng.random() < 0.5)
+    unit = draw_unit(with_values(scene, changes), None, FIRST_UNIT + number)
+    return Drawn(unit, family, extent, peak, roll, pattern)
+
+
+def film(camera: Drawn, number: int) -> dict[str, NDArray[Any]]:
+    """Return a camera's looks [N, SIZE, SIZE], gazes [N, 2] and SNRs [N], of visible RRs."""
+    rng = np.random.default_rng([SEED, number, 1])
+    scene, rules = camera.scene, Rules(side=CROP)
+    # The first frame, head on, sets the brightness and is not kept.
+    gaze = np.r_[np.zeros((1, 2)), rng.uniform(-camera.extent, camera.extent, (FRAMES, 2))]
+    n = len(gaze)
+    place, roll = rng.normal(0, 2e-3, (n, 2)), rng.normal(0, camera.roll, n) if camera.roll else np.zeros(n)
+    returns = returns_of(scene, gaze, place, roll, np.full(n, scene.distance))
+    ground = Ground.of(scene, (FixedPattern(),) if camera.pattern else (), int(rng.integers(2**31)))
+    sensor = scene.probe.sensor
+    most = max(float(np.max(patch.light)) for one in returns for patch in one.patches(0))
+    power = camera.peak * (2**sensor.bits - 1) / (gain_of(sensor) * most)
+    found: dict[str, list[Any]] = {"look": [], "gaze": [], "snr": []}
+    for i in range(1, n):
+        mean = ground.lit(1.0)
+        light = power * rng.normal(1, 0.01)
+        for one in returns:
+            for patch in one.patches(i):
+                add_patch(mean, patch, light)
+        image = counts(ground.seen(mean), sensor, frame_rng(SEED + number, 3, i))
+        cut = rules.cut(image)
+        if cut is None:
+            continue
+        crops, full = cut[0][None], float(2**sensor.bits - 1)
+        found["look"].append(prepare(crops, CROP, SIZE, full)[0, 0].numpy().astype(np.float16))
+        found["snr"].append(crop_snr(crops, full)[0])
+        found["gaze"].append(gaze[i])
+    shapes = {"look": (-1, SIZE, SIZE), "gaze": (-1, 2), "snr": (-1,)}
+    return {name: np.array(values).reshape(shapes[name]) for name, values in found.items()}
+
+
+def filmed(work: Path, units: int, progress: Progress) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+    """Yield every camera's number and frames, from the folder where it was filmed before."""
+    work.mkdir(parents=True, exist_ok=True)
+    for number in progress(range(units), "filming cameras", total=units):
+        path = work / f"camera-{number:04d}.npz"
+        if not path.exists():
+            try:
+                frames = film(drawn_camera(number), number)
+            except InputError as error:
+                # A drawn camera that cannot be simulated as asked has no frames: the next run must not try again.
+                print(f"camera {number}: {error}", flush=True)
+                frames = {"look": np.zeros((0, SIZE, SIZE), np.float16), "gaze": np.zeros((0, 2)), "snr": np.zeros(0)}
+            with atomic_file(path) as part, part.open("wb") as file:
+                np.savez(file, **frames)
+        with np.load(path) as file:
+            yield number, dict(file)
+
+
+@dataclass(frozen=True)
+class Taught:
+    """All cameras' frames together; `camera` [N] numbers them, `aside` [N] is true for those that train nothing."""
+
+    look: torch.Tensor
+    gaze: Array
+    snr: Array
+    camera: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, work: Path, units: int, progress: Progress) -> Taught:
+        parts = list(filmed(work, units, progress))
+        look = torch.from_numpy(np.concatenate([part["look"] for _, part in parts])).float()[:, None]
+        gaze, snr = (np.concatenate([part[name] for _, part in parts]) for name in ("gaze", "snr"))
+        return cls(look, gaze, snr, np.repeat([n for n, _ in parts], [len(part["gaze"]) for _, part in parts]))
+
+    @property
+    def aside(self) -> NDArray[np.bool_]:
+        return self.camera % _ASIDE == 0
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the frames and what is learned of them."""
+        told = hashlib.sha256(self.look.numpy().tobytes())
+        for one in (self.gaze, self.camera):
+            told.update(np.ascontiguousarray(one).tobytes())
+        return told.hexdigest()
+
+
+def outputs_of(network: torch.nn.Module, look: torch.Tensor) -> Array:
+    """Return a network's outputs [N, ...], computed as in use."""
+    with torch.inference_mode():
+        batches = [batch.contiguous(memory_format=torch.channels_last) for batch in look.split(64)]
+        return np.concatenate([network(batch).double().numpy() for batch in batches])
+
+
+@dataclass(frozen=True)
+class OwnHeads:
+    """Smooth L1 of the first two outputs plus those of each image's camera, by whose number targets [N, 3] end.
+
+    No image tells how large a camera's sensor is and where its point of symmetry lies. Each camera's last layer adds to
+    that of all, so that the layers before it need not guess.
+    """
+
+    def __call__(self, output: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
+        own = target[:, 2].long() + 1
+        each = output.view(len(output), -1, 2)
+        found = each[:, 0] + each[torch.arange(len(output), device=output.device), own]
+        return SmoothL1()(found, target[:, :2])
+
+
+def few_shot(
+    layer: LastLayer, features: Array, wanted: Array, camera: NDArray[np.int64], shots: int = 32, penalty: float = 10.0
+) -> Array:
+    """Errors [n, 2] of a last layer corrected by `shots` frames of each camera, for its other frames."""
+    errors = [np.empty((0, 2))]
+    for number in np.unique(camera):
+        x, y = features[camera == number], wanted[camera == number]
+        if len(x) > shots:
+            errors.append(y[shots:] - corrected(layer, x[:shots], y[:shots], None, penalty)(x[shots:]))
+    return np.concatenate(errors)
+
+
+def taught_network(
+    taught: Taught, work: Path, epochs: int, progress: Progress
+) -> tuple[NetworkEstimator, dict[str, Any]]:
+    """Train the network, set its intervals by the cameras aside, and learn which frames it applies to."""
+    fit, aside = np.flatnonzero(~taught.aside), np.flatnonzero(taught.aside)
+    centre, spread = taught.gaze[fit].mean(axis=0), taught.gaze[fit].std(axis=0)
+    unit = float(taught.look[fit].std())
+    look, places = taught.look / unit, torch.from_numpy(fit)
+    wanted = (taught.gaze - centre) / spread
+    cameras, own = np.unique(taught.camera[fit], return_inverse=True)
+    before = pretrained(START)
+    assert isinstance(before, NetworkEstimator)
+    network = ARCHITECTURES["resnet18"](2 * (len(cameras) + 1), seed=0)
+    weights = before.network_.state_dict()
+    network.load_state_dict({**network.state_dict(), **{n: v for n, v in weights.items() if not n.startswith("fc.")}})
+    features = outputs_of(network.eval().features, look)
+    weight, bias = (one.detach().double().numpy() for one in before.network_.head.parameters())
+    shift, scale = before.scaling
+    first = LastLayer(weight * (scale / spread)[:, None], (bias * scale + shift - centre) / spread)
+
+    def adapted(layer: LastLayer, features: Array) -> list[float]:
+        """Mean errors on cameras that train nothing, the last layer corrected by some of their frames."""
+        return (spread * np.abs(few_shot(layer, features, wanted[aside], taught.camera[aside])).mean(axis=0)).tolist()
+
+    scores: dict[str, Any] = {"before": adapted(first, features[aside])}
+    print(f"last layer corrected by 32 frames of a camera aside: {scores['before']} before", flush=True)
+    # The last layer of all starts where a ridge regression puts it, each camera's own at 0.
+    start = Ridge(0.1 * float(features[fit].var(axis=0).mean()) * len(fit)).fit(features[fit], wanted[fit])
+    with torch.no_grad():
+        for one, value in ((network.fc.weight, start.coef_), (network.fc.bias, start.intercept_)):
+            one.zero_()
+            one[:2] = torch.from_numpy(np.asarray(value, np.float32))
+    # bfloat16 halves the time on processors that have it.
+    settings = TrainingSettings(epochs, BATCH, RATE, 0.05, 0, Augmentation(), None, "bf16")
+
+    def validate(trained: torch.nn.Module) -> float:
+        assert isinstance(trained, Network)
+        return float(np.mean(adapted(_shared(trained), outputs_of(trained.features, look[aside]))))
+
+    def told(report: EpochReport) -> None:
+        error = f"corrected by 32 frames of a camera aside {report.validation_mae:.4f}"
+        print(f"epoch {report.epoch}: loss {report.loss:.4f}, {error}", flush=True)
+
+    train(
+        network,
+        look[places],
+        torch.from_numpy(np.concatenate([wanted[fit], own[:, None]], axis=1).astype(np.float32)),
+        settings,
+        loss=OwnHeads(),
+        validate=validate,
+        device="cpu",
+        checkpoint=work / f"checkpoint-{taught.digest[:8]}-{epochs}",
+        resume=True,
+        identity={"data": taught.digest, "heads": len(cameras)},
+        progress=progress,
+        on_epoch=told,
+    )
+    features = outputs_of(network.features, look)
+    scores["after"] = adapted(_shared(network), features[aside])
+    # For a camera of which nothing is known, one last layer for all; cameras left out in turn choose its penalty.
+    unit_alpha = float(features[fit].var(axis=0).mean()) * len(fit)
+    folds = taught.camera[fit] % 7 % 5
+
+    def error_at(penalty: float) -> float:
+        found = np.empty_like(wanted[fit])
+        for k in np.unique(folds):
+            rest, these = fit[folds != k], fit[folds == k]
+            one = Ridge(penalty * unit_alpha).fit(features[rest], wanted[rest])
+            found[folds == k] = one.predict(features[these])
+        return float(np.abs(found - wanted[fit]).mean())
+
+    penalty = min((float(one) for one in np.logspace(-4, 2, 13)), key=error_at)
+    general = Ridge(penalty * unit_alpha).fit(features[fit], wanted[fit])
+    residuals = taught.gaze[aside] - (general.predict(features[aside]) * spread + centre)
+    state = network.state_dict()
+    state["fc.weight"] = torch.from_numpy(np.asarray(general.coef_, np.float32))
+    state["fc.bias"] = torch.from_numpy(np.asarray(general.intercept_, np.float32))
+    scaling = (("centre", centre), ("spread", spread), ("unit", np.array([unit])))
+    state |= {f"scaling.{name}": torch.from_numpy(np.asarray(values, float)) for name, values in scaling}
+    state |= fit_intervals(residuals, taught.snr[aside]).state("scaling.")
+    # In order of the cameras, as one recording: whole cameras are left out in turn, and set the limit.
+    generator, varied = torch.Generator().manual_seed(0), settings.augmentation
+    seen = [picture_features(augment(some, varied, generator)) for some in look[places].split(64)]
+    domain = fit_domain(np.concatenate(seen), np.zeros(len(fit), np.int64))
+    assert domain is not None
+    usual = NetworkEstimator("gaze", crop=CROP, size=SIZE, epochs=epochs, batch=BATCH, learning_rate=RATE)
+    model = NetworkEstimator.from_state({**usual.parameters(), "precision": settings.precision}, state | domain.state())
+    model.data_hash_ = taught.digest
+    model.training_ = {
+        "frames": len(taught.gaze),
+        "fitted": len(fit),
+        "calibrated_on": len(aside),
+        "embargo": 0,
+        "chosen": {"penalty": f"{penalty:.3g}: least error on training cameras left out in turn"},
+        "intervals": "from cameras that trained nothing: they hold for a camera that the model has not seen",
+        "centring": Rules().centring,
+        "cameras": len(np.unique(taught.camera)),
+        "mean": dict(zip(model.quantities, taught.gaze.mean(axis=0).tolist(), strict=True)),
+    }
+    none = np.abs(residuals).mean(axis=0).tolist()
+    guess = np.abs(taught.gaze[aside] - taught.gaze[fit].mean(axis=0)).mean(axis=0).tolist()
+    cameras_aside = len(np.unique(taught.camera[aside]))
+    return model, {"cameras": cameras_aside, "frames": len(aside), "mae": none, "guess": guess, "few_shot": scores}
+
+
+def _shared(network: Network) -> LastLayer:
+    """The last layer of all cameras, in training."""
+    weight, bias = (one.detach().double().numpy() for one in network.head.parameters())
+    return LastLayer(weight[:2], bias[:2])
+
+
+def main() -> None:
+    """Film, train, save."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--work", type=Path, default=Path("models-work") / NAME, help="keeps what a later run needs")
+    parser.add_argument("--out", type=Path, default=Path("src/tapetum/models/pretrained") / NAME)
+    parser.add_argument("--units", type=int, default=UNITS)
+    parser.add_argument("--epochs", type=int, default=EPOCHS)
+    options = parser.parse_args()
+    keep_big_blocks()
+    start = time.monotonic()
+    taught = Taught.of(options.work, options.units, bar)
+    model, scores = taught_network(taught, options.work, options.epochs, bar)
+    notes = {
+        "command": "make any-camera",
+        "recipe": "scripts/make_any_camera.py",
+        "seed": SEED,
+        "started_from": START,
+        "cameras": options.units,
+        "first_unit": FIRST_UNIT,
+        "held_out_lenses": list(HELD_OUT),
+        # Of this run only: after an interruption, the time since.
+        "seconds": round(time.monotonic() - start),
+        "simulation_only": True,
+    }
+    metrics = {"frames": scores["frames"], "unseen_cameras": scores}
+    save_model(model, options.out, metrics=metrics, notes=notes, half=True, overwrite=True)
+    print(f"saved {options.out}: {scores}")
+
+
+if __name__ == "__main__":
+    main()

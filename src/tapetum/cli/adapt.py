@@ -1,0 +1,141 @@
+"""`tapetum adapt`: fit a network that has seen other cameras to one camera, by few labelled frames of it."""
+
+from __future__ import annotations
+
+import contextlib
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from tapetum.cli.models import find_model
+from tapetum.cli.options import Device, Force, SeedIfGiven, option
+from tapetum.cli.outputs import check_output
+from tapetum.cli.train import save_evaluation, say_epoch
+from tapetum.defaults import SEED
+from tapetum.durable import sole_writer
+from tapetum.errors import InputError, StoppedError, one_of
+from tapetum.files import told_when_full
+from tapetum.progress import bar
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from tapetum.models import NetworkEstimator
+    from tapetum.models.epochs import EpochReport
+
+_MODEL = "A network's folder, or the bundled thin-lens-gaze."
+_FROM = "A dataset, NAME.zarr, or a labelled recording, NAME.rec, of the one camera."
+
+
+def adapt(
+    model: Annotated[str, typer.Argument(metavar="MODEL", help=_MODEL)],
+    film: Annotated[Path, typer.Argument(metavar="SET_OR_REC", help=_FROM)],
+    out: Annotated[Path, option("MODEL", "The adapted model's folder.", "-o", "--out")],
+    seconds: Annotated[
+        float | None, option("S", "Seconds of labelled film to use, of the training part; all where left out.")
+    ] = None,
+    spread: Annotated[
+        bool,
+        typer.Option("--spread/--in-a-row", help="Which frames --seconds takes: spread over the field, or the first."),
+    ] = True,
+    unit: Annotated[str | None, option("NAME", "Of a set of several copies of a camera: the one to adapt to.")] = None,
+    label: Annotated[str | None, option("NAME", "What it learns; only what MODEL estimates already.")] = None,
+    epochs: Annotated[
+        int | None, option("N", "Passes over the frames; as many as take a minute or two.", min=1)
+    ] = None,
+    precision: Annotated[str, option("HOW", "float32, or bf16: twice as fast on processors that have it.")] = "float32",
+    seed: SeedIfGiven = None,
+    device: Device = "auto",
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with an interrupted adaptation from what it has kept.")
+    ] = False,
+    force: Force = False,
+) -> None:
+    """Fine-tune a network on a few labelled frames of another copy, lens or distance; print its error on the test part.
+
+    Its intervals and where it applies are learned of the same frames; test frames are never used. It keeps what it has
+    done beside the model, MODEL.checkpoint, until the model is saved.
+    """
+    check_output(out, force, "tapetum-model")
+    one_of(precision, ("float32", "bf16"), "--precision")
+    checkpoint = out.with_name(f"{out.name}.checkpoint")
+    if checkpoint.exists() and not (resume or force):
+        remedy = "go on with --resume, or start over with --overwrite"
+        raise InputError("an unfinished adaptation is kept here", where=checkpoint, remedy=remedy)
+    from tapetum.data.shares import of_unit
+    from tapetum.models import NetworkEstimator, save_model
+    from tapetum.models import adapt as adapt_network
+    from tapetum.models.kept_folds import remove_kept
+
+    base = find_model(model, "cpu")
+    if not isinstance(base, NetworkEstimator):
+        remedy = "give a network that `tapetum train` saved as a folder, or the bundled thin-lens-gaze"
+        raise InputError(f"is no network that can be trained further ({base.kind})", where=model, remedy=remedy)
+    _check_label(label, base, model)
+    with _opened(film, base.crop) as data:
+        data = data if unit is None else of_unit(data, unit)
+        with told_when_full(out):
+            out.absolute().parent.mkdir(parents=True, exist_ok=True)
+        with sole_writer(out):
+            done: list[EpochReport] = []
+
+            def told(report: EpochReport) -> None:
+                done.append(report)
+                say_epoch(report)
+
+            options: dict[str, Any] = {"seconds": seconds, "spread": spread, "epochs": epochs, "precision": precision}
+            options |= {"seed": SEED if seed is None else seed, "device": device, "name": model}
+            try:
+                adapted = adapt_network(
+                    base, data, **options, checkpoint=checkpoint, resume=resume, progress=bar, on_epoch=told
+                )
+            except KeyboardInterrupt as error:
+                if not checkpoint.exists():
+                    raise
+                what = f"what is done is kept in {checkpoint}; go on with the same command and --resume"
+                raise StoppedError(what) from error
+            save_model(adapted, out, overwrite=force)
+            remove_kept(checkpoint)
+        typer.echo(f"saved {out}")
+        _say(adapted)
+        if not data.tp.test.sizes["frame"]:
+            typer.echo("no test frames: not evaluated")
+            return
+        save_evaluation(adapted, data, film, out)
+
+
+def _check_label(label: str | None, base: NetworkEstimator, name: str) -> None:
+    from tapetum.models.base import target_names
+
+    if label is not None and target_names(label) != base.target_names:
+        what = f"{name} estimates {', '.join(base.target_names)}, not {', '.join(target_names(label))}"
+        remedy = f"leave --label out, or train a model of it: `tapetum train SET --kind {base.kind} --label {label}`"
+        raise InputError(what, where="--label", remedy=remedy)
+
+
+@contextlib.contextmanager
+def _opened(film: Path, side: int) -> Iterator[xr.Dataset]:
+    """Open a dataset, or cut one from a labelled recording, which lasts as long as the block."""
+    from tapetum.data import build_dataset, open_dataset
+    from tapetum.record.layout import is_recording
+
+    if not is_recording(film):
+        yield open_dataset(film)
+        return
+    with tempfile.TemporaryDirectory() as folder:
+        cut = build_dataset([film], Path(folder) / "film.zarr", side=side, progress=bar)
+        data = open_dataset(cut)
+        data.encoding["source"] = str(film)
+        yield data
+
+
+def _say(adapted: NetworkEstimator) -> None:
+    told = adapted.training_ or {}
+    of = told.get("adapted_from", {})
+    seconds = f" ({of['seconds']:g} s)" if "seconds" in of else ""
+    typer.echo(f"adapted from {of.get('model')} by {of['frames']} frames{seconds}: {of['choice']}")
+    for what, why in told["chosen"].items():
+        typer.echo(f"chosen: {what}: {why}")

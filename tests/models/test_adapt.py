@@ -1,0 +1,202 @@
+"""A network adapted to another camera: what it learns of few frames, what it may not look at, what it refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import xarray as xr
+from tests.models.conftest import pictures
+
+from tapetum.data import dataset_from_arrays
+from tapetum.errors import InputError
+from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
+from tapetum.models.adaptation import ALL, LAST
+
+TINY = {"crop": 36, "size": 24, "epochs": 6, "batch": 20, "device": "cpu"}
+RATE = 15.0
+
+
+@pytest.fixture(scope="module")
+def base(small: xr.Dataset) -> NetworkEstimator:
+    return NetworkEstimator(**TINY).fit(small)
+
+
+def other(train: int = 60, test: int = 150, *, seed: int = 5, reach: float | None = None) -> xr.Dataset:
+    """Another copy of the camera: its field is displaced and stretched against the pictures."""
+    images, gaze = pictures(train + test, seed=seed)
+    gaze = gaze * np.array([0.8, 1.1]) + np.array([0.08, -0.05])
+    split = (np.arange(train + test) >= train).astype(int)
+    made = dataset_from_arrays(images, {"gaze_x": gaze[:, 0], "gaze_y": gaze[:, 1]}, split=split)
+    made["time"] = xr.Variable(("frame",), np.arange(train + test) / RATE)
+    if reach is not None:
+        for name in ("label_back", "label_ahead"):
+            made[name] = xr.Variable(("frame",), np.full(train + test, reach))
+    return made
+
+
+def error(model: NetworkEstimator, dataset: xr.Dataset) -> float:
+    found = model.predict(dataset.tp.test, anyway=True).value
+    return float(np.abs(found - dataset.tp.test.tp.values(("gaze_x", "gaze_y"))).mean())
+
+
+def bias(model: NetworkEstimator, dataset: xr.Dataset) -> list[float]:
+    found = model.predict(dataset.tp.test, anyway=True).value
+    return list(np.abs((found - dataset.tp.test.tp.values(("gaze_x", "gaze_y"))).mean(axis=0)))
+
+
+def labelled(dataset: xr.Dataset, **columns: object) -> xr.Dataset:
+    return dataset.assign({name: xr.Variable(("frame",), np.asarray(one)) for name, one in columns.items()})
+
+
+def test_few_frames_of_another_copy_are_enough_and_the_base_stays(base: NetworkEstimator) -> None:
+    data, before = other(), {name: one.clone() for name, one in base.state().items()}
+    mine = adapt(base, data, epochs=3, name="base")
+    assert error(mine, data) < 0.75 * error(base, data)
+    # The field's displacement is gone, not only the spread of the errors.
+    assert max(bias(mine, data)) < 0.03 < 0.06 < max(bias(base, data))
+    assert all(torch.equal(one, before[name]) for name, one in base.state().items())
+    told = mine.training_ or {}
+    assert told["adapted_from"]["model"] == "base" and told["adapted_from"]["frames"] == 60
+    assert told["adapted_from"]["seconds"] == pytest.approx(4.0)
+    assert told["chosen"]["fitted"].startswith((ALL, LAST)) and "4 folds" in told["intervals"]
+    truth, found = data.tp.test.tp.values(("gaze_x", "gaze_y")), mine.predict(data.tp.test, anyway=True)
+    held = ((found.lower <= truth) & (truth <= found.upper)).mean()
+    # Frames of the folds miss a quarter of the others, so the intervals are rather too wide.
+    assert 0.85 <= held <= 0.995
+    assert mine.domain_ is not None and mine.domain_.unit != base.domain_.unit  # type: ignore[union-attr]
+
+
+def test_what_tests_is_never_looked_at(base: NetworkEstimator) -> None:
+    data = other()
+    blind = data.copy(deep=True)
+    blind["gaze_x"].values[data["split"].values == 1] = np.nan
+    blind["image"].values[data["split"].values == 1] = 0
+    for one, same in zip(
+        adapt(base, data, epochs=1).state().values(), adapt(base, blind, epochs=1).state().values(), strict=True
+    ):
+        assert torch.equal(one, same)
+
+
+def test_many_frames_keep_a_part_aside(base: NetworkEstimator, tmp_path: Path) -> None:
+    data = other(300, 60, reach=0.05)
+    mine = adapt(base, data, epochs=2)
+    told = mine.training_ or {}
+    assert 0 < told["calibrated_on"] < 80 and told["fitted"] < 240 and told["embargo"] > 0
+    assert "that neither fit nor calibrate" in told["chosen"]["fitted"] and "neither" in told["intervals"]
+    save_model(mine, tmp_path / "m")
+    again = load_model(tmp_path / "m")
+    assert again.training_ == told
+    np.testing.assert_array_equal(again.predict(data.tp.test).value, mine.predict(data.tp.test).value)
+
+
+def test_seconds_choose_frames_spread_over_the_field_or_the_first_ones(base: NetworkEstimator) -> None:
+    data = other(120)
+    spread, row = adapt(base, data, seconds=2, epochs=1), adapt(base, data, seconds=2, epochs=1, spread=False)
+    for model, choice in ((spread, "spread over the field"), (row, "the first ones in a row")):
+        of = (model.training_ or {})["adapted_from"]
+        assert of["frames"] == 30 and of["seconds"] == 2.0 and choice in of["choice"]
+    first = data.isel(frame=slice(0, 30))
+    assert row.data_hash_ == first.tp.hash != spread.data_hash_
+
+
+def interrupted(base: NetworkEstimator, data: xr.Dataset, folder: Path, after: int) -> None:
+    """Adapt, and stop as Ctrl-C does when so many loops have begun."""
+    begun = 0
+
+    def progress(items, what, *, total=None):
+        nonlocal begun
+        begun += "epoch" in what
+        if begun > after:
+            raise KeyboardInterrupt
+        yield from items
+
+    with pytest.raises(KeyboardInterrupt):
+        adapt(base, data, epochs=1, checkpoint=folder, progress=progress)
+
+
+@pytest.mark.parametrize("frames", [60, 300])
+def test_an_interrupted_adaptation_goes_on_to_the_same_result(base, tmp_path: Path, frames: int) -> None:
+    data, seen = other(frames, 10), list[str]()
+    whole = adapt(base, data, epochs=1)
+    interrupted(base, data, tmp_path / "kept", 2 if frames == 60 else 0)
+
+    def progress(items, what, *, total=None):
+        seen.append(what)
+        yield from items
+
+    again = adapt(base, data, epochs=1, checkpoint=tmp_path / "kept", resume=True, progress=progress)
+    for one, same in zip(whole.state().values(), again.state().values(), strict=True):
+        assert torch.equal(one, same)
+    if frames == 60:
+        assert not any(what.startswith(("fold 1", "fold 2")) for what in seen)
+        assert any(what.startswith("fold 3") for what in seen)
+    with pytest.raises(InputError, match="other settings or other data"):
+        adapt(base, other(frames, 10, seed=6), epochs=1, checkpoint=tmp_path / "kept", resume=True)
+
+
+def bench_camera(focal: float) -> dict:
+    return {"parameters": {"scene": {"target": {"lens": {"focal_length": focal}, "sensor": {}}}}}
+
+
+def mixed(how: str) -> xr.Dataset:
+    data, half = other(), np.arange(210) % 2
+    if how == "units":
+        data = labelled(data, unit=half)
+        data["unit"].attrs["classes"] = ["mine", "yours"]
+    elif how == "devices":
+        data = labelled(data, device=half)
+        data["device"].attrs["classes"] = ["left", "right"]
+    elif how == "lenses":
+        data = labelled(data, focal_length=np.where(half, 0.05, 0.085))
+    else:
+        import json
+
+        data = labelled(data, recording=half)
+        told = [{"name": "one", **bench_camera(0.05)}, {"name": "two", **bench_camera(0.1)}]
+        data.attrs["recordings"] = json.dumps(told)
+    return data
+
+
+@pytest.mark.parametrize(
+    ("how", "said"),
+    [
+        ("units", "2 copies of a camera mixed: mine, yours"),
+        ("devices", "2 cameras mixed: left, right"),
+        ("lenses", "several focal lengths mixed: 50 mm, 85 mm"),
+        ("recordings", "two cameras mixed: one and two"),
+    ],
+)
+def test_two_cameras_mixed_are_refused(base: NetworkEstimator, how: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        adapt(base, mixed(how), epochs=1)
+
+
+def test_what_cannot_be_adapted_is_said(base: NetworkEstimator, small: xr.Dataset) -> None:
+    data = other()
+    ridge = ZernikeRidge("gaze", scales=(40,), order=2).fit(small)
+    with pytest.raises(InputError, match=r"no trainable network \(zernike\)"):
+        adapt(ridge, data)  # type: ignore[arg-type]
+    devices = NetworkEstimator("device", **TINY)
+    with pytest.raises(InputError, match="tells devices apart"):
+        adapt(devices, data)
+    with pytest.raises(InputError, match="not fitted"):
+        adapt(NetworkEstimator(**TINY), data)
+    with pytest.raises(InputError, match="has no label gaze_x, which the model estimates"):
+        adapt(base, dataset_from_arrays(pictures(30)[0], {"object_distance": np.linspace(3, 5, 30)}))
+    with pytest.raises(InputError, match=r"asks for 30 s of film, the training frames are 4 s"):
+        adapt(base, data, seconds=30)
+    with pytest.raises(InputError, match="must be positive"):
+        adapt(base, data, seconds=-1)
+    with pytest.raises(InputError, match="does not know when its frames were taken"):
+        adapt(base, data.drop_vars("time"), seconds=1)
+    with pytest.raises(InputError, match="7 labelled frames are too few"):
+        adapt(base, other(7))
+    with pytest.raises(InputError, match="crops of 30 pixels, the model looks at 36"):
+        adapt(base, data.isel(x=slice(0, 30), y=slice(0, 30)))
+    with pytest.raises(InputError, match="share all measurements"):
+        adapt(base, other(reach=100.0))
+    with pytest.raises(InputError, match="resume needs"):
+        adapt(base, data, resume=True)

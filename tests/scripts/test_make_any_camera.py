@@ -1,0 +1,37 @@
+"""The recipe of the backbone: which cameras it draws, and what its loss counts."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+
+from make_any_camera import FIRST_UNIT, HELD_OUT, OwnHeads, drawn_camera, few_shot
+from tapetum.bench import PrescriptionLens
+from tapetum.models.last_layer import LastLayer
+
+
+def test_cameras_are_of_many_kinds_and_never_of_a_lens_held_out() -> None:
+    drawn = [drawn_camera(number) for number in range(40)]
+    names = {one.scene.target.lens.name for one in drawn if isinstance(one.scene.target.lens, PrescriptionLens)}
+    assert not names & set(HELD_OUT) and len(names) >= 3
+    assert {one.family for one in drawn} == {"hand-held", "rotation", "thin", "traced"}
+    assert drawn_camera(3) == drawn[3] != drawn[4]
+    assert FIRST_UNIT > 1_000_000
+
+
+def test_each_image_counts_by_the_layer_of_all_and_its_own_cameras() -> None:
+    loss, output = OwnHeads(), torch.zeros(2, 8, requires_grad=True)
+    loss(output, torch.tensor([[1.0, 1.0, 0.0], [1.0, 1.0, 2.0]])).backward()
+    assert output.grad is not None
+    touched = output.grad.view(2, 4, 2).abs().sum(dim=2) > 0
+    # The first two outputs are everybody's.
+    np.testing.assert_array_equal(touched, [[True, True, False, False], [True, False, False, True]])
+
+
+def test_few_frames_of_a_camera_correct_the_layer_of_all() -> None:
+    rng = np.random.default_rng(0)
+    camera, features, weight = np.repeat([0, 5], 60), rng.normal(size=(120, 4)), rng.normal(size=(2, 4))
+    wanted = features @ weight.T + camera[:, None]
+    found = few_shot(LastLayer(weight, np.zeros(2)), features, wanted, camera)
+    # The layer knows all but how far each camera's field is displaced.
+    assert found.shape == (56, 2) and np.abs(found).max() < 1e-6
