@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 
-from tapetum.optics.fourier import MatrixFourier, naive_fourier, phasor
+from tapetum.optics.fourier import BandLimitedFourier, FoldedKernel, MatrixFourier, folded, naive_fourier, phasor
 
 
 def _case(rows: int, columns: int, down: int, across: int) -> tuple[torch.Tensor, ...]:
@@ -46,3 +47,42 @@ def test_single_precision_keeps_large_phases() -> None:
 def test_phasor_matches_its_precision() -> None:
     assert phasor(torch.zeros(2, dtype=torch.float64)).dtype == torch.complex128
     assert phasor(torch.zeros(2, dtype=torch.float32)).dtype == torch.complex64
+
+
+def _pairs(count: int, reach: float) -> torch.Tensor:
+    """Places in pairs about zero, unevenly spaced."""
+    return reach * torch.sin(torch.linspace(-1.4, 1.4, count, dtype=torch.float64))
+
+
+@pytest.mark.parametrize(("columns", "rows"), [(40, 51), (51, 40)])
+@pytest.mark.parametrize("middle", [0.0, 0.3])
+@pytest.mark.parametrize("pixels", [7, 8, 150])
+def test_pairs_of_samples_share_their_products(columns: int, rows: int, middle: float, pixels: int) -> None:
+    """Few pixels are computed themselves, many by nodes; about the middle of the picture or beside it."""
+    x, y = _pairs(columns, 1.0), _pairs(rows, 0.8)
+    ux = torch.linspace(-1, 1, pixels, dtype=torch.float64) + middle
+    generator = torch.Generator().manual_seed(5)
+    field = torch.randn(2, rows, columns, generator=generator, dtype=torch.complex128)
+    found = BandLimitedFourier(x, y, ux, ux.clone(), 9.0)(field)
+    wanted = MatrixFourier(x, y, ux, ux, 9.0)(field)
+    assert float((found - wanted).abs().max()) < 1e-10 * float(wanted.abs().max())
+
+
+@pytest.mark.parametrize("shift", [0.0, 3e-4, 0.03])
+def test_a_scaled_kernel_is_that_of_scaled_nodes(shift: float) -> None:
+    """By derivatives for small changes of scale, by new waves for larger ones."""
+    x, u = _pairs(33, 1.0), torch.linspace(-1, 1, 12, dtype=torch.float64)
+    scale = 1 - shift * torch.tensor([1.0, 0.5], dtype=torch.float64)
+    kernel = FoldedKernel(x, u, 40.0, torch.complex64)
+    field = torch.randn(2, 33, 3, generator=torch.Generator().manual_seed(6), dtype=torch.complex64)
+    found = kernel(folded(field), kernel.scaled(scale))
+    wanted = phasor(-40.0 * scale[:, None, None] * u[:, None] * x) @ field.to(torch.complex128)
+    assert float((found - wanted).abs().max()) < 1e-5 * float(wanted.abs().max())
+
+
+def test_parts_of_the_pairs_add_up() -> None:
+    x, u = _pairs(20, 1.0), torch.linspace(-1, 1, 6, dtype=torch.float64)
+    kernel, field = FoldedKernel(x, u, 7.0, torch.complex128), torch.ones(20, 4, dtype=torch.complex128)
+    halves = folded(field)
+    parts = [kernel.partial(halves[:, rows], rows) for rows in (slice(0, 3), slice(3, 10))]
+    assert torch.allclose(kernel.unfolded(parts[0] + parts[1]), kernel(halves), rtol=0, atol=1e-13)

@@ -218,9 +218,12 @@ def test_vignetting_against_a_plain_fresnel_integral(validated: Any) -> None:
     count = 1200
     source = Grid(count, count, 2 * g.radius / count * 1.0001)
     lens = RoundPass(g, plan, output, dtype=torch.complex128)
-    lens._x, lens._y = source.x(), source.y()
-    prepared = lens._surfaces[0]
-    table = lens._looked_up(prepared, at, slice(0, count))[0]
+    returning, offset = (
+        lens._surfaces[0].tables.only,
+        2 * g.image_distance * at[0] / math.sqrt(1 - float((at**2).sum())),
+    )
+    away = torch.hypot(source.x()[None, :] - offset[0], source.y()[:, None] - offset[1])
+    table = returning.smooth(away / returning.step)
     rho = source.x()[None, :] ** 2 + source.y()[:, None] ** 2
     bend = K / 2 * (1 / g.image_distance - 1 / g.focal_length) * rho
     pupil = table * phasor(bend) * _covered(rho, g.radius, source.pitch)

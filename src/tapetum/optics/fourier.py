@@ -10,7 +10,8 @@ import math
 
 import torch
 
-__all__ = ["BandLimitedFourier", "MatrixFourier", "chebyshev_lift", "naive_fourier", "phasor"]
+__all__ = ["BandLimitedFourier", "FoldedKernel", "MatrixFourier", "chebyshev_lift", "folded", "naive_fourier", "paired"]
+__all__ += ["phasor", "real_times"]
 
 
 def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tensor:
@@ -26,8 +27,8 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
     return found if dtype is None else found.to(dtype)
 
 
-# Rows longer than the first are summed in blocks of the second: fewer products, slightly more memory traffic.
-_LONG, _BLOCK = 1500, 64
+# Largest change of a phase, in radians, for which a kernel's second derivative suffices: the third adds 1e-6.
+_SMALL_TURN = 0.02
 
 
 class MatrixFourier:
@@ -80,6 +81,8 @@ class BandLimitedFourier:
     A field confined to an aperture has a transform without detail finer than the aperture's Airy disc. Where the pixels
     are finer, the integral is taken at a few nodes only, and Chebyshev interpolation to the pixels is exact to
     rounding. Multiplications fall by the square of the number of pixels a node.
+
+    Columns x and rows y lie in pairs about zero, `x[j] = -x[-1 - j]`; see `FoldedKernel`.
     """
 
     def __init__(
@@ -91,46 +94,30 @@ class BandLimitedFourier:
         kappa: float | torch.Tensor,
         dtype: torch.dtype = torch.complex128,
     ) -> None:
-        kappa_now = abs(float(torch.as_tensor(kappa).detach()))
-        self.ux, self._lift_x = _nodes(x.double(), ux.double(), kappa_now, dtype)
-        self.uy, self._lift_y = _nodes(y.double(), uy.double(), kappa_now, dtype)
-        self.rows = phasor(-kappa * self.uy[:, None] * y.double()[None, :]).to(dtype)
-        self._kappa, self._blocks = kappa, None
-        self._places = x.double()
-        if len(x) > _LONG:
-            self._blocks = _Blocks(self._places, self.ux, kappa, dtype)
-            self._places = self._blocks.places
-        self.columns = phasor(-kappa * self._places[:, None] * self.ux[None, :]).to(dtype)
+        self.across, self._lift_x = _nodes(x.double(), ux.double(), kappa, dtype)
+        self.down, self._lift_y = _nodes(y.double(), uy.double(), kappa, dtype)
+        self.ux, self.uy = self.across.u, self.down.u
 
-    def across(self, field: torch.Tensor, scale: torch.Tensor | None = None) -> torch.Tensor:
-        """The sum over columns alone, [..., Y, X] to [..., Y, U']; each of a batch with its own `scale` [B] of u_x."""
-        if self._blocks is not None:
-            field = self._blocks(field)
-        if scale is None:
-            return field @ self.columns
-        places = -self._kappa * scale[:, None, None] * self._places[:, None]
-        return field @ phasor(places * self.ux[None, :], field.dtype)
-
-    def at_nodes(self, field: torch.Tensor, start: int = 0) -> torch.Tensor:
-        """Contribution of the rows of `field` from `start` on to the nodes: [..., Y', X] to [..., V', U']."""
-        return self.rows[:, start : start + field.shape[-2]] @ self.across(field)
+    def at_nodes(self, field: torch.Tensor) -> torch.Tensor:
+        """From the field [..., Y, X] to the nodes, [..., V', U']."""
+        return self.across(folded(self.down(folded(field)).mT)).mT
 
     def lift(
         self, nodes: torch.Tensor, down: torch.Tensor | None = None, across: torch.Tensor | None = None
     ) -> torch.Tensor:
         """From the nodes to the pixels wanted, [..., V', U'] to [..., V, U]; times factors of rows and columns."""
         if self._lift_x is not None:
-            nodes = _lifted(self._lift_x, nodes.mT).mT
+            nodes = real_times(self._lift_x, nodes.mT).mT
         if across is not None:
             nodes = nodes * across[..., None, :]
         if self._lift_y is not None:
-            nodes = _lifted(self._lift_y, nodes)
+            nodes = real_times(self._lift_y, nodes)
         return nodes if down is None else nodes * down[..., :, None]
 
     def lift_squared(self, nodes: torch.Tensor) -> torch.Tensor:
         """Absolute square of `lift`, real [..., V, U]."""
         if self._lift_x is not None:
-            nodes = _lifted(self._lift_x, nodes.mT).mT
+            nodes = real_times(self._lift_x, nodes.mT).mT
         # Real parts beside each other, then imaginary ones: the squares are then of contiguous numbers.
         parts = torch.cat([nodes.real, nodes.imag], -1)
         if self._lift_y is not None:
@@ -143,32 +130,112 @@ class BandLimitedFourier:
         return self.lift(self.at_nodes(field))
 
 
-def _lifted(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
-    """A real matrix [V, V'] times complex fields [..., V', U]: half the multiplications of a complex one."""
-    parts = matrix @ torch.view_as_real(field.contiguous()).flatten(-2)
-    return torch.view_as_complex(parts.reshape(*parts.shape[:-1], field.shape[-1], 2))
+class FoldedKernel:
+    """One of the two products: G(u) = Σ_j field[j] exp(-i kappa x_j u), for places that lie in pairs about zero.
 
+    The sum of a pair's fields meets the kernel's cosine and their difference its sine, both real, and nodes in pairs
+    share them: a quarter of the multiplications.
 
-class _Blocks:
-    """Very long rows, summed block by block: within a block the kernel needs few terms."""
+    Parameters
+    ----------
+    x
+        Places [X] in metres, `x[j] = -x[-1 - j]`.
+    u
+        Nodes [U'], in metres.
+    kappa
+        Radians per square metre.
+    dtype
+        complex64 or complex128, of the fields.
+    """
 
     def __init__(self, x: torch.Tensor, u: torch.Tensor, kappa: float | torch.Tensor, dtype: torch.dtype) -> None:
-        count = math.ceil(len(x) / _BLOCK)
-        self._padding = count * _BLOCK - len(x)
-        step = (x[-1] - x[0]) / (len(x) - 1)
-        within = (torch.arange(_BLOCK, dtype=torch.float64, device=x.device) - (_BLOCK - 1) / 2) * step.detach()
-        middle = u.detach().abs().max()
-        phase = float(torch.as_tensor(kappa).detach() * within.abs().max() * middle)
-        nodes = _chebyshev(abs(phase), dtype, x.device) * within.abs().max()
-        self._gather = _barycentric(within, nodes).to(dtype)
-        starts = x[0] + torch.arange(count, dtype=torch.float64, device=x.device) * (_BLOCK * step) - within[0]
-        self.places = (starts[:, None] + nodes[None, :] * (step / step.detach())).flatten()
+        self.u, self._kappa, self._dtype = u, kappa, dtype
+        self._x, self._odd = x[: (len(x) + 1) // 2], len(x) % 2 == 1
+        half = len(u) // 2
+        paired = torch.allclose(u, -u.flip(0), rtol=0, atol=1e-12 * float(u.abs().max()))
+        # A node in the middle is its own partner.
+        self._half, self._paired = (u[: len(u) - half], half) if paired else (u, 0)
+        self._kernel = self._waves(self._kappa * self._half)
+        # Largest phase of the kernel, and its first two derivatives with respect to a scale of the nodes, once needed.
+        self._turn = float((self._kappa * self._half).detach().abs().max() * self._x.detach().abs().max())
+        self._derivatives: tuple[torch.Tensor, torch.Tensor] | None = None
 
-    def __call__(self, field: torch.Tensor) -> torch.Tensor:
-        """From samples [..., Y, X] to their equivalents at the blocks' nodes, [..., Y, places]."""
-        padded = torch.nn.functional.pad(field, (0, self._padding)) if self._padding else field
-        blocks = padded.reshape(*field.shape[:-1], -1, _BLOCK)
-        return (blocks @ self._gather).flatten(-2)
+    def scaled(self, scale: torch.Tensor | None = None) -> torch.Tensor:
+        """Cosines and sines, [..., 2, U'/2, X/2]; each of a batch with its own `scale` [B] of the nodes."""
+        if scale is None:
+            return self._kernel
+        kept = self._kernel
+        if self._dtype == torch.complex64 and not (kept.is_cuda or kept.requires_grad or scale.requires_grad):
+            shift = scale - 1
+            if self._turn * float(shift.abs().max()) < _SMALL_TURN:
+                if self._derivatives is None:
+                    phase = (self._kappa * self._half[:, None] * self._x).to(kept)
+                    slope = torch.stack([-phase * kept[1], phase * kept[0]])
+                    self._derivatives = slope, -(phase**2) * kept / 2
+                first, second = self._derivatives
+                by = shift.to(kept)[:, None, None, None]
+                return torch.addcmul(torch.addcmul(kept, by, first), by**2, second)
+        return self._waves(self._kappa * self._half * scale[:, None])
+
+    def _waves(self, along: torch.Tensor) -> torch.Tensor:
+        """Cosines and sines of `along` [..., U'/2], in radians a metre, times the places."""
+        wave = phasor(along[..., :, None] * self._x, self._dtype)
+        both = torch.stack([wave.real, wave.imag], -3)
+        # A place in the middle is its own partner.
+        return both * _halved_last(len(self._x), both) if self._odd else both
+
+    def partial(
+        self, halves: torch.Tensor, places: slice | None = None, kernel: torch.Tensor | None = None
+    ) -> torch.Tensor:
+        """What some `places` of the first half and their partners, [..., 2, X', N] from `paired`, add to the halves.
+
+        These halves, [..., 2, U'/2, N], are those of the nodes, see `unfolded`; `kernel` is one of `scaled`.
+        """
+        kernel = self._kernel if kernel is None else kernel
+        if places is not None:
+            kernel = kernel[..., places]
+        return real_times(kernel, halves)
+
+    def unfolded(self, halves: torch.Tensor) -> torch.Tensor:
+        """From halves [..., 2, U'/2, N] to the nodes `self.u`, [..., U', N]."""
+        even, odd = halves[..., 0, :, :], halves[..., 1, :, :]
+        upper = torch.sub(even, odd, alpha=1j)
+        if not self._paired:
+            return upper
+        lower = torch.add(even[..., : self._paired, :], odd[..., : self._paired, :], alpha=1j)
+        return torch.cat([upper, lower.flip(-2)], -2)
+
+    def __call__(self, halves: torch.Tensor, kernel: torch.Tensor | None = None) -> torch.Tensor:
+        """From a whole field in halves [..., 2, X/2, N] to the nodes, [..., U', N]."""
+        return self.unfolded(self.partial(halves, None, kernel))
+
+
+def _halved_last(count: int, like: torch.Tensor) -> torch.Tensor:
+    weights = torch.ones(count, dtype=like.dtype, device=like.device)
+    weights[-1] = 0.5
+    return weights
+
+
+def folded(field: torch.Tensor) -> torch.Tensor:
+    """Sums and differences of each row of [..., Y, X] and its partner from the other end, [..., 2, (Y + 1) // 2, X]."""
+    half = (field.shape[-2] + 1) // 2
+    return paired(field[..., :half, :], field.flip(-2)[..., :half, :])
+
+
+def paired(upper: torch.Tensor, lower: torch.Tensor) -> torch.Tensor:
+    """Sums and differences of rows [..., Y/2, X] and of their partners in the same order, [..., 2, Y/2, X]."""
+    if upper.requires_grad or lower.requires_grad:
+        return torch.stack([upper + lower, upper - lower], -3)
+    both = upper.new_empty(*upper.shape[:-2], 2, *upper.shape[-2:])
+    torch.add(upper, lower, out=both[..., 0, :, :])
+    torch.sub(upper, lower, out=both[..., 1, :, :])
+    return both
+
+
+def real_times(matrix: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
+    """A real matrix [..., V, Y] times complex fields [..., Y, X]: half the multiplications of a complex one."""
+    parts = matrix @ torch.view_as_real(field.contiguous()).flatten(-2)
+    return torch.view_as_complex(parts.reshape(*parts.shape[:-1], field.shape[-1], 2))
 
 
 def _chebyshev(phase: float, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
@@ -203,16 +270,16 @@ def chebyshev_lift(places: torch.Tensor, turn: float, dtype: torch.dtype) -> tup
 
 
 def _nodes(
-    x: torch.Tensor, u: torch.Tensor, kappa: float, dtype: torch.dtype
-) -> tuple[torch.Tensor, torch.Tensor | None]:
-    """Nodes of the transform and the matrix from them to `u`; None where `u` itself is short enough."""
+    x: torch.Tensor, u: torch.Tensor, kappa: float | torch.Tensor, dtype: torch.dtype
+) -> tuple[FoldedKernel, torch.Tensor | None]:
+    """The product onto nodes, and the matrix from them to `u`; None where `u` itself is short enough."""
     half = float(u.max() - u.min()) / 2
-    reach = float(x.detach().abs().max())
-    nodes = _chebyshev(kappa * reach * half, dtype, u.device)
+    reach, kappa_now = float(x.detach().abs().max()), abs(float(torch.as_tensor(kappa).detach()))
+    nodes = _chebyshev(kappa_now * reach * half, dtype, u.device)
     if len(nodes) > 0.75 * len(u):
-        return u, None
+        return FoldedKernel(x, u, kappa, dtype), None
     places = nodes * half + float(u.max() + u.min()) / 2
-    return places, _barycentric(u, places).to(dtype.to_real())
+    return FoldedKernel(x, places, kappa, dtype), _barycentric(u, places).to(dtype.to_real())
 
 
 def naive_fourier(

@@ -95,6 +95,14 @@ class DiscRows:
             torch.from_numpy(one).to(device) for one in (last, corrections, row_weight)
         )
         self._index = torch.arange(columns, device=device)
+        # The last sample of each row of the upper half, from the top down: chords grow.
+        self._reach = [int(one) for one in last[: (rows + 1) // 2]]
+
+    def spanned(self, rows: slice) -> slice:
+        """The columns that hold all weights of some rows of the upper half, and so of their partners."""
+        last: int = self._reach[int(rows.stop) - 1]
+        first = self._columns - 1 - last
+        return slice(max(0, min(first, last - self._order)), max(last, first + self._order) + 1)
 
     def weights(self, rows: slice, dtype: torch.dtype = torch.float64) -> torch.Tensor:
         """Weights of some rows in m², [rows, columns]."""

@@ -33,6 +33,7 @@ __all__ = [
     "check_aperture",
     "check_table",
     "disc_overlap",
+    "plan_aside",
     "plan_round",
     "plan_round_with",
     "step_for",
@@ -207,6 +208,8 @@ REFERENCE = RoundEffort(0.0, 800, 0.65, 2.5, 10.0)
 RIM, HOLDS_RIM = 0.02, 1.4
 # Most rings kept for it, over the effort's own; where they do not suffice, the loss is stated.
 _MOST_FOR_RIM = 3
+# Share of the error that the rim's light may take where it is not sampled, under a tilt.
+_SHARE_OF_RIM = 0.1
 # Efforts of the light in the probe's aperture, where it propagates that far.
 _AT_APERTURE = RoundEffort(0.0, 0.0, 1.2, 4.0)
 ACCURACIES = tuple(step.error for step in _LADDER)
@@ -321,8 +324,26 @@ def plan_round(
     return plan
 
 
-def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundPlan:
-    """The samples of an effort for a scene, unchecked."""
+def plan_aside(geometry: DoublePassGeometry, accuracy: float, plan: RoundPlan) -> tuple[RoundPlan, float] | None:
+    """A coarser plan for tilts so steep that the rim's own light misses the picture, and their least squared sine.
+
+    Under a tilt of tangent t the light that the rim sends straight on and back arrives from its places with phases that
+    differ by up to k r (2t - w), w the picture's half angle; what is left of its sum falls like the root of that
+    phase's inverse. None where the plan keeps no samples for that light, or the steepest tilt is not steep enough.
+    """
+    g = geometry
+    effort = step_for(_LADDER, accuracy)
+    found = plan_round_with(g, effort, rim=False)
+    lit = min(g.radius, g.lit_radius)
+    phase = 2 / math.pi * (RIM * g.spot_radius / g.radius / (_SHARE_OF_RIM * effort.error)) ** 2
+    tangent = (phase * g.wavelength / (2 * math.pi * lit) + g.window / g.probe_focal_length) / 2
+    if found.columns >= plan.columns or tangent >= g.tangent:
+        return None
+    return replace(found, expected_error=plan.expected_error), tangent**2 / (1 + tangent**2)
+
+
+def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort, *, rim: bool = True) -> RoundPlan:
+    """The samples of an effort for a scene, unchecked; with `rim` those for the rim's own light where it counts."""
     g = geometry
     spot = g.spot_radius / g.image_distance
     rays = g.ray_slope
@@ -330,9 +351,9 @@ def plan_round_with(geometry: DoublePassGeometry, effort: RoundEffort) -> RoundP
     # A large RR is faint in its middle, and waves from its edges count for more: they follow the rays' slopes.
     tail = max(kept, effort.spread * g.own_slope + g.window / g.probe_focal_length)
     error, missing = effort.error, RIM * g.spot_radius / g.radius
-    if missing > error and spot + tail < (rim := HOLDS_RIM * g.radius / g.image_distance):
-        if rim - spot <= _MOST_FOR_RIM * kept:
-            tail = rim - spot
+    if rim and missing > error and spot + tail < (end := HOLDS_RIM * g.radius / g.image_distance):
+        if end - spot <= _MOST_FOR_RIM * kept:
+            tail = end - spot
         else:
             error = missing
     turns = max(rays / effort.ray_radians, (rays + tail) / effort.tail_radians)

@@ -26,6 +26,7 @@ from tapetum.optics.sampling import (
     Plan,
     check_aperture,
     check_table,
+    plan_aside,
     plan_round,
     through_aperture,
 )
@@ -297,7 +298,9 @@ class Camera:
             "device": self._device,
         }
         own: dict[str, Any] = {"sensor": scene.target.sensor, "edge": self._edge, "accuracy": self._accuracy}
-        one = RoundPass(at, plan, self.output, group, **options)
+        mirrors_only = all(order.direction == (0.0, 0.0) for one in group for order in one.orders)
+        aside = plan_aside(planned, self._accuracy, plan) if mirrors_only and forced is None else None
+        one = RoundPass(at, plan, self.output, group, aside=aside, **options)
         return one, thin_end(at, plan, self.output, group, **own, **options)
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float) -> Pass:
@@ -440,7 +443,11 @@ class Camera:
                 if end is not None and spots is not None and end.open_beside is None and bool(spots.beside.any()):
                     # A dark picture has no peak to relate an error to.
                     self._edge_error = math.inf
-                part = weight.to(image.dtype) * image
+                part = (
+                    image * weight.to(image.dtype)
+                    if image.requires_grad or weight.requires_grad
+                    else image.mul_(weight)
+                )
                 if narrow:
                     # A beam narrower than the lens is round across its own direction and lights an ellipse on the lens.
                     part = part / cosines(sines)[:, None, None].to(part) ** 2

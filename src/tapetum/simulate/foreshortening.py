@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Protocol
 
 import torch
 
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["Tilted", "cosines", "foreshortening", "foreshortens", "off_axis", "tangents", "twisted"]
+__all__ = ["Tilted", "Tilts", "cosines", "flattest", "foreshortening", "foreshortens", "off_axis", "tangents"]
 
 
 class _Plan(Protocol):
@@ -52,30 +53,79 @@ def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
 
 
 def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
-    """Whether the cosine of the tilt moves anything in the picture by more than the plan's error allows."""
+    """Whether the cosine of any tilt moves anything in the picture by more than the plan's error allows."""
     if sines.requires_grad:
         return True
-    tilt = float((sines.detach() ** 2).sum(-1).max()) if len(sines) else 0.0
+    return bool(len(sines)) and float((sines.detach() ** 2).sum(-1).max()) > flattest(one)
+
+
+def flattest(one: Tilted) -> float:
+    """Squared sine of a tilt up to which its cosine moves nothing in the picture by more than the plan allows."""
     g = one.geometry
     reach = min(g.exit_angle + 2 * g.wavelength / g.radius, g.window / g.probe_focal_length)
     # Phase by which the picture's edge moves for the pupil's edge; its share in a picture's error is smaller.
     allowed = one.plan.expected_error - (one.plan.missing if math.isfinite(one.plan.missing) else 0.0)
-    return 2 * math.pi / g.wavelength * g.radius * reach * tilt / 2 > 2 * min(allowed, 1e-2)
+    edge = 2 * math.pi / g.wavelength * g.radius * reach / 2
+    return 2 * min(allowed, 1e-2) / edge if edge else math.inf
 
 
 def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Rotation R and lower triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
+    """Rotation R and upper triangle T with R T = M, each [B, 2, 2], for tilts [B, 2]."""
     # (1 - cosθ)/sin²θ = 1/(1 + cosθ): no division by zero at zero tilt.
     scale = 1 / (1 + cosines(sines))
     eye = torch.eye(2, dtype=sines.dtype, device=sines.device)
     m = eye - scale[:, None, None] * sines[:, :, None] * sines[:, None, :]
-    length = torch.sqrt(m[:, 0, 1] ** 2 + m[:, 1, 1] ** 2)
-    c, s = m[:, 1, 1] / length, m[:, 0, 1] / length
+    length = torch.sqrt(m[:, 0, 0] ** 2 + m[:, 1, 0] ** 2)
+    c, s = m[:, 0, 0] / length, -m[:, 1, 0] / length
     rotation = torch.stack([torch.stack([c, s], -1), torch.stack([-s, c], -1)], -2)
     return rotation, rotation.mT @ m
 
 
-def twisted(directions: torch.Tensor, sines: torch.Tensor) -> torch.Tensor:
-    """Directions [B, 2] in the pupil's coordinates when R of the tilts [B, 2] acts on the pupil."""
-    rotation, _ = foreshortening(sines)
-    return (rotation.mT @ directions[:, :, None])[:, :, 0]
+@dataclass(frozen=True)
+class Tilts:
+    """A batch of tilts [B, 2] with what every part of a pass asks of them.
+
+    Parameters
+    ----------
+    sines, slopes, cosines
+        Of the tilts, and their tangents behind a lens: [B, 2], [B, 2] and [B].
+    size
+        Their squared sines, infinite where they carry gradients.
+    centres
+        Places of the RR's own centre on the probe's sensor [B, 2], in metres; None in its middle.
+    rotation, triangle
+        R and T of `foreshortening`; None where it is too small to count.
+    """
+
+    sines: torch.Tensor
+    slopes: torch.Tensor
+    cosines: torch.Tensor
+    size: tuple[float, ...]
+    centres: torch.Tensor | None
+    rotation: torch.Tensor | None
+    triangle: torch.Tensor | None
+
+    @classmethod
+    def of(cls, sines: torch.Tensor, centres: torch.Tensor | None = None) -> Tilts:
+        """Of the sines [B, 2] along x and y."""
+        found = (sines.detach() ** 2).sum(-1).cpu().numpy()
+        size = tuple(math.inf if sines.requires_grad else float(one) for one in found)
+        return cls(sines, tangents(sines), cosines(sines), size, centres, *foreshortening(sines))
+
+    def some(self, which: slice, flat: float) -> Tilts:
+        """Some of them; without foreshortening if all their squared sines are at most `flat`."""
+        size = self.size[which]
+        turned = max(size, default=0.0) > flat
+        return Tilts(
+            self.sines[which],
+            self.slopes[which],
+            self.cosines[which],
+            size,
+            None if self.centres is None else self.centres[which],
+            self.rotation[which] if turned and self.rotation is not None else None,
+            self.triangle[which] if turned and self.triangle is not None else None,
+        )
+
+    def framed(self, directions: torch.Tensor) -> torch.Tensor:
+        """Directions [B, 2] in the pupil's coordinates, on which R acts."""
+        return directions if self.rotation is None else (self.rotation.mT @ directions[:, :, None])[:, :, 0]

@@ -9,17 +9,21 @@ gaze has its own.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import torch
 
-from tapetum.optics.fourier import BandLimitedFourier, chebyshev_lift, phasor
+from tapetum.optics.fourier import BandLimitedFourier, chebyshev_lift, folded, paired, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.sampling import DoublePassGeometry, aperture_samples
 from tapetum.simulate.foreshortening import cosines, foreshortening
 
-__all__ = ["ProbeAperture", "ProbePath", "missed_path"]
+__all__ = ["Band", "ProbeAperture", "ProbePath", "missed_path"]
+
+# Rows and columns of a part of the pupil, and its fields in pairs.
+Band = tuple[slice, slice, torch.Tensor]
 
 # Largest phase step between two samples of the probe's aperture behind a traced lens, in radians.
 _APERTURE_RADIANS = 2.0
@@ -101,22 +105,49 @@ class ProbePath:
             self.constant = self.constant / (1j * wavelength * way)
         self._first = BandLimitedFourier(x, y, *self._seen, self._kappa, dtype)
 
-    def gather(
-        self, pupil: torch.Tensor, rows: slice, tilts: torch.Tensor | None, centres: torch.Tensor | None
-    ) -> torch.Tensor:
-        """Contribution of some rows of the shared pupil [B, rows, columns] to the field at the first transform's nodes.
+    def gather(self, bands: Iterable[Band], triangle: torch.Tensor | None) -> torch.Tensor:
+        """The shared pupil's field at the first transform's nodes, [B, V', U'].
 
-        `tilts` [B, 2], where given, foreshorten the picture; `centres` [B, 2] move it, in metres.
+        `bands` are slices of the upper half of the pupil's rows and of its columns, with their fields in pairs, [B, 2,
+        rows, columns], from `pairs`. `triangle` [B, 2, 2], where given, is T of `foreshortening`, which foreshortens
+        the picture.
         """
         # M = 1 - (1 - cosθ) ŝŝᵀ mixes x and y, which two matrix products cannot. Its QR factors can: the rotation acts
-        # on the (round) pupil, see `twisted`, and a triangular T costs one phase between the two products.
-        t = None if tilts is None else foreshortening(tilts)[1]
-        if centres is not None and self.aperture is None:
-            pupil = pupil * self._ramp(_seen_at(centres, t), self._x, self._y[rows])
+        # on the (round) pupil, and a triangular T costs one phase between the two products.
+        first, t = self._first, triangle
+        kernel = None if t is None else first.down.scaled(t[:, 1, 1])
+        total: torch.Tensor | None = None
+        for rows, columns, halves in bands:
+            part = first.down.partial(halves, rows, kernel)
+            if total is None and halves.shape[-1] == len(self._x):
+                total = part
+                continue
+            if total is None:
+                total = part.new_zeros(*part.shape[:-1], len(self._x))
+            total[..., columns] += part
+        assert total is not None
+        down = first.down.unfolded(total)
         if t is None:
-            return self._first.at_nodes(pupil, rows.start)
-        mix, down = self._rest(t, self._y[rows])
-        return down @ (self._first.across(pupil, t[:, 0, 0]) * mix)
+            return first.across(folded(down.mT)).mT
+        return first.across(folded((down * self._mix(t, self._x)).mT), first.across.scaled(t[:, 0, 0])).mT
+
+    def pairs(
+        self,
+        upper: torch.Tensor,
+        lower: torch.Tensor,
+        rows: slice,
+        columns: slice,
+        centres: torch.Tensor | None,
+        shortening: torch.Tensor | None,
+    ) -> Band:
+        """Some rows and columns [B, Y', X'] of the pupil's upper half with their partners -y, as `gather` takes them.
+
+        `centres` [B, 2] move the picture, in metres, as seen under its `shortening` [B, 2, 2].
+        """
+        if centres is not None and self.aperture is None:
+            seen, x, y = _seen_at(centres, shortening), self._x[columns], self._y[rows]
+            upper, lower = upper * self._ramp(seen, x, y), lower * self._ramp(seen, x, -y)
+        return rows, columns, paired(upper, lower)
 
     def gather_unturned(self, pupil: torch.Tensor, tilts: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
         """As `gather`, of all rows of a pupil whose coordinates are not turned by the rotation R: behind a mask."""
@@ -174,26 +205,28 @@ class ProbePath:
             pupil = pupil * phasor(self.chirp * square, self.dtype)
         elif centres is not None:
             pupil = pupil * self._ramp(_seen_at(centres, t), x, y)
+        down = self._kernel(-self._kappa * t[:, 1, 1, None] * (y - middle_y), self._first.uy).mT
         columns = self._kernel(-self._kappa * t[:, 0, 0, None] * (x - middle_x), self._first.ux)
-        mix, down = self._rest(t, y - middle_y)
-        gathered = down @ ((pupil @ columns) * mix)
+        gathered = ((down @ pupil) * self._mix(t, x - middle_x)) @ columns
         if squared and self.aperture is None:
             return self._first.lift_squared(gathered)
         # A pupil off its middle adds a linear phase to the picture: apply it after the sum over nodes.
         wide, high = self._seen
-        sideways = phasor(-self._kappa * (t[:, 0, 0, None] * middle_x + t[:, 1, 0, None] * middle_y) * wide, self.dtype)
-        upwards = phasor(-self._kappa * t[:, 1, 1, None] * middle_y * high, self.dtype)
+        sideways = phasor(-self._kappa * t[:, 0, 0, None] * middle_x * wide, self.dtype)
+        upwards = phasor(-self._kappa * (t[:, 0, 1, None] * middle_x + t[:, 1, 1, None] * middle_y) * high, self.dtype)
         return self._through(self._first.lift(gathered, upwards, sideways), centres, squared)
 
-    def _rest(self, t: torch.Tensor, y: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """The phase between the two products and the second product's kernel: y (t10 qx + t11 qy)."""
-        mix = self._kernel(-self._kappa * t[:, 1, 0, None] * y, self._first.ux)
-        down = self._kernel(-self._kappa * t[:, 1, 1, None] * y, self._first.uy).mT
-        return mix, down
+    def _mix(self, t: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
+        """The phase between the two products, of x t01 qy: [B, V', X] for columns x [X] or [B, X]."""
+        rows = -self._kappa * t[:, 0, 1, None] * self._first.uy
+        if self.dtype == torch.complex64 and not t.requires_grad:
+            # A few radians: their rounding is far below that of the products.
+            rows, x = rows.float(), x.float()
+        return self._kernel(rows, x)
 
     def _kernel(self, rows: torch.Tensor, columns: torch.Tensor) -> torch.Tensor:
-        """exp(i row·column) [B, rows, columns], of rows [B, rows] in radians per metre and columns in metres."""
-        return phasor(rows[:, :, None] * columns, self.dtype)
+        """exp(i row·column) [B, rows, columns], of rows [B, rows] in radians a metre and columns [(B,) columns]."""
+        return phasor(rows[:, :, None] * columns[..., None, :], self.dtype)
 
     def _through(self, first: torch.Tensor, centres: torch.Tensor | None, squared: bool = False) -> torch.Tensor:
         if self.aperture is None:

@@ -9,13 +9,17 @@ the tilt displaces (docs/conventions.md, "The round pass"). With the tilt's sine
 F is tabulated once for all gazes; a gaze costs one look-up for each sample of the pupil and one transform onto the
 probe's pixels. A grating's order m of direction τ = mλ/p returns what a mirror would from the tangents t + τ/2. Every
 plane has its own z, so pixel arrays and layers are sums of such terms.
+
+One file of somewhat more than 400 lines: what is prepared for all gazes and what a gaze adds are read together.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property, partial
+from typing import Any
 
 import torch
 
@@ -25,15 +29,18 @@ from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import DiscRows
 from tapetum.optics.radial import FocusTables, RadialTable, focus_tables, returning_field
 from tapetum.optics.sampling import DoublePassGeometry, RoundPlan
-from tapetum.simulate.foreshortening import cosines, foreshortens, tangents, twisted
-from tapetum.simulate.probe_path import ProbeAperture, ProbePath
+from tapetum.simulate.foreshortening import Tilts, flattest
+from tapetum.simulate.probe_path import Band, ProbeAperture, ProbePath
 from tapetum.simulate.surfaces import Order, PlaceSeries, Surface
 from tapetum.simulate.true_paths import Leg, TruePaths, neglected_path
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
-# Samples of pupils looked up at a time: their memory fits the processor's caches.
-_SAMPLES_AT_ONCE = 1 << 18
+# Samples of pupils looked up at a time: many enough to share what a gaze costs besides them, few enough that their
+# memory fits the processor's caches.
+_SAMPLES_AT_ONCE = 1 << 20
+# Bands of rows that the upper half is cut into, so that those near its edge are as short as their chords.
+_BANDS = 3
 # Samples up to which the lens's phase and weights are kept; larger pupils recompute them for each band.
 _SAMPLES_KEPT = 1 << 24
 # Degree of the pupil's end correction: with these few samples a higher one amplifies the faint steep light.
@@ -42,6 +49,8 @@ _END_ORDER = 3
 _SHARE_MISSED = 0.25
 # Bytes that automatic differentiation keeps for each pupil sample (some forty numbers), and may keep in all.
 _BYTES_OF_GRAPH, _MOST_GRAPH = 800, 6 << 30
+# Values [B, 2, rows, columns] at some rows of the pupil's upper half with their partners -y, and some columns.
+_Part = Callable[[slice, slice], torch.Tensor]
 _PARAMETERS = ("wavelength", "radius", "focal_length", "curvature", "probe_focal_length")
 
 
@@ -86,6 +95,8 @@ class RoundPass:
         Of a beam narrower than the aperture, in metres.
     interferes
         Whether the field meets others', so that even a single plane needs its phase.
+    aside
+        A coarser plan for gazes of squared sines above a number, from `optics.sampling.plan_aside`.
     parameters
         Tensors that carry gradients, in place of the geometry's numbers: `focal_length`, `radius`, `wavelength`,
         `curvature`, `probe_focal_length`; a surface carries its own image distance.
@@ -106,6 +117,7 @@ class RoundPass:
         probe_radius: float | None = None,
         lit_radius: float | None = None,
         interferes: bool = False,
+        aside: tuple[RoundPlan, float] | None = None,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "cpu",
         **parameters: torch.Tensor | float,
@@ -122,6 +134,7 @@ class RoundPass:
         self.differentiable = any(value.requires_grad for value in (*values.values(), *lengths))
         self._values = values
         self._k = 2 * math.pi / values["wavelength"]
+        self._wavenumber = float(self._k.detach())
         self._disc = DiscRows(1.0, plan.columns, plan.rows, _END_ORDER, self.device)
         self._x, self._y = self._disc.x * values["radius"], self._disc.y * values["radius"]
         aperture = None
@@ -154,7 +167,20 @@ class RoundPass:
             None if self._distance is None or distance is None else self._scalar(distance),
             probe_radius,
         )
-        self._surfaces = [self._prepare(one) for one in surfaces]
+        self._given, self._aside_plan = surfaces, aside
+        options: dict[str, Any] = {"probe_radius": probe_radius, "lit_radius": lit_radius, "interferes": interferes}
+        options |= {"distance": distance, "dtype": dtype, "device": device, **parameters}
+        self._again = partial(RoundPass, geometry, output=output, surfaces=surfaces, **options)
+
+    @cached_property
+    def _surfaces(self) -> list[_Prepared]:
+        """The planes with their tables, computed for the first gaze."""
+        return [self._prepare(one) for one in self._given]
+
+    @cached_property
+    def _aside(self) -> RoundPass:
+        assert self._aside_plan is not None
+        return self._again(plan=self._aside_plan[0])
 
     def _scalar(self, value: torch.Tensor | float) -> torch.Tensor:
         return torch.as_tensor(value, dtype=torch.float64, device=self.device)
@@ -194,16 +220,16 @@ class RoundPass:
             amplitude, orders = orders[0].amplitude, (replace(orders[0], amplitude=1.0),)
         prepared = _Prepared(z, tables, bend, orders, surface.phase, tilt, moves, amplitude=amplitude)
         if self.plan.columns * self.plan.rows <= _SAMPLES_KEPT:
-            prepared = replace(prepared, exit=self._leaving(prepared, slice(0, self.plan.rows)))
+            prepared = replace(prepared, exit=self._leaving(prepared, slice(0, self.plan.rows), slice(None)))
         return prepared
 
-    def _leaving(self, one: _Prepared, rows: slice) -> torch.Tensor:
+    def _leaving(self, one: _Prepared, rows: slice, columns: slice) -> torch.Tensor:
         """Factor of the lens on the way out: weight, phase, constants, a single order's amplitude; [rows, columns]."""
         if one.exit is not None:
-            return one.exit[rows]
-        across = phasor(one.bend * self._x**2).to(self.dtype)
+            return one.exit[rows, columns]
+        across = phasor(one.bend * self._x[columns] ** 2).to(self.dtype)
         down = (phasor(one.bend * self._y[rows] ** 2) * self._path.constant * one.amplitude).to(self.dtype)
-        weights = self._disc.weights(rows, torch.float64 if self.differentiable else self._real)
+        weights = self._disc.weights(rows, torch.float64 if self.differentiable else self._real)[:, columns]
         return (weights * self._values["radius"] ** 2).to(self._real) * down[:, None] * across[None, :]
 
     def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
@@ -212,53 +238,78 @@ class RoundPass:
         `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
         sensor, in metres, by default in the middle.
         """
-        u = self.field(sines, centres)
-        return torch.addcmul(u.real.square(), u.imag, u.imag)
+        return self._images(sines, centres, squared=True)
 
     def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
         """Complex amplitude U5 on the probe's pixels, [B, H, W], in W^½/m; arguments as for the call."""
-        sines = sines.to(self.device, torch.float64)
+        return self._images(sines, centres, squared=False)
+
+    def _images(self, sines: torch.Tensor, centres: torch.Tensor | None, *, squared: bool) -> torch.Tensor:
+        gazes, flat = self._gazes(sines, centres), flattest(self)
+        if self.differentiable or sines.requires_grad or (centres is not None and centres.requires_grad):
+            return self._some(gazes.some(slice(None), flat), squared)
+        if self._aside_plan is not None and max(gazes.size, default=0.0) > self._aside_plan[1]:
+            return self._split(gazes, self._aside_plan[1], squared)
+        count = max(1, _SAMPLES_AT_ONCE // (self.plan.columns * self.plan.rows))
+        dtype = self._real if squared else self.dtype
+        images = torch.empty(len(sines), *self._path.shape, dtype=dtype, device=self.device)
+        for i in range(0, len(sines), count):
+            images[i : i + count] = self._some(gazes.some(slice(i, i + count), flat), squared)
+        return images
+
+    def _split(self, gazes: Tilts, least: float, squared: bool) -> torch.Tensor:
+        """The same with gazes of squared sines above `least` by the plan for those."""
+        aside = torch.tensor([one > least for one in gazes.size], device=self.device)
+        if bool(aside.all()):
+            return self._aside._images(gazes.sines, gazes.centres, squared=squared)
+        dtype = self._real if squared else self.dtype
+        images = torch.empty(len(gazes.size), *self._path.shape, dtype=dtype, device=self.device)
+        for one, which in ((self._aside, aside), (self, ~aside)):
+            centres = None if gazes.centres is None else gazes.centres[which]
+            images[which] = one._images(gazes.sines[which], centres, squared=squared)
+        return images
+
+    def _gazes(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> Tilts:
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
-        if self.differentiable or sines.requires_grad:
-            return self._field(sines, centres)
-        size = max(1, _SAMPLES_AT_ONCE // (self.plan.columns * self.plan.rows))
-        parts = [
-            self._field(sines[i : i + size], None if centres is None else centres[i : i + size])
-            for i in range(0, len(sines), size)
-        ]
-        return torch.cat(parts) if len(parts) != 1 else parts[0]
+        return Tilts.of(sines.to(self.device, torch.float64), centres)
 
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, rows, columns], with x [columns], y [rows] and weights.
 
         Its squared modulus is the power through a unit area of the lens, for 1 W/m² across the incoming light.
         """
-        sines = sines.to(self.device, torch.float64)
+        gazes = self._gazes(sines).some(slice(None), math.inf)
         weights = self._disc.weights(slice(0, self.plan.rows)) * self._values["radius"] ** 2
         rho_squared = self._x[None, :] ** 2 + self._y[:, None] ** 2
         known = weights * phasor(self._path.chirp * rho_squared) * self._path.constant
         inside = weights != 0
-        field = self._pupil(sines, slice(0, self.plan.rows), False)
+        half, columns = slice(0, (self.plan.rows + 1) // 2), slice(0, self.plan.columns)
+        upper, lower = self._pupil(self._terms(gazes), len(gazes.sines), half, columns).unbind(1)
+        field = torch.cat([upper, lower[:, : self.plan.rows // 2].flip(1)], 1)
         field = torch.where(inside, field / torch.where(inside, known, torch.ones_like(known)).to(self.dtype), 0)
-        return field * torch.sqrt(cosines(sines))[:, None, None].to(self._real), self._x, self._y, weights
+        return field * torch.sqrt(gazes.cosines)[:, None, None].to(self._real), self._x, self._y, weights
 
-    def _field(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
-        twist = foreshortens(self, sines)
+    def _some(self, gazes: Tilts, squared: bool) -> torch.Tensor:
+        """Irradiance or field of gazes computed at once."""
         # Pupils too large for the caches are computed in bands of rows.
-        whole = self.differentiable or sines.requires_grad
+        whole = self.differentiable or gazes.sines.requires_grad
         if whole:
-            self._check_graph(len(sines))
-        band = self.plan.rows if whole else max(1, 4 * _SAMPLES_AT_ONCE // (len(sines) * self.plan.columns))
-        gathered: torch.Tensor | None = None
-        for start in range(0, self.plan.rows, band):
-            rows = slice(start, start + band)
-            part = self._path.gather(self._pupil(sines, rows, twist), rows, sines if twist else None, centres)
-            gathered = part if gathered is None else gathered + part
-        assert gathered is not None
+            self._check_graph(len(gazes.sines))
+        half, terms = (self.plan.rows + 1) // 2, self._terms(gazes)
+        band = min(_SAMPLES_AT_ONCE // (2 * len(gazes.sines) * self.plan.columns), math.ceil(half / _BANDS))
+        band = half if whole else max(1, band)
+
+        def bands() -> Iterator[Band]:
+            for start in range(0, half, band):
+                rows = slice(start, min(start + band, half))
+                columns = slice(0, self.plan.columns) if whole else self._disc.spanned(rows)
+                upper, lower = self._pupil(terms, len(gazes.sines), rows, columns).unbind(1)
+                yield self._path.pairs(upper, lower, rows, columns, gazes.centres, gazes.triangle)
+
         # The tilted lens receives cosθ of the light, and its return spreads over a foreshortened picture.
-        gathered = gathered * cosines(sines)[:, None, None].to(self._real)
-        return self._path.to_image(gathered, centres)
+        gathered = self._path.gather(bands(), gazes.triangle) * gazes.cosines[:, None, None].to(self._real)
+        return self._path.to_image(gathered, gazes.centres, squared=squared)
 
     def _check_graph(self, batch: int) -> None:
         """Refuse gradients that exceed the memory: they keep every step of every sample."""
@@ -271,85 +322,105 @@ class RoundPass:
                 remedy="take fewer gazes at a time, ask for less accuracy, or stop the target's aperture down",
             )
 
-    def _pupil(self, sines: torch.Tensor, rows: slice, twist: bool) -> torch.Tensor:
-        """Rows of the field that leaves the lens, with weights and constants: [B, rows, columns]."""
+    def _pupil(self, terms: Sequence[tuple[_Prepared, _Part]], count: int, rows: slice, columns: slice) -> torch.Tensor:
+        """The field that leaves the lens, with weights and constants: [B, 2, rows, columns].
+
+        Of some columns, and some rows of the upper half with their partners -y, in the same order.
+        """
         total: torch.Tensor | None = None
-        slopes = tangents(sines)
-        for one in self._surfaces:
-            of_orders: torch.Tensor | None = None
-            followed = self._follows(one, sines)
-            # Where the gaze's chief ray meets the plane.
-            z = one.z / (1 - slopes @ one.tilt) if one.tilted else one.z.expand(len(sines))
-            for order in one.orders:
-                tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
-                if followed:
-                    value = self._followed(one, sines, slopes, tau, z, rows, twist)
-                else:
-                    seen = slopes + tau / 2
-                    value = self._looked_up(one, twisted(seen, sines) if twist else seen, rows)
-                amplitude = order.at(z[:, None] * slopes)
-                if self._interferes:
-                    # The mirror's phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
-                    phase = self._k * z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
-                    value = value * (phasor(phase) * amplitude).to(self.dtype)[:, None, None]
-                elif isinstance(amplitude, torch.Tensor):
-                    value = value * amplitude.to(self.dtype)[:, None, None]
-                elif amplitude != 1:
-                    value = value * amplitude
-                of_orders = value if of_orders is None else of_orders + value
-            if of_orders is not None:
-                leaving = self._leaving(one, rows)
-                kept = of_orders.requires_grad or leaving.requires_grad
-                term = of_orders * leaving if kept else of_orders.mul_(leaving)
-                total = term if total is None else total + term
+        for one, part in terms:
+            value, leaving = part(rows, columns), self._leaving(one, rows, columns)
+            kept = value.requires_grad or leaving.requires_grad
+            value = value * leaving if kept else value.mul_(leaving)
+            total = value if total is None else total + value
         if total is None:
-            shape = (len(sines), len(self._y[rows]), len(self._x))
+            shape = count, 2, len(self._y[rows]), len(self._x[columns])
             return torch.zeros(shape, dtype=self.dtype, device=self.device)
         return total
 
-    def _follows(self, one: _Prepared, sines: torch.Tensor) -> bool:
+    def _terms(self, gazes: Tilts) -> list[tuple[_Prepared, _Part]]:
+        """Each plane's light before it passes the lens again, for any part of the pupil."""
+        return [(one, self._returning(one, gazes)) for one in self._surfaces if one.orders]
+
+    def _returning(self, one: _Prepared, gazes: Tilts) -> _Part:
+        """All orders of a plane."""
+        slopes, followed = gazes.slopes, self._follows(one, gazes)
+        # Where the gaze's chief ray meets the plane.
+        z = one.z / (1 - slopes @ one.tilt) if one.tilted else one.z.expand(len(slopes))
+        found: list[tuple[_Part, torch.Tensor | complex]] = []
+        for order in one.orders:
+            tau = torch.tensor(order.direction, dtype=torch.float64, device=self.device)
+            if followed:
+                part = self._followed(one, gazes, tau, z)
+            else:
+                part = self._looked_up(one, gazes.framed(slopes + tau / 2))
+            amplitude = order.at(z[:, None] * slopes)
+            if self._interferes:
+                # The mirror's phase k z t², and the order's: k z (t + τ/2)² - k z τ²/4.
+                phase = self._k * z * ((slopes**2).sum(-1) + (slopes * tau).sum(-1)) + one.phase
+                amplitude = phasor(phase) * amplitude
+            if isinstance(amplitude, torch.Tensor):
+                amplitude = amplitude.to(self.dtype)[:, None, None, None]
+            found.append((part, amplitude))
+
+        def all_orders(rows: slice, columns: slice) -> torch.Tensor:
+            total: torch.Tensor | None = None
+            for part, amplitude in found:
+                value = part(rows, columns)
+                if isinstance(amplitude, torch.Tensor) or amplitude != 1:
+                    value = value * amplitude
+                total = value if total is None else total + value
+            assert total is not None
+            return total
+
+        return all_orders
+
+    def _follows(self, one: _Prepared, gazes: Tilts) -> bool:
         """Whether these gazes need paths beyond the table."""
         if one.tilted:
             return True
-        if sines.requires_grad and (self.geometry.curvature or self._distance is not None):
-            return True
-        steepest = float((sines.detach() ** 2).sum(-1).max().sqrt()) if len(sines) else 0.0
+        if gazes.sines.requires_grad:
+            return bool(self.geometry.curvature) or self._distance is not None
+        steepest = math.sqrt(max(gazes.size, default=0.0))
         missed = neglected_path(
             self.geometry, steepest, distance=self._distance, probe_radius=self._probe_radius or 0.0
         )
-        return float(self._k.detach()) * missed > _SHARE_MISSED * min(self.plan.expected_error, 1e-2)
+        return self._wavenumber * missed > _SHARE_MISSED * min(self.plan.expected_error, 1e-2)
 
-    def _followed(
-        self,
-        one: _Prepared,
-        sines: torch.Tensor,
-        slopes: torch.Tensor,
-        tau: torch.Tensor,
-        z: torch.Tensor,
-        rows: slice,
-        twist: bool,
-    ) -> torch.Tensor:
+    def _followed(self, one: _Prepared, gazes: Tilts, tau: torch.Tensor, z: torch.Tensor) -> _Part:
         """As `_looked_up`, along the light's true paths."""
-        tilt = one.tilt.expand(len(sines), -1)
+        tilt = one.tilt.expand(len(z), -1)
         # Along a tilted plane the path to it grows by less than the plane's own a·v.
-        turn = tau - (slopes**2).sum(-1, keepdim=True) * tilt
-        vectors = (sines, slopes, turn, tilt)
-        if twist:
-            vectors = tuple(twisted(vector, sines) for vector in vectors)
+        turn = tau - (gazes.slopes**2).sum(-1, keepdim=True) * tilt
+        vectors = tuple(gazes.framed(vector) for vector in (gazes.sines, gazes.slopes, turn, tilt))
         leg = Leg(vectors[0], vectors[1], vectors[2], z, vectors[3] if one.tilted else None)
-        across, down, factor = self._paths(self._x, self._y[rows], leg, one.z)
-        value = one.tables.at(torch.sqrt((across**2 + down**2).clamp_min(1e-24)), z, one.moves)
-        return value.to(self.dtype) * factor.to(self.dtype)
 
-    def _looked_up(self, one: _Prepared, seen: torch.Tensor, rows: slice) -> torch.Tensor:
-        """F(|x - 2z t|) at the pupil's samples, [B, rows, columns], for the tangents seen [B, 2]."""
-        offset = 2 * one.z * seen
-        table = one.tables.only
-        across = ((self._x[None, :] - offset[:, 0:1]) / table.step) ** 2
-        down = ((self._y[None, rows] - offset[:, 1:2]) / table.step) ** 2
+        def part(rows: slice, columns: slice) -> torch.Tensor:
+            y = torch.cat([self._y[rows], -self._y[rows]])
+            across, down, factor = self._paths(self._x[columns], y, leg, one.z)
+            value = one.tables.at(torch.sqrt((across**2 + down**2).clamp_min(1e-24)), z, one.moves)
+            value = value.to(self.dtype) * factor.to(self.dtype)
+            return value.reshape(len(z), 2, -1, value.shape[-1])
+
+        return part
+
+    def _looked_up(self, one: _Prepared, seen: torch.Tensor) -> _Part:
+        """F(|x - 2z t|) for the tangents seen [B, 2]."""
+        offset, table = 2 * one.z * seen, one.tables.only
+        half = self._y[: (self.plan.rows + 1) // 2]
+        across = ((self._x - offset[:, 0:1]) / table.step) ** 2
+        down = ((torch.stack([half, -half]) - offset[:, 1:2, None]) / table.step) ** 2
         if self.differentiable or seen.requires_grad or self.dtype == torch.complex128:
-            # The root has no gradient at zero: a zero distance counts as a billionth of a step.
-            steps = torch.sqrt((down[:, :, None] + across[:, None, :]).clamp_min(1e-18))
-            return table.smooth(steps, **one.moves).to(self.dtype)
-        steps = (down.to(self._real)[:, :, None] + across.to(self._real)[:, None, :]).sqrt_()
-        return table.nearest(steps)
+
+            def smooth(rows: slice, columns: slice) -> torch.Tensor:
+                square = down[:, :, rows, None] + across[:, None, None, columns]
+                # The root has no gradient at zero: a zero distance counts as a billionth of a step.
+                return table.smooth(torch.sqrt(square.clamp_min(1e-18)), **one.moves).to(self.dtype)
+
+            return smooth
+        down, across = down.to(self._real)[..., None], across.to(self._real)[:, None, None]
+
+        def nearest(rows: slice, columns: slice) -> torch.Tensor:
+            return table.nearest((down[:, :, rows] + across[..., columns]).sqrt_())
+
+        return nearest

@@ -14,11 +14,12 @@ that the pupil leaves out of s. A mirror takes s to -s, an order of direction τ
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Any, Generic, TypeVar
 
 import torch
 
-from tapetum.optics.fourier import phasor
+from tapetum.optics.fourier import folded, phasor, real_times
 from tapetum.simulate.pupils import Gazes, Leaving, Pupil
 from tapetum.simulate.spot_window import SpotWindow
 from tapetum.simulate.surfaces import Mask, Surface
@@ -77,7 +78,7 @@ class SampledPass(Generic[Lens]):
         precise = torch.complex128 if pupil.fixed else dtype
         self._window = (seen * (window.step / (1j * wavelength)) ** 2).to(precise)
         self._spot: torch.Tensor | None = None
-        self._kernels: tuple[torch.Tensor, torch.Tensor] | None = None
+        self._kernels: _Kernels | None = None
         if pupil.fixed:
             at = pupil.gazes(torch.zeros(1, 2, dtype=torch.float64, device=self.device), self._own)
             self._spot = self._entered(at, precise).to(dtype)
@@ -120,8 +121,8 @@ class SampledPass(Generic[Lens]):
     def _left(self, at: Gazes) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         leaving = at.leaving()
         spot = self._entered(at, self.dtype, leaving.mirrored) if self._spot is None else self._spot
-        down, right = self._kernels or self._back(leaving)
-        back = _products(down, self._reflected(spot, at, leaving.mirrored), right)
+        kernels = self._kernels or self._back(leaving)
+        back = kernels(self._reflected(spot, at, leaving.mirrored))
         if leaving.read_at is not None:
             planes = torch.view_as_real(back).permute(0, 3, 1, 2)
             read_at = leaving.read_at.to(self.dtype.to_real())
@@ -129,46 +130,59 @@ class SampledPass(Generic[Lens]):
             back = torch.complex(back[:, 0], back[:, 1])
         return back * leaving.wave, leaving.x, leaving.y
 
-    def _entered(self, at: Gazes, dtype: torch.dtype, half: bool = False) -> torch.Tensor:
-        """The spot's light [B or 1, n, n] times both ways' curvature and the window; `half`: columns from 0 on."""
+    def _entered(self, at: Gazes, dtype: torch.dtype, halved: bool = False) -> torch.Tensor:
+        """The spot's light [B or 1, n, n] times both ways' curvature and the window; `halved`: columns from 0 on."""
         light, v, (xx, yy, xy) = at.entering(), self._v, at.bend
         strength = light.strength.to(dtype if light.strength.is_complex() else dtype.to_real())
         wave = strength * phasor(self._k * light.path, dtype)
-        # Light that is mirrored is so in the spot too.
-        on_columns, on_rows = (v[len(v) // 2 :] if mirrored else v for mirrored in light.mirrored)
-        down, right = self._kernel(on_rows, light.rows, dtype), self._kernel(on_columns, light.columns, dtype).mT
-        if light.mirrored[1]:
-            down = (2 * down.real).to(dtype)
-        if light.mirrored[0]:
-            right = (2 * right.real).to(dtype)
-        down = down * phasor(self._k * on_rows**2 * yy[:, None], dtype)[..., None]
-        right = right * phasor(self._k * on_columns**2 * xx[:, None], dtype)[:, None, :]
-        spot = _products(down, wave, right)
+        # Light that is mirrored is so in the spot too, and other light has its waves in pairs there.
+        half = v[len(v) // 2 :]
+        on_columns, on_rows = (half if mirrored else v for mirrored in light.mirrored)
+        spot = self._spread(light.rows, wave, half, light.mirrored[1])
+        spot = spot * phasor(self._k * on_rows**2 * yy[:, None], dtype)[..., None]
+        spot = self._spread(light.columns, spot.mT, half, light.mirrored[0]).mT
+        spot = spot * phasor(self._k * on_columns**2 * xx[:, None], dtype)[:, None, :]
         if light.mirrored[1]:
             spot = _unfolded(spot, -2, len(v))
-        if light.mirrored[0] and not half:
+        if light.mirrored[0] and not halved:
             spot = _unfolded(spot, -1, len(v))
         spot = spot * self._window[:, -spot.shape[-1] :]
         if self._own and xy is not None:
             spot = spot * phasor(2 * self._k * xy[:, None, None] * v[:, None] * v, dtype)
         return spot
 
-    def _back(self, leaving: Leaving) -> tuple[torch.Tensor, torch.Tensor]:
+    def _spread(self, places: torch.Tensor, wave: torch.Tensor, half: torch.Tensor, mirrored: bool) -> torch.Tensor:
+        """Waves [B, m, x] of places [B, m] at all v, [B, n, x]; those that are `mirrored` at `half`, from 0 on."""
+        kernel = self._kernel(half, places, wave.dtype)
+        if mirrored:
+            return real_times(2 * kernel.real, wave)
+        even, odd = real_times(torch.stack([kernel.real, kernel.imag], 1), wave[:, None]).unbind(1)
+        upper, lower = torch.add(even, odd, alpha=1j), torch.sub(even, odd, alpha=1j)
+        return torch.cat([lower.flip(1)[:, : len(self._v) - len(half)], upper], 1)
+
+    def _back(self, leaving: Leaving) -> _Kernels:
         """Kernels from the plane to the directions in which the returning light is wanted."""
-        v = self._v
-        down = self._kernel(v, leaving.rows, self.dtype).mT
+        v, real = self._v, self.dtype.to_real()
+        half = v[: (len(v) + 1) // 2]
+
+        def pairs(places: torch.Tensor) -> torch.Tensor:
+            kernel = self._kernel(half, places, self.dtype).mT
+            # A sample in the middle is its own partner.
+            both = torch.stack([kernel.real, kernel.imag], 1)
+            return both * torch.where(half == 0, 0.5, 1.0).to(real)
+
+        down = pairs(leaving.rows)
         if leaving.mirrored:
             v = v[len(v) // 2 :]
             # Both sides; the middle column is but one.
-            both = torch.where(v == 0, 1.0, 2.0).to(self.dtype.to_real())[:, None]
-            right = (both * self._kernel(v, leaving.columns, self.dtype).real).to(self.dtype)
+            both = torch.where(v == 0, 1.0, 2.0).to(real)
+            right = (both[:, None] * self._kernel(v, leaving.columns, self.dtype).real).mT
         else:
-            right = self._kernel(v, leaving.columns, self.dtype)
-        if leaving.unbent is not None:
-            across, along = leaving.unbent
-            down = down * phasor(self._k * along, self.dtype)[..., None]
-            right = right * phasor(self._k * across, self.dtype)[:, None, :]
-        return down, right
+            right = pairs(leaving.columns)
+        if leaving.unbent is None:
+            return _Kernels(down, right, None)
+        across, along = (phasor(self._k * path, self.dtype) for path in leaving.unbent)
+        return _Kernels(down, right, (across[:, None, :], along[..., None]))
 
     def _reflected(self, spot: torch.Tensor, at: Gazes, half: bool) -> torch.Tensor:
         """The spot's light off the plane: times a mask, or phases that change slowly for each order of a surface."""
@@ -230,10 +244,27 @@ def _unfolded(half: torch.Tensor, dim: int, count: int) -> torch.Tensor:
     return torch.cat([other, half], dim)
 
 
-def _products(down: torch.Tensor, field: torch.Tensor, right: torch.Tensor) -> torch.Tensor:
-    """down @ field @ right, in the order that costs fewer multiplications."""
-    v, y = down.shape[-2:]
-    x, u = right.shape[-2:]
-    if v * y * x + v * x * u <= y * x * u + v * y * u:
-        return (down @ field) @ right
-    return down @ (field @ right)
+@dataclass(frozen=True)
+class _Kernels:
+    """Real kernels of both products: of pairs of rows, and of pairs of columns or of the columns from 0 on.
+
+    `down` [B, 2, y, n/2] are cosines and sines, `right` [B, 2, x, n/2] too or cosines [B, x, n/2]; `factors` of columns
+    and rows follow.
+    """
+
+    down: torch.Tensor
+    right: torch.Tensor
+    factors: tuple[torch.Tensor, torch.Tensor] | None
+
+    def __call__(self, spot: torch.Tensor) -> torch.Tensor:
+        """From the plane [B, n, n or n/2] to the directions [B, y, x]."""
+        back = _gathered(self.down, spot).mT
+        back = real_times(self.right, back) if self.right.dim() == 3 else _gathered(self.right, back)
+        back = back.mT
+        return back if self.factors is None else back * self.factors[0] * self.factors[1]
+
+
+def _gathered(kernel: torch.Tensor, field: torch.Tensor) -> torch.Tensor:
+    """From samples [B, n, x] to directions [B, y, x] by cosines and sines [B, 2, y, n/2] of pairs."""
+    even, odd = real_times(kernel, folded(field)).unbind(1)
+    return torch.add(even, odd, alpha=1j)

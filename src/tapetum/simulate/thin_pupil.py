@@ -125,7 +125,11 @@ class _ThinGazes:
         if self._own and (self._shortened or path.aperture is not None):
             gathered = path.gather_unturned(field, sines, centres)
         else:
-            gathered = path.gather(field, slice(0, y.shape[-1]), sines if self._shortened else None, centres)
+            half, triangle = slice(0, (y.shape[-1] + 1) // 2), None
+            if self._shortened:
+                triangle = foreshortening(sines)[1]
+            upper, lower = field[:, half], field.flip(1)[:, half]
+            gathered = path.gather([path.pairs(upper, lower, half, slice(None), centres, triangle)], triangle)
         return path.to_image(gathered, centres, squared=squared)
 
     def _framed(self, vectors: torch.Tensor) -> torch.Tensor:
