@@ -52,8 +52,14 @@ _MARGIN = 8
 LIT_REACH, DARK_REACH = 12, 4
 _LARGE = 10
 _QUANTUM = 0.3
-# What a registration leaves of an edge: a quarter of its height, a pixel away.
-_LEFT_OF_EDGES = 0.25
+# What a registration leaves of an edge, as a share of its height: as much as it left of those around, twice over for
+# what is worst, and within these bounds. Where all is well registered a camera beside a window is seen; where people
+# walk an edge is expected to leave a quarter of itself.
+_LEFT_OF_EDGES = (0.04, 0.25)
+_WORST_OF_EDGES = 2.0
+_FLAT = 1.0
+# How far around a place the screen asks what was left of edges, in pixels of what it screens.
+_NEAR_EDGES = 9
 _BLOCK = 8
 _ALONE = 3.0
 # Blocks around one with whose answers its own is compared: 7 x 7 of them, 56 pixels.
@@ -127,8 +133,9 @@ class Cut:
         [N] whole pixels of the octave.
     shape
         [N, 2] rows and columns of the octave.
-    height
-        [N] height over the spread of its surroundings.
+    height, clear
+        [N] height over the spread of its surroundings and what a registration may leave of edges, at worst and, as
+        `clear`, by what it left of edges around.
     size
         [N] which of `SIGMAS`, in rising order.
     difference, lit, dark
@@ -143,6 +150,7 @@ class Cut:
     y: Whole
     shape: Whole
     height: Array
+    clear: Array
     size: Whole
     difference: Array
     lit: Array
@@ -257,7 +265,7 @@ def screened(layer: Layer, most: int) -> Place:
     x, y, number = x[top], y[top], number[top]
     found = flat[number]
     if layer.base is not None and len(x):
-        variance = variance.ravel()[number] + (_LEFT_OF_EDGES * _edges(layer.base, x, y, layer.cell > 1)) ** 2
+        variance = variance.ravel()[number] + np.square(_edges(answer, layer.base, x, y, layer.cell > 1))
         found = own[top] / np.sqrt(variance)
     kept = np.argsort(-found, kind="stable")[:most]
     return Place(layer.cell * x[kept], layer.cell * y[kept], np.asarray(found[kept], dtype=np.float32))
@@ -296,34 +304,39 @@ def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
     x, y = np.concatenate(at, 1)[:, order]
     answer = _answers(difference, size, HALF)
     near = slice(HALF - LIT_REACH, HALF + LIT_REACH + 1)
-    dark_answer = None if dark is None else _answers(dark, size, DARK_REACH)
+    dark_answer = None if dark is None else _answers(dark, size, HALF)
+    of_dark = slice(HALF - DARK_REACH, HALF + DARK_REACH + 1)
     return Cut(
         np.concatenate(steps)[order],
         x,
         y,
         np.concatenate(shapes)[order],
-        _heights(answer, dark_answer),
+        *_heights(answer, dark_answer, size),
         size,
         difference[:, inner, inner],
         lit[:, inner, inner],
         None if dark is None else dark[:, inner, inner],
         answer,
         answer[:, near, near] if dark is None else _answers(lit, size, LIT_REACH),
-        dark_answer,
+        None if dark_answer is None else dark_answer[:, of_dark, of_dark],
     )
 
 
-def _heights(answer: Array, of_dark: Array | None) -> Array:
-    """Height of each patch's middle over the spread of its surroundings, [N]."""
+def _heights(answer: Array, of_dark: Array | None, sizes: Whole) -> tuple[Array, Array]:
+    """Height of each patch's middle over the spread of its surroundings, [N] twice, as in `Cut`."""
     size = np.abs(answer)
     # What stands far out of the surroundings counts little: the place itself, or another camera.
     cut = 3 * np.median(size[:, ::3, ::3], axis=(1, 2)) + 1e-6
     spread = 1.25 * np.minimum(size, cut[:, None, None]).mean((1, 2))
-    variance = spread**2 + _QUANTUM**2
+    own, variance = answer[:, HALF, HALF], spread**2 + _QUANTUM**2
+    left: list[Array | float] = [0.0, 0.0]
     if of_dark is not None:
-        near = slice(DARK_REACH - 2, DARK_REACH + 3)
-        variance += (_LEFT_OF_EDGES * np.abs(of_dark[:, near, near]).max((1, 2))) ** 2
-    return np.maximum(answer[:, HALF, HALF] / np.sqrt(variance), 1e-3).astype(np.float32)
+        near = slice(HALF - 2, HALF + 3)
+        edge = np.abs(of_dark[:, near, near]).max((1, 2))
+        share = _share_left(answer, of_dark, 2.5 * np.array(SIGMAS)[sizes] + 1.5)
+        left = [_LEFT_OF_EDGES[1] * edge, share * edge]
+    worst, likely = (np.maximum(own / np.sqrt(variance + one**2), 1e-3).astype(np.float32) for one in left)
+    return worst, likely
 
 
 def _answers(stack: Array, size: Whole, reach: int) -> Array:
@@ -366,14 +379,34 @@ def _contrast(image: NDArray, sharp: bool) -> NDArray:
     return answer if answer.dtype == np.uint8 else np.maximum(answer, 0)
 
 
-def _edges(dark: NDArray, x: Whole, y: Whole, sharp: bool) -> Array:
-    """Largest contrast, of either sign, of the dark frame within two pixels of places, [N]."""
-    near = patches(dark, x, y, 5)
+def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> Array:
+    """What an error of the registration may leave, within two pixels of places, of the dark frame's edges, [N].
+
+    `answer` is what the screen answers to the difference; what it leaves of edges around a place is looked up there.
+    """
+    near = patches(dark, x, y, _NEAR_EDGES + 3)
     shape = near.shape
     near = near.reshape(-1, shape[2])
     narrow = near if sharp else cv2.blur(near, (3, 3))
-    contrast = cv2.absdiff(narrow, cv2.blur(narrow, (5, 5))).reshape(shape)
-    return contrast[:, 3:-3, 3:-3].max((1, 2))
+    contrast = cv2.absdiff(narrow, cv2.blur(narrow, (5, 5))).reshape(shape)[:, 3:-3, 3:-3]
+    # Of what is left the answer holds only what is bright: half.
+    left = 2 * patches(answer, x, y, _NEAR_EDGES)
+    return _share_left(left, contrast, 3.5) * contrast[:, _NEAR_EDGES - 2 : _NEAR_EDGES + 3, _NEAR_EDGES - 2 : _NEAR_EDGES + 3].max((1, 2))
+
+
+def _share_left(left: Array, edges: Array, inner: float | Array) -> Array:
+    """Which share of edges [N, side, side] may be left at the middle of patches, by what is left around it, [N].
+
+    Pixels nearer to the middle than `inner` are not asked: a camera may lie there. A few pixels that stand far out,
+    another camera, count little.
+    """
+    half = edges.shape[1] // 2
+    radius = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1])
+    around = (radius > np.asarray(inner)[..., None, None]).astype(np.float32)
+    size = np.abs(edges)
+    weight = size * around
+    share = (np.minimum(np.abs(left), size) * weight).sum((1, 2)) / ((size * weight).sum((1, 2)) + _FLAT * around.sum((-1, -2)))
+    return np.clip(_WORST_OF_EDGES * share, *_LEFT_OF_EDGES).astype(np.float32)
 
 
 def _block_maxima(image: NDArray, block: int) -> NDArray:

@@ -271,7 +271,7 @@ def _candidates(
     wide = octaves[min(1, len(octaves) - 1)]
     mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
     features = looks(cut, _at(mean, table, shape), _FULL, None if registered is None else registered.coarse)
-    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
+    kept = _one_a_place(table[:, 0], table[:, 1], cut.clear.astype(np.float64), table[:, 4], most)
     kept = kept[~_stuck(table[kept], lit, registered, swapped)]
     if not len(kept):
         return Candidates.none(width)
