@@ -136,6 +136,8 @@ class Cut:
     height, clear
         [N] height over the spread of its surroundings and what a registration may leave of edges, at worst and, as
         `clear`, by what it left of edges around.
+    spread
+        [N] standard deviation of what the difference of Gaussians answers around, in levels.
     size
         [N] which of `SIGMAS`, in rising order.
     difference, lit, dark
@@ -151,6 +153,7 @@ class Cut:
     shape: Whole
     height: Array
     clear: Array
+    spread: Array
     size: Whole
     difference: Array
     lit: Array
@@ -322,8 +325,8 @@ def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
     )
 
 
-def _heights(answer: Array, of_dark: Array | None, sizes: Whole) -> tuple[Array, Array]:
-    """Height of each patch's middle over the spread of its surroundings, [N] twice, as in `Cut`."""
+def _heights(answer: Array, of_dark: Array | None, sizes: Whole) -> tuple[Array, Array, Array]:
+    """Height of each patch's middle over the spread of its surroundings, twice, and that spread, [N], as in `Cut`."""
     size = np.abs(answer)
     # What stands far out of the surroundings counts little: the place itself, or another camera.
     cut = 3 * np.median(size[:, ::3, ::3], axis=(1, 2)) + 1e-6
@@ -336,7 +339,7 @@ def _heights(answer: Array, of_dark: Array | None, sizes: Whole) -> tuple[Array,
         share = _share_left(answer, of_dark, 2.5 * np.array(SIGMAS)[sizes] + 1.5)
         left = [_LEFT_OF_EDGES[1] * edge, share * edge]
     worst, likely = (np.maximum(own / np.sqrt(variance + one**2), 1e-3).astype(np.float32) for one in left)
-    return worst, likely
+    return worst, likely, np.sqrt(spread**2 + _QUANTUM**2).astype(np.float32)
 
 
 def _answers(stack: Array, size: Whole, reach: int) -> Array:
@@ -391,7 +394,9 @@ def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> A
     contrast = cv2.absdiff(narrow, cv2.blur(narrow, (5, 5))).reshape(shape)[:, 3:-3, 3:-3]
     # Of what is left the answer holds only what is bright: half.
     left = 2 * patches(answer, x, y, _NEAR_EDGES)
-    return _share_left(left, contrast, 3.5) * contrast[:, _NEAR_EDGES - 2 : _NEAR_EDGES + 3, _NEAR_EDGES - 2 : _NEAR_EDGES + 3].max((1, 2))
+    return _share_left(left, contrast, 3.5) * contrast[
+        :, _NEAR_EDGES - 2 : _NEAR_EDGES + 3, _NEAR_EDGES - 2 : _NEAR_EDGES + 3
+    ].max((1, 2))
 
 
 def _share_left(left: Array, edges: Array, inner: float | Array) -> Array:
@@ -405,7 +410,9 @@ def _share_left(left: Array, edges: Array, inner: float | Array) -> Array:
     around = (radius > np.asarray(inner)[..., None, None]).astype(np.float32)
     size = np.abs(edges)
     weight = size * around
-    share = (np.minimum(np.abs(left), size) * weight).sum((1, 2)) / ((size * weight).sum((1, 2)) + _FLAT * around.sum((-1, -2)))
+    share = (np.minimum(np.abs(left), size) * weight).sum((1, 2)) / (
+        (size * weight).sum((1, 2)) + _FLAT * around.sum((-1, -2))
+    )
     return np.clip(_WORST_OF_EDGES * share, *_LEFT_OF_EDGES).astype(np.float32)
 
 

@@ -229,17 +229,19 @@ def candidates_with_looks(
 
 
 def scored(candidates: Candidates, score: Score) -> Array:
-    """Log odds of candidates, [N]: of all by their looks and, in a pair, by the second stage of those put first."""
+    """Log odds of candidates, [N]: of all by their looks, and of those put first by the second stage."""
     odds = score.log_odds(candidates.looks)
     return odds + score.second * second_look(candidates, odds) if score.second else odds
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
-    """What the second stage says of a pair's candidates, [N]: of so many with the highest odds, of others the least."""
+    """What the second stage says of candidates, [N]: of so many with the highest odds, of others the least."""
     again = np.full(len(odds), -_SUREST)
     if candidates.cut is not None:
         best = np.sort(np.argsort(-odds, kind="stable")[:most])
-        told = load_second().log_odds(*views(candidates.cut, candidates.rows[best]), candidates.looks[best])
+        told = load_second(candidates.cut.dark is not None).log_odds(
+            *views(candidates.cut, candidates.rows[best]), candidates.looks[best]
+        )
         again[best] = np.clip(told, -_SUREST, _SUREST)
     return again
 
