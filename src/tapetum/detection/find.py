@@ -1,20 +1,13 @@
-"""From a frame, or a lit and a dark one, to the cameras in it.
-
-One file of more than 400 lines: all ways in (one frame, a pair, several at once, a video's detector) share its stages.
-"""
+"""From a frame, or a lit and a dark one, to the cameras in it."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from threadpoolctl import threadpool_limits
 
 from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, cut_out, layers, patches, screened
 from tapetum.detection.found import Found
@@ -30,7 +23,6 @@ __all__ = [
     "Candidates",
     "candidates_with_looks",
     "find_cameras",
-    "find_each",
     "scored",
     "second_look",
 ]
@@ -149,51 +141,6 @@ def find_cameras(
         saturated=measured[order, _SATURATED] > 0,
         swapped=swapped,
     )
-
-
-def find_each(
-    frames: Iterable[tuple[NDArray[np.generic], NDArray[np.generic] | None]], *, threads: int = 2, **options: Any
-) -> Generator[Found]:
-    """Find cameras in many frames, several at once: `find_cameras` of each lit frame and its dark one, or None.
-
-    OpenCV and numpy release the interpreter, so that threads share the work; at most twice as many frames as threads
-    are held. BLAS keeps to one thread until the last frame: on matrices this small, threads of its own only take cores
-    from other frames. Processes that each read frames of their own are faster by half; frames handed to processes
-    cost what that gains.
-
-    Parameters
-    ----------
-    frames
-        Lit and dark frames, as for `find_cameras`; read as they are wanted.
-    threads
-        How many frames are searched at once.
-    **options
-        As for `find_cameras`.
-
-    Yields
-    ------
-    Found
-        In the order of the frames.
-
-    Raises
-    ------
-    InputError
-        What `find_cameras` raises, at the frame's turn.
-    """
-    if threads < 1:
-        raise InputError(f"must be at least 1, is {threads}", where="threads")
-    waiting: deque[Future[Found]] = deque()
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(threads) as workers:
-        try:
-            for lit, dark in frames:
-                waiting.append(workers.submit(find_cameras, lit, dark, **options))
-                if len(waiting) >= 2 * threads:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for one in waiting:
-                one.cancel()
 
 
 @dataclass(frozen=True)
