@@ -8,16 +8,15 @@ chosen after a look at what was missed and mistaken in real frames.
 
 Over 400 lines, as each thing that passes for a camera is drawn by a function of its own.
 
-What cannot be told from a camera, whatever looks at it, is marked: in a pair round tape and tape of at most four
-pixels, in one frame alone any small, bright, round thing as well. And so is how much of a camera the frame shows at
-all: one before an overexposed window is no camera to learn from.
+What a pair cannot tell from a camera, whatever looks at it, is marked: round tape and tape of at most four pixels. And
+so is how much of a camera the frame shows at all: one before an overexposed window is no camera to learn from.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -43,8 +42,6 @@ class Varied:
         [N] what a filter of the very shape of their light would answer in the frame as it was taken, over the noise.
     unresolved
         [M, 2] where tape is that looks like a camera.
-    alike
-        [K, 2] where the lit frame alone shows what looks like one.
     """
 
     lit: Array
@@ -54,16 +51,14 @@ class Varied:
     snr: Array
     seen: Array
     unresolved: Array
-    alike: Array
 
 
 @dataclass(frozen=True)
 class Canvas:
-    """A picture [H, W] that is painted, the share of the probe's light that falls there, and what is like a camera."""
+    """A picture [H, W] that is painted, and the share of the probe's light that falls there."""
 
     picture: Array
     flash: Array
-    alike: list[Array] = field(default_factory=list)
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
@@ -192,10 +187,7 @@ def _dots(rng: np.random.Generator, canvas: Canvas) -> None:
     for _ in range(int(_log(rng, 1, 60))):
         size = _log(rng, 0.5, 5)
         level = rng.uniform(0, 255) if rng.random() < 0.8 else _log(rng, 255, 1500)
-        corners = _polygon(rng, rng.uniform((0, 0), picture.shape[::-1]), size)
-        _fill(picture, corners, level)
-        if _round(corners):
-            canvas.alike.append(corners.mean(0))
+        _fill(picture, _polygon(rng, rng.uniform((0, 0), picture.shape[::-1]), size), level)
 
 
 def _lamps(rng: np.random.Generator, canvas: Canvas) -> None:
@@ -203,10 +195,7 @@ def _lamps(rng: np.random.Generator, canvas: Canvas) -> None:
     y, x = np.mgrid[: picture.shape[0], : picture.shape[1]].astype(np.float32)
     for _ in range(int(rng.integers(1, 5))):
         at = rng.uniform((0, 0), picture.shape[::-1])
-        corners = _polygon(rng, at, _log(rng, 2, 40))
-        _fill(picture, corners, _log(rng, 200, 1500))
-        if _round(corners):
-            canvas.alike.append(corners.mean(0))
+        _fill(picture, _polygon(rng, at, _log(rng, 2, 40)), _log(rng, 200, 1500))
         picture += _log(rng, 5, 150) / (1 + (np.hypot(x - at[0], y - at[1]) / _log(rng, 4, 60)) ** 2)
 
 
@@ -454,8 +443,8 @@ def varied(seed: int, *, shape: tuple[int, int] = (288, 384), cameras: int | Non
     shown = frames[0].astype(np.float32) - blank
     level = spread * np.sqrt(1 - way.level + way.level * blank / np.float32(128)) + 0.3
     seen = np.array([_energy(shown / level, at, wide) for at, wide in zip(places, diameters, strict=True)])
-    where, alike = (np.array(one).reshape(-1, 2) - _MARGIN for one in (unresolved, canvas.alike))
-    return Varied(frames[0], frames[1], places, diameters, ratios, seen, where, np.concatenate([where, alike]))
+    where = np.array(unresolved).reshape(-1, 2) - _MARGIN
+    return Varied(frames[0], frames[1], places, diameters, ratios, seen, where)
 
 
 @dataclass(frozen=True)

@@ -133,7 +133,7 @@ def find_cameras(
         y=found["y"][order],
         probability=probability[order],
         false_alarms=alarms[order],
-        snr=found["snr"][order],
+        snr=found["clear"][order],
         flux=found["flux"][order],
         diameter=found["diameter"][order],
         elongation=np.exp(measured[order, _ELONGATION]),
@@ -147,7 +147,7 @@ def find_cameras(
 class Candidates:
     """Candidates of a frame: columns of `NAMES` [N], looks [N, features], and which rows of a cut show them, [N]."""
 
-    NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak")
+    NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak", "clear")
     columns: dict[str, Array]
     looks: Array
     cut: Cut | None
@@ -176,19 +176,17 @@ def candidates_with_looks(
 
 
 def scored(candidates: Candidates, score: Score) -> Array:
-    """Log odds of candidates, [N]: of all by their looks, and of those put first by the second stage."""
+    """Log odds of candidates, [N]: of all by their looks and, in a pair, by the second stage of those put first."""
     odds = score.log_odds(candidates.looks)
     return odds + score.second * second_look(candidates, odds) if score.second else odds
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
-    """What the second stage says of candidates, [N]: of so many with the highest odds, of others the least."""
+    """What the second stage says of a pair's candidates, [N]: of so many with the highest odds, of others the least."""
     again = np.full(len(odds), -_SUREST)
     if candidates.cut is not None:
         best = np.sort(np.argsort(-odds, kind="stable")[:most])
-        told = load_second(candidates.cut.dark is not None).log_odds(
-            *views(candidates.cut, candidates.rows[best]), candidates.looks[best]
-        )
+        told = load_second().log_odds(*views(candidates.cut, candidates.rows[best]), candidates.looks[best])
         again[best] = np.clip(told, -_SUREST, _SUREST)
     return again
 
@@ -220,7 +218,7 @@ def _candidates(
     wide = octaves[min(1, len(octaves) - 1)]
     mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
     features = looks(cut, _at(mean, table, shape), _FULL, None if registered is None else registered.coarse)
-    kept = _one_a_place(table[:, 0], table[:, 1], cut.clear.astype(np.float64), table[:, 4], most)
+    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 6], table[:, 4], most)
     kept = kept[~_stuck(table[kept], lit, registered, swapped)]
     if not len(kept):
         return Candidates.none(width)
@@ -277,7 +275,7 @@ def _stuck(places: Array, lit: NDArray, registered: Registered | None, swapped: 
 
 
 def _measured(cut: Cut) -> Array:
-    """Place, height, flux, diameter and peak of each candidate, [N, 6], in pixels of the frame."""
+    """Place, height, flux, diameter, peak and clear height of each candidate, [N, 7], in pixels of the frame."""
     half = 6
     sigma = np.array(SIGMAS)[cut.size]
     inner = slice(HALF - half, HALF + half + 1)
@@ -293,7 +291,7 @@ def _measured(cut: Cut) -> Array:
     peak = cut.lit[:, middle, middle].max((1, 2))
     places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((cut.x, x), (cut.y, y)))
     # The filter of width s answers a Gaussian of sigma s most.
-    found = [*places, cut.height, light * step**2, 4 * sigma * step, peak]
+    found = [*places, cut.height, light * step**2, 4 * sigma * step, peak, cut.clear]
     return np.stack(found, 1).astype(np.float64)
 
 

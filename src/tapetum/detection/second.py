@@ -1,9 +1,8 @@
-"""The second stage: a small network looks again at the candidates that a weighted sum of looks puts first.
+"""The second stage: a small network looks again at the few candidates that a weighted sum of looks puts first.
 
-It sees each candidate in the pixels of its octave, near and far: the difference and the dark frame in units of the
-candidate's own height, the difference in units of the noise around, and the looks; of one frame alone the frame in
-both units. There is a network for pairs and one for single frames; both were trained on drawn scenes only
-(scripts/train_second.py). Products of numpy matrices do for some dozens of candidates.
+It is for pairs only. It sees each candidate in the pixels of its octave, near and far: the difference and the dark
+frame in units of the candidate's own height, the difference in units of the noise around; and the looks. It was trained
+on drawn scenes only (scripts/train_second.py). Products of numpy matrices do for a few dozen candidates.
 """
 
 from __future__ import annotations
@@ -67,24 +66,23 @@ class Second:
 
 
 @functools.cache
-def load_second(pair: bool) -> Second:
-    """Return the network for pairs of frames, or for one frame alone."""
-    file = resources.files("tapetum.detection").joinpath(f"second-{'pair' if pair else 'frame'}.safetensors")
+def load_second() -> Second:
+    """Return the network for pairs of frames."""
+    file = resources.files("tapetum.detection").joinpath("second-pair.safetensors")
     return Second({name: one.astype(np.float32) for name, one in load(file.read_bytes()).items()})
 
 
 def views(cut: Cut, rows: NDArray[np.int64]) -> tuple[Array, Array]:
-    """What the network sees of candidates: [N, 21, 21, channels] near, and [N, 20, 20, channels] at half the scale.
+    """What the network sees of a pair's candidates: [N, 21, 21, 3] near, and [N, 20, 20, 3] at half the scale.
 
-    Channels are the difference and, of a pair, the dark frame, each about its surroundings' median, over the height
-    that the difference of Gaussians answers; and the difference over the noise; drawn in to lie between -1 and 1.
+    Channels are the difference and the dark frame, each about its surroundings' median, over the height that the
+    difference of Gaussians answers; and the difference over the noise; drawn in to lie between -1 and 1.
     """
+    assert cut.dark is not None
     height = np.maximum(cut.answer[rows, HALF, HALF], 0.5)[:, None, None]
     difference = _level(cut.difference[rows])
-    found = [difference / height, difference / (_NOISY * cut.spread[rows, None, None])]
-    if cut.dark is not None:
-        found.insert(1, _level(cut.dark[rows]) / height)
-    both = np.stack(found, -1).astype(np.float32)
+    own, dark = difference / height, _level(cut.dark[rows]) / height
+    both = np.stack([own, dark, difference / (_NOISY * cut.spread[rows, None, None])], -1).astype(np.float32)
     near = both[:, HALF - _NEAR : HALF + _NEAR + 1, HALF - _NEAR : HALF + _NEAR + 1]
     far = both[:, :-1, :-1].reshape(len(both), HALF, 2, HALF, 2, both.shape[-1]).mean((2, 4))
     return _drawn_in(near), _drawn_in(far)
