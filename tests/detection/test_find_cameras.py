@@ -139,16 +139,16 @@ def test_before_a_bare_wall_nothing_is_refused() -> None:
     assert math.hypot(found.x[0] - 210, found.y[0] - 130) < 0.5
 
 
-@pytest.mark.parametrize("x", [196, 202])
-def test_a_camera_beside_a_window_is_found_where_frames_fit(x: int) -> None:
+@pytest.mark.parametrize(("x", "height"), [(199, 40), (202, 80)])
+def test_a_camera_beside_a_window_stands_out_where_frames_fit(x: int, height: float) -> None:
     """A bright edge a few pixels away hid it: a quarter of the edge was expected to be left by the registration."""
     picture = room(2)
     picture[60:240, 204:330] = 230
     picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.8))
-    lit, dark = exposed(glint(picture, x, 150, 40, 1.2), 1), exposed(picture, 2)
-    found = tp.find_cameras(lit, dark, false_alarms=0.1, swaps=False)
-    assert np.hypot(found.x - x, found.y - 150).min(initial=1e9) < 1
-    assert found.snr[np.hypot(found.x - x, found.y - 150).argmin()] > 8
+    lit, dark = exposed(glint(picture, x, 150, height, 1.2), 1), exposed(picture, 2)
+    found = tp.find_cameras(lit, dark, false_alarms=math.inf, swaps=False)
+    assert math.hypot(found.x[0] - x, found.y[0] - 150) < 0.5
+    assert found.snr[0] > 9
 
 
 def test_swapped_frames_are_said() -> None:

@@ -169,7 +169,7 @@ def register(lit: NDArray, dark: NDArray) -> Registered:
     seen = (from_x >= 0) & (from_y >= 0) & (from_x <= size[0] - 1) & (from_y <= size[1] - 1)
     a, b = (_details(g)[seen] for g in (smaller[0], _taken(smaller[1], from_x, from_y)))
     correlation = _correlation(a, b) if seen.sum() > 100 else 0.0
-    if correlation < rough + _SAME_SCENE and not all(_blank(g) for g in smaller):
+    if correlation < rough + _SAME_SCENE and not any(_blank(g) for g in smaller):
         what = f"cannot be registered to the lit frame: their details correlate by {correlation:.2f}"
         remedy = "give a dark frame of the same scene, taken within a second, moved by less than a third of the frame"
         raise InputError(what, where="dark", remedy=remedy)
@@ -322,7 +322,7 @@ def _details(image: Array) -> Array:
 
 
 def _blank(image: Array) -> bool:
-    """Whether a frame shows nothing but noise, as a bare wall: it cannot be of another scene."""
+    """Whether a frame shows nothing but noise, as a bare wall or a dark room: it is taken away as it is."""
     band = np.median(np.abs(_blurred(image, 2) - _far_blurred(image, 8)))
     return bool(band <= _BLANK * np.median(np.abs(image - _blurred(image, 1))))
 
