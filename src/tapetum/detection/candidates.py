@@ -114,11 +114,15 @@ class Layer:
 
 @dataclass(frozen=True)
 class Place:
-    """Places of an octave, [N] each: whole pixels of it, and the height over what the screen answers around."""
+    """Places of an octave, [N] each: whole pixels of it, and the height over what the screen answers around.
+
+    `height` counts what the registration may leave of edges at worst, `clear` what it left of those around.
+    """
 
     x: Whole
     y: Whole
     height: Array
+    clear: Array
 
 
 @dataclass(frozen=True)
@@ -264,12 +268,14 @@ def screened(layer: Layer, most: int) -> Place:
     own = answer[y, x].astype(np.float32)
     top = own >= patches(answer, x, y, 2).max((1, 2))
     x, y, number = x[top], y[top], number[top]
-    found = flat[number]
+    worst = clear = flat[number]
     if layer.base is not None and len(x):
-        variance = variance.ravel()[number] + np.square(_edges(answer, layer.base, x, y, layer.cell > 1))
-        found = own[top] / np.sqrt(variance)
-    kept = np.argsort(-found, kind="stable")[:most]
-    return Place(layer.cell * x[kept], layer.cell * y[kept], np.asarray(found[kept], dtype=np.float32))
+        edge, share = _edges(answer, layer.base, x, y, layer.cell > 1)
+        noise = variance.ravel()[number]
+        worst, clear = (own[top] / np.sqrt(noise + np.square(k * edge)) for k in (_LEFT_OF_EDGES[1], share))
+    kept = np.argsort(-clear, kind="stable")[:most]
+    heights = (np.asarray(one[kept], dtype=np.float32) for one in (worst, clear))
+    return Place(layer.cell * x[kept], layer.cell * y[kept], *heights)
 
 
 def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
@@ -401,8 +407,8 @@ def _contrast(image: NDArray, sharp: bool) -> NDArray:
     return answer if answer.dtype == np.uint8 else np.maximum(answer, 0)
 
 
-def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> Array:
-    """What an error of the registration may leave, within two pixels of places, of the dark frame's edges, [N].
+def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> tuple[Array, Array]:
+    """The dark frame's highest edges within two pixels of places, and which share of them may be left, [N].
 
     `answer` is what the screen answers to the difference; what it leaves of edges around a place is looked up there.
     """
@@ -413,9 +419,8 @@ def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> A
     contrast = cv2.absdiff(narrow, cv2.blur(narrow, (5, 5))).reshape(shape)[:, 3:-3, 3:-3]
     # Of what is left the answer holds only what is bright: half.
     left = 2 * patches(answer, x, y, _NEAR_EDGES)
-    return _share_left(left, contrast, 3.5) * contrast[
-        :, _NEAR_EDGES - 2 : _NEAR_EDGES + 3, _NEAR_EDGES - 2 : _NEAR_EDGES + 3
-    ].max((1, 2))
+    near = slice(_NEAR_EDGES - 2, _NEAR_EDGES + 3)
+    return contrast[:, near, near].max((1, 2)), _share_left(left, contrast, 3.5)
 
 
 def _share_left(left: Array, edges: Array, inner: float | Array) -> Array:

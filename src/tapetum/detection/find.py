@@ -160,7 +160,7 @@ class Candidates:
 
 
 def candidates_with_looks(
-    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
+    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None, by_clear: bool = False
 ) -> Candidates:
     """Return the candidates of a frame or a pair, before any is scored.
 
@@ -170,9 +170,12 @@ def candidates_with_looks(
         [H, W] levels from 0 to 255, both uint8 or both float32; dark None for one frame alone.
     largest, most
         As for `find_cameras`.
+    by_clear
+        Whether of two octaves at one place the one is kept that stands higher over what the registration left of edges,
+        as in the examples that the second stage learned from; else the one that does over what it may leave.
     """
     registered = None if dark is None else register(lit, dark)
-    return _candidates(layers(lit, registered, largest), registered, most, lit)
+    return _candidates(layers(lit, registered, largest), registered, most, lit, by_clear=by_clear)
 
 
 def scored(candidates: Candidates, score: Score) -> Array:
@@ -192,7 +195,12 @@ def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) 
 
 
 def _candidates(
-    octaves: list[Layer], registered: Registered | None, most: int | None, lit: NDArray, swapped: bool = False
+    octaves: list[Layer],
+    registered: Registered | None,
+    most: int | None,
+    lit: NDArray,
+    swapped: bool = False,
+    by_clear: bool = False,
 ) -> Candidates:
     if most is None:
         most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
@@ -203,12 +211,17 @@ def _candidates(
         return Candidates.none(width)
     step = np.repeat([one.step for one in octaves], count).astype(np.float64)
     at = np.concatenate([np.stack([one.x, one.y], 1) for one in places])
-    height = np.concatenate([one.height for one in places]).astype(np.float64)
+    height, clear = (
+        np.concatenate([getattr(one, n) for one in places]).astype(np.float64) for n in ("height", "clear")
+    )
     middle = (at + 0.5) * step[:, None] - 0.5
     shape = octaves[0].shape
     allowed = np.arange(len(at)) if registered is None else np.flatnonzero(_within(registered, middle, shape))
     x, y = middle[allowed].T
-    kept = allowed[_one_a_place(x, y, height[allowed], 4.0 * step[allowed], most)]
+    # Of those at one place the octave that stands highest at worst, of places those that do by what is left.
+    first = clear if by_clear else height
+    kept = allowed[_one_a_place(x, y, first[allowed], 4.0 * step[allowed], len(allowed))]
+    kept = kept[np.argsort(-clear[kept], kind="stable")][:most]
     of = np.repeat(np.arange(len(octaves)), count)[kept]
     cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
     if cut is None:
@@ -218,7 +231,7 @@ def _candidates(
     wide = octaves[min(1, len(octaves) - 1)]
     mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
     features = looks(cut, _at(mean, table, shape), _FULL, None if registered is None else registered.coarse)
-    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 6], table[:, 4], most)
+    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 6 if by_clear else 2], table[:, 4], most)
     kept = kept[~_stuck(table[kept], lit, registered, swapped)]
     if not len(kept):
         return Candidates.none(width)

@@ -377,7 +377,8 @@ def _shade(place: _Place, spot: Spot) -> bool:
     varies = float(rest[rim[0] : rest.shape[0] - rim[0], rim[1] : rest.shape[1] - rim[1]].max())
     row, column = ((first + int(at)) // _REDUCE for first, at in ((part.top, spot.y), (part.left, spot.x)))
     height, width = maps.wide_noise.shape
-    return varies < place.min_snr * float(maps.wide_noise[min(row, height - 1), min(column, width - 1)])
+    noise = float(maps.wide_noise[min(row, height - 1), min(column, width - 1)])
+    return varies < place.min_snr * noise
 
 
 def _taken(place: _Place, spot: Spot, image: NDArray[Any], full_scale: float) -> Spot | None:
