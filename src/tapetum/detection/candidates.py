@@ -15,7 +15,7 @@ import functools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -375,7 +375,7 @@ def _highest_near(layer: Layer, x: Whole, y: Whole) -> tuple[Whole, Whole]:
     return np.clip(x + best % side - reach, 0, width - 1), np.clip(y + best // side - reach, 0, height - 1)
 
 
-def _least_of_highest(values: Array, count: int) -> float:
+def _least_of_highest(values: NDArray[Any], count: int) -> float:
     """The least of so many highest values: many times faster than sorting, as few are looked at."""
     if count >= values.size:
         return float(values.min())
@@ -423,7 +423,7 @@ def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> t
     return contrast[:, near, near].max((1, 2)), _share_left(left, contrast, 3.5)
 
 
-def _share_left(left: Array, edges: Array, inner: float | Array) -> Array:
+def _share_left(left: NDArray[Any], edges: NDArray[Any], inner: float | NDArray[Any]) -> Array:
     """Which share of edges [N, side, side] may be left at the middle of patches, by what is left around it, [N].
 
     Pixels nearer to the middle than `inner` are not asked: a camera may lie there. A few pixels that stand far out,

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -119,7 +120,7 @@ def _at(flow: NDArray[np.float32], cut: Cut, step: Array) -> NDArray[np.float32]
     return flow[row[:, :, None], column[:, None, :]]
 
 
-def _inside(x: NDArray[np.generic], y: NDArray[np.generic], shape: NDArray[np.int64]) -> Array:
+def _inside(x: NDArray[Any], y: NDArray[Any], shape: NDArray[np.int64]) -> Array:
     """How many pixels places lie inside frames of so many rows and columns [N, 2]: [N]."""
     return np.minimum.reduce([x, y, shape[:, 1] - 1 - x, shape[:, 0] - 1 - y]).astype(np.float64)
 
