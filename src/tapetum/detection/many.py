@@ -1,6 +1,7 @@
 """Many frames, several at once: by threads, or by processes that see frames in shared memory.
 
-Half of what a search costs is Python's own work, which threads of one interpreter take in turns; processes do not.
+Half of what a search costs is Python's own work, which threads of one interpreter take in turns; processes do not. On
+a machine busy with other work processes were slower all the same; on an idle one they were not measured yet.
 """
 
 from __future__ import annotations
