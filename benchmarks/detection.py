@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import time
 
 import cv2
 import numpy as np
@@ -68,13 +69,17 @@ def run(effort: Effort) -> list[Row]:
             )
         peers = np.array([point.pt for point in blobs.detect(lit)]).reshape(-1, 2)
         found = tp.find_cameras(lit, dark, false_alarms=0.1)
+        apart = {
+            case: min(_by_processes(frame, swaps=False) for _ in range(effort.rounds))
+            for case, frame in (("one frame alone", (lit, None)), ("lit and dark, registered", (lit, dark)))
+        }
     finally:
         cv2.setNumThreads(before)
     peer = Figure.rate(timings.typical("peer"), "frames")
     hits, theirs = _found(found.x, found.y, places), _found(peers[:, 0], peers[:, 1], places)
     told = f"{hits} of {_COUNT} found and {len(found) - hits} others; the peer, of the lit frame alone, {theirs} and "
     told += f"{len(peers) - theirs} others"
-    return [
+    rows = [
         Row(
             case,
             Figure.rate(timings.typical(name), what),
@@ -90,11 +95,24 @@ def run(effort: Effort) -> list[Row]:
             ("pairs", "lit and dark, registered, two threads", "pairs"),
         )
     ]
+    for case, seconds in apart.items():
+        what = "pairs" if "dark" in case else "frames"
+        rows.append(Row(f"{case}, two processes", Figure.rate(seconds, what), note="frames in shared memory"))
+    return rows
 
 
 def _several(frame: tuple[np.ndarray, np.ndarray | None], **options: bool) -> None:
     for _ in find_each([frame] * _AT_ONCE, threads=2, **options):
         pass
+
+
+def _by_processes(frame: tuple[np.ndarray, np.ndarray | None], **options: bool) -> float:
+    """Seconds a frame with two processes, once they have started."""
+    count, begin = 5 * _AT_ONCE, 0.0
+    for n, _ in enumerate(find_each([frame] * count, processes=2, **options)):
+        if n == _AT_ONCE - 1:
+            begin = time.perf_counter()
+    return (time.perf_counter() - begin) / (count - _AT_ONCE)
 
 
 def _bright() -> cv2.SimpleBlobDetector.Params:

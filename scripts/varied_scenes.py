@@ -1,13 +1,15 @@
 """Draws lit and dark frames of scenes of all sorts, from which the detector's second stage learns.
 
 More variety than the twelve kinds of drawn_scenes.py, which judge it: textures from procedural noise, heaps of shapes
-of every size, walls in perspective, things in front that move, tape and reflectors of any shape, glass, lamps, screens,
-writing; frames blurred by defocus and motion, interlaced, of any gain, with stuck pixels, rounded by JPEG. Nothing here
-is a photograph. What it should hold was chosen after a look at what was missed and mistaken in real frames.
+of every size, walls in perspective, things in front that move, near things that a flash lights more than far ones, tape
+and reflectors of any shape, glass, lamps, screens, writing; frames blurred by defocus and motion, sharpened,
+interlaced, of any gain, with stuck pixels, rounded by JPEG. Nothing here is a photograph. What it should hold was
+chosen after a look at what was missed and mistaken in real frames.
 
 Over 400 lines, as each thing that passes for a camera is drawn by a function of its own.
 
-What one pair cannot tell from a camera, whatever looks at it, is marked: round tape and tape of at most four pixels.
+What a pair cannot tell from a camera, whatever looks at it, is marked: round tape and tape of at most four pixels. And
+so is how much of a camera the frame shows at all: one before an overexposed window is no camera to learn from.
 """
 
 from __future__ import annotations
@@ -36,6 +38,8 @@ class Varied:
         [N, 2] x and y of the cameras in the lit frame, in pixels.
     diameter, snr
         [N] their full widths in pixels, and their heights over the noise's standard deviation.
+    seen
+        [N] what a filter of the very shape of their light would answer in the frame as it was taken, over the noise.
     unresolved
         [M, 2] where tape is that looks like a camera.
     """
@@ -45,7 +49,16 @@ class Varied:
     places: Array
     diameter: Array
     snr: Array
+    seen: Array
     unresolved: Array
+
+
+@dataclass(frozen=True)
+class Canvas:
+    """A picture [H, W] that is painted, and the share of the probe's light that falls there."""
+
+    picture: Array
+    flash: Array
 
 
 def _log(rng: np.random.Generator, low: float, high: float) -> float:
@@ -86,6 +99,13 @@ def _polygon(rng: np.random.Generator, at: Array, size: float) -> Array:
     return at + size * (corners * (1, squeeze)) @ np.array([[c, s], [-s, c]])
 
 
+def _round(corners: Array) -> bool:
+    """Whether a polygon is so small, or so small and round, that it looks like a camera's return."""
+    (_, sides, _) = cv2.minAreaRect(corners.astype(np.float32))
+    long, short = max(sides), min(sides)
+    return long <= 4 or (long < 1.4 * short and long < 14) or (long < 6 and long < 1.8 * short)
+
+
 def _fill(picture: Array, corners: Array, level: float | Array) -> None:
     """Paint a polygon with a level or with a picture of them; edges are shared by pixels."""
     left, top = np.maximum(np.floor(corners.min(0)).astype(int) - 1, 0).tolist()
@@ -99,21 +119,29 @@ def _fill(picture: Array, corners: Array, level: float | Array) -> None:
     part += mask / np.float32(255) * (paint - part)
 
 
-def _heap(rng: np.random.Generator, picture: Array) -> None:
-    """Shapes of every size upon each other, which gives the statistics of photographs (dead leaves)."""
+def _heap(rng: np.random.Generator, canvas: Canvas) -> None:
+    """Shapes of every size upon each other, which gives the statistics of photographs (dead leaves).
+
+    What lies nearer takes more of the probe's light: its share is painted in the same shapes.
+    """
+    picture = canvas.picture
     least, most = _log(rng, 1.5, 12), _log(rng, 15, 150)
     weave = _texture(rng, picture.shape) * _log(rng, 1, 25) if rng.random() < 0.6 else None
     wide = rng.uniform(10, 90)
     sizes = np.sort(1 / rng.uniform(1 / most, 1 / least, int(_log(rng, 20, 350))))[::-1]
-    middle = rng.uniform(30, 150)
+    middle, uneven = rng.uniform(30, 150), _log(rng, 1, 8) if rng.random() < 0.4 else 0.0
     for size in sizes:
         level = float(np.clip(rng.normal(middle, wide), 0, 255 if rng.random() < 0.9 else 600))
         paint = level + weave if weave is not None and size > 8 else level
-        _fill(picture, _polygon(rng, rng.uniform((0, 0), picture.shape[::-1]), size), paint)
+        corners = _polygon(rng, rng.uniform((0, 0), picture.shape[::-1]), size)
+        _fill(picture, corners, paint)
+        if uneven > 0:
+            _fill(canvas.flash, corners, _log(rng, 1 / uneven, uneven))
 
 
-def _walls(rng: np.random.Generator, picture: Array) -> None:
+def _walls(rng: np.random.Generator, canvas: Canvas) -> None:
     """Tiles, bricks, shelves or blinds, seen at a slant."""
+    picture = canvas.picture
     side = max(picture.shape)
     flat = np.full((side, side), rng.uniform(20, 200), np.float32)
     w, h = _log(rng, 5, 90), _log(rng, 4, 60)
@@ -131,7 +159,8 @@ def _walls(rng: np.random.Generator, picture: Array) -> None:
     picture += mask * (cv2.warpPerspective(flat, slant, size, flags=cv2.INTER_AREA) - picture)
 
 
-def _writing(rng: np.random.Generator, picture: Array) -> None:
+def _writing(rng: np.random.Generator, canvas: Canvas) -> None:
+    picture = canvas.picture
     for _ in range(int(rng.integers(1, 25))):
         text = "".join(chr(int(n)) for n in rng.integers(33, 123, int(rng.integers(1, 14))))
         mask = np.zeros(picture.shape, np.uint8)
@@ -141,8 +170,9 @@ def _writing(rng: np.random.Generator, picture: Array) -> None:
         picture += mask / np.float32(255) * (rng.uniform(0, 255) - picture)
 
 
-def _lines(rng: np.random.Generator, picture: Array) -> None:
+def _lines(rng: np.random.Generator, canvas: Canvas) -> None:
     """Wires, twigs, poles and bars."""
+    picture = canvas.picture
     for _ in range(int(_log(rng, 1, 60))):
         ends = rng.uniform((-30, -30), picture.shape[::-1], (2, 2))
         if rng.random() < 0.5:
@@ -151,15 +181,17 @@ def _lines(rng: np.random.Generator, picture: Array) -> None:
         cv2.line(picture, a, b, float(rng.uniform(0, 300)), int(_log(rng, 1, 8)), cv2.LINE_AA, 4)
 
 
-def _dots(rng: np.random.Generator, picture: Array) -> None:
+def _dots(rng: np.random.Generator, canvas: Canvas) -> None:
     """Small bright or dark things: buttons, rivets, lights, sun on leaves."""
+    picture = canvas.picture
     for _ in range(int(_log(rng, 1, 60))):
         size = _log(rng, 0.5, 5)
         level = rng.uniform(0, 255) if rng.random() < 0.8 else _log(rng, 255, 1500)
         _fill(picture, _polygon(rng, rng.uniform((0, 0), picture.shape[::-1]), size), level)
 
 
-def _lamps(rng: np.random.Generator, picture: Array) -> None:
+def _lamps(rng: np.random.Generator, canvas: Canvas) -> None:
+    picture = canvas.picture
     y, x = np.mgrid[: picture.shape[0], : picture.shape[1]].astype(np.float32)
     for _ in range(int(rng.integers(1, 5))):
         at = rng.uniform((0, 0), picture.shape[::-1])
@@ -167,7 +199,7 @@ def _lamps(rng: np.random.Generator, picture: Array) -> None:
         picture += _log(rng, 5, 150) / (1 + (np.hypot(x - at[0], y - at[1]) / _log(rng, 4, 60)) ** 2)
 
 
-_PAINTERS: tuple[tuple[float, Callable[[np.random.Generator, Array], None]], ...] = (
+_PAINTERS: tuple[tuple[float, Callable[[np.random.Generator, Canvas], None]], ...] = (
     (0.75, _heap),
     (0.3, _walls),
     (0.25, _writing),
@@ -177,15 +209,15 @@ _PAINTERS: tuple[tuple[float, Callable[[np.random.Generator, Array], None]], ...
 )
 
 
-def _painted(rng: np.random.Generator, shape: tuple[int, int]) -> Array:
+def _painted(rng: np.random.Generator, shape: tuple[int, int]) -> Canvas:
     picture = np.full(shape, _log(rng, 4, 180), np.float32)
-    picture += _log(rng, 0.5, 40) * _texture(rng, shape)
+    canvas = Canvas(picture + _log(rng, 0.5, 40) * _texture(rng, shape), np.ones(shape, np.float32))
     order = rng.permutation(len(_PAINTERS))
     for n in order:
         chance, paint = _PAINTERS[n]
         if rng.random() < chance:
-            paint(rng, picture)
-    return picture
+            paint(rng, canvas)
+    return canvas
 
 
 def _bent(rng: np.random.Generator, picture: Array, size: float, cell: float, way: Array | None = None) -> Array:
@@ -206,7 +238,7 @@ def _movers(rng: np.random.Generator, lit: Array, dark: Array, gain: float) -> N
         at, size = rng.uniform((0, 0), shape[::-1]), _log(rng, 10, 150)
         inside = np.float32(_log(rng, 8, 250)) + _texture(rng, shape) * _log(rng, 1, 20)
         if rng.random() < 0.4:
-            inside = _painted(rng, shape)
+            inside = _painted(rng, shape).picture
         parts = [(_polygon(rng, at + rng.normal(0, 0.7 * size, 2), size * rng.uniform(0.3, 1)), inside)]
         parts += [
             (_polygon(rng, at + rng.normal(0, 0.7 * size, 2), size * rng.uniform(0.1, 0.7)), inside)
@@ -231,7 +263,7 @@ def _screens(rng: np.random.Generator, lit: Array, dark: Array) -> None:
     """Screens and mirrors: what they show changes."""
     corners = _polygon(rng, rng.uniform((0, 0), lit.shape[::-1]), _log(rng, 15, 120))
     for picture in (lit, dark):
-        shown = _painted(rng, lit.shape)
+        shown = _painted(rng, lit.shape).picture
         period = rng.uniform(2, 6)
         if rng.random() < 0.5:
             grid = np.sin(2 * math.pi * np.arange(lit.shape[1]) / period) > 0.5
@@ -256,17 +288,15 @@ def _tape(rng: np.random.Generator, added: Array) -> list[Array]:
     for _ in range(int(_log(rng, 1, 12))):
         at, size, level = rng.uniform((0, 0), added.shape[::-1]), _log(rng, 0.7, 30), _log(rng, 15, 700)
         corners = _polygon(rng, at, size)
-        (_, (long, short), _) = cv2.minAreaRect(corners.astype(np.float32))
-        long, short = max(long, short), min(long, short)
         paint: float | Array = level
         if rng.random() < 0.4 and size > 4:  # honeycomb, wear, letters
             paint = np.maximum(level * (1 + rng.uniform(0.1, 0.6) * _texture(rng, added.shape)), 0).astype(np.float32)
             if rng.random() < 0.5:
-                _writing(rng, paint)
+                _writing(rng, Canvas(paint, paint))
         mask = np.zeros_like(added)
         _fill(mask, corners, paint)
         added += mask
-        if long <= 4 or (long < 1.4 * short and long < 14) or (long < 6 and long < 1.8 * short):
+        if _round(corners):
             unresolved.append(corners.mean(0))
     return unresolved
 
@@ -306,6 +336,9 @@ def _stamp(rng: np.random.Generator, diameter: float, x: float, y: float) -> tup
         light = ((radius < 1) & (np.hypot(u - cut, v) < diameter / 2)).astype(float)
     if rng.random() < 0.3:
         light = light + rng.uniform(0.01, 0.08) / (1 + (radius / rng.uniform(1, 3)) ** 2)
+    if rng.random() < 0.15:  # spikes of a stop's blades, smear of a full sensor
+        angle, count = np.arctan2(v, u), int(rng.choice([1, 2, 3, 4]))
+        light = light + rng.uniform(0.05, 0.5) * np.abs(np.cos(count * angle)) ** rng.uniform(8, 40) / (1 + radius**2)
     light = light.reshape(2 * reach + 1, over, 2 * reach + 1, over).mean((1, 3))
     return (light / max(float(light.max()), 1e-6)).astype(np.float32), left, top
 
@@ -346,14 +379,15 @@ def varied(seed: int, *, shape: tuple[int, int] = (288, 384), cameras: int | Non
     """
     rng = np.random.default_rng([77, seed])
     wide = shape[0] + 2 * _MARGIN, shape[1] + 2 * _MARGIN
-    dark = _painted(rng, wide)
+    canvas = _painted(rng, wide)
+    dark = canvas.picture
     lit = dark.copy()
     if rng.random() < 0.25:
         dark = _bent(rng, dark, _log(rng, 0.3, 2.5), _log(rng, 20, 80))  # leaves in the wind, haze
     # The probe's light falls on what is near.
     gain = _log(rng, 0.01, 1.0) if rng.random() < 0.7 else 0.0
     uneven = cv2.GaussianBlur(_texture(rng, wide), (0, 0), _log(rng, 6, 40)) * (rng.random() < 0.7)
-    lit *= 1 + gain * np.clip(0.5 + 0.5 * uneven / (uneven.std() + 1e-6), 0, 1)
+    lit *= 1 + gain * canvas.flash * np.clip(0.5 + 0.5 * uneven / (uneven.std() + 1e-6), 0, 1)
     if rng.random() < 0.25:
         _twinkle(rng, lit, dark)
     if rng.random() < 0.15:
@@ -361,8 +395,8 @@ def varied(seed: int, *, shape: tuple[int, int] = (288, 384), cameras: int | Non
     if rng.random() < 0.55:
         _movers(rng, lit, dark, gain)
     added = np.zeros_like(lit)
-    unresolved = _tape(rng, added) if rng.random() < 0.4 else []
-    if rng.random() < 0.3:
+    unresolved = _tape(rng, added) if rng.random() < 0.25 else []
+    if rng.random() < 0.2:
         _speculars(rng, added)
     count = int(rng.integers(0, 7)) if cameras is None else cameras
     places = rng.uniform((14, 14), (shape[1] - 14, shape[0] - 14), (count, 2))
@@ -396,43 +430,96 @@ def varied(seed: int, *, shape: tuple[int, int] = (288, 384), cameras: int | Non
         # The height that is left after the frame's own blur.
         soft = float(cv2.filter2D(cv2.copyMakeBorder(stamp, 13, 13, 13, 13, cv2.BORDER_CONSTANT), -1, smears[0]).max())
         _add(spots, stamp * (ratio * spread / max(soft, 1e-3)), left, top)
-    lit += added + spots
     full = _log(rng, 0.5, 2) if rng.random() < 0.3 else 1.0
-    frames = []
-    hot = rng.uniform((0, 0), shape[::-1], (int(rng.integers(0, 40)), 2)).astype(int) if rng.random() < 0.2 else None
-    glow = rng.uniform(20, 255, 0 if hot is None else len(hot))
-    grain, rows, comb = _log(rng, 0.35, 0.9) if rng.random() < 0.35 else 0.0, rng.random() < 0.15, rng.random() < 0.06
-    quality = int(rng.integers(25, 96)) if rng.random() < 0.4 else 0
-    level = rng.uniform(0.2, 1.0)
-    mosaic, sign = rng.random() < 0.15, rng.random() < 0.08
-    title = "".join(chr(int(n)) for n in rng.integers(33, 123, 9))
-    for n, (one, smear) in enumerate(zip((lit, dark), smears, strict=True)):
-        seen = cv2.filter2D(one, -1, smear, borderType=cv2.BORDER_REFLECT)[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN] * full
-        noise = rng.normal(0, 1, shape).astype(np.float32)
-        if grain:
-            noise = cv2.GaussianBlur(noise, (0, 0), grain)
-            noise /= noise.std()
-        taken = seen + noise * spread * np.sqrt(1 - level + level * np.clip(seen, 0, 255) / 128)
-        if rows:
-            taken += rng.normal(0, spread * 0.7, (shape[0], 1))
-        if hot is not None:
-            taken[hot[:, 1], hot[:, 0]] += glow
-        if comb:  # two fields, of which the light is in one
-            other = cv2.filter2D(one - (added + spots if n == 0 else 0), -1, smear)[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN]
-            taken[1::2] = (taken - seen + full * other)[1::2]
-        taken = np.clip(taken, 0, 255).round().astype(np.uint8)
-        if mosaic:  # one colour filter a pixel, as a grey scene is seen in three colours and their mean is taken
-            tint = np.array([rng.uniform(0.6, 1), 1.0, rng.uniform(0.6, 1)])
-            raw = taken.astype(np.float32)
-            raw[::2, ::2] *= tint[0]
-            raw[1::2, 1::2] *= tint[2]
-            colour = cv2.cvtColor(raw.round().astype(np.uint8), cv2.COLOR_BayerRGGB2RGB)
-            taken = np.clip(colour / tint, 0, 255).mean(2).round().astype(np.uint8)
-        if sign:
-            cv2.putText(taken, title, (10, 20), 0, 0.5, 255.0, 1)
-        if quality:
-            coded = cv2.imencode(".jpg", taken, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-            taken = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
-        frames.append(taken)
+    way = _way_of_taking(rng, shape, spread)
+    frames, blank = [], np.zeros(0)
+    for n, (one, smear) in enumerate(zip((lit + added, dark), smears, strict=True)):
+        noise = _noise(rng, shape, way)
+        if n == 0:
+            frames.append(_taken(one + spots, one - added, smear, full, noise, way))
+            blank = _taken(one, one - added, smear, full, noise, way)
+        else:
+            frames.append(_taken(one, one, smear, full, noise, way))
+    shown = frames[0].astype(np.float32) - blank
+    level = spread * np.sqrt(1 - way.level + way.level * blank / np.float32(128)) + 0.3
+    seen = np.array([_energy(shown / level, at, wide) for at, wide in zip(places, diameters, strict=True)])
     where = np.array(unresolved).reshape(-1, 2) - _MARGIN
-    return Varied(frames[0], frames[1], places, diameters, ratios, where)
+    return Varied(frames[0], frames[1], places, diameters, ratios, seen, where)
+
+
+@dataclass(frozen=True)
+class _Way:
+    """How frames are taken: what the sensor and the processing do to both of a pair."""
+
+    spread: float
+    level: float
+    grain: float
+    rows: bool
+    comb: bool
+    hot: Array
+    glow: Array
+    sharp: tuple[float, float]
+    tint: Array | None
+    title: str
+    quality: int
+
+
+def _way_of_taking(rng: np.random.Generator, shape: tuple[int, int], spread: float) -> _Way:
+    count = int(rng.integers(0, 40)) if rng.random() < 0.2 else 0
+    return _Way(
+        spread=spread,
+        level=rng.uniform(0.2, 1.0),
+        grain=_log(rng, 0.35, 0.9) if rng.random() < 0.35 else 0.0,
+        rows=rng.random() < 0.15,
+        comb=rng.random() < 0.06,
+        hot=rng.uniform((0, 0), shape[::-1], (count, 2)).astype(int),
+        glow=rng.uniform(20, 255, count),
+        sharp=(_log(rng, 0.2, 1.5), _log(rng, 0.7, 2.5)) if rng.random() < 0.35 else (0.0, 1.0),
+        tint=np.array([rng.uniform(0.6, 1), 1.0, rng.uniform(0.6, 1)]) if rng.random() < 0.15 else None,
+        title="".join(chr(int(n)) for n in rng.integers(33, 123, 9)) if rng.random() < 0.08 else "",
+        quality=int(rng.integers(25, 96)) if rng.random() < 0.4 else 0,
+    )
+
+
+def _noise(rng: np.random.Generator, shape: tuple[int, int], way: _Way) -> tuple[Array, Array]:
+    """Noise of unit deviation, [H, W], and what each row adds, [H, 1]."""
+    noise = rng.normal(0, 1, shape).astype(np.float32)
+    if way.grain:
+        noise = cv2.GaussianBlur(noise, (0, 0), way.grain)
+        noise /= noise.std()
+    return noise, rng.normal(0, 0.7 * way.rows, (shape[0], 1))
+
+
+def _taken(picture: Array, other: Array, smear: Array, full: float, noise: tuple[Array, Array], way: _Way) -> Array:
+    """The frame [H, W], uint8, that a sensor takes of a picture; of two fields the second is of another picture."""
+    inner = slice(_MARGIN, -_MARGIN)
+    seen = cv2.filter2D(picture, -1, smear, borderType=cv2.BORDER_REFLECT)[inner, inner] * full
+    if way.comb:  # the probe's light is in one field only
+        seen[1::2] = (cv2.filter2D(other, -1, smear, borderType=cv2.BORDER_REFLECT)[inner, inner] * full)[1::2]
+    taken = seen + way.spread * noise[0] * np.sqrt(1 - way.level + way.level * np.clip(seen, 0, 255) / 128)
+    taken += way.spread * noise[1]
+    taken[way.hot[:, 1], way.hot[:, 0]] += way.glow
+    if way.sharp[0]:  # as cameras do: edges overshoot, and a glint has a dark halo
+        taken = np.clip(taken, 0, 255).astype(np.float32)
+        taken += way.sharp[0] * (taken - cv2.GaussianBlur(taken, (0, 0), way.sharp[1]))
+    taken = np.clip(taken, 0, 255).round().astype(np.uint8)
+    if way.tint is not None:  # one colour filter a pixel, as a grey scene is seen in three colours, whose mean is taken
+        raw = taken.astype(np.float32)
+        raw[::2, ::2] *= way.tint[0]
+        raw[1::2, 1::2] *= way.tint[2]
+        colour = cv2.cvtColor(raw.round().astype(np.uint8), cv2.COLOR_BayerRGGB2RGB)
+        taken = np.clip(colour / way.tint, 0, 255).mean(2).round().astype(np.uint8)
+    if way.title:
+        cv2.putText(taken, way.title, (10, 20), 0, 0.5, 255.0, 1)
+    if way.quality:
+        coded = cv2.imencode(".jpg", taken, [cv2.IMWRITE_JPEG_QUALITY, way.quality])[1]
+        taken = cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE)
+    return taken
+
+
+def _energy(shown: Array, at: Array, diameter: float) -> float:
+    """Root of the sum of squares of what a camera adds to a frame, in units of the noise, about its place."""
+    reach = math.ceil(0.75 * diameter + 2)
+    left, top = (max(0, round(float(n)) - reach) for n in at)
+    part = np.maximum(shown[top : top + 2 * reach + 1, left : left + 2 * reach + 1], 0)
+    return float(np.sqrt(np.square(part).sum()))

@@ -58,6 +58,13 @@ def glint(picture: np.ndarray, x: float, y: float, height: float, sigma: float) 
     return picture + height * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * sigma**2)).astype(np.float32)
 
 
+def soft(seed: int) -> np.ndarray:
+    """A scene without an edge: noise blurred by 12 pixels, with the sensor's noise."""
+    rng = np.random.default_rng(seed)
+    picture = cv2.GaussianBlur(rng.normal(0, 1, (300, 400)).astype(np.float32), (0, 0), 12)
+    return exposed(100 + 30 * picture / picture.std(), seed)
+
+
 @pytest.mark.parametrize("sigma", [0.8, 2.0, 5.0])
 @pytest.mark.parametrize(("shift", "turn"), [((0, 0), 0.0), ((17, -9), 1.0)], ids=["standing", "by hand"])
 def test_the_camera_comes_first_where_it_is(sigma: float, shift: tuple[float, float], turn: float) -> None:
@@ -124,6 +131,26 @@ def test_centroids_come_near_the_bound(diameter: int) -> None:
     assert np.sqrt(np.mean(np.square(missed))) < max(1.8 * bound, 0.002 * diameter)
 
 
+def test_before_a_bare_wall_nothing_is_refused() -> None:
+    """Noise alone does not correlate, and shows no other scene either."""
+    wall = np.full((300, 400), 120.0, np.float32)
+    found = tp.find_cameras(exposed(glint(wall, 210, 130, 60, 1.2), 1), exposed(wall, 2))
+    assert len(found) == 1
+    assert math.hypot(found.x[0] - 210, found.y[0] - 130) < 0.5
+
+
+@pytest.mark.parametrize(("x", "height"), [(199, 40), (202, 80)])
+def test_a_camera_beside_a_window_stands_out_where_frames_fit(x: int, height: float) -> None:
+    """A bright edge a few pixels away hid it: a quarter of the edge was expected to be left by the registration."""
+    picture = room(2)
+    picture[60:240, 204:330] = 230
+    picture = np.asarray(cv2.GaussianBlur(picture, (0, 0), 0.8))
+    lit, dark = exposed(glint(picture, x, 150, height, 1.2), 1), exposed(picture, 2)
+    found = tp.find_cameras(lit, dark, false_alarms=math.inf, swaps=False)
+    assert math.hypot(found.x[0] - x, found.y[0] - 150) < 0.5
+    assert found.snr[0] > 9
+
+
 def test_swapped_frames_are_said() -> None:
     empty = room(3)
     lit = exposed(glint(empty, 222.0, 111.0, 120, 1.2), 1)
@@ -148,6 +175,22 @@ def test_frames_searched_at_once_come_in_order() -> None:
         assert math.hypot(one.x[0] - x, one.y[0] - y) < 0.5
     with pytest.raises(InputError, match="cannot be registered"):
         list(find_each([(room(0), room(40))]))
+
+
+def test_processes_find_what_threads_find() -> None:
+    """In order, of frames of two sizes, from shared memory; what is refused is refused at its turn."""
+    empty, small = room(0), room(1, 120, 160)
+    frames = [
+        (exposed(glint(empty, 80 + 30 * n, 90, 110, 1.2), n), exposed(empty, 50 + n) if n % 2 else None)
+        for n in range(4)
+    ]
+    frames.insert(2, (exposed(glint(small, 60, 70, 110, 1.2), 9), exposed(small, 10)))
+    apart = list(find_each(frames, processes=2, false_alarms=1.0))
+    alone = [tp.find_cameras(lit, dark, false_alarms=1.0) for lit, dark in frames]
+    for one, other in zip(apart, alone, strict=True):
+        assert one.to_table().equals(other.to_table())
+    with pytest.raises(InputError, match="cannot be registered"):
+        list(find_each([(room(0), room(40))], processes=1))
 
 
 def test_blas_has_its_threads_again_after_frames_were_searched() -> None:
@@ -219,6 +262,7 @@ def test_registration_follows_a_hand() -> None:
     ("lit", "dark", "told"),
     [
         (room(0), room(40), "cannot be registered"),
+        (soft(1), soft(2), "cannot be registered"),
         (room(0), room(0)[:-2], "400 x 300 and 400 x 298 pixels"),
         (np.full((300, 400), np.nan, np.float32), None, "lit: holds pixels that are not finite"),
         (np.zeros((20, 30), np.uint8), None, "at least 32 x 32"),
@@ -226,7 +270,7 @@ def test_registration_follows_a_hand() -> None:
         (np.zeros((40, 50), complex), None, "are no levels"),
         (np.broadcast_to(np.uint8(0), (20_000, 20_000)), None, "more than can be searched"),
     ],
-    ids=["other scene", "other size", "nan", "tiny", "channels", "complex", "huge"],
+    ids=["other scene", "other soft scene", "other size", "nan", "tiny", "channels", "complex", "huge"],
 )
 def test_what_cannot_be_used_is_refused(lit: np.ndarray, dark: np.ndarray | None, told: str) -> None:
     with pytest.raises(InputError, match=re.escape(told)):
@@ -257,12 +301,12 @@ def test_the_second_stage_computes_what_was_trained() -> None:
     """Against torch, with weights drawn at random: the order of axes, the strides and the scale of the looks."""
     torch.manual_seed(3)
     network = train_second.Network().eval()
-    mean, spread = np.linspace(-1, 1, 14, dtype=np.float32), np.linspace(0.5, 2, 14, dtype=np.float32)
+    mean, spread = np.linspace(-1, 1, 16, dtype=np.float32), np.linspace(0.5, 2, 16, dtype=np.float32)
     weights = train_second.weights_of(network, mean, spread)
     second = Second({name: one.astype(np.float32) for name, one in weights.items()})
     rng = np.random.default_rng(4)
-    near, far = (rng.normal(0, 0.5, (6, side, side, 2)).astype(np.float32) for side in (21, 20))
-    looks = rng.normal(0, 3, (6, 14))
+    near, far = (rng.normal(0, 0.5, (6, side, side, 3)).astype(np.float32) for side in (21, 20))
+    looks = rng.normal(0, 3, (6, 16))
     own = torch.from_numpy(np.clip((looks - mean) / spread, -3, 3).astype(np.float32))
     with torch.no_grad():
         wanted = network(*(torch.from_numpy(one).movedim(-1, 1) for one in (near, far)), own).numpy()
@@ -292,7 +336,7 @@ def test_the_weights_are_small() -> None:
 @needs_real
 @pytest.mark.slow
 def test_real_cat_eyes_by_weights_of_other_scenes() -> None:
-    """Cross-validated by scene, at 0.1, 0.5 and 1 false alarms a frame: 0.956, 0.983, 1.00 when this was written."""
+    """Cross-validated by scene, at 0.1, 0.5 and 1 false alarms a frame: 0.97, 1.00, 1.00 when this was written."""
     import make_detector
 
     pairs = json.loads((REAL / "labels.json").read_text())["pairs"]

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from probe_frames import HEIGHT, WIDTH, add_spot, hot_pixels, probe_frame
 
+import measure_empty
 from tapetum.errors import InputError
 from tapetum.track import Detections, detect
 
@@ -202,3 +203,18 @@ def test_damaged_detections_are_refused(tmp_path):
         Detections.of(columns | {"x": np.array([0, math.nan])})
     with pytest.raises(InputError, match="no column snr"):
         Detections.from_table(Detections.empty().to_table().drop_columns("snr"))
+
+
+@pytest.mark.parametrize(("kind", "seed"), [("vignette", 90011), ("vignette", 90004), ("stray glow", 90009)])
+def test_slow_shading_is_no_spot(kind: str, seed: int) -> None:
+    """No surface of the fourth order fits it to the last; its rest is broad and faint."""
+    assert len(detect(measure_empty.frame(kind, seed), largest=400)) == 0
+
+
+def test_a_broad_spot_with_an_edge_is_found_on_shading() -> None:
+    frame = measure_empty.frame("vignette", 90011).astype(np.float32)
+    y, x = np.mgrid[: frame.shape[0], : frame.shape[1]]
+    disc = frame + 20 * (np.hypot(x - 500, y - 400) < 60)
+    found = detect(np.clip(np.rint(disc), 0, 255).astype(np.uint8), largest=400)
+    assert len(found) == 1
+    assert np.hypot(found.x[0] - 500, found.y[0] - 400) < 3

@@ -15,7 +15,7 @@ import functools
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import cv2
 import numpy as np
@@ -52,8 +52,14 @@ _MARGIN = 8
 LIT_REACH, DARK_REACH = 12, 4
 _LARGE = 10
 _QUANTUM = 0.3
-# What a registration leaves of an edge: a quarter of its height, a pixel away.
-_LEFT_OF_EDGES = 0.25
+# What a registration leaves of an edge, as a share of its height: as much as it left of those around, twice over for
+# what is worst, and within these bounds. Where all is well registered a camera beside a window is seen; where people
+# walk an edge is expected to leave a quarter of itself.
+_LEFT_OF_EDGES = (0.04, 0.25)
+_WORST_OF_EDGES = 2.0
+_FLAT = 1.0
+# How far around a place the screen asks what was left of edges, in pixels of what it screens.
+_NEAR_EDGES = 9
 _BLOCK = 8
 _ALONE = 3.0
 # Blocks around one with whose answers its own is compared: 7 x 7 of them, 56 pixels.
@@ -108,11 +114,15 @@ class Layer:
 
 @dataclass(frozen=True)
 class Place:
-    """Places of an octave, [N] each: whole pixels of it, and the height over what the screen answers around."""
+    """Places of an octave, [N] each: whole pixels of it, and the height over what the screen answers around.
+
+    `height` counts what the registration may leave of edges at worst, `clear` what it left of those around.
+    """
 
     x: Whole
     y: Whole
     height: Array
+    clear: Array
 
 
 @dataclass(frozen=True)
@@ -127,8 +137,11 @@ class Cut:
         [N] whole pixels of the octave.
     shape
         [N, 2] rows and columns of the octave.
-    height
-        [N] height over the spread of its surroundings.
+    height, clear
+        [N] height over the spread of its surroundings and what a registration may leave of edges, at worst and, as
+        `clear`, by what it left of edges around.
+    spread
+        [N] standard deviation of what the difference of Gaussians answers around, in levels.
     size
         [N] which of `SIGMAS`, in rising order.
     difference, lit, dark
@@ -143,6 +156,8 @@ class Cut:
     y: Whole
     shape: Whole
     height: Array
+    clear: Array
+    spread: Array
     size: Whole
     difference: Array
     lit: Array
@@ -237,7 +252,7 @@ def screened(layer: Layer, most: int) -> Place:
     block = _BLOCK // layer.cell
     peaks = _block_maxima(answer, block)
     highest = peaks.astype(np.float32)
-    cut = 3 * float(np.median(highest[::2, ::2])) + 1
+    cut = 3 * _median(peaks[::2, ::2]) + 1
     around = cv2.blur(np.minimum(highest, cut), (_AROUND, _AROUND)) / _HIGHEST_OF_NOISE[layer.cell]
     variance = np.square(around) + _QUANTUM**2
     height = highest / np.sqrt(variance)
@@ -247,20 +262,20 @@ def screened(layer: Layer, most: int) -> Place:
         ring[1:4, 1:4] = 0
         height *= np.clip(highest / np.maximum(np.asarray(cv2.dilate(peaks, ring)), 0.5), 1 / _ALONE, _ALONE)
     flat = height.ravel()
-    limit = min(_SCREENED * most, flat.size)
-    # The numbers of the highest: by their least height, which is found many times faster than they are.
-    number = np.flatnonzero(flat >= max(np.partition(flat, flat.size - limit)[flat.size - limit], 1e-6))
+    number = np.flatnonzero(flat >= max(_least_of_highest(flat, _SCREENED * most), 1e-6))
     row, column = np.divmod(number, height.shape[1])
     x, y = _highest_of_block(answer, row, column, block)
     own = answer[y, x].astype(np.float32)
     top = own >= patches(answer, x, y, 2).max((1, 2))
     x, y, number = x[top], y[top], number[top]
-    found = flat[number]
+    worst = clear = flat[number]
     if layer.base is not None and len(x):
-        variance = variance.ravel()[number] + (_LEFT_OF_EDGES * _edges(layer.base, x, y, layer.cell > 1)) ** 2
-        found = own[top] / np.sqrt(variance)
-    kept = np.argsort(-found, kind="stable")[:most]
-    return Place(layer.cell * x[kept], layer.cell * y[kept], np.asarray(found[kept], dtype=np.float32))
+        edge, share = _edges(answer, layer.base, x, y, layer.cell > 1)
+        noise = variance.ravel()[number]
+        worst, clear = (own[top] / np.sqrt(noise + np.square(k * edge)) for k in (_LEFT_OF_EDGES[1], share))
+    kept = np.argsort(-clear, kind="stable")[:most]
+    heights = (np.asarray(one[kept], dtype=np.float32) for one in (worst, clear))
+    return Place(layer.cell * x[kept], layer.cell * y[kept], *heights)
 
 
 def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
@@ -296,34 +311,39 @@ def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
     x, y = np.concatenate(at, 1)[:, order]
     answer = _answers(difference, size, HALF)
     near = slice(HALF - LIT_REACH, HALF + LIT_REACH + 1)
-    dark_answer = None if dark is None else _answers(dark, size, DARK_REACH)
+    dark_answer = None if dark is None else _answers(dark, size, HALF)
+    of_dark = slice(HALF - DARK_REACH, HALF + DARK_REACH + 1)
     return Cut(
         np.concatenate(steps)[order],
         x,
         y,
         np.concatenate(shapes)[order],
-        _heights(answer, dark_answer),
+        *_heights(answer, dark_answer, size),
         size,
         difference[:, inner, inner],
         lit[:, inner, inner],
         None if dark is None else dark[:, inner, inner],
         answer,
         answer[:, near, near] if dark is None else _answers(lit, size, LIT_REACH),
-        dark_answer,
+        None if dark_answer is None else dark_answer[:, of_dark, of_dark],
     )
 
 
-def _heights(answer: Array, of_dark: Array | None) -> Array:
-    """Height of each patch's middle over the spread of its surroundings, [N]."""
+def _heights(answer: Array, of_dark: Array | None, sizes: Whole) -> tuple[Array, Array, Array]:
+    """Height of each patch's middle over the spread of its surroundings, twice, and that spread, [N], as in `Cut`."""
     size = np.abs(answer)
     # What stands far out of the surroundings counts little: the place itself, or another camera.
     cut = 3 * np.median(size[:, ::3, ::3], axis=(1, 2)) + 1e-6
     spread = 1.25 * np.minimum(size, cut[:, None, None]).mean((1, 2))
-    variance = spread**2 + _QUANTUM**2
+    own, variance = answer[:, HALF, HALF], spread**2 + _QUANTUM**2
+    left: list[Array | float] = [0.0, 0.0]
     if of_dark is not None:
-        near = slice(DARK_REACH - 2, DARK_REACH + 3)
-        variance += (_LEFT_OF_EDGES * np.abs(of_dark[:, near, near]).max((1, 2))) ** 2
-    return np.maximum(answer[:, HALF, HALF] / np.sqrt(variance), 1e-3).astype(np.float32)
+        near = slice(HALF - 2, HALF + 3)
+        edge = np.abs(of_dark[:, near, near]).max((1, 2))
+        share = _share_left(answer, of_dark, 2.5 * np.array(SIGMAS)[sizes] + 1.5)
+        left = [_LEFT_OF_EDGES[1] * edge, share * edge]
+    worst, likely = (np.maximum(own / np.sqrt(variance + one**2), 1e-3).astype(np.float32) for one in left)
+    return worst, likely, np.sqrt(spread**2 + _QUANTUM**2).astype(np.float32)
 
 
 def _answers(stack: Array, size: Whole, reach: int) -> Array:
@@ -355,6 +375,27 @@ def _highest_near(layer: Layer, x: Whole, y: Whole) -> tuple[Whole, Whole]:
     return np.clip(x + best % side - reach, 0, width - 1), np.clip(y + best // side - reach, 0, height - 1)
 
 
+def _least_of_highest(values: NDArray[Any], count: int) -> float:
+    """The least of so many highest values: many times faster than sorting, as few are looked at."""
+    if count >= values.size:
+        return float(values.min())
+    # Of every sixteenth, twice as many as are wanted stand above; where chance had it otherwise all are looked at.
+    sample = values[::16]
+    rank = min(2 * count // 16 + 16, sample.size)
+    above = values[values >= np.partition(sample, sample.size - rank)[sample.size - rank]]
+    chosen = above if above.size >= count else values
+    return float(np.partition(chosen, chosen.size - count)[chosen.size - count])
+
+
+def _median(values: NDArray) -> float:
+    """The median; of bytes by counting them."""
+    if values.dtype != np.uint8:
+        return float(np.median(values))
+    below = np.cumsum(np.bincount(values.ravel(), minlength=256))
+    low, up = (int(np.searchsorted(below, rank, "right")) for rank in ((values.size - 1) // 2, values.size // 2))
+    return (low + up) / 2
+
+
 def _contrast(image: NDArray, sharp: bool) -> NDArray:
     """How far a mean over 3 x 3 pixels stands above one over some 7 x 7, [H, W], in the image's own type; 0 below.
 
@@ -366,14 +407,37 @@ def _contrast(image: NDArray, sharp: bool) -> NDArray:
     return answer if answer.dtype == np.uint8 else np.maximum(answer, 0)
 
 
-def _edges(dark: NDArray, x: Whole, y: Whole, sharp: bool) -> Array:
-    """Largest contrast, of either sign, of the dark frame within two pixels of places, [N]."""
-    near = patches(dark, x, y, 5)
+def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> tuple[Array, Array]:
+    """The dark frame's highest edges within two pixels of places, and which share of them may be left, [N].
+
+    `answer` is what the screen answers to the difference; what it leaves of edges around a place is looked up there.
+    """
+    near = patches(dark, x, y, _NEAR_EDGES + 3)
     shape = near.shape
     near = near.reshape(-1, shape[2])
     narrow = near if sharp else cv2.blur(near, (3, 3))
-    contrast = cv2.absdiff(narrow, cv2.blur(narrow, (5, 5))).reshape(shape)
-    return contrast[:, 3:-3, 3:-3].max((1, 2))
+    contrast = cv2.absdiff(narrow, cv2.blur(narrow, (5, 5))).reshape(shape)[:, 3:-3, 3:-3]
+    # Of what is left the answer holds only what is bright: half.
+    left = 2 * patches(answer, x, y, _NEAR_EDGES)
+    near = slice(_NEAR_EDGES - 2, _NEAR_EDGES + 3)
+    return contrast[:, near, near].max((1, 2)), _share_left(left, contrast, 3.5)
+
+
+def _share_left(left: NDArray[Any], edges: NDArray[Any], inner: float | NDArray[Any]) -> Array:
+    """Which share of edges [N, side, side] may be left at the middle of patches, by what is left around it, [N].
+
+    Pixels nearer to the middle than `inner` are not asked: a camera may lie there. A few pixels that stand far out,
+    another camera, count little.
+    """
+    half = edges.shape[1] // 2
+    radius = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1])
+    around = (radius > np.asarray(inner)[..., None, None]).astype(np.float32)
+    size = np.abs(edges)
+    weight = size * around
+    share = (np.minimum(np.abs(left), size) * weight).sum((1, 2)) / (
+        (size * weight).sum((1, 2)) + _FLAT * around.sum((-1, -2))
+    )
+    return np.clip(_WORST_OF_EDGES * share, *_LEFT_OF_EDGES).astype(np.float32)
 
 
 def _block_maxima(image: NDArray, block: int) -> NDArray:

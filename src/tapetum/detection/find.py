@@ -1,20 +1,13 @@
-"""From a frame, or a lit and a dark one, to the cameras in it.
-
-One file of more than 400 lines: all ways in (one frame, a pair, several at once, a video's detector) share its stages.
-"""
+"""From a frame, or a lit and a dark one, to the cameras in it."""
 
 from __future__ import annotations
 
-from collections import deque
-from collections.abc import Generator, Iterable
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
-from threadpoolctl import threadpool_limits
 
 from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, cut_out, layers, patches, screened
 from tapetum.detection.found import Found
@@ -30,7 +23,6 @@ __all__ = [
     "Candidates",
     "candidates_with_looks",
     "find_cameras",
-    "find_each",
     "scored",
     "second_look",
 ]
@@ -141,7 +133,7 @@ def find_cameras(
         y=found["y"][order],
         probability=probability[order],
         false_alarms=alarms[order],
-        snr=found["snr"][order],
+        snr=found["clear"][order],
         flux=found["flux"][order],
         diameter=found["diameter"][order],
         elongation=np.exp(measured[order, _ELONGATION]),
@@ -151,56 +143,11 @@ def find_cameras(
     )
 
 
-def find_each(
-    frames: Iterable[tuple[NDArray[np.generic], NDArray[np.generic] | None]], *, threads: int = 2, **options: Any
-) -> Generator[Found]:
-    """Find cameras in many frames, several at once: `find_cameras` of each lit frame and its dark one, or None.
-
-    OpenCV and numpy release the interpreter, so that threads share the work; at most twice as many frames as threads
-    are held. BLAS keeps to one thread until the last frame: on matrices this small, threads of its own only take cores
-    from other frames. Processes that each read frames of their own are faster by half; frames handed to processes
-    cost what that gains.
-
-    Parameters
-    ----------
-    frames
-        Lit and dark frames, as for `find_cameras`; read as they are wanted.
-    threads
-        How many frames are searched at once.
-    **options
-        As for `find_cameras`.
-
-    Yields
-    ------
-    Found
-        In the order of the frames.
-
-    Raises
-    ------
-    InputError
-        What `find_cameras` raises, at the frame's turn.
-    """
-    if threads < 1:
-        raise InputError(f"must be at least 1, is {threads}", where="threads")
-    waiting: deque[Future[Found]] = deque()
-    with threadpool_limits(1, user_api="blas"), ThreadPoolExecutor(threads) as workers:
-        try:
-            for lit, dark in frames:
-                waiting.append(workers.submit(find_cameras, lit, dark, **options))
-                if len(waiting) >= 2 * threads:
-                    yield waiting.popleft().result()
-            while waiting:
-                yield waiting.popleft().result()
-        finally:
-            for one in waiting:
-                one.cancel()
-
-
 @dataclass(frozen=True)
 class Candidates:
     """Candidates of a frame: columns of `NAMES` [N], looks [N, features], and which rows of a cut show them, [N]."""
 
-    NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak")
+    NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak", "clear")
     columns: dict[str, Array]
     looks: Array
     cut: Cut | None
@@ -213,7 +160,7 @@ class Candidates:
 
 
 def candidates_with_looks(
-    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
+    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None, by_clear: bool = False
 ) -> Candidates:
     """Return the candidates of a frame or a pair, before any is scored.
 
@@ -223,9 +170,12 @@ def candidates_with_looks(
         [H, W] levels from 0 to 255, both uint8 or both float32; dark None for one frame alone.
     largest, most
         As for `find_cameras`.
+    by_clear
+        Whether of two octaves at one place the one is kept that stands higher over what the registration left of edges,
+        as in the examples that the second stage learned from; else the one that does over what it may leave.
     """
     registered = None if dark is None else register(lit, dark)
-    return _candidates(layers(lit, registered, largest), registered, most, lit)
+    return _candidates(layers(lit, registered, largest), registered, most, lit, by_clear=by_clear)
 
 
 def scored(candidates: Candidates, score: Score) -> Array:
@@ -245,7 +195,12 @@ def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) 
 
 
 def _candidates(
-    octaves: list[Layer], registered: Registered | None, most: int | None, lit: NDArray, swapped: bool = False
+    octaves: list[Layer],
+    registered: Registered | None,
+    most: int | None,
+    lit: NDArray,
+    swapped: bool = False,
+    by_clear: bool = False,
 ) -> Candidates:
     if most is None:
         most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
@@ -256,12 +211,17 @@ def _candidates(
         return Candidates.none(width)
     step = np.repeat([one.step for one in octaves], count).astype(np.float64)
     at = np.concatenate([np.stack([one.x, one.y], 1) for one in places])
-    height = np.concatenate([one.height for one in places]).astype(np.float64)
+    height, clear = (
+        np.concatenate([getattr(one, n) for one in places]).astype(np.float64) for n in ("height", "clear")
+    )
     middle = (at + 0.5) * step[:, None] - 0.5
     shape = octaves[0].shape
     allowed = np.arange(len(at)) if registered is None else np.flatnonzero(_within(registered, middle, shape))
     x, y = middle[allowed].T
-    kept = allowed[_one_a_place(x, y, height[allowed], 4.0 * step[allowed], most)]
+    # Of those at one place the octave that stands highest at worst, of places those that do by what is left.
+    first = clear if by_clear else height
+    kept = allowed[_one_a_place(x, y, first[allowed], 4.0 * step[allowed], len(allowed))]
+    kept = kept[np.argsort(-clear[kept], kind="stable")][:most]
     of = np.repeat(np.arange(len(octaves)), count)[kept]
     cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
     if cut is None:
@@ -271,7 +231,7 @@ def _candidates(
     wide = octaves[min(1, len(octaves) - 1)]
     mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
     features = looks(cut, _at(mean, table, shape), _FULL, None if registered is None else registered.coarse)
-    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
+    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 6 if by_clear else 2], table[:, 4], most)
     kept = kept[~_stuck(table[kept], lit, registered, swapped)]
     if not len(kept):
         return Candidates.none(width)
@@ -328,7 +288,7 @@ def _stuck(places: Array, lit: NDArray, registered: Registered | None, swapped: 
 
 
 def _measured(cut: Cut) -> Array:
-    """Place, height, flux, diameter and peak of each candidate, [N, 6], in pixels of the frame."""
+    """Place, height, flux, diameter, peak and clear height of each candidate, [N, 7], in pixels of the frame."""
     half = 6
     sigma = np.array(SIGMAS)[cut.size]
     inner = slice(HALF - half, HALF + half + 1)
@@ -344,7 +304,7 @@ def _measured(cut: Cut) -> Array:
     peak = cut.lit[:, middle, middle].max((1, 2))
     places = ((one + shift + 0.5) * step - 0.5 for one, shift in ((cut.x, x), (cut.y, y)))
     # The filter of width s answers a Gaussian of sigma s most.
-    found = [*places, cut.height, light * step**2, 4 * sigma * step, peak]
+    found = [*places, cut.height, light * step**2, 4 * sigma * step, peak, cut.clear]
     return np.stack(found, 1).astype(np.float64)
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 import cv2
 import numpy as np
@@ -35,14 +36,16 @@ OF_A_FRAME = (
 
 height: over the spread of the surroundings; outlier: that beside the other candidates of the frame; contrast: over the
 local brightness; isolation and alone: beside what the same filter finds within 12 and 20 pixels; elongation and fill:
-of the pixels over 40 % of its peak; inside: 0 at the frame's edge; size; saturated: 1 where a pixel is at full scale.
+of the pixels over 40 % of its peak; inside: 0 at the edge of the frame,
+or of the dark one; size; saturated: 1 where a pixel is at full scale.
 """
-OF_A_PAIR = ("vanishes", "fresh", "motion", "partner")
+OF_A_PAIR = ("vanishes", "fresh", "motion", "partner", "clear", "level")
 """Besides, where there is a dark frame.
 
 vanishes: the share of the lit frame's answer that the dark one lacks nearby; fresh: what is left after the surroundings
 alone are registered once more; motion: how unequal the flow is nearby; partner: how strongly the dark frame alone shows
-something of the same size nearby, as where a thing moved.
+something of the same size nearby, as where a thing moved; clear: the height over the spread and what the registration
+left of edges around; level: the height in grey levels.
 """
 _SHAPE = 10
 _AGAIN, _REACH = 12, 4
@@ -68,7 +71,11 @@ def looks(cut: Cut, bright: Array, full_scale: float, flow: NDArray[np.float32] 
     rest = _quantile(np.abs(cut.answer), size, lambda s, r: r > 4 * s + 2, 0.995)
     second = _quantile(cut.lit_answer, size, lambda s, r: (r > 3 * s + 2) & (r <= LIT_REACH), 0.98)
     elongation, fill = shape(cut)
-    edge = np.minimum.reduce([x, y, cut.shape[:, 1] - 1 - x, cut.shape[:, 0] - 1 - y])
+    edge = _inside(x, y, cut.shape)
+    if flow is not None:
+        # What the dark frame does not show is no surroundings either.
+        moved = _at(flow, cut, np.zeros(1))[:, 0, 0] / cut.step[:, None]
+        edge = np.minimum(edge, _inside(x + moved[:, 0], y + moved[:, 1], cut.shape))
     middle = slice(HALF - 1, HALF + 2)
     peak = cut.lit[:, middle, middle].max((1, 2))
     own = [
@@ -92,19 +99,30 @@ def looks(cut: Cut, bright: Array, full_scale: float, flow: NDArray[np.float32] 
         _fresh(cut),
         np.log(0.3 + _uneven(flow, cut)),
         np.log((np.maximum(-cut.answer.min((1, 2)), 0) + 0.5) / (np.maximum(height, 0.1) + 0.5)),
+        np.log(cut.clear),
+        np.log(np.maximum(height, 0.1)),
     ]
     return np.stack(own, 1)
 
 
 def _uneven(flow: NDArray[np.float32], cut: Cut) -> Array:
     """Standard deviation of the flow within each patch, in pixels, [N]."""
+    near = _at(flow, cut, np.linspace(-HALF, HALF, 15))
+    return np.hypot(*np.moveaxis(near.std((1, 2)), -1, 0))
+
+
+def _at(flow: NDArray[np.float32], cut: Cut, step: Array) -> NDArray[np.float32]:
+    """The flow at candidates' places and as many steps [n] from them, in pixels of their octaves, [N, n, n, 2]."""
     rows, columns = flow.shape[:2]
-    step = np.linspace(-HALF, HALF, 15)
     h, w = cut.shape[:, :1], cut.shape[:, 1:]
     row = np.clip((cut.y[:, None] + step + 0.5) * rows / h, 0, rows - 1).astype(int)
     column = np.clip((cut.x[:, None] + step + 0.5) * columns / w, 0, columns - 1).astype(int)
-    near = flow[row[:, :, None], column[:, None, :]]
-    return np.hypot(*np.moveaxis(near.std((1, 2)), -1, 0))
+    return flow[row[:, :, None], column[:, None, :]]
+
+
+def _inside(x: NDArray[Any], y: NDArray[Any], shape: NDArray[np.int64]) -> Array:
+    """How many pixels places lie inside frames of so many rows and columns [N, 2]: [N]."""
+    return np.minimum.reduce([x, y, shape[:, 1] - 1 - x, shape[:, 0] - 1 - y]).astype(np.float64)
 
 
 def shape(cut: Cut) -> tuple[Array, Array]:

@@ -76,6 +76,6 @@ def load_score(pair: bool) -> Score:
     known = json.loads(text)["pair" if pair else "frame"]
     names = OF_A_FRAME + (OF_A_PAIR if pair else ())
     at, rate = known["alarms"]
-    weights = tuple(known["weights"][name] for name in names)
+    weights = tuple(known["weights"].get(name, 0.0) for name in names)
     k, c = known["calibration"]
     return Score(weights, known["offset"], (tuple(at), tuple(rate)), known["second"], (k, c))

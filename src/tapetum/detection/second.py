@@ -1,8 +1,8 @@
 """The second stage: a small network looks again at the few candidates that a weighted sum of looks puts first.
 
-It is for pairs only. It sees each candidate in the pixels of its octave, in units of its own height, near and far: the
-difference and the dark frame; and the looks. It was trained on drawn scenes only
-(scripts/train_second.py). Products of numpy matrices do for a few dozen candidates.
+It is for pairs only. It sees each candidate in the pixels of its octave, near and far: the difference and the dark
+frame in units of the candidate's own height, the difference in units of the noise around; and the looks. It was trained
+on drawn scenes only (scripts/train_second.py). Products of numpy matrices do for a few dozen candidates.
 """
 
 from __future__ import annotations
@@ -18,24 +18,28 @@ from safetensors.numpy import load
 
 from tapetum.detection.candidates import HALF, Cut
 
-__all__ = ["Second", "load_second", "views"]
+__all__ = ["STRIDES", "Second", "load_second", "views"]
 
 Array = NDArray[np.float32]
 
+STRIDES = (2, 1, 2)
+"""Every how many pixels the convolutions of a view look, in order."""
 _NEAR = 10
 # How many standard deviations of the scenes that it learned from a look may lie off their mean.
 _FARTHEST = 3.0
+# What of the noise is drawn in to a half.
+_NOISY = 6.0
 
 
 @dataclass(frozen=True)
 class Second:
-    """A network of two convolutions of every view, and a hidden layer that joins them with the looks.
+    """A network of three convolutions of every view, and a hidden layer that joins them with the looks.
 
     Parameters
     ----------
     weights
-        By name: `near.1`, `near.2`, `far.1`, `far.2` [3, 3, in, out] and `hidden`, `out` [in, out], each with its
-        `.bias` [out]; `mean` and `spread` [features] of the looks.
+        By name: `near.1` to `near.3`, `far.1` to `far.3` [side, side, in, out] and `hidden`, `out` [in, out], each with
+        its `.bias` [out]; `mean` and `spread` [features] of the looks.
     """
 
     weights: dict[str, Array]
@@ -45,16 +49,17 @@ class Second:
         own = np.clip((looks - self.weights["mean"]) / self.weights["spread"], -_FARTHEST, _FARTHEST)
         seen = [own.astype(np.float32)]
         for name, view in (("near", near), ("far", far)):
-            for layer in ("1", "2"):
-                view = self._convolved(view, f"{name}.{layer}")
+            for layer, stride in enumerate(STRIDES):
+                view = self._convolved(view, f"{name}.{layer + 1}", stride)
             seen.append(view.reshape(len(view), -1))
         hidden = np.maximum(np.concatenate(seen, 1) @ self.weights["hidden"] + self.weights["hidden.bias"], 0)
         return (hidden @ self.weights["out"] + self.weights["out.bias"])[:, 0].astype(np.float64)
 
-    def _convolved(self, view: Array, name: str) -> Array:
-        """3 x 3, every other pixel, without a rim, negative values set to 0: [N, rows, columns, out]."""
+    def _convolved(self, view: Array, name: str, stride: int) -> Array:
+        """Convolution without a rim, negative values set to 0: [N, rows, columns, out]."""
         kernel = self.weights[name]
-        windows = sliding_window_view(view, (3, 3), axis=(1, 2))[:, ::2, ::2].transpose(0, 1, 2, 4, 5, 3)
+        windows = sliding_window_view(view, kernel.shape[:2], axis=(1, 2))[:, ::stride, ::stride]
+        windows = windows.transpose(0, 1, 2, 4, 5, 3)
         flat = windows.reshape(-1, kernel[..., 0].size) @ kernel.reshape(-1, kernel.shape[-1])
         flat += self.weights[f"{name}.bias"]
         return np.maximum(flat, 0, out=flat).reshape(*windows.shape[:3], -1)
@@ -68,21 +73,23 @@ def load_second() -> Second:
 
 
 def views(cut: Cut, rows: NDArray[np.int64]) -> tuple[Array, Array]:
-    """What the network sees of a pair's candidates: [N, 21, 21, 2] near, and [N, 20, 20, 2] at half the scale.
+    """What the network sees of a pair's candidates: [N, 21, 21, 3] near, and [N, 20, 20, 3] at half the scale.
 
-    Channels are the difference and the dark frame, each about its surroundings' median, over the height
-    that the difference of Gaussians answers, drawn in to lie between -1 and 1.
+    Channels are the difference and the dark frame, each about its surroundings' median, over the height that the
+    difference of Gaussians answers; and the difference over the noise; drawn in to lie between -1 and 1.
     """
-    height = np.maximum(cut.answer[rows, HALF, HALF], 0.5)[:, None, None]
-    found = []
     assert cut.dark is not None
-    for stack in (cut.difference, cut.dark):
-        patch = stack[rows]
-        found.append((patch - np.median(patch[:, ::2, ::2], axis=(1, 2))[:, None, None]) / height)
-    both = np.stack(found, -1).astype(np.float32)
+    height = np.maximum(cut.answer[rows, HALF, HALF], 0.5)[:, None, None]
+    difference = _level(cut.difference[rows])
+    own, dark = difference / height, _level(cut.dark[rows]) / height
+    both = np.stack([own, dark, difference / (_NOISY * cut.spread[rows, None, None])], -1).astype(np.float32)
     near = both[:, HALF - _NEAR : HALF + _NEAR + 1, HALF - _NEAR : HALF + _NEAR + 1]
     far = both[:, :-1, :-1].reshape(len(both), HALF, 2, HALF, 2, both.shape[-1]).mean((2, 4))
     return _drawn_in(near), _drawn_in(far)
+
+
+def _level(patch: Array) -> Array:
+    return patch - np.median(patch[:, ::2, ::2], axis=(1, 2))[:, None, None]
 
 
 def _drawn_in(values: Array) -> Array:

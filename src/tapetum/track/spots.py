@@ -42,13 +42,19 @@ _CARRIED = 2.0
 # Smallest ratio of heights between fringes of one spot; dimmer light is a ghost or another spot.
 _LIKE = 0.2
 _MAD = 1.4826
+# Diameter of a spot from which it may be an unevenness of the background, and the standard deviation over which such a
+# one hardly varies. The light of a defocused lens ends at an edge, and has fringes.
+_BROAD, _SHADE, _SHADE_STEP = 70.0, 24.0, 8
 # Side of the windows, and most of them along an axis, whose smoothed noise stands for the frame's.
 _SAMPLE, _SAMPLES = 48, 7
 
 
 @dataclass(frozen=True)
 class Maps:
-    """A part of a frame of `shape` as the search sees it: pictures of the part, float32."""
+    """A part of a frame of `shape` as the search sees it: pictures of the part, float32.
+
+    `wide_noise` is that of the wide map, of the whole frame at a quarter of its size.
+    """
 
     part: Part
     shape: tuple[int, int]
@@ -57,6 +63,7 @@ class Maps:
     fine_snr: Picture
     wide: Picture
     snr: Picture
+    wide_noise: Picture
 
 
 @dataclass(frozen=True)
@@ -146,6 +153,7 @@ def make_maps(image: NDArray[Any], quantum: float, min_snr: float) -> list[Maps]
         clipped[to] = cv2.resize(cut[:rows, :columns], size, interpolation=cv2.INTER_AREA)
     wide = blur(excess, sigma)
     wide_snr = np.asarray(cv2.divide(blur(clipped, sigma), least, scale=wide_gain), dtype=np.float32)
+    wide_noise = np.asarray(least / np.float32(wide_gain), dtype=np.float32)
     return [
         Maps(
             part,
@@ -155,6 +163,7 @@ def make_maps(image: NDArray[Any], quantum: float, min_snr: float) -> list[Maps]
             fine_snr,
             _grown(wide, part),
             np.asarray(cv2.max(fine_snr, _grown(wide_snr, part)), np.float32),
+            wide_noise,
         )
         for part, (own, fine, fine_snr) in zip(parts, close, strict=True)
     ]
@@ -346,12 +355,30 @@ def search(
             height, width = place.lit.shape
             if spot is not None and 0 <= round(spot.x) < width and 0 <= round(spot.y) < height:
                 whole = _taken(place, spot, image, full_scale)
-                if whole is not None:
+                if whole is not None and not (whole.diameter > _BROAD and _shade(place, spot)):
                     found.append(whole)
             near = place.window(column, row, 2, 2)
             place.claim(near, np.ones(place.seeds[near].shape, bool))
         enqueue(number, label)
     return sorted(_joined(found), key=lambda spot: -spot.peak)
+
+
+def _shade(place: _Place, spot: Spot) -> bool:
+    """Tell whether a broad spot varies so slowly that it may be the background, which no surface fits to the last."""
+    maps, part = place.maps, place.maps.part
+    reach = (_CLAIM * math.sqrt(spot.covariance[n]) for n in (0, 2))
+    near = maps.wide[place.window(spot.x, spot.y, *reach)]
+    # At an eighth of the size: what is looked for is wider.
+    size = max(1, near.shape[1] // _SHADE_STEP), max(1, near.shape[0] // _SHADE_STEP)
+    small = np.asarray(cv2.resize(near, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    rest = np.abs(small - blur(small, _SHADE / _SHADE_STEP))
+    # At the ends a slope is bent by the filter.
+    rim = [int(_SHADE / _SHADE_STEP) if n > 4 * _SHADE / _SHADE_STEP else 0 for n in rest.shape]
+    varies = float(rest[rim[0] : rest.shape[0] - rim[0], rim[1] : rest.shape[1] - rim[1]].max())
+    row, column = ((first + int(at)) // _REDUCE for first, at in ((part.top, spot.y), (part.left, spot.x)))
+    height, width = maps.wide_noise.shape
+    noise = float(maps.wide_noise[min(row, height - 1), min(column, width - 1)])
+    return varies < place.min_snr * noise
 
 
 def _taken(place: _Place, spot: Spot, image: NDArray[Any], full_scale: float) -> Spot | None:
