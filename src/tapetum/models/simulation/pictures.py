@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -90,11 +91,18 @@ class Pictures:
 
         Gazes beyond the field are clipped to its edge.
         """
-        turned = pose.roll != 0
+        return self.render_each([replace(pose, gaze=(float(x), float(y))) for x, y in gazes])
+
+    def render_each(self, poses: Sequence[Pose]) -> Array:
+        """Return electrons [B, side, side] at the scene's laser power, for poses of one focus and focal length."""
+        turned = any(pose.roll != 0 for pose in poses)
         side = self.side + 2 * _MARGIN if turned else self.side
-        scene, camera = self._cameras(pose.object_distance, pose.focal_length, side)
+        scene, camera = self._cameras(poses[0].object_distance, poses[0].focal_length, side)
+        gazes = np.array([pose.gaze for pose in poses])
         sines = tilt_of_gaze(scene, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)))
-        places = torch.tensor([pose.place], dtype=torch.float64).expand(len(sines), -1)
+        places = torch.tensor([pose.place for pose in poses], dtype=torch.float64)
+        angles = torch.tensor([pose.roll for pose in poses], dtype=torch.float64)
+        c, s = torch.cos(angles), torch.sin(angles)
         total = np.zeros((len(sines), self.side, self.side))
         with torch.no_grad():
             for tilts, centres, share in camera.beams(sines, places):
@@ -102,12 +110,12 @@ class Pictures:
                     total += camera.render(tilts, centres, share, equivalent=True).double().cpu().numpy()
                     continue
                 # The RR turns with the target; further beams come from the probe and do not.
-                c, s = math.cos(pose.roll), math.sin(pose.roll)
-                back = torch.tensor([[c, s], [-s, c]], dtype=torch.float64)
-                own = sines + (tilts - sines) @ back.T
+                x, y = (tilts - sines).unbind(-1)
+                own = sines + torch.stack([c * x + s * y, c * y - s * x], -1)
                 made = camera.render(own, torch.zeros_like(centres), share, equivalent=True).double().cpu().numpy()
-                shift = centres[0].numpy() / self.pitch
-                total += np.stack([self._turned(one, pose.roll, shift) for one in made])
+                shifts = centres.numpy() / self.pitch
+                rolled = zip(made, poses, shifts, strict=True)
+                total += np.stack([self._turned(one, pose.roll, shift) for one, pose, shift in rolled])
         return total * self._electrons
 
     def _turned(self, picture: Array, roll: float, shift: Array) -> Array:
