@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import torch
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene
@@ -31,8 +32,11 @@ from tapetum.progress import Progress, quiet
 __all__ = ["Linear", "Normal", "State"]
 
 Array = NDArray[np.float64]
-# Step of a difference in spreads, before it is adapted to how much the picture changes.
-_STEP = 0.1
+# Step of a difference, in spreads. Pictures change by a tenth of themselves over a tenth of a spread of the tilt, and are
+# computed in double precision: so small a step leaves 1e-3 of nonlinearity, and does not meet another sampling.
+_STEP = 3e-4
+# Largest move, in spreads, over which derivatives are kept.
+_NEAR = 0.01
 # Frames whose pictures are held at once.
 _CHUNK = 8
 # A hand's roll, in radians: the width of its prior.
@@ -55,8 +59,12 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One frame linearised: `matrix` [P + n, P + n] and `score` [P + n] with the priors; weights; weighted squares."""
+    """One frame linearised: `matrix` [P + n, P + n] and `score` [P + n] with the priors; weights; weighted squares.
 
+    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters.
+    """
+
+    rows: NDArray[np.float32]
     matrix: Array
     score: Array
     noise: Noise
@@ -77,12 +85,15 @@ class Linear:
         [P, P] and [P] of the shared parameters, nuisances eliminated.
     frames
         The frames' own parts.
+    at
+        [P] coordinates at which the derivatives by the shared parameters were taken.
     """
 
     state: State
     information: Array
     score: Array
     frames: tuple[_Frame, ...]
+    at: Array
 
     @property
     def objective(self) -> float:
@@ -139,7 +150,8 @@ class Normal:
         offsets: tuple[float, float] = (0.0, 0.0),
     ) -> None:
         self.scene, self.parameters, self.frames = scene, tuple(parameters), tuple(frames)
-        self.accuracy, self.scatter, self._offsets = accuracy, scatter, offsets
+        self.accuracy, self.scatter = accuracy, scatter
+        self._unevenness, self._offsets = unevenness, offsets
         self.side = len(frames[0].counts)
         self.model = CountModel(scene.probe.sensor, unevenness)
         self.roll = roll
@@ -147,6 +159,19 @@ class Normal:
         self._shown = [n for n, one in enumerate(self.parameters) if one.name not in ("background", "power")]
         self._free = ("place_x", "place_y", "power", *(("roll",) if roll else ()))
         self._kept: tuple[Array, Pictures] | None = None
+
+    def over(self, frames: Sequence[TwinFrame], accuracy: float | None = None) -> Normal:
+        """Return the same for other frames, and where given at another accuracy."""
+        return Normal(
+            self.scene,
+            self.parameters,
+            frames,
+            accuracy=self.accuracy if accuracy is None else accuracy,
+            roll=self.roll,
+            scatter=self.scatter,
+            unevenness=self._unevenness,
+            offsets=self._offsets,
+        )
 
     def scene_at(self, coordinates: Array) -> Scene:
         """Return the scene with the parameters' coordinates."""
@@ -157,7 +182,7 @@ class Normal:
         if self._kept is None or not np.array_equal(self._kept[0], coordinates):
             shown = [self.parameters[n] for n in self._shown]
             scene = placed(self.scene, shown, coordinates[self._shown].tolist())
-            self._kept = coordinates.copy(), Pictures(scene, self.side, self.accuracy)
+            self._kept = coordinates.copy(), Pictures(scene, self.side, self.accuracy, torch.complex128)
         return self._kept[1]
 
     def value(self, name: str, coordinates: Array) -> float | None:
@@ -185,19 +210,28 @@ class Normal:
             own["background"] = background + dark
         return State(coordinates, tuple(replace(pose, **own) for pose in state.poses), state.slow)
 
-    def linear(self, state: State, *, shared: bool = True, progress: Progress = quiet) -> Linear:
-        """Linearise all frames at a state; without `shared` by the nuisances alone."""
+    def linear(
+        self, state: State, *, shared: bool = True, near: Linear | None = None, progress: Progress = quiet
+    ) -> Linear:
+        """Linearise all frames at a state; without `shared` by the nuisances alone.
+
+        The derivatives by the shared parameters, which take most of the time, are those of `near` where the state lies
+        within a hundredth of a spread of it.
+        """
         pictures = self.pictures(state.coordinates)
-        steps, others = self._neighbours(state.coordinates) if shared else ([], [])
+        if near is not None and np.abs((state.coordinates - near.at) / self.spread).max() > _NEAR:
+            near = None
+        steps, others = self._neighbours(state.coordinates) if shared and near is None else ([], [])
         found: list[_Frame] = []
         chunks = [range(k, min(k + _CHUNK, len(self.frames))) for k in range(0, len(self.frames), _CHUNK)]
         for chunk in progress(chunks, "simulating frames"):
             poses = [state.poses[n] for n in chunk]
             beside = [self._beside(other, poses) for other in others]
-            for at, n in enumerate(chunk):
-                near = [(made[at], step) for made, step in zip(beside, steps, strict=True)]
-                found.append(self._frame(n, state, pictures, near, shared))
-        return self._reduced(state, found, len(self.parameters) if shared else 0)
+            for k, n in enumerate(chunk):
+                made = [(one[k], step) for one, step in zip(beside, steps, strict=True)]
+                found.append(self._frame(n, state, pictures, made if near is None else near.frames[n].rows, shared))
+        at = state.coordinates if near is None else near.at
+        return self._reduced(state, found, len(self.parameters) if shared else 0, at)
 
     def left(self, linear: Linear, state: State) -> float:
         """Return the objective at another state, with the weights of `linear`."""
@@ -231,7 +265,7 @@ class Normal:
             beside[n] += step
             scene = placed(self.scene, shown, beside[self._shown].tolist())
             steps.append(step)
-            others.append(Pictures(scene, self.side, self.accuracy))
+            others.append(Pictures(scene, self.side, self.accuracy, torch.complex128))
         return steps, others
 
     def _beside(self, pictures: Pictures, poses: list[Pose]) -> Array:
@@ -240,7 +274,12 @@ class Normal:
         return pictures.render_each([replace(pose, **own) for pose in poses])
 
     def _frame(
-        self, n: int, state: State, pictures: Pictures, near: list[tuple[Array, float]], shared: bool
+        self,
+        n: int,
+        state: State,
+        pictures: Pictures,
+        near: list[tuple[Array, float]] | NDArray[np.float32],
+        shared: bool,
     ) -> _Frame:
         pose, slow, frame = state.poses[n], state.slow[n], self.frames[n]
         search, names = self.search(frame, pictures), self.names(pictures)
@@ -248,8 +287,10 @@ class Normal:
         # The picture at the pose itself: without the slow gaze's part, which the neighbours do not have either.
         light = mean - pose.background - (slow @ slopes[:2] if pictures.period is not None else 0.0)
         expected, bend, variance = self.model(mean)
-        rows = np.zeros((len(self.parameters) if shared else 0, mean.size))
-        if shared:
+        rows = np.zeros((len(self.parameters) if shared else 0, mean.size), np.float32)
+        if isinstance(near, np.ndarray):
+            rows = near
+        elif shared:
             scale = pose.power / self.scene.illumination.power
             for m, (made, step) in zip(self._shown, near, strict=True):
                 rows[m] = (scale * made.ravel() - light) * (self.spread[m] / step)
@@ -264,7 +305,7 @@ class Normal:
         each = rest[0] ** 2 / variance
         squares = float(noise(rest, rest)[0, 0])
         own = float(each[lit].sum()), int(lit.sum())
-        return _Frame(matrix + more, score + push, noise, squares, prior, mean.size, *own)
+        return _Frame(rows, matrix + more, score + push, noise, squares, prior, mean.size, *own)
 
     def _prior(
         self, n: int, state: State, names: tuple[str, ...] = (), shared: int = 0
@@ -300,14 +341,12 @@ class Normal:
                 score[k] = -pose.roll / _ROLL**2
         return squares, matrix, score
 
-    def _reduced(self, state: State, frames: list[_Frame], shared: int) -> Linear:
+    def _reduced(self, state: State, frames: list[_Frame], shared: int, at: Array) -> Linear:
         information, score = np.zeros((shared, shared)), np.zeros(shared)
         for one in frames:
-            inverse = _inverse(one.matrix[shared:, shared:])
-            cross = one.matrix[:shared, shared:]
-            information += one.matrix[:shared, :shared] - cross @ inverse @ cross.T
-            score += one.score[:shared] - cross @ inverse @ one.score[shared:]
-        return Linear(state, information, score, tuple(frames))
+            matrix, push = _eliminated(one, shared)
+            information, score = information + matrix, score + push
+        return Linear(state, information, score, tuple(frames), at)
 
     def stepped(self, linear: Linear, step: Array) -> State:
         """Return the state after a step of the shared parameters, in spreads, with each frame's best own step."""
@@ -329,14 +368,15 @@ class Normal:
             poses.append(pose)
         return self.moved(State(coordinates, tuple(poses), slow), coordinates)
 
-    def own_information(self, linear: Linear, n: int, shared: int) -> tuple[Array, Array]:
+    def own_information(self, linear: Linear, n: int) -> tuple[Array, Array]:
         """Return one frame's information [P, P] and score [P] on the shared parameters, nuisances eliminated."""
-        one = linear.frames[n]
-        inverse, cross = _inverse(one.matrix[shared:, shared:]), one.matrix[:shared, shared:]
-        return (
-            one.matrix[:shared, :shared] - cross @ inverse @ cross.T,
-            one.score[:shared] - cross @ inverse @ one.score[shared:],
-        )
+        return _eliminated(linear.frames[n], len(linear.score))
+
+
+def _eliminated(one: _Frame, shared: int) -> tuple[Array, Array]:
+    inverse, cross = _inverse(one.matrix[shared:, shared:]), one.matrix[:shared, shared:]
+    information = one.matrix[:shared, :shared] - cross @ inverse @ cross.T
+    return information, one.score[:shared] - cross @ inverse @ one.score[shared:]
 
 
 def _inverse(matrix: Array) -> Array:

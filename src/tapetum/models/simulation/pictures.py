@@ -53,13 +53,15 @@ class Pose:
 class Pictures:
     """Renders the retro-reflection of a pose on `side` x `side` pixels of the probe; caches the cameras.
 
-    The scene's own rotation is not used. `accuracy` is in fractions of the peak; None takes the scene's own. Raises as
-    `check_scene` and `simulate.Camera`.
+    The scene's own rotation is not used. `accuracy` is in fractions of the peak; None takes the scene's own. `dtype` is
+    the type of the fields. Raises as `check_scene` and `simulate.Camera`.
     """
 
-    def __init__(self, scene: Scene, side: int, accuracy: float | None = None) -> None:
+    def __init__(
+        self, scene: Scene, side: int, accuracy: float | None = None, dtype: torch.dtype = torch.complex64
+    ) -> None:
         check_scene(scene)
-        self.scene, self.side, self._accuracy = scene, side, accuracy
+        self.scene, self.side, self._accuracy, self._dtype = scene, side, accuracy, dtype
         self._cameras = lru_cache(_CAMERAS_KEPT)(self._camera)
         light, target, probe = scene.illumination, scene.target, scene.probe
         self.pitch = probe.sensor.pitch
@@ -141,7 +143,8 @@ class Pictures:
         steepest = largest_sine(tilt_of_gaze(scene, corners))
         grid = Grid(side, side, self.pitch)
         # These images are small: copying them would cost more time than a GPU gains.
-        return scene, Camera(scene, steepest, output=grid, edge="dimmed", accuracy=self._accuracy, device="cpu")
+        options: dict[str, Any] = {"accuracy": self._accuracy, "dtype": self._dtype, "device": "cpu"}
+        return scene, Camera(scene, steepest, output=grid, edge="dimmed", **options)
 
 
 def period_of(scene: Scene) -> float | None:
