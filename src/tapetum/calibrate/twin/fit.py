@@ -125,7 +125,7 @@ def fit_twin(
 def _as_it_was(normal: Normal, kept: Kept, progress: Progress) -> Before:
     """Return how well the scene explains the frames before anything is fitted but the frames' nuisances."""
     at = np.array([one.read(normal.scene) for one in normal.parameters])
-    linear = settle(normal, placed_in(normal, at), 3, progress)
+    linear = settle(normal, placed_in(normal, at), 2, progress)
     kept.before = Before(linear.log_likelihood, linear.misfit(), linear.misfit(lit=True))
     kept.save()
     return kept.before
@@ -171,7 +171,7 @@ def _drawn(normal: Normal, at: Array, starts: int, seed: int) -> list[Array]:
 def _whole(normal: Normal, kept: Kept, best: Array, progress: Progress) -> tuple[Linear, bool, list[int]]:
     """Return the maximum for all frames, and what they do not tell, which stays at the scene's own values."""
     own = np.array([one.read(normal.scene) for one in normal.parameters])
-    state = kept.whole or settle(normal, placed_in(normal, best), 3, progress).state
+    state = kept.whole or settle(normal, placed_in(normal, best), 2, progress).state
     if kept.scatter is None:
         kept.scatter = _scatter(state)
     normal.scatter = kept.scatter
