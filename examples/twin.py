@@ -2,8 +2,8 @@
 
     .venv/bin/python examples/twin.py
 
-The camera is a unit that the bench draws from tolerances, and that the fit does not know. Its recording is short, its probe
-small, so that this takes a minute or two: `tapetum twin` does the same for a recording of your own.
+The camera is a unit that the bench draws from tolerances, and that the fit does not know. Its recording is short, its
+probe small, so that this takes a minute or two: `tapetum twin` does the same for a recording of your own.
 """
 
 from __future__ import annotations
@@ -26,7 +26,13 @@ from tapetum.models import SimulationFit, ZernikeRidge
 from tapetum.record import Session, film, label_recording
 from tapetum.simulate.information import true_values
 
-SMALL = ("probe.sensor.pixels=[128, 128]", "probe.sensor.pitch=4.4 um", "illumination.power=12 uW", "sampling.accuracy=0.05", "second_beam=null")
+SMALL = (
+    "probe.sensor.pixels=[128, 128]",
+    "probe.sensor.pitch=4.4 um",
+    "illumination.power=12 uW",
+    "sampling.accuracy=0.05",
+    "second_beam=null",
+)
 FREE = ("focus", "aperture", "tilt", "light", "background")
 
 
@@ -47,7 +53,8 @@ def main(arguments: Sequence[str] | None = None) -> tuple[Twin, np.ndarray, floa
         found = fit_twin(recording.path, nominal, free=FREE, frames=20, starts=1)
         print(f"misfit {found.misfit_lit:.2f}, {found.before.misfit_lit:.2f} as the scene was")
         for one in found.parameters:
-            print(f"  {one.name:<18} {shown(one, one.before):>16} -> {shown(one, one.value):>16} ± {shown(one, one.deviation)}")
+            values = f"{shown(one, one.before):>16} -> {shown(one, one.value):>16} ± {shown(one, one.deviation)}"
+            print(f"  {one.name:<18} {values}")
         if options.page:
             found.write_page(options.page)
 

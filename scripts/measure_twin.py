@@ -4,10 +4,10 @@
 
 A unit of `thin` is a copy of the camera in the scene `hand-held`, one of `traced` of that in `rotation`; both are drawn
 by `draw_unit`. The fit gets the recording, with the labels that the target's own video gives, and the scene's nominal
-values. Printed and kept for each unit: by how many stated deviations each parameter is off, the misfit, and the RMS error
-of `SimulationFit` on the twin for fresh frames of the true unit, over the Cramér-Rao limit. Reflectance and power cannot
-be told apart, so that their product is compared. What is done is in the file, and the same command goes on. Seeds below
-100 served development; report others.
+values. Printed and kept for each unit: by how many stated deviations each parameter is off, the misfit, and the RMS
+error of `SimulationFit` on the twin for fresh frames of the true unit, over the Cramér-Rao limit. Reflectance and
+power act alike, so that their product is compared. What is done is in the file, and the same command goes on. Seeds
+below 100 served development; report others.
 """
 
 from __future__ import annotations
@@ -93,7 +93,13 @@ def reading(found: Twin, true: Scene, seed: int, count: int) -> dict[str, Any]:
         errors.append((read.values - gaze).tolist())
         limits.append(list(ideal.bounds((float(gaze[0]), float(gaze[1]))).values()))
     rms, limit = (float(np.sqrt(np.square(one).mean())) for one in (errors, limits))
-    return {"read_rms": rms, "limit_rms": limit, "read_over_limit": rms / limit, "gazes": gazes.tolist(), "errors": errors}
+    return {
+        "read_rms": rms,
+        "limit_rms": limit,
+        "read_over_limit": rms / limit,
+        "gazes": gazes.tolist(),
+        "errors": errors,
+    }
 
 
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -138,8 +144,11 @@ def main() -> None:
         with atomic_file(arguments.out) as part:
             part.write_text(json.dumps({"summary": summary(rows), "units": rows}, indent=1) + "\n", "utf-8")
         worst = max(row["off"], key=lambda name: abs(row["off"][name]))
-        print(f"{arguments.kind} {seed}: misfit {row['misfit_lit']:.3f}, worst {worst} {row['off'][worst]:.2f} deviations, ")
-        print(f"  read at {row.get('read_over_limit', float('nan')):.2f} of the limit, {row['seconds']:.0f} s", flush=True)
+        ratio = row.get("read_over_limit", float("nan"))
+        told = (
+            f"{arguments.kind} {seed}: misfit {row['misfit_lit']:.3f}, worst {worst} {row['off'][worst]:.2f} deviations"
+        )
+        print(f"{told}, read at {ratio:.2f} of the limit, {row['seconds']:.0f} s", flush=True)
     print(json.dumps(summary(rows), indent=1))
 
 

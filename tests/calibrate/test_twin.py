@@ -149,7 +149,11 @@ def test_every_group_is_read_and_written() -> None:
     for name in ("hand-held", "rotation", "focusing"):
         scene = load_scene(name)
         for one in parameters_of(scene):
-            moved = one.read(scene) - 0.3 * one.spread if one.most == one.read(scene) else one.read(scene) + 0.3 * one.spread
+            moved = (
+                one.read(scene) - 0.3 * one.spread
+                if one.most == one.read(scene)
+                else one.read(scene) + 0.3 * one.spread
+            )
             assert one.group in GROUPS
             assert one.read(one.write(scene, moved)) == pytest.approx(moved, rel=1e-6), one.name
 

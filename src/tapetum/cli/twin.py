@@ -34,7 +34,8 @@ def twin(
     frames: Annotated[int, option("N", "Frames to fit, spread over the field: 20 to 200.")] = 60,
     starts: Annotated[int, option("N", "Places at which searches begin, at most.", min=1, max=50)] = 4,
     accuracy: Annotated[
-        float | None, option("SHARE", "Of the simulation, in fractions of the peak, for the scene's.", min=1e-5, max=0.5)
+        float | None,
+        option("SHARE", "Of the simulation, in fractions of the peak, for the scene's.", min=1e-5, max=0.5),
     ] = None,
     roll: Annotated[bool, typer.Option("--roll", help="The camera turns about its axis, as in a hand.")] = False,
     unevenness: Annotated[float, option("SHARE", "RMS of the pixels' relative sensitivities.", min=0, max=0.9)] = 0.0,

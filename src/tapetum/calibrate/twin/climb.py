@@ -124,7 +124,7 @@ def covariance(information: Array, held: Sequence[int]) -> Array:
     """Return the covariance [P, P], in squared spreads, where those held may lie anywhere within their usual spread."""
     prior = np.zeros(len(information))
     prior[list(held)] = 1.0
-    return np.linalg.inv(information + np.diag(prior + 1e-12))
+    return np.asarray(np.linalg.inv(information + np.diag(prior + 1e-12)), np.float64)
 
 
 def two_groups(normal: Normal, linear: Linear, rounds: int = 30) -> tuple[NDArray[np.bool_], float]:

@@ -1,4 +1,4 @@
-"""A twin: the scene that explains a labelled recording of a real camera, by maximum likelihood through the simulator."""
+"""A twin: the scene that explains a labelled recording of a real camera, by maximum likelihood."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ Array = NDArray[np.float64]
 # Frames of the searches from several starts, how coarse their pictures may be (factor on the accuracy, and the
 # coarsest), and their steps.
 _FEW, _COARSER, _COARSEST, _STEPS = 14, 3.0, 0.1, 14
-# Expected fall of the squared residuals that ends them.
-_ROUGHLY = 2.0
+# Expected fall of the squared residuals that ends them, and how far derivatives are kept, in spreads.
+_ROUGHLY, _FAR = 2.0, 0.15
 # A search from another start is not worth it where this one explains the frames.
 _EXPLAINED = 1.05
 # Least scatter of the frames' brightness: pictures are not known better.
@@ -96,10 +96,11 @@ def fit_twin(
 
     Notes
     -----
-    Each frame's gaze is a nuisance with its label for a prior; place, brightness and, where photosites show, their phase
-    are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher information with all
-    nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames know no better than the usual
-    spread between copies keeps the scene's value; what that leaves open enters the deviations of the others.
+    Each frame's gaze is a nuisance with its label for a prior; place, brightness and, where photosites show, their
+    phase are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher
+    information with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames know
+    no better than the usual spread between copies keeps the scene's value; what that leaves open enters the
+    deviations of the others.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -156,7 +157,7 @@ def _from_starts(
 
 def _few(normal: Normal, accuracy: float) -> Normal:
     chosen = np.linspace(0, len(normal.frames) - 1, min(_FEW, len(normal.frames))).round().astype(int)
-    return normal.over([normal.frames[n] for n in chosen], accuracy=accuracy)
+    return normal.over([normal.frames[n] for n in chosen], accuracy=accuracy, near=_FAR)
 
 
 def _drawn(normal: Normal, at: Array, starts: int, seed: int) -> list[Array]:
@@ -186,7 +187,9 @@ def _whole(normal: Normal, kept: Kept, best: Array, progress: Progress) -> tuple
         coordinates = linear.state.coordinates.copy()
         coordinates[held] = own[held]
         moved = normal.moved(linear.state, coordinates)
-        linear, converged = climb(normal, moved, held=held, after=kept.wholly, progress=progress, what="with those held")
+        linear, converged = climb(
+            normal, moved, held=held, after=kept.wholly, progress=progress, what="with those held"
+        )
         if len(held) == len(own):
             break
     return linear, converged, sorted(held)
@@ -211,7 +214,11 @@ def _refuse_two(normal: Normal, linear: Linear, where: Path, progress: Progress)
         state = linear.state
         own = State(state.coordinates, tuple(state.poses[n] for n in few), state.slow[few])
         found, _ = climb(
-            normal.over([normal.frames[n] for n in few]), own, steps=_STEPS, progress=progress, what="one of two cameras"
+            normal.over([normal.frames[n] for n in few]),
+            own,
+            steps=_STEPS,
+            progress=progress,
+            what="one of two cameras",
         )
         misfits.append(found.misfit(lit=True))
     if max(misfits) < LIMIT:
@@ -219,4 +226,3 @@ def _refuse_two(normal: Normal, linear: Linear, where: Path, progress: Progress)
         shown = " and ".join(f"{min(one):.1f} to {max(one):.1f} s" for one in times)
         what = f"it shows two cameras, at {shown}: each is explained alone, both by one scene not"
         raise InputError(what, where=where, remedy="give a recording of one camera")
-

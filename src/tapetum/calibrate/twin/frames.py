@@ -1,4 +1,4 @@
-"""The labelled frames of a recording that a twin is fitted to: spread over the field, with a visible retro-reflection."""
+"""The labelled frames of a recording that a twin is fitted to: spread over the field, their RR visible."""
 
 from __future__ import annotations
 
@@ -69,6 +69,8 @@ def frames_of(
         Of frames, 20 to 200.
     window
         Edge in pixels of the square about the retro-reflection.
+    progress
+        Shown over the recording.
 
     Raises
     ------
@@ -114,12 +116,12 @@ def _labels(recording: Recording) -> tuple[dict[int, Array], dict[int, Array]]:
     if table is None:
         what, remedy = "the recording has no labels", "label it first: tapetum.record.label_recording"
         raise InputError(what, where=where, remedy=remedy)
-    if DEVICE in table.column_names:
-        devices = sorted({str(one) for one in table.column(DEVICE).to_pylist() if one is not None})
-        if len(devices) > 1:
-            what = f"the recording shows {len(devices)} cameras, {', '.join(devices)}"
-            raise InputError(what, where=where, remedy="give a recording of one camera")
-    kept = labels_of(recording, sorted({str(one) for one in table.column(DEVICE).to_pylist()}) if DEVICE in table.column_names else [])
+    devices = set(table.column(DEVICE).to_pylist() if DEVICE in table.column_names else [])
+    named = sorted(str(one) for one in devices if one is not None)
+    if len(named) > 1:
+        what = f"the recording shows {len(named)} cameras, {', '.join(named)}"
+        raise InputError(what, where=where, remedy="give a recording of one camera")
+    kept = labels_of(recording, named)
     if not {"gaze_x", "gaze_y"} <= set(kept.names):
         raise InputError("its labels name no gaze", where=where, remedy="label it again, by the target's video")
     places = [kept.names.index(name) for name in ("gaze_x", "gaze_y")]

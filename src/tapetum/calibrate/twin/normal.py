@@ -32,11 +32,9 @@ from tapetum.progress import Progress, quiet
 __all__ = ["Linear", "Normal", "State"]
 
 Array = NDArray[np.float64]
-# Step of a difference, in spreads. Pictures change by a tenth of themselves over a tenth of a spread of the tilt, and are
+# Step of a difference, in spreads. Over a tenth of a spread of the tilt derivatives change by a tenth, and pictures are
 # computed in double precision: so small a step leaves 1e-3 of nonlinearity, and does not meet another sampling.
 _STEP = 3e-4
-# Largest move, in spreads, over which derivatives are kept.
-_NEAR = 0.01
 # Frames whose pictures are held at once.
 _CHUNK = 8
 # A hand's roll, in radians: the width of its prior.
@@ -135,6 +133,8 @@ class Normal:
         Relative standard deviation of the frames' brightness about the scene's power.
     unevenness, offsets
         As for `SimulationFit`.
+    near
+        Largest move, in spreads, over which derivatives by the shared parameters are kept.
     """
 
     def __init__(
@@ -148,9 +148,10 @@ class Normal:
         scatter: float = 0.3,
         unevenness: float = 0.0,
         offsets: tuple[float, float] = (0.0, 0.0),
+        near: float = 0.02,
     ) -> None:
         self.scene, self.parameters, self.frames = scene, tuple(parameters), tuple(frames)
-        self.accuracy, self.scatter = accuracy, scatter
+        self.accuracy, self.scatter, self.near = accuracy, scatter, near
         self._unevenness, self._offsets = unevenness, offsets
         self.side = len(frames[0].counts)
         self.model = CountModel(scene.probe.sensor, unevenness)
@@ -160,8 +161,8 @@ class Normal:
         self._free = ("place_x", "place_y", "power", *(("roll",) if roll else ()))
         self._kept: tuple[Array, Pictures] | None = None
 
-    def over(self, frames: Sequence[TwinFrame], accuracy: float | None = None) -> Normal:
-        """Return the same for other frames, and where given at another accuracy."""
+    def over(self, frames: Sequence[TwinFrame], accuracy: float | None = None, near: float | None = None) -> Normal:
+        """Return the same for other frames, and where given at another accuracy or with derivatives kept longer."""
         return Normal(
             self.scene,
             self.parameters,
@@ -171,6 +172,7 @@ class Normal:
             scatter=self.scatter,
             unevenness=self._unevenness,
             offsets=self._offsets,
+            near=self.near if near is None else near,
         )
 
     def scene_at(self, coordinates: Array) -> Scene:
@@ -215,11 +217,11 @@ class Normal:
     ) -> Linear:
         """Linearise all frames at a state; without `shared` by the nuisances alone.
 
-        The derivatives by the shared parameters, which take most of the time, are those of `near` where the state lies
-        within a hundredth of a spread of it.
+        The derivatives by the shared parameters, which take most of the time, are those of `near` where the state is
+        near enough.
         """
         pictures = self.pictures(state.coordinates)
-        if near is not None and np.abs((state.coordinates - near.at) / self.spread).max() > _NEAR:
+        if near is not None and np.abs((state.coordinates - near.at) / self.spread).max() > self.near:
             near = None
         steps, others = self._neighbours(state.coordinates) if shared and near is None else ([], [])
         found: list[_Frame] = []
@@ -307,9 +309,7 @@ class Normal:
         own = float(each[lit].sum()), int(lit.sum())
         return _Frame(rows, matrix + more, score + push, noise, squares, prior, mean.size, *own)
 
-    def _prior(
-        self, n: int, state: State, names: tuple[str, ...] = (), shared: int = 0
-    ) -> tuple[float, Array, Array]:
+    def _prior(self, n: int, state: State, names: tuple[str, ...] = (), shared: int = 0) -> tuple[float, Array, Array]:
         """Return the squares of the priors, their information and their score: label, brightness, roll."""
         size = shared + len(names)
         matrix, score = np.zeros((size, size)), np.zeros(size)

@@ -1,4 +1,4 @@
-"""The page of a twin: verdict, parameters, what the recording does not tell, and pictures of frames, fits, residuals."""
+"""The page of a twin: verdict, parameters, what is not told, and pictures of frames, fits and residuals."""
 
 from __future__ import annotations
 
@@ -50,7 +50,9 @@ def frames_figure(twin: Twin) -> Figure:
         top = float(max(one.counts.max(), one.expected.max()))
         low = float(np.median(one.counts))
         for row, picture in enumerate((one.counts, one.expected)):
-            axes[row, column].imshow(np.sqrt(np.maximum(picture - low, 0)), cmap="gray", vmin=0, vmax=(top - low) ** 0.5)
+            axes[row, column].imshow(
+                np.sqrt(np.maximum(picture - low, 0)), cmap="gray", vmin=0, vmax=(top - low) ** 0.5
+            )
         rest = (one.counts - one.expected) / one.deviation
         last = axes[2, column].imshow(rest, cmap="RdBu_r", vmin=-4, vmax=4)
         axes[0, column].set_title(f"frame {one.index}\nmisfit {one.misfit:.2f}", fontsize=LABEL)

@@ -232,5 +232,3 @@ def _with(item: Any, path: Sequence[str | int], value: Any) -> Any:
     if isinstance(step, int):
         return (*item[:step], _with(item[step], rest, value), *item[step + 1 :])
     return replace(item, **{step: _with(getattr(item, step), rest, value)})
-
-

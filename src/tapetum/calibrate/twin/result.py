@@ -23,7 +23,7 @@ __all__ = ["LIMIT", "Before", "Fitted", "Seen", "Twin", "twin_of"]
 
 Array = NDArray[np.float64]
 LIMIT = 1.2
-"""Misfit of the lit pixels above which a scene does not explain a recording; a true one gives 1.00 with some hundredths."""
+"""Misfit of the lit pixels above which a scene does not explain a recording; a true one gives 1 to some hundredths."""
 # Frames that are shown: some of all misfits.
 _SHOWN = 5
 
@@ -70,7 +70,7 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """A frame with its fit: index, label and fitted gaze [2], misfit; and [side, side] the counts and those expected."""
+    """A frame with its fit: index, label and fitted gaze [2], misfit; [side, side] counts, expectation, deviations."""
 
     index: int
     label: Array

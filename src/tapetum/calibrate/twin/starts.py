@@ -50,9 +50,9 @@ def shifts(normal: Normal, coordinates: Array, progress: Progress = quiet) -> li
     """Return shifts of the gaze [2], the best first, by which the pictures at some coordinates explain the frames."""
     # Single precision serves here, and takes two thirds of the time.
     pictures = Pictures(normal.pictures(coordinates).scene, normal.side, normal.accuracy)
-    wide = np.array([_usual_shift(normal, pictures, axis) for axis in (0, 1)])
-    lines = []
-    for reach in _REACH * wide:
+    usual = np.array([_usual_shift(normal, pictures, axis) for axis in (0, 1)])
+    lines: list[Array] = []
+    for reach in _REACH * usual:
         nodes = min(_NODES, 2 * int(np.ceil(reach / _STEP)) + 1)
         lines.append(np.linspace(-reach, reach, nodes) if nodes > 1 else np.zeros(1))
     grid = np.stack(np.meshgrid(*lines), -1)
@@ -66,9 +66,10 @@ def shifts(normal: Normal, coordinates: Array, progress: Progress = quiet) -> li
         found = Templates(pictures, poses).match(electrons, weight)
         total += [score for _, score in found]
     # Maxima of the grid, the best first.
-    table = total.reshape(grid.shape[:2])
+    high, wide = len(lines[1]), len(lines[0])
+    table = total.reshape(high, wide)
     padded = np.pad(table, 1, constant_values=-np.inf)
-    around = np.stack([padded[r : r + table.shape[0], c : c + table.shape[1]] for r in range(3) for c in range(3)])
+    around = np.stack([padded[r : r + high, c : c + wide] for r in range(3) for c in range(3)])
     top = np.argwhere(table >= around.max(0))
     order = np.argsort([-table[r, c] for r, c in top])
     return [grid[tuple(top[k])] for k in order]

@@ -130,8 +130,9 @@ def _number(value: Any) -> Any:
 def _state(content: Any) -> State | None:
     if content is None:
         return None
-    poses: list[Pose] = []
-    for one in content["poses"]:
-        plain = {name: tuple(value) if isinstance(value, list) else float(value) for name, value in one.items()}
-        poses.append(Pose(**plain))
+    poses = [Pose(**{name: _read(value) for name, value in one.items()}) for one in content["poses"]]
     return State(np.array(content["coordinates"]), tuple(poses), np.array(content["slow"]).reshape(-1, 2))
+
+
+def _read(value: Any) -> Any:
+    return tuple(float(one) for one in value) if isinstance(value, list) else float(value)
