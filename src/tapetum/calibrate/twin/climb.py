@@ -64,9 +64,9 @@ def climb(
         Shown over the steps.
     """
     linear = normal.linear(state)
-    free = np.setdiff1d(np.arange(len(linear.score)), held)
     hardness = 1e-3
     for _ in progress(range(steps), what):
+        free = _movable(normal, linear, held)
         matrix, score = linear.information[np.ix_(free, free)], linear.score[free]
         damped = matrix + np.diag(hardness * matrix.diagonal() + _SLOW)
         step = np.zeros(len(linear.score))
@@ -82,10 +82,30 @@ def climb(
         linear = normal.linear(new, near=linear)
         if after is not None:
             after(new)
+        free = _movable(normal, linear, held)
         matrix, score = linear.information[np.ix_(free, free)], linear.score[free]
         if float(score @ np.linalg.solve(_sure(matrix), score)) < enough:
             return linear, True
     return linear, False
+
+
+def _movable(normal: Normal, linear: Linear, held: Sequence[int]) -> NDArray[np.int64]:
+    """Return the numbers of the parameters that are not held, nor at an end of their range and drawn beyond it."""
+    free = np.setdiff1d(np.arange(len(linear.score)), held)
+    while len(free):
+        wanted = np.linalg.solve(_sure(linear.information[np.ix_(free, free)]), linear.score[free])
+        at = linear.state.coordinates[free]
+        ends = [(normal.parameters[n].least, normal.parameters[n].most) for n in free]
+        stuck = np.array(
+            [
+                (x <= least and step < 0) or (x >= most and step > 0)
+                for x, (least, most), step in zip(at, ends, wanted, strict=True)
+            ]
+        )
+        if not stuck.any():
+            break
+        free = free[~stuck]
+    return free
 
 
 def _sure(matrix: Array) -> Array:

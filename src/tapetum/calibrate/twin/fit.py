@@ -145,13 +145,13 @@ def _from_starts(
         kept.starts = [starting(few, one, found[n % len(found)]) for n, one in enumerate(_drawn(few, at, starts, seed))]
         kept.save()
     for n in range(len(kept.searched), len(kept.starts)):
+        if kept.searched and kept.searched[-1][2] < _EXPLAINED:
+            break
         first = placed_in(few, kept.starts[n]) if kept.search is None else kept.search
         state = settle(few, first, 3).state if kept.search is None else first
         what = f"start {n + 1} of {len(kept.starts)}"
         linear, _ = climb(few, state, steps=_STEPS, enough=_ROUGHLY, after=kept.searching, progress=progress, what=what)
-        kept.done(linear.state.coordinates, linear.log_likelihood)
-        if linear.misfit(lit=True) < _EXPLAINED:
-            break
+        kept.done(linear.state.coordinates, linear.log_likelihood, linear.misfit(lit=True))
     return max(kept.searched, key=lambda one: one[1])[0]
 
 

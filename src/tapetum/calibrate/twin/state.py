@@ -34,7 +34,7 @@ class Kept:
     before
         How well the scene explained the frames as it was.
     starts, searched
-        Coordinates of the starts, and those found from them with their log-likelihoods.
+        Coordinates of the starts, and those found from them with their log-likelihoods and misfits.
     search, whole
         The state of the search from one start, and of that over all frames.
     scatter
@@ -45,7 +45,7 @@ class Kept:
     digest: str
     before: Before | None = None
     starts: list[Array] | None = None
-    searched: list[tuple[Array, float]] = field(default_factory=list)
+    searched: list[tuple[Array, float, float]] = field(default_factory=list)
     search: State | None = None
     whole: State | None = None
     scatter: float | None = None
@@ -69,7 +69,7 @@ class Kept:
                 raise InputError(what, where=path, remedy=f"give those, or {remedy}")
             kept.before = Before(**content["before"]) if content["before"] else None
             kept.starts = None if content["starts"] is None else [np.array(one) for one in content["starts"]]
-            kept.searched = [(np.array(one), float(value)) for one, value in content["searched"]]
+            kept.searched = [(np.array(one), float(value), float(left)) for one, value, left in content["searched"]]
             kept.search, kept.whole = _state(content["search"]), _state(content["whole"])
             kept.scatter = content["scatter"]
         except (OSError, ValueError, KeyError, TypeError) as error:
@@ -83,9 +83,9 @@ class Kept:
         self.search = state
         self.save()
 
-    def done(self, coordinates: Array, log_likelihood: float) -> None:
+    def done(self, coordinates: Array, log_likelihood: float, misfit: float) -> None:
         """Keep what was found from a start."""
-        self.searched.append((coordinates, log_likelihood))
+        self.searched.append((coordinates, log_likelihood, misfit))
         self.search = None
         self.save()
 
@@ -103,7 +103,7 @@ class Kept:
             "digest": self.digest,
             "before": None if self.before is None else asdict(self.before),
             "starts": None if self.starts is None else [one.tolist() for one in self.starts],
-            "searched": [[one.tolist(), value] for one, value in self.searched],
+            "searched": [[one.tolist(), value, left] for one, value, left in self.searched],
             "search": _plain(self.search),
             "whole": _plain(self.whole),
             "scatter": self.scatter,
