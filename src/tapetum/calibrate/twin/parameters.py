@@ -81,12 +81,9 @@ class Parameter:
 
     def write(self, scene: Scene, coordinate: float) -> Scene:
         """Return the scene with another coordinate; raises an InputError where that makes no scene."""
-        value: float | None = self.value(coordinate)
-        if self.name == "aperture" and self.inverse and coordinate >= self.most * (1 - 1e-9):
-            # Wide open: the prescription's own aperture.
-            value = None
         try:
-            return _with(scene, self.path, value)
+            # A lens that is wide open gets its F-number too: the derivative would not survive the change to none.
+            return _with(scene, self.path, self.value(coordinate))
         except ValidationError as error:
             what = str(error.errors(include_url=False)[0]["msg"]).removeprefix("Value error, ")
             raise InputError(what, where=".".join(map(str, self.path)), remedy="leave it out of --free") from error

@@ -28,6 +28,9 @@ Array = NDArray[np.float64]
 # The grid of shifts: its half width in standard deviations of a unit's own shift, its largest step in fractions of the
 # field, its largest number of nodes along an axis, and frames that are compared.
 _REACH, _STEP, _NODES, _FRAMES = 2.2, 0.028, 11, 4
+# Largest shift, in fractions of the field, that a search makes up for itself: half the spacing of the bank of a fit by
+# simulation, without and with photosites that show.
+_NEAR, _NEAR_SITES = 0.02, 0.06
 
 
 def placed_in(normal: Normal, coordinates: Array) -> State:
@@ -51,6 +54,8 @@ def shifts(normal: Normal, coordinates: Array, progress: Progress = quiet) -> li
     # Single precision serves here, and takes two thirds of the time.
     pictures = Pictures(normal.pictures(coordinates).scene, normal.side, normal.accuracy)
     usual = np.array([_usual_shift(normal, pictures, axis) for axis in (0, 1)])
+    if _REACH * usual.max() < (_NEAR if pictures.period is None else _NEAR_SITES):
+        return [np.zeros(2)]
     lines: list[Array] = []
     for reach in _REACH * usual:
         nodes = min(_NODES, 2 * int(np.ceil(reach / _STEP)) + 1)
