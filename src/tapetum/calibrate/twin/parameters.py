@@ -73,7 +73,7 @@ class Parameter:
         value: Any = scene
         for step in self.path:
             value = value[step] if isinstance(step, int) else getattr(value, step)
-        if self.name == "aperture" and value is None:
+        if self.name == "aperture" and self.inverse and (value is None or 1 / value > self.most):
             return self.most
         if self.name == "probe_focus" and value is None:
             return scene.illumination.curvature(scene.distance)
@@ -82,7 +82,6 @@ class Parameter:
     def write(self, scene: Scene, coordinate: float) -> Scene:
         """Return the scene with another coordinate; raises an InputError where that makes no scene."""
         try:
-            # A lens that is wide open gets its F-number too: the derivative would not survive the change to none.
             return _with(scene, self.path, self.value(coordinate))
         except ValidationError as error:
             what = str(error.errors(include_url=False)[0]["msg"]).removeprefix("Value error, ")
@@ -143,7 +142,8 @@ def parameters_of(scene: Scene) -> tuple[Parameter, ...]:
     wide = spread("aperture", 0.02)
     if isinstance(lens, PrescriptionLens):
         open_wide = replace(lens, f_number=None)
-        most = 2 * open_wide.aperture_radius / open_wide.focal_length
+        # Just below: fully open, light is cut by other surfaces than the stop, and the pictures change by a step.
+        most = 2 * open_wide.aperture_radius / open_wide.focal_length * (1 - 1e-4)
         path = ("target", "lens", "f_number")
         add("aperture", "aperture", "F-number", path, wide / number, least=most / 20, most=most, inverse=True)
     else:
