@@ -28,9 +28,9 @@ Array = NDArray[np.float64]
 # The grid of shifts: its half width in standard deviations of a unit's own shift, its largest step in fractions of the
 # field, its largest number of nodes along an axis, and frames that are compared.
 _REACH, _STEP, _NODES, _FRAMES = 2.2, 0.028, 11, 4
-# Largest shift, in fractions of the field, that a search makes up for itself: half the spacing of the bank of a fit by
+# Largest shift, in fractions of the field, that a search makes up for itself: about the spacing of the bank of a fit by
 # simulation, without and with photosites that show.
-_NEAR, _NEAR_SITES = 0.02, 0.06
+_NEAR, _NEAR_SITES = 0.02, 0.1
 
 
 def placed_in(normal: Normal, coordinates: Array) -> State:
