@@ -74,7 +74,7 @@ def main(arguments: Sequence[str] | None = None) -> tuple[Twin, np.ndarray, int]
         dataset = open_dataset(place / "twin.zarr")
         count = dataset.tp.train.sizes["frame"]
         print(
-            f"{count} frames of the twin to train on; --size laptop of `tapetum dataset synth` films enough to learn from"
+            f"{count} frames of the twin to train on; `tapetum dataset synth --size laptop` films enough to learn from"
         )
     return found, off, count
 
