@@ -13,8 +13,8 @@ import typer
 
 from tapetum.cli.app import app
 
-COMMANDS = ("demo", "simulate", "plan", "cameras", "record", "calibrate", "dataset", "train", "evaluate", "export")
-COMMANDS += ("detect", "track", "serve", "fuse", "paper")
+COMMANDS = ("demo", "simulate", "plan", "cameras", "record", "calibrate", "twin", "dataset", "train", "evaluate")
+COMMANDS += ("export", "detect", "track", "serve", "fuse", "paper")
 
 
 def test_help_lists_the_commands_in_the_order_of_use(run) -> None:
