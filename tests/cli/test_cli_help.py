@@ -13,7 +13,7 @@ import typer
 
 from tapetum.cli.app import app
 
-COMMANDS = ("demo", "simulate", "plan", "cameras", "record", "calibrate", "dataset", "train", "adapt")
+COMMANDS = ("demo", "simulate", "plan", "cameras", "record", "calibrate", "twin", "dataset", "train", "adapt")
 COMMANDS += ("evaluate", "export", "detect", "track", "serve", "fuse", "paper")
 
 

@@ -199,14 +199,14 @@ def test_derivatives_by_roll_and_place_are_those_of_the_pictures(scene: Scene, m
     search = Search(pictures, np.zeros((128, 128)), CountModel(scene.probe.sensor), ("roll", "place_x", "power"))
     pose = dataclasses.replace(pictures.start(), gaze=(0.1, 0.05), place=(3e-6, -2e-6), roll=0.01)
     names = ("gaze_x", "gaze_y", "roll", "place_x", "power")
-    mean, slopes = search._tangent(pose, np.zeros(2), names)
+    mean, slopes = search.tangent(pose, np.zeros(2), names)
     for name, step in (("roll", 2e-3), ("place_x", 2e-7), ("power", 1e-7)):
         ends = [
-            search._tangent(dataclasses.replace(pose, **{name: getattr(pose, name) + sign * step}), np.zeros(2), names)[
+            search.tangent(dataclasses.replace(pose, **{name: getattr(pose, name) + sign * step}), np.zeros(2), names)[
                 0
             ]
             if name != "place_x"
-            else search._tangent(dataclasses.replace(pose, place=(3e-6 + sign * step, -2e-6)), np.zeros(2), names)[0]
+            else search.tangent(dataclasses.replace(pose, place=(3e-6 + sign * step, -2e-6)), np.zeros(2), names)[0]
             for sign in (1, -1)
         ]
         difference = (ends[0] - ends[1]) / (2 * step)

@@ -31,6 +31,7 @@ from tapetum.cli.serve import serve
 from tapetum.cli.simulate import simulate
 from tapetum.cli.track import track
 from tapetum.cli.train import train
+from tapetum.cli.twin import twin
 from tapetum.errors import InputError, StoppedError, TapetumError
 
 __all__ = ["app", "main"]
@@ -63,6 +64,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
         "alone.rec -o my-ghost.yaml --focal-length '200 mm' --pitch '2.2 um'",
     ),
     "calibrate sync": (sync, "Lag and drift between the two cameras.", "walk.rec -o my-sync.yaml"),
+    "twin": (twin, "The scene that explains a recording.", "hand.rec --scene hand-held -o twin.yaml"),
     "dataset build": (build, "Cut crops out of labelled recordings.", "hand.rec -o hand.zarr"),
     "dataset info": (info, "What a dataset holds, and what is wrong with it.", "hand.zarr --sheet hand.png"),
     "dataset synth": (synth, "Film the paper's three sets.", "rotation --size small -o rotation.zarr"),

@@ -113,6 +113,9 @@ def synth(
     target_rate: Annotated[
         float | None, option("HZ", "Frames a second of the target's camera, which labels (15).", min=1, max=1000)
     ] = None,
+    scene: Annotated[
+        str | None, option("SCENE", "Film this scene in place of the set's own, such as a twin's YAML file.", "--scene")
+    ] = None,
     processes: Processes = None,
     cluster: Cluster = None,
     force: Force = False,
@@ -124,10 +127,12 @@ def synth(
     check_output(out, force, "tapetum-dataset")
     if tolerances is not None and units is None:
         raise InputError("has no meaning without --units", where="--tolerances", remedy="say how many copies")
+    from tapetum.bench import load_scene
     from tapetum.data.synth import KINDS, SIZES, Units, make_plan, synthesise
 
     copies = None if units is None else Units(units, tolerances)
-    plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed, copies)
+    shown = None if scene is None else load_scene(scene)
+    plan = make_plan(one_of(kind, KINDS, "KIND"), one_of(size, SIZES, "--size"), seed, copies, shown)
     plan = plan if target_rate is None else plan.with_target_rate(target_rate)
     try:
         synthesise(plan, out, processes=film_count(processes), cluster=cluster, progress=bar, overwrite=force)

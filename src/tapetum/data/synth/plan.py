@@ -304,8 +304,10 @@ def _unit_seed(seed: int, kind: int, camera: int, copy: int) -> int:
     return int(np.random.SeedSequence([seed, kind], spawn_key=(camera, copy)).generate_state(1)[0])
 
 
-def make_plan(kind: str, size: str = "small", seed: int = SEED, units: Units | None = None) -> Plan:
-    """Return the plan of one of the sets, from its bundled scene; an unknown kind or size raises an InputError.
+def make_plan(
+    kind: str, size: str = "small", seed: int = SEED, units: Units | None = None, scene: Scene | None = None
+) -> Plan:
+    """Return the plan of one of the sets; an unknown kind or size raises an InputError.
 
     Parameters
     ----------
@@ -317,8 +319,10 @@ def make_plan(kind: str, size: str = "small", seed: int = SEED, units: Units | N
         Of everything random.
     units
         Copies of every camera, each of which films all its videos; None for the camera of the scene alone.
+    scene
+        Filmed in place of the set's bundled scene, as a twin; the set's videos change its focal length, focus or phone.
     """
-    return SETS[one_of(kind, KINDS, "kind")].plan(None, size, seed, units)
+    return SETS[one_of(kind, KINDS, "kind")].plan(scene, size, seed, units)
 
 
 def rotation_plan(scene: Scene, size: str = "small", seed: int = SEED) -> Plan:

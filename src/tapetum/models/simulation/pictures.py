@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
@@ -52,13 +53,15 @@ class Pose:
 class Pictures:
     """Renders the retro-reflection of a pose on `side` x `side` pixels of the probe; caches the cameras.
 
-    The scene's own rotation is not used. `accuracy` is in fractions of the peak; None takes the scene's own. Raises as
-    `check_scene` and `simulate.Camera`.
+    The scene's own rotation is not used. `accuracy` is in fractions of the peak; None takes the scene's own. `dtype` is
+    the type of the fields. Raises as `check_scene` and `simulate.Camera`.
     """
 
-    def __init__(self, scene: Scene, side: int, accuracy: float | None = None) -> None:
+    def __init__(
+        self, scene: Scene, side: int, accuracy: float | None = None, dtype: torch.dtype = torch.complex64
+    ) -> None:
         check_scene(scene)
-        self.scene, self.side, self._accuracy = scene, side, accuracy
+        self.scene, self.side, self._accuracy, self._dtype = scene, side, accuracy, dtype
         self._cameras = lru_cache(_CAMERAS_KEPT)(self._camera)
         light, target, probe = scene.illumination, scene.target, scene.probe
         self.pitch = probe.sensor.pitch
@@ -90,11 +93,18 @@ class Pictures:
 
         Gazes beyond the field are clipped to its edge.
         """
-        turned = pose.roll != 0
+        return self.render_each([replace(pose, gaze=(float(x), float(y))) for x, y in gazes])
+
+    def render_each(self, poses: Sequence[Pose]) -> Array:
+        """Return electrons [B, side, side] at the scene's laser power, for poses of one focus and focal length."""
+        turned = any(pose.roll != 0 for pose in poses)
         side = self.side + 2 * _MARGIN if turned else self.side
-        scene, camera = self._cameras(pose.object_distance, pose.focal_length, side)
+        scene, camera = self._cameras(poses[0].object_distance, poses[0].focal_length, side)
+        gazes = np.array([pose.gaze for pose in poses])
         sines = tilt_of_gaze(scene, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)))
-        places = torch.tensor([pose.place], dtype=torch.float64).expand(len(sines), -1)
+        places = torch.tensor([pose.place for pose in poses], dtype=torch.float64)
+        angles = torch.tensor([pose.roll for pose in poses], dtype=torch.float64)
+        c, s = torch.cos(angles), torch.sin(angles)
         total = np.zeros((len(sines), self.side, self.side))
         with torch.no_grad():
             for tilts, centres, share in camera.beams(sines, places):
@@ -102,12 +112,12 @@ class Pictures:
                     total += camera.render(tilts, centres, share, equivalent=True).double().cpu().numpy()
                     continue
                 # The RR turns with the target; further beams come from the probe and do not.
-                c, s = math.cos(pose.roll), math.sin(pose.roll)
-                back = torch.tensor([[c, s], [-s, c]], dtype=torch.float64)
-                own = sines + (tilts - sines) @ back.T
+                x, y = (tilts - sines).unbind(-1)
+                own = sines + torch.stack([c * x + s * y, c * y - s * x], -1)
                 made = camera.render(own, torch.zeros_like(centres), share, equivalent=True).double().cpu().numpy()
-                shift = centres[0].numpy() / self.pitch
-                total += np.stack([self._turned(one, pose.roll, shift) for one in made])
+                shifts = centres.numpy() / self.pitch
+                rolled = zip(made, poses, shifts, strict=True)
+                total += np.stack([self._turned(one, pose.roll, shift) for one, pose, shift in rolled])
         return total * self._electrons
 
     def _turned(self, picture: Array, roll: float, shift: Array) -> Array:
@@ -133,7 +143,8 @@ class Pictures:
         steepest = largest_sine(tilt_of_gaze(scene, corners))
         grid = Grid(side, side, self.pitch)
         # These images are small: copying them would cost more time than a GPU gains.
-        return scene, Camera(scene, steepest, output=grid, edge="dimmed", accuracy=self._accuracy, device="cpu")
+        options: dict[str, Any] = {"accuracy": self._accuracy, "dtype": self._dtype, "device": "cpu"}
+        return scene, Camera(scene, steepest, output=grid, edge="dimmed", **options)
 
 
 def period_of(scene: Scene) -> float | None:

@@ -84,23 +84,23 @@ class Search:
         """Return the maximum near a pose, within `steps` steps; `phase` fits slow gaze and phase separately."""
         names = (*SLOW, *(PHASE if phase else ()), *self.free)
         at, beside = pose, np.zeros(2) if slow is None else slow
-        mean, slopes = self._tangent(at, beside, names)
+        mean, slopes = self.tangent(at, beside, names)
         expected, bend, variance = self.model(mean)
         hardness, settled = 1e-3, False
         for _ in range(steps):
-            noise = self._noise(bend, variance)
-            bent, residual = slopes * bend, self._residual(expected)
+            noise = self.noise(bend, variance)
+            bent, residual = slopes * bend, self.residual(expected)
             information, score = noise(bent, bent), noise(bent, residual)[:, 0]
             own = np.sqrt(np.maximum(information.diagonal(), 1e-300))
             shared = information / np.outer(own, own)
             step = np.linalg.lstsq(shared + hardness * np.eye(len(own)), score / own, rcond=1e-12)[0] / own
             if settled := float(np.abs(step * own).max()) < _SETTLED:
                 break
-            new_at, new_beside = self._moved(at, beside, names, step)
-            mean, new_slopes = self._tangent(new_at, new_beside, names)
+            new_at, new_beside = self.moved(at, beside, names, step)
+            mean, new_slopes = self.tangent(new_at, new_beside, names)
             new = self.model(mean)
             # Same weights as for the step: a larger variance must not count as a better fit.
-            left = self._residual(new[0])
+            left = self.residual(new[0])
             if float(noise(left, left)[0, 0]) > float(noise(residual, residual)[0, 0]) + 1e-3:
                 hardness = max(1e-3, hardness) * 8
                 if hardness > _HARDEST:
@@ -109,16 +109,17 @@ class Search:
             at, beside, slopes = new_at, new_beside, new_slopes
             expected, bend, variance = new
             hardness = hardness / 6 if hardness > 1e-6 else 0.0
-        noise = self._noise(bend, variance)
-        bent, residual = slopes * bend, self._residual(expected)
+        noise = self.noise(bend, variance)
+        bent, residual = slopes * bend, self.residual(expected)
         squares = float(noise(residual, residual)[0, 0])
         value, misfit = -0.5 * (squares + noise.log_determinant), squares / residual.size
         return Top(at, beside, names, noise(bent, bent), value, misfit, settled)
 
-    def _noise(self, bend: Array, variance: Array) -> Noise:
+    def noise(self, bend: Array, variance: Array) -> Noise:
+        """Return the covariance of the digital numbers, of slope and variance from the count model."""
         return Noise(bend.reshape(self.counts.shape), variance, self.offsets)
 
-    def _residual(self, expected: Array) -> Array:
+    def residual(self, expected: Array) -> Array:
         """Return the digital numbers less those expected, [1, N]."""
         return (self.counts.ravel() - expected)[None]
 
@@ -144,7 +145,7 @@ class Search:
         solved = np.linalg.solve(columns @ columns.T + 1e-9 * np.eye(4), columns @ rest)
         return float((rest - solved @ columns) @ (rest - solved @ columns))
 
-    def _tangent(self, pose: Pose, slow: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
+    def tangent(self, pose: Pose, slow: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
         """Return the mean electrons [N] at a pose, and their derivatives [P, N] by the free parameters."""
         pictures, scene = self.pictures, self.pictures.scene
         gaze, period = np.array(pose.gaze), pictures.period
@@ -181,7 +182,7 @@ class Search:
         mean = pose.background + scale * light
         return mean.ravel(), np.stack([found[name].ravel() for name in names])
 
-    def _moved(self, pose: Pose, slow: Array, names: tuple[str, ...], step: Array) -> tuple[Pose, Array]:
+    def moved(self, pose: Pose, slow: Array, names: tuple[str, ...], step: Array) -> tuple[Pose, Array]:
         """Return the pose and slow gaze after a step, limited to where the derivatives hold."""
         by = dict(zip(names, step, strict=True))
         most = dict.fromkeys(SLOW, _MOST_GAZE) | {"roll": _MOST_ROLL}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -11,25 +12,22 @@ from numpy.typing import NDArray
 from tapetum.models.simulation.pictures import Pictures, Pose
 from tapetum.progress import Progress, quiet
 
-__all__ = ["Bank"]
+__all__ = ["Bank", "Templates"]
 
 Array = NDArray[np.float64]
 # Binning along each axis, and largest distance of an RR from the crop's middle, in binned pixels.
 _BIN, _REACH = 2, 20
 
 
-class Bank:
-    """Images of one target at `nodes` x `nodes` gazes over its field, for each pose (one per focus).
+class Templates:
+    """Images of some poses, ready to be matched to crops at any place.
 
     Images depend on the photosites' phase, so those half a period apart are averaged, which cancels the lowest orders;
     the others hold little of a crop's light.
     """
 
-    def __init__(self, pictures: Pictures, poses: list[Pose], nodes: int, progress: Progress = quiet) -> None:
-        self.pictures, self.nodes = pictures, nodes
-        line = np.linspace(-0.48, 0.48, nodes) if nodes > 1 else np.zeros(1)
-        self.gazes = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
-        self.poses = [replace(pose, gaze=(float(x), float(y))) for pose in poses for x, y in self.gazes]
+    def __init__(self, pictures: Pictures, poses: Sequence[Pose], progress: Progress = quiet) -> None:
+        self.pictures, self.poses = pictures, list(poses)
         period = pictures.period
         steps = np.zeros((1, 2)) if period is None else np.array([[0, 0], [1, 0], [0, 1], [1, 1]]) * period / 2
         # Multiples of 16 transform fast.
@@ -40,8 +38,8 @@ class Bank:
             light = _binned(pictures.render(pose, np.array(pose.gaze) + steps).mean(0))
             self._templates.append((fft.rfft2(light, self._shape), fft.rfft2(light**2, self._shape)))
 
-    def match(self, electrons: Array, weight: Array, count: int) -> list[Pose]:
-        """Return the best `count` starting poses, no two neighbours, the opposite of the best gaze among them.
+    def match(self, electrons: Array, weight: Array) -> list[tuple[Pose, float]]:
+        """Return every pose at the place and power that fit a crop best, with the weighted squares that it explains.
 
         `electrons` and `weight` are [side, side] of a crop and its pixels' inverse variances, 0 where saturated.
         """
@@ -49,17 +47,7 @@ class Bank:
         values = _binned(electrons * weight) / np.maximum(weights, 1e-30)
         values = values - float((weights * values).sum() / weights.sum())
         known = fft.rfft2(weights, self._shape), fft.rfft2(weights * values, self._shape)
-        placed = [self._placed(number, known, float(weights.sum())) for number in range(len(self.poses))]
-        best, *others = (pose for pose, _ in sorted(placed, key=lambda one: -one[1]))
-        focused = [pose for pose, _ in placed if pose.object_distance == best.object_distance]
-        opposite = min(focused, key=lambda pose: float(np.hypot(*np.add(pose.gaze, best.gaze))))
-        apart = 1.5 * (0.96 / max(1, self.nodes - 1))
-        chosen: list[Pose] = []
-        for pose in [best, opposite, *others]:
-            near = any(np.hypot(*np.subtract(pose.gaze, other.gaze)) < apart for other in chosen)
-            if not near and len(chosen) < count:
-                chosen.append(pose)
-        return chosen
+        return [self._placed(number, known, float(weights.sum())) for number in range(len(self.poses))]
 
     def _placed(
         self, number: int, known: tuple[NDArray[np.complex128], NDArray[np.complex128]], total: float
@@ -81,6 +69,34 @@ class Bank:
         place = (pose.place[0] + float(rows[column]) * step, pose.place[1] + float(rows[row]) * step)
         power = max(1e-3, float(scale[row, column])) * self.pictures.scene.illumination.power
         return replace(pose, place=place, power=power), float(score[row, column])
+
+
+class Bank:
+    """Images of one target at `nodes` x `nodes` gazes over its field, for each pose (one per focus)."""
+
+    def __init__(self, pictures: Pictures, poses: list[Pose], nodes: int, progress: Progress = quiet) -> None:
+        self.pictures, self.nodes = pictures, nodes
+        line = np.linspace(-0.48, 0.48, nodes) if nodes > 1 else np.zeros(1)
+        self.gazes = np.stack(np.meshgrid(line, line), -1).reshape(-1, 2)
+        every = [replace(pose, gaze=(float(x), float(y))) for pose in poses for x, y in self.gazes]
+        self._templates = Templates(pictures, every, progress)
+
+    def match(self, electrons: Array, weight: Array, count: int) -> list[Pose]:
+        """Return the best `count` starting poses, no two neighbours, the opposite of the best gaze among them.
+
+        `electrons` and `weight` as for `Templates.match`.
+        """
+        placed = self._templates.match(electrons, weight)
+        best, *others = (pose for pose, _ in sorted(placed, key=lambda one: -one[1]))
+        focused = [pose for pose, _ in placed if pose.object_distance == best.object_distance]
+        opposite = min(focused, key=lambda pose: float(np.hypot(*np.add(pose.gaze, best.gaze))))
+        apart = 1.5 * (0.96 / max(1, self.nodes - 1))
+        chosen: list[Pose] = []
+        for pose in [best, opposite, *others]:
+            near = any(np.hypot(*np.subtract(pose.gaze, other.gaze)) < apart for other in chosen)
+            if not near and len(chosen) < count:
+                chosen.append(pose)
+        return chosen
 
 
 def _binned(picture: Array) -> Array:

@@ -1,0 +1,385 @@
+"""Normal equations of a twin: parameters that all frames share, and nuisances of every frame, which are eliminated.
+
+The model of a frame is linearised in both. Nuisances are the gaze (known by its label), the retro-reflection's place
+and brightness, the photosites' phase where their diffraction orders return, and the target's roll where asked for. They
+are eliminated by Schur's complement, so that the information on the shared parameters is what is left with all
+nuisances unknown.
+
+Derivatives by nuisances are those of the fit by simulation (`models.simulation.search`); those by shared parameters are
+differences of pictures, for thin and for traced lenses alike. A thin lens could be differentiated automatically
+by focus, focal length, gaze and power; a backward pass costs more than a picture, and the differences agree with
+it to 1 % (tests/calibrate/test_twin.py), which is what a step of a least-squares search needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from tapetum.bench import Scene
+from tapetum.calibrate.twin.frames import TwinFrame
+from tapetum.calibrate.twin.parameters import Parameter, placed
+from tapetum.models.simulation.counts import CountModel
+from tapetum.models.simulation.noise import Noise
+from tapetum.models.simulation.pictures import Pictures, Pose
+from tapetum.models.simulation.search import PHASE, SLOW, Search
+from tapetum.progress import Progress, quiet
+
+__all__ = ["Linear", "Normal", "State"]
+
+Array = NDArray[np.float64]
+# Step of a difference, in spreads. Over a tenth of a spread of the tilt derivatives change by a tenth, and pictures are
+# computed in double precision: so small a step leaves 1e-3 of nonlinearity, and does not meet another sampling.
+_STEP = 3e-4
+# Frames whose pictures are held at once.
+_CHUNK = 8
+# A hand's roll, in radians: the width of its prior.
+_ROLL = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """Where a search stands: coordinates [P], and of every frame its pose and its slow gaze less the pose's [N, 2]."""
+
+    coordinates: Array
+    poses: tuple[Pose, ...]
+    slow: Array
+
+    @property
+    def gazes(self) -> Array:
+        """[N, 2] the fitted gazes, in fractions of the field."""
+        return np.array([pose.gaze for pose in self.poses]).reshape(-1, 2) + self.slow
+
+
+@dataclass(frozen=True, eq=False)
+class _Frame:
+    """One frame linearised: `matrix` [P + n, P + n] and `score` [P + n] with the priors; weights; weighted squares.
+
+    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters.
+    """
+
+    rows: NDArray[np.float32]
+    matrix: Array
+    score: Array
+    noise: Noise
+    squares: float
+    prior: float
+    pixels: int
+    lit_squares: float
+    lit: int
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """All frames linearised at a state, coordinates counted in spreads.
+
+    Attributes
+    ----------
+    information, score
+        [P, P] and [P] of the shared parameters, nuisances eliminated.
+    frames
+        The frames' own parts.
+    at
+        [P] coordinates at which the derivatives by the shared parameters were taken.
+    """
+
+    state: State
+    information: Array
+    score: Array
+    frames: tuple[_Frame, ...]
+    at: Array
+
+    @property
+    def objective(self) -> float:
+        """Weighted squares of the residuals and of the priors."""
+        return sum(one.squares + one.prior for one in self.frames)
+
+    @property
+    def log_likelihood(self) -> float:
+        """Of the frames' pixels, without constants."""
+        return -0.5 * sum(one.squares + one.noise.log_determinant for one in self.frames)
+
+    def misfit(self, *, lit: bool = False) -> float:
+        """Mean squared residual in variances, of all pixels or of those that the retro-reflection lights."""
+        if lit:
+            return sum(one.lit_squares for one in self.frames) / max(1, sum(one.lit for one in self.frames))
+        return sum(one.squares for one in self.frames) / sum(one.pixels for one in self.frames)
+
+    def misfits(self) -> Array:
+        """[N] of every frame's lit pixels."""
+        return np.array([one.lit_squares / max(1, one.lit) for one in self.frames])
+
+
+class Normal:
+    """The frames of one target, ready to be linearised.
+
+    Parameters
+    ----------
+    scene
+        The scene as it was.
+    parameters
+        What is fitted of it.
+    frames
+        Frames of one window's size.
+    accuracy
+        Of the simulation; the scene's own for None.
+    roll
+        Whether each frame's roll is unknown.
+    scatter
+        Relative standard deviation of the frames' brightness about the scene's power.
+    unevenness, offsets
+        As for `SimulationFit`.
+    near
+        Largest move, in spreads, over which derivatives by the shared parameters are kept.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        parameters: Sequence[Parameter],
+        frames: Sequence[TwinFrame],
+        *,
+        accuracy: float | None = None,
+        roll: bool = False,
+        scatter: float = 0.3,
+        unevenness: float = 0.0,
+        offsets: tuple[float, float] = (0.0, 0.0),
+        near: float = 0.02,
+    ) -> None:
+        self.scene, self.parameters, self.frames = scene, tuple(parameters), tuple(frames)
+        self.accuracy, self.scatter, self.near = accuracy, scatter, near
+        self._unevenness, self._offsets = unevenness, offsets
+        self.side = len(frames[0].counts)
+        self.model = CountModel(scene.probe.sensor, unevenness)
+        self.roll = roll
+        self.spread = np.array([one.spread for one in self.parameters])
+        self._shown = [n for n, one in enumerate(self.parameters) if one.name not in ("background", "power")]
+        self._free = ("place_x", "place_y", "power", *(("roll",) if roll else ()))
+        self._kept: tuple[Array, Pictures] | None = None
+
+    def over(self, frames: Sequence[TwinFrame], accuracy: float | None = None, near: float | None = None) -> Normal:
+        """Return the same for other frames, and where given at another accuracy or with derivatives kept longer."""
+        return Normal(
+            self.scene,
+            self.parameters,
+            frames,
+            accuracy=self.accuracy if accuracy is None else accuracy,
+            roll=self.roll,
+            scatter=self.scatter,
+            unevenness=self._unevenness,
+            offsets=self._offsets,
+            near=self.near if near is None else near,
+        )
+
+    def scene_at(self, coordinates: Array) -> Scene:
+        """Return the scene with the parameters' coordinates."""
+        return placed(self.scene, self.parameters, coordinates.tolist())
+
+    def pictures(self, coordinates: Array) -> Pictures:
+        """Return the pictures at some coordinates; the laser's power in them stays the scene's."""
+        if self._kept is None or not np.array_equal(self._kept[0], coordinates):
+            shown = [self.parameters[n] for n in self._shown]
+            scene = placed(self.scene, shown, coordinates[self._shown].tolist())
+            self._kept = coordinates.copy(), Pictures(scene, self.side, self.accuracy, torch.complex128)
+        return self._kept[1]
+
+    def value(self, name: str, coordinates: Array) -> float | None:
+        """Return the coordinate of a parameter by name; None where it is not fitted."""
+        return next((float(at) for one, at in zip(self.parameters, coordinates, strict=True) if one.name == name), None)
+
+    def search(self, frame: TwinFrame, pictures: Pictures) -> Search:
+        """Return one frame's likelihood."""
+        return Search(pictures, frame.counts, self.model, self._free, self._offsets)
+
+    def names(self, pictures: Pictures) -> tuple[str, ...]:
+        """Return a frame's nuisances."""
+        return (*SLOW, *(PHASE if pictures.period is not None else ()), *self._free)
+
+    def moved(self, state: State, coordinates: Array) -> State:
+        """Return the state with other coordinates, and the poses' focus that belongs to them."""
+        pictures = self.pictures(coordinates)
+        background = self.value("background", coordinates)
+        dark = pictures.start().background - self.scene.probe.sensor.background
+        own = {
+            "object_distance": pictures.scene.target.object_distance,
+            "focal_length": pictures.scene.target.lens.focal_length,
+        }
+        if background is not None:
+            own["background"] = background + dark
+        return State(coordinates, tuple(replace(pose, **own) for pose in state.poses), state.slow)
+
+    def linear(
+        self, state: State, *, shared: bool = True, near: Linear | None = None, progress: Progress = quiet
+    ) -> Linear:
+        """Linearise all frames at a state; without `shared` by the nuisances alone.
+
+        The derivatives by the shared parameters, which take most of the time, are those of `near` where the state is
+        near enough.
+        """
+        pictures = self.pictures(state.coordinates)
+        if near is not None and np.abs((state.coordinates - near.at) / self.spread).max() > self.near:
+            near = None
+        steps, others = self._neighbours(state.coordinates) if shared and near is None else ([], [])
+        found: list[_Frame] = []
+        chunks = [range(k, min(k + _CHUNK, len(self.frames))) for k in range(0, len(self.frames), _CHUNK)]
+        for chunk in progress(chunks, "simulating frames"):
+            poses = [state.poses[n] for n in chunk]
+            beside = [self._beside(other, poses) for other in others]
+            for k, n in enumerate(chunk):
+                made = [(one[k], step) for one, step in zip(beside, steps, strict=True)]
+                found.append(self._frame(n, state, pictures, made if near is None else near.frames[n].rows, shared))
+        at = state.coordinates if near is None else near.at
+        return self._reduced(state, found, len(self.parameters) if shared else 0, at)
+
+    def left(self, linear: Linear, state: State) -> float:
+        """Return the objective at another state, with the weights of `linear`."""
+        pictures = self.pictures(state.coordinates)
+        total = 0.0
+        for chunk in (range(k, min(k + _CHUNK, len(self.frames))) for k in range(0, len(self.frames), _CHUNK)):
+            poses = [state.poses[n] for n in chunk]
+            made = None if pictures.period is not None else pictures.render_each(poses)
+            for at, n in enumerate(chunk):
+                search, pose = self.search(self.frames[n], pictures), state.poses[n]
+                if made is None:
+                    mean, _ = search.tangent(pose, state.slow[n], self.names(pictures)[:4])
+                else:
+                    mean = (pose.background + pose.power / self.scene.illumination.power * made[at]).ravel()
+                rest = search.residual(self.model(mean)[0])
+                total += float(linear.frames[n].noise(rest, rest)[0, 0]) + self._prior(n, state)[0]
+        return total
+
+    def _neighbours(self, coordinates: Array) -> tuple[list[float], list[Pictures]]:
+        """Return steps and pictures a step away along each parameter that the pictures show."""
+        steps: list[float] = []
+        others: list[Pictures] = []
+        for n in self._shown:
+            one = self.parameters[n]
+            step = _STEP * one.spread
+            # Steps stay within the range.
+            if coordinates[n] + step > one.most:
+                step = -step
+            shown = [self.parameters[m] for m in self._shown]
+            beside = coordinates.copy()
+            beside[n] += step
+            scene = placed(self.scene, shown, beside[self._shown].tolist())
+            steps.append(step)
+            others.append(Pictures(scene, self.side, self.accuracy, torch.complex128))
+        return steps, others
+
+    def _beside(self, pictures: Pictures, poses: list[Pose]) -> Array:
+        target = pictures.scene.target
+        own = {"object_distance": target.object_distance, "focal_length": target.lens.focal_length}
+        return pictures.render_each([replace(pose, **own) for pose in poses])
+
+    def _frame(
+        self,
+        n: int,
+        state: State,
+        pictures: Pictures,
+        near: list[tuple[Array, float]] | NDArray[np.float32],
+        shared: bool,
+    ) -> _Frame:
+        pose, slow, frame = state.poses[n], state.slow[n], self.frames[n]
+        search, names = self.search(frame, pictures), self.names(pictures)
+        mean, slopes = search.tangent(pose, slow, names)
+        # The picture at the pose itself: without the slow gaze's part, which the neighbours do not have either.
+        light = mean - pose.background - (slow @ slopes[:2] if pictures.period is not None else 0.0)
+        expected, bend, variance = self.model(mean)
+        rows = np.zeros((len(self.parameters) if shared else 0, mean.size), np.float32)
+        if isinstance(near, np.ndarray):
+            rows = near
+        elif shared:
+            scale = pose.power / self.scene.illumination.power
+            for m, (made, step) in zip(self._shown, near, strict=True):
+                rows[m] = (scale * made.ravel() - light) * (self.spread[m] / step)
+            for m, one in enumerate(self.parameters):
+                if one.name == "background":
+                    rows[m] = self.spread[m]
+        bent = np.concatenate([rows, slopes]) * bend
+        noise, rest = search.noise(bend, variance), search.residual(expected)
+        matrix, score = noise(bent, bent), noise(bent, rest)[:, 0]
+        prior, more, push = self._prior(n, state, names, len(rows))
+        lit = mean - pose.background > 3 * np.sqrt(variance) / max(float(bend.max()), 1e-12)
+        each = rest[0] ** 2 / variance
+        squares = float(noise(rest, rest)[0, 0])
+        own = float(each[lit].sum()), int(lit.sum())
+        return _Frame(rows, matrix + more, score + push, noise, squares, prior, mean.size, *own)
+
+    def _prior(self, n: int, state: State, names: tuple[str, ...] = (), shared: int = 0) -> tuple[float, Array, Array]:
+        """Return the squares of the priors, their information and their score: label, brightness, roll."""
+        size = shared + len(names)
+        matrix, score = np.zeros((size, size)), np.zeros(size)
+        pose, frame = state.poses[n], self.frames[n]
+        off = frame.gaze - (np.array(pose.gaze) + state.slow[n])
+        squares = float(np.square(off / frame.deviation).sum())
+        free = self.value("power", state.coordinates)
+        power = self.scene.illumination.power if free is None else free
+        wide = self.scatter * power
+        squares += ((pose.power - power) / wide) ** 2
+        if self.roll:
+            squares += (pose.roll / _ROLL) ** 2
+        if names:
+            for axis in (0, 1):
+                matrix[shared + axis, shared + axis] = 1 / frame.deviation[axis] ** 2
+                score[shared + axis] = off[axis] / frame.deviation[axis] ** 2
+            k = shared + names.index("power")
+            matrix[k, k] = 1 / wide**2
+            score[k] = (power - pose.power) / wide**2
+            if shared and free is not None:
+                m = next(m for m, one in enumerate(self.parameters) if one.name == "power")
+                size_of = self.spread[m]
+                matrix[m, m] = (size_of / wide) ** 2
+                matrix[m, k] = matrix[k, m] = -size_of / wide**2
+                score[m] = size_of * (pose.power - power) / wide**2
+            if self.roll:
+                k = shared + names.index("roll")
+                matrix[k, k] = 1 / _ROLL**2
+                score[k] = -pose.roll / _ROLL**2
+        return squares, matrix, score
+
+    def _reduced(self, state: State, frames: list[_Frame], shared: int, at: Array) -> Linear:
+        information, score = np.zeros((shared, shared)), np.zeros(shared)
+        for one in frames:
+            matrix, push = _eliminated(one, shared)
+            information, score = information + matrix, score + push
+        return Linear(state, information, score, tuple(frames), at)
+
+    def stepped(self, linear: Linear, step: Array) -> State:
+        """Return the state after a step of the shared parameters, in spreads, with each frame's best own step."""
+        state, shared = linear.state, len(step)
+        coordinates = state.coordinates
+        if shared:
+            moved = coordinates + step * self.spread
+            coordinates = np.array([one.clipped(at) for one, at in zip(self.parameters, moved, strict=True)])
+            step = (coordinates - state.coordinates) / self.spread
+        pictures = self.pictures(state.coordinates)
+        names = self.names(pictures)
+        poses: list[Pose] = []
+        slow = np.zeros_like(state.slow)
+        for n, one in enumerate(linear.frames):
+            own = one.score[shared:] - one.matrix[shared:, :shared] @ step
+            change = _inverse(one.matrix[shared:, shared:]) @ own
+            search = self.search(self.frames[n], pictures)
+            pose, slow[n] = search.moved(state.poses[n], state.slow[n], names, change)
+            poses.append(pose)
+        return self.moved(State(coordinates, tuple(poses), slow), coordinates)
+
+    def own_information(self, linear: Linear, n: int) -> tuple[Array, Array]:
+        """Return one frame's information [P, P] and score [P] on the shared parameters, nuisances eliminated."""
+        return _eliminated(linear.frames[n], len(linear.score))
+
+
+def _eliminated(one: _Frame, shared: int) -> tuple[Array, Array]:
+    inverse, cross = _inverse(one.matrix[shared:, shared:]), one.matrix[:shared, shared:]
+    information = one.matrix[:shared, :shared] - cross @ inverse @ cross.T
+    return information, one.score[:shared] - cross @ inverse @ one.score[shared:]
+
+
+def _inverse(matrix: Array) -> Array:
+    """Return the inverse of a positive matrix whose rows have different units."""
+    own = np.sqrt(np.maximum(matrix.diagonal(), 1e-300))
+    return np.linalg.pinv(matrix / np.outer(own, own), rcond=1e-11, hermitian=True) / np.outer(own, own)

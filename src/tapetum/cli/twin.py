@@ -1,0 +1,93 @@
+"""`tapetum twin`: the scene that explains a labelled recording of a real camera."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tapetum.cli.calibrate import PageOut
+from tapetum.cli.options import AsJson, Changes, Force, Seed, option
+from tapetum.cli.outputs import check_output
+from tapetum.defaults import SEED
+from tapetum.errors import InputError, StoppedError
+from tapetum.progress import bar
+
+__all__ = ["twin"]
+
+
+def twin(
+    recording: Annotated[Path, typer.Argument(metavar="REC", help="A labelled recording of one camera, NAME.rec.")],
+    scene: Annotated[str, option("SCENE", "What is known of the bench: a bundled scene or a YAML file.", "--scene")],
+    out: Annotated[Path, option("FILE", "The scene to write, NAME.yaml.", "-o", "--out")],
+    page: PageOut = None,
+    free: Annotated[
+        str | None,
+        option(
+            "NAMES",
+            "What to fit, by commas: focus, focal_length, aperture, tilt, decentre, array, microlens, filter_depth, "
+            "second_beam, probe_scale, probe_focus, background, light, or single parameters (all but probe_focus).",
+        ),
+    ] = None,
+    frames: Annotated[int, option("N", "Frames to fit, spread over the field: 20 to 200.")] = 60,
+    starts: Annotated[int, option("N", "Places at which searches begin, at most.", min=1, max=50)] = 4,
+    accuracy: Annotated[
+        float | None,
+        option("SHARE", "Of the simulation, in fractions of the peak, for the scene's.", min=1e-5, max=0.5),
+    ] = None,
+    roll: Annotated[bool, typer.Option("--roll", help="The camera turns about its axis, as in a hand.")] = False,
+    unevenness: Annotated[float, option("SHARE", "RMS of the pixels' relative sensitivities.", min=0, max=0.9)] = 0.0,
+    seed: Seed = SEED,
+    changes: Changes = None,
+    as_json: AsJson = False,
+    force: Force = False,
+) -> None:
+    """Fit a scene to a labelled recording of one real camera: focus, aperture, tilt, light and more.
+
+    Writes the twin, a scene for every other command; a page with pictures; and NAME.json with the numbers. What the
+    recording does not tell keeps the scene's value and is named. After Ctrl-C the same command goes on from NAME.part.
+    The exit code is 1 where the scene cannot explain the recording.
+    """
+    if out.suffix.lower() not in (".yaml", ".yml"):
+        raise InputError("is no name for a scene", where=out, remedy="name it NAME.yaml")
+    page, numbers, kept = page or out.with_suffix(".html"), out.with_suffix(".json"), out.with_suffix(".part")
+    for path in (out, page, numbers):
+        check_output(path, force)
+    from tapetum.bench import load_scene
+    from tapetum.calibrate.twin import fit_twin
+    from tapetum.calibrate.twin.page import shown, verdict
+
+    names = None if free is None else [one.strip() for one in free.split(",") if one.strip()]
+    known = load_scene(scene, changes or ())
+    try:
+        found = fit_twin(
+            recording,
+            known,
+            free=names,
+            frames=frames,
+            starts=starts,
+            seed=seed,
+            accuracy=accuracy,
+            roll=roll,
+            unevenness=unevenness,
+            state=kept,
+            progress=bar,
+        )
+    except KeyboardInterrupt as error:
+        raise StoppedError(f"what is done is kept in {kept}, and the same command goes on") from error
+    found.save(out)
+    found.save_numbers(numbers)
+    found.write_page(page)
+    kept.unlink(missing_ok=True)
+    if as_json:
+        files = {"out": str(out), "page": str(page), "numbers": str(numbers)}
+        typer.echo(json.dumps({**found.as_dict(), **files}, allow_nan=False))
+    else:
+        for one in found.parameters:
+            known_to = f"± {shown(one, one.deviation)}" if one.told else "not told by this recording"
+            typer.echo(f"  {one.name:<24} {shown(one, one.value):>18}  {known_to}")
+        typer.echo(f"{out}, {numbers}, {page}: {verdict(found)}")
+    if not found.explains:
+        raise typer.Exit(1)

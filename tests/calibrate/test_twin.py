@@ -1,0 +1,206 @@
+"""The twin: a scene fitted to a labelled recording of a unit that differs from it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+import torch
+
+from tapetum.bench import Scene, load_scene, scene_yaml, with_values
+from tapetum.calibrate.twin import fit_twin
+from tapetum.calibrate.twin.climb import covariance, settle, two_groups, untold
+from tapetum.calibrate.twin.frames import TwinFrame, frames_of
+from tapetum.calibrate.twin.normal import Normal, State
+from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of
+from tapetum.calibrate.twin.starts import placed_in
+from tapetum.cli.app import main
+from tapetum.errors import InputError
+from tapetum.record import Session, film, open_recording
+from tapetum.simulate.information import slopes_of
+
+SMALL = ["probe.sensor.pixels=[96, 96]", "probe.sensor.pitch=4.4 um", "illumination.power=12 uW", "second_beam=null"]
+SMALL += ["sampling.accuracy=0.05"]
+UNIT = {"target.lens.aperture_radius": 3.9e-3, "target.sensor.tilt": [2e-3, -1e-3], "illumination.power": 11e-6}
+FREE = ["aperture", "tilt", "light", "background"]
+
+
+@pytest.fixture(scope="module")
+def bench() -> Scene:
+    return load_scene("hand-held", SMALL)
+
+
+@pytest.fixture(scope="module")
+def filmed(bench: Scene, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording of a unit, whose labels are the truth with known errors."""
+    path = tmp_path_factory.mktemp("twin") / "unit.rec"
+    label(film(with_values(bench, UNIT), path, Session(2.0, 15.0, seed=4, target_rate=1.0)).path)
+    return path
+
+
+def label(path: Path, error: float = 1e-4, device: list[str] | None = None) -> None:
+    recording = open_recording(path)
+    truth = recording.truth()
+    assert truth is not None
+    probe = truth.filter(pa.array([one == "probe" for one in truth["stream"].to_pylist()]))
+    rng, count = np.random.default_rng(1), len(probe)
+    columns = {"frame": probe["frame"], "how": pa.array(["truth"] * count), "quality": pa.array(np.ones(count))}
+    for name in ("gaze_x", "gaze_y"):
+        columns[name] = pa.array(probe[name].to_numpy() + error * rng.standard_normal(count))
+        columns[f"{name}_std"] = pa.array(np.full(count, error))
+    if device is not None:
+        columns["device"] = pa.array(device)
+    recording.write_labels(pa.table(columns))
+
+
+def test_a_twin_finds_the_unit_and_what_it_says_of_its_deviations_holds(bench: Scene, filmed: Path) -> None:
+    found = fit_twin(filmed, bench, free=FREE, frames=20, starts=1)
+    true = with_values(bench, UNIT)
+    assert found.converged and found.explains and found.misfit_lit < 1.05 < found.before.misfit_lit
+    assert found.gain > 100
+    assert not found.untold
+    for one, fitted in zip(chosen(bench, FREE), found.parameters, strict=True):
+        assert fitted.deviation is not None
+        assert abs(one.read(found.scene) - one.read(true)) < 4 * fitted.deviation < one.spread, one.name
+
+
+def test_differences_are_the_derivatives_of_the_automatic_chain(bench: Scene) -> None:
+    gaze = np.array([0.1, -0.05])
+    frame = TwinFrame(0, 0.0, np.zeros((96, 96)), gaze, np.full(2, 1e-4))
+    normal = Normal(bench, chosen(bench, ["focus", "focal_length"]), [frame])
+    at = np.array([one.read(bench) for one in normal.parameters])
+    pose = replace(normal.pictures(at).start(), gaze=(0.1, -0.05))
+    linear = normal.linear(State(at, (pose,), np.zeros((1, 2))))
+    names = ["object_distance", "focal_length"]
+    _, slopes = slopes_of(bench, names, torch.tensor([gaze.tolist()]), device="cpu")(0)
+    # The fit counts focus by the inverse distance, and both in spreads.
+    factors = np.array([-(bench.target.object_distance**2), 1.0]) * normal.spread
+    wanted = slopes.numpy() * factors[:, None]
+    for mine, theirs in zip(linear.frames[0].rows, wanted, strict=True):
+        assert np.linalg.norm(mine - theirs) < 0.01 * np.linalg.norm(theirs)
+
+
+@pytest.mark.slow
+def test_an_interrupted_search_goes_on(bench: Scene, filmed: Path, tmp_path: Path) -> None:
+    kept, seen = tmp_path / "twin.part", list[str]()
+
+    def stops(items: Iterable[object], what: str, *, total: int | None = None) -> Iterator[object]:
+        del total
+        for item in items:
+            if what == "fitting all frames":
+                raise KeyboardInterrupt
+            yield item
+
+    def notes(items: Iterable[object], what: str, *, total: int | None = None) -> Iterator[object]:
+        del total
+        seen.append(what)
+        yield from items
+
+    options = {"free": ["tilt", "aperture", "light"], "frames": 20, "starts": 1, "state": kept}
+    with pytest.raises(KeyboardInterrupt):
+        fit_twin(filmed, bench, **options, progress=stops)  # pyright: ignore[reportArgumentType]
+    assert kept.exists()
+    found = fit_twin(filmed, bench, **options, progress=notes)  # pyright: ignore[reportArgumentType]
+    assert "fitting all frames" in seen and "start 1 of 1" not in seen
+    assert found.converged and found.explains
+    with pytest.raises(InputError, match="another recording, scene or options"):
+        fit_twin(filmed, bench, **(options | {"free": ["aperture"]}))  # pyright: ignore[reportArgumentType]
+
+
+def test_what_two_parameters_change_alike_is_not_told() -> None:
+    # Per squared spread: the sum of the first two is known to 0.01, their difference to 3 spreads; the third to 0.1.
+    sum_of, apart = np.array([1, 1, 0]) / 2**0.5, np.array([1, -1, 0]) / 2**0.5
+    information = 1e4 * np.outer(sum_of, sum_of) + np.outer(apart, apart) / 9 + 100 * np.outer([0, 0, 1], [0, 0, 1])
+    (found,) = untold(information)
+    assert found.number in (0, 1) and found.like == (1 - found.number,)
+    known = covariance(information, [found.number])
+    # The other is known no better than the one that is held: within its usual spread.
+    assert 0.8 < known[1 - found.number, 1 - found.number] < 1.1
+    assert known[2, 2] == pytest.approx(0.01)
+
+
+def test_frames_of_two_cameras_are_told_apart(bench: Scene, filmed: Path) -> None:
+    _, frames = frames_of(filmed, bench, 20)
+    wider = with_values(bench, {"target.lens.aperture_radius": 4.4e-3})
+    normal = Normal(wider, chosen(bench, ["aperture"]), frames)
+    at = np.array([one.read(with_values(bench, UNIT)) for one in normal.parameters])
+    state = placed_in(normal, at)
+    # The second half of the frames is replaced by what a smaller aperture shows.
+    other = normal.pictures(at - 5 * normal.spread)
+    moved = [
+        replace(one, counts=normal.model(pose.background + made.ravel())[0].reshape(made.shape))
+        for one, pose, made in zip(frames, state.poses, other.render_each(state.poses), strict=True)
+    ]
+    mixed = [*frames[:10], *moved[10:]]
+    joined = normal.over(mixed)
+    second, gain = two_groups(joined, joined.linear(settle(joined, placed_in(joined, at), 3).state))
+    agree = (second == (np.arange(len(frames)) >= 10)).mean()
+    # A frame that says little of the aperture may go with either.
+    assert max(agree, 1 - agree) >= 0.9
+    assert gain > 100
+
+
+def test_every_group_is_read_and_written() -> None:
+    for name in ("hand-held", "rotation", "focusing"):
+        scene = load_scene(name)
+        for one in parameters_of(scene):
+            moved = (
+                one.read(scene) - 0.3 * one.spread
+                if one.most == one.read(scene)
+                else one.read(scene) + 0.3 * one.spread
+            )
+            assert one.group in GROUPS
+            assert one.read(one.write(scene, moved)) == pytest.approx(moved, rel=1e-6), one.name
+
+
+@pytest.mark.parametrize(
+    ("free", "said"),
+    [
+        (["focuss"], "unknown name 'focuss'"),
+        (["microlens"], "the scene has nothing that 'microlens' names"),
+        (["tilt", "tilt_x"], "names 'tilt_x' twice"),
+        ([], "names nothing"),
+    ],
+)
+def test_names_that_make_no_fit_are_refused(bench: Scene, free: list[str], said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        chosen(bench, free)
+
+
+def test_recordings_that_have_no_twin_are_refused(bench: Scene, filmed: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="must lie from 20 to 200, is 7"):
+        frames_of(filmed, bench, 7)
+    with pytest.raises(InputError, match="the scene's probe 640 x 480"):
+        frames_of(filmed, load_scene("hand-held"), 20)
+    with pytest.raises(InputError, match="a phone"):
+        fit_twin(filmed, "phones", frames=20)
+    bare = film(bench, tmp_path / "bare.rec", Session(1.0, 4.0, target_rate=1.0)).path
+    with pytest.raises(InputError, match="the recording has no labels"):
+        frames_of(bare, bench, 20)
+    label(bare, device=["a", "b", "b", "b"][: len(open_recording(bare).frames("probe"))])
+    with pytest.raises(InputError, match="shows 2 cameras, a, b"):
+        frames_of(bare, bench, 20)
+
+
+def test_the_command_writes_a_scene_or_says_that_it_does_not_explain(
+    bench: Scene, filmed: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene, out = tmp_path / "bench.yaml", tmp_path / "twin.yaml"
+    scene.write_text(scene_yaml(bench))
+    common = [str(filmed), "--scene", str(scene), "--frames", "20", "--starts", "1", "-o", str(out)]
+    assert main(["twin", *common, "--free", "light,nothing"]) == 2
+    assert "unknown name 'nothing'" in capsys.readouterr().err
+    # The laser's power alone explains neither another aperture nor a tilt.
+    assert main(["twin", *common, "--free", "light", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert not told["explains"] and told["misfit_lit"] > told["limit"]
+    assert load_scene(str(out)).illumination.power != bench.illumination.power
+    assert "does not explain" in (tmp_path / "twin.html").read_text("utf-8")
+    assert not (tmp_path / "twin.part").exists()
+    assert main(["twin", *common]) == 2
+    assert "exists already" in capsys.readouterr().err
