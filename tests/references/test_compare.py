@@ -16,8 +16,8 @@ from .draw import KINDS, draw
 # Scenes of a seed of their own that the judge does in a second or two each, of as many kinds as there are.
 QUICK = (0, 1, 2, 3, 4, 5, 7, 8, 9, 10, 13, 17, 18, 19)
 # Of 20261122 the first 94 were looked at, of 20261201 all, of 20270214 the first 125: they found what is mended since.
-# 20261210 was drawn before the last, and held as it fell (scenes.md), as did the first 70 of 20270315. What changes the physics draws another one: this
-# one has not been looked at.
+# 20261210 was drawn before the last, and held as it fell (scenes.md), as did the first 70 of 20270315. What changes the
+# physics draws another one: this one has not been looked at.
 SEALED, SCENES = 20270419, 200
 # The kinds that took turns when the seeds before were drawn, without masks behind traced lenses.
 THEN, MASKS_SINCE = KINDS[:24], 20270214
