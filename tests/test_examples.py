@@ -33,6 +33,7 @@ def test_every_example_is_tested():
         "limits",
         "movie_theater",
         "track_photos",
+        "twin",
         "two_probes",
     }
 
@@ -99,3 +100,11 @@ def test_a_movie_theater_is_lit_more_evenly(tmp_path: Path):
     assert (tmp_path / "theater.png").stat().st_size > 10_000
     (one_light, one_snr), (many_light, many_snr) = cases.values()
     assert many_light.ratio < one_light.ratio and many_snr.ratio < one_snr.ratio
+
+
+@pytest.mark.slow
+def test_a_twin_reads_frames_and_films(capsys: pytest.CaptureFixture[str]):
+    found, off, count = example("twin").main([])
+    assert found.misfit_lit < 1.05 < found.before.misfit_lit
+    assert (np.abs(off) < 4).all() and count > 30
+    assert "misfit" in capsys.readouterr().out

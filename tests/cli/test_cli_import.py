@@ -158,7 +158,7 @@ def test_half_copied_files_stop_the_import(run, tmp_path: Path):
     [
         (("nowhere",), "nowhere: does not exist"),
         (("empty",), "no pictures were found (nothing); give a folder with videos, images or arrays"),
-        (("empty", "--mapping", "nowhere.yaml"), "nowhere.yaml: cannot be read"),
+        (("empty", "--mapping", "nowhere.yaml"), "nowhere.yaml: no such file"),
         (("npy", "--side", "100", "--yes"), "smaller than the crops of 100 px"),
     ],
 )

@@ -15,7 +15,7 @@ from tapetum.data.synth.plan import Plan
 from tapetum.data.write import Rules
 
 
-def little(kind: str, size: str, seed: int, units: object = None) -> Plan:
+def little(kind: str, size: str, seed: int, units: object = None, scene: object = None) -> Plan:
     """In place of the bundled plans: one video of eight seconds by little cameras."""
     values = {
         "probe.sensor.pixels": [96, 80],

@@ -44,10 +44,12 @@ def plan(
         raise InputError(f"{parameters!r} has an empty name", where="--target-parameters", remedy=remedy)
     known = load_scene(scene, changes or ())
     # Torch takes a second to import.
-    from tapetum.simulate.planning import plan_bench
+    from tapetum.simulate.planning import label_lines, plan_bench
 
     planned = plan_bench(known, names)
     if as_json:
         typer.echo(json.dumps({"scene": scene, **planned.as_dict()}, allow_nan=False))
     else:
-        typer.echo("\n".join(planned.lines()))
+        lines = planned.lines()
+        before = lines.index("Eye safety")
+        typer.echo("\n".join([*lines[:before], *label_lines(), *lines[before:]]))

@@ -46,7 +46,6 @@ def film(
     InputError
         For a session without frames, a full disk, an existing recording, or an unsupported scene.
     """
-    of_type(session or Session(), Session, "session", "give a tapetum.Session")
     of_type(out, (str, os.PathLike), "out", "give the path of a folder, NAME.rec")
     shot = Shot(as_scene(scene), session or Session())
     # Refuses unsupported scenes before anything is written.

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from tapetum.bench import PhoneTarget, Scene, scene_dict
+from tapetum.errors import of_type
 from tapetum.record.beats import Beat
 from tapetum.record.clutter import Painter, Stage
 from tapetum.record.imaging import idle_scene, imaging_scene
@@ -135,9 +136,9 @@ class Shot:
     """
 
     def __init__(self, scene: Scene, session: Session) -> None:
+        of_type(session, Session, "session", "give a tapetum.Session")
         self.scene, self.session = scene, session
-        mine = Placed((0.0, 0.0), motion=session.motion)
-        self._placed = (mine, *session.others)
+        self._placed = (Placed((0.0, 0.0), motion=session.motion), *session.others)
         self._scenes = [
             replace(scene, distance=one.distance or scene.distance, target=one.target or scene.target)
             for one in self._placed

@@ -22,7 +22,7 @@ from tapetum.simulate.plan_parts import LABEL, EyeCheck, Geometry, SamplingChoic
 from tapetum.simulate.radiometry import illumination_curvature
 from tapetum.simulate.reflections import glinting
 
-__all__ = ["LABEL_ERRORS", "PARAMETERS", "Plan", "eye_check", "plan_bench"]
+__all__ = ["LABEL_ERRORS", "PARAMETERS", "Plan", "eye_check", "label_lines", "plan_bench"]
 
 PARAMETERS = ("gaze_x", "gaze_y", "object_distance", "focal_length", "distance", "power")
 
@@ -95,7 +95,6 @@ class Plan:
             "Sampling",
             *(line for one in self.sampling.rows() for line in row(*one)),
             *self._limit_lines(),
-            *_label_lines(),
             "Eye safety",
             *(line for one in self.eye.rows() for line in row(*one)),
             NOT_A_CERTIFICATE,
@@ -119,7 +118,7 @@ class Plan:
         ]
 
 
-def _label_lines() -> list[str]:
+def label_lines() -> list[str]:
     """What a faster target camera, or one whose frames a trigger takes together with the probe's, buys for labels."""
     said = ", ".join(f"{how} {error:.1e}" for how, error in LABEL_ERRORS.items())
     return [
