@@ -1,4 +1,7 @@
-"""Networks as estimators: from centred crops to gaze, focus and device, with intervals and probabilities."""
+"""Networks as estimators: from centred crops to gaze, focus and device, with intervals and probabilities.
+
+One file of more than 400 lines: the state that a network learns is set, used, stored and read back in one class.
+"""
 
 from __future__ import annotations
 
