@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from tapetum.cli.memory import keep_big_blocks
+
 Validated = Callable[..., None]
 _KEPT = pytest.StashKey[list[dict[str, object]]]()
 _LONGEST = (
@@ -60,6 +62,8 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 
 def pytest_configure(config: pytest.Config) -> None:
     config.stash[_KEPT] = []
+    # As in every command: a tenth of the simulator's time otherwise.
+    keep_big_blocks()
 
 
 @pytest.fixture

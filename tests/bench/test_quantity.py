@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tapetum.bench import quantity
 from tapetum.bench.quantity import to_si
 
 
@@ -55,6 +56,13 @@ def test_refuses(text: object, unit: str, words: str) -> None:
     with pytest.raises(ValueError) as raised:
         to_si(text, unit)
     assert words in str(raised.value)
+
+
+@given(st.floats(1e-12, 1e12))
+def test_usual_units_are_pints_to_the_last_digit(number: float) -> None:
+    for unit, usual in quantity._USUAL.items():
+        for name in usual:
+            assert to_si(f"{number!r} {name}", unit) == quantity._registry().Quantity(number, name).to(unit).magnitude
 
 
 @given(st.floats(1e-12, 1e12))

@@ -17,11 +17,19 @@ _QUANTITY = re.compile(
     r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?\s*(1?\s*/\s*)?([^\W\d]|[°%])[^\d+]{0,40}([\^*-]?\d)?\s*"
 )
 _LONGEST = 80
+# A number and one of the usual units, which wait for no Pint; with the factors to SI that Pint has (tests).
+_PLAIN = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*([A-Za-zµ°]+)\s*")
+_USUAL = {
+    "m": {"nm": 1e-9, "um": 1e-6, "µm": 1e-6, "mm": 1e-3, "cm": 1e-2, "m": 1.0, "km": 1e3},
+    "rad": {"urad": 1e-6, "mrad": 1e-3, "rad": 1.0, "deg": math.pi / 180, "°": math.pi / 180},
+    "W": {"uW": 1e-6, "mW": 1e-3, "W": 1.0},
+    "s": {"ns": 1e-9, "us": 1e-6, "ms": 1e-3, "s": 1.0},
+}
 
 
 @cache
 def _registry() -> Any:
-    # Pint takes a third of a second to import, so only quantities with a unit load it.
+    # Pint takes half a second to import and set up, so only quantities with a rare unit load it.
     import pint
 
     return pint.UnitRegistry()
@@ -50,6 +58,9 @@ def _with_unit(text: str, unit: str) -> float:
     if len(text) > _LONGEST or _QUANTITY.fullmatch(text) is None:
         short = text if len(text) <= _LONGEST else f"{text[:_LONGEST]}..."
         raise ValueError(f"{short!r} is no quantity; write, for example, '{_example(unit)}'")
+    plain = _PLAIN.fullmatch(text)
+    if plain is not None and (factor := _USUAL.get(unit, {}).get(plain[2])) is not None:
+        return float(plain[1]) * factor
     registry = _registry()
     import pint
 

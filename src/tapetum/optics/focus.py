@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass, replace
 
@@ -72,6 +73,8 @@ def bundle(height: torch.Tensor, pupil: float, distance: float) -> tuple[torch.T
     return position, direction, height**2 / (length + distance)
 
 
+# Checks of a scene, its sensor's place and its planning ask for the same lens's.
+@functools.lru_cache(maxsize=256)
 def pupil_height(lens: Lens, distance: float = math.inf) -> float:
     """Height in the entrance pupil of the outermost ray, from a point on the axis, that passes all semi-diameters.
 

@@ -18,6 +18,8 @@ _ITERATIONS = 12
 _RESIDUAL = 1e-7
 # Newton's last step, in metres: its errors square, so that at any curvature below 1e5/m less than 1e-15 m is left.
 _LAST_STEP = 1e-10
+# Rays up to which one more step of all costs less than picking out those that need it.
+_TOGETHER = 1024
 # Floor of 1 - (1 + κ) c² r², which is zero where a conic turns back; rays below it are not good.
 _TURNING = 1e-4
 
@@ -299,8 +301,8 @@ def _newton(surface: _Surface, start: _Three, way: _Three, t: torch.Tensor, step
         left = int(far.sum())
         if left == 0:
             break
-        # Most rays converge after a few steps; the others go on without them.
-        if 4 * left < len(t) and done < steps:
+        # Most rays converge after a few steps; of many, the others go on without them.
+        if 4 * left < len(t) and len(t) > _TOGETHER and done < steps:
             rest = far.nonzero()[:, 0]
             x, y, z, a, b, c = (one[rest] for one in (*start, *way))
             return t.index_copy(0, rest, _newton(surface, (x, y, z), (a, b, c), t[rest], steps - done))

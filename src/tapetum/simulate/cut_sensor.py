@@ -19,7 +19,7 @@ from tapetum.simulate.foreshortening import tangents
 from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_edge import SensorEdge
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
-from tapetum.simulate.surfaces import Surface
+from tapetum.simulate.surfaces import Reflectance, Surface
 
 __all__ = ["CutSensor"]
 
@@ -50,6 +50,7 @@ class CutSensor:
     ) -> None:
         (self._sensor,) = (one for one in surfaces if one.depth == 0)
         self._geometry, self._output, self._edge, self._bare = geometry, output, edge, sensor
+        self._plan = plan
         self._accuracy, self._options = max(accuracy, ACCURACIES[-1]), options
         self._finer = finer
         layers = [one for one in surfaces if one.depth != 0]
@@ -90,7 +91,8 @@ class CutSensor:
         """Irradiance [B, H, W] of an infinite mirror in the sensor's place, as bright as its strongest order."""
         z = torch.as_tensor(self._sensor.image_distance, dtype=torch.float64)
         brightest = max(abs(order.amplitude) for order in self._sensor.orders)
-        return brightest**2 * self._made(z, None)(sines, centres)
+        one = RoundPass(self._geometry, self._plan, self._output, [Surface(z)], **self._options)
+        return brightest**2 * one(sines, centres)
 
     def _sampled(self, z: torch.Tensor) -> Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]:
         """The sampled plane at a distance, made once for a sensor without a tilt."""
@@ -99,7 +101,7 @@ class CutSensor:
             self._mirrors = {key: self._made(z, self._plane())}
         return self._mirrors[key].field
 
-    def _made(self, z: torch.Tensor, mask: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] | None) -> DoublePass:
+    def _made(self, z: torch.Tensor, mask: Reflectance) -> DoublePass:
         geometry = replace(self._geometry, image_distance=float(z.detach()))
         planned, distance, radius = geometry, self._options["distance"], self._options["probe_radius"]
         if distance is not None and radius is not None:

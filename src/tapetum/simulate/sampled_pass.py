@@ -71,12 +71,15 @@ class SampledPass(Generic[Lens]):
         # A mirror's samples may lie along the tilt, a mask's are its own columns and rows.
         self._own = isinstance(plane, Mask)
         self._v = window.places(self.device)
-        distance = torch.hypot(self._v[None, :], self._v[:, None])
+        # One quarter of the window, which the others mirror.
+        half = self._v[len(self._v) // 2 :]
+        distance = torch.hypot(half[None, :], half[:, None])
         # A mask does not send the light of a rim back to that rim.
         seen = window.fade(distance) if self._own or pupil.rim is None else window.fade_with_rim(distance, pupil.rim)
         # What is computed once is computed in double precision.
         precise = torch.complex128 if pupil.fixed else dtype
-        self._window = (seen * (window.step / (1j * wavelength)) ** 2).to(precise)
+        seen = (seen * (window.step / (1j * wavelength)) ** 2).to(precise)
+        self._window = _unfolded(_unfolded(seen, -1, len(self._v)), -2, len(self._v))
         self._spot: torch.Tensor | None = None
         self._kernels: _Kernels | None = None
         if pupil.fixed:

@@ -37,6 +37,8 @@ _GEOMETRIC = 2.5
 # Share of the most light that a tilt must return for the claim to hold.
 _FADING = 0.3
 _LARGEST_MISFIT = 0.02
+# Pixels a picture's finest detail on which samplings are compared, and least pitch over the probe's that they are for.
+_COMPARED, _FEWER = 3.0, 1.3
 # RMS of the rays' paths against the model's, in wavelengths, beyond which no accuracy is claimed.
 _LARGEST_DEPARTURE = 0.05
 
@@ -75,13 +77,14 @@ def nearer_by(focused: FocusedLens, depth: float) -> FocusedLens:
 class TracedScene:
     """The lens, and its light's way to the pixels of `output`. Lengths in metres, `curvature` in 1/m.
 
-    Light under angles above `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's
+    `path` leads to these pixels, `trial` to the fewer ones on which samplings are compared. Light under angles above `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's
     middle to its corner, or to the aperture's edge.
     """
 
     focused: FocusedLens
     fits: PupilFits
     path: ProbePath
+    trial: ProbePath
     output: Grid
     wavelength: float
     curvature: float
@@ -133,22 +136,39 @@ def traced_scene(
         )
     # A few places of a pupil of this width determine its effect on the picture.
     ends = 1.3 * fits.aperture[1] * torch.tensor([-1.0, 1.0], dtype=torch.float64, device=device)
-    path = ProbePath(
-        output,
-        ends,
-        ends,
-        wavelength=wavelength,
-        probe_focal_length=probe_focal_length,
-        aperture=aperture,
-        dtype=dtype,
-        device=device,
-    )
+
+    def to(pixels: Grid) -> ProbePath:
+        return ProbePath(
+            pixels,
+            ends,
+            ends,
+            wavelength=wavelength,
+            probe_focal_length=probe_focal_length,
+            aperture=aperture,
+            dtype=dtype,
+            device=device,
+        )
+
+    path, few = to(output), _compared(output, wavelength * probe_focal_length / (4 * fits.aperture[1]))
     seen = math.hypot(output.width, output.height) / 2 / probe_focal_length
     accepted = None
     if aperture is not None:
         # Light under larger angles misses the probe's aperture, at any place in the picture.
         accepted = seen = (aperture.radius + fits.aperture[1]) / float(aperture.distance)
-    return TracedScene(focused, fits, path, output, wavelength, curvature, accepted, seen)
+    trial = path if few is output else to(few)
+    return TracedScene(focused, fits, path, trial, output, wavelength, curvature, accepted, seen)
+
+
+def _compared(output: Grid, detail: float) -> Grid:
+    """Pixels on which a picture without details finer than this (metres, by Nyquist) errs by as much as on `output`.
+
+    The picture's middle is one of them.
+    """
+    pitch = detail / _COMPARED
+    if pitch < _FEWER * output.pitch:
+        return output
+    rows, columns = (2 * math.floor(wide / 2 / pitch) + 1 for wide in (output.height, output.width))
+    return Grid(rows, columns, pitch)
 
 
 def _rounded_up(error: float) -> float:

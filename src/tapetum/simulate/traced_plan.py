@@ -216,18 +216,25 @@ def traced_mask(
     )
     _check_power(found.usual, tried, 1.0)
     plan = _stated(light, replace(found, error=max(found.error, mirror.error)), least)
-    usual, finer, bare = (TracedGroup([one], plan) for one in (found.usual, found.finer, mirror.usual))
+    wanted = ((found.usual, mask), (found.finer, mask), (mirror.usual, None))
+    usual, finer, bare = (
+        TracedGroup([_on_grids(scene, light, surface, one.grids, held, trial=False)], plan) for one, held in wanted
+    )
     return TracedMask(usual, finer, bare)
 
 
 @dataclass(frozen=True)
 class _Step:
-    """A step of the ladder, its pass and the finer one that it was measured against, and its error."""
+    """A step of the ladder, its pass and the finer one that it was measured against, and its error.
+
+    `seen` are the pictures [B, H, W] of both at the tilts tried.
+    """
 
     step: int
     usual: TracedPass
     finer: TracedPass
     error: float
+    seen: tuple[torch.Tensor, torch.Tensor]
 
 
 def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> float:
@@ -253,13 +260,13 @@ def _planned(scene: TracedScene, surface: Surface, accuracy: float) -> tuple[Tra
     found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
     found = _thinned(scene, light, surface, found, tried, accuracy)
     _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
-    return found.usual, _stated(light, found)
+    return _on_grids(scene, light, surface, found.usual.grids, trial=False), _stated(light, found)
 
 
 def _made(
     scene: TracedScene, light: TracedLight, surface: Surface, effort: _Effort, mask: Mask | None = None
 ) -> TracedPass:
-    """The pass of an effort."""
+    """The pass of an effort, to the pixels on which samplings are compared."""
     angle = _angle(light)
     if mask is not None:
         angle = max(angle, any_angle(light.fits))
@@ -268,9 +275,16 @@ def _made(
 
 
 def _on_grids(
-    scene: TracedScene, light: TracedLight, surface: Surface, grids: TracedGrids, mask: Mask | None = None
+    scene: TracedScene,
+    light: TracedLight,
+    surface: Surface,
+    grids: TracedGrids,
+    mask: Mask | None = None,
+    *,
+    trial: bool = True,
 ) -> TracedPass:
-    path = scene.path
+    """A pass to the pixels on which samplings are compared, or to all."""
+    path = scene.trial if trial else scene.path
     return TracedPass(
         light.fits,
         grids,
@@ -307,7 +321,7 @@ def _climbed(
         now, image = steps[0]
         error = _SAFETY * _apart(image, steps[-1][1], least)
         if error <= accuracy:
-            return _Step(number - 2, now, one, error)
+            return _Step(number - 2, now, one, error, (image, steps[-1][1]))
     raise InputError(
         f"{accuracy:g} of the peak is not reached with {steps[0][0].grids.pupil} samples over the pupil",
         where="sampling.accuracy",
@@ -330,9 +344,11 @@ def _thinned(
     def seen(one: TracedPass, some: Sequence[int] | slice = slice(None)) -> torch.Tensor:
         return one.field(tilts[some], centres[some]).abs() ** 2
 
-    best, grids = seen(found.finer), found.usual.grids
+    also, grids = slice(len(tried), None), found.usual.grids
+    usual, best = (
+        torch.cat([image, seen(one, also)]) for image, one in zip(found.seen, (found.usual, found.finer), strict=True)
+    )
     # Where the step errs by more than is asked for, no claim is made.
-    usual = seen(found.usual)
     claimed = _each_apart(usual, best) <= accuracy / _SAFETY
     # Copies of the picture must stay beside it.
     reach = 2 * light.fits.aperture[1] * (_angle(light) + scene.seen) / scene.wavelength
