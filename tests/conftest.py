@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
@@ -86,6 +86,20 @@ def validated(request: pytest.FixtureRequest) -> Validated:
         assert error <= tolerance, f"{what}: {error:.3g} {measure}, allowed {tolerance:.3g}, against {against}"
 
     return check
+
+
+@pytest.fixture(scope="module")
+def narrow() -> Iterator[None]:
+    """Ask for a ResNet-18 and get one of a 64th of its weights: for what any network does in training and in files.
+
+    The bundled model does not fit into it.
+    """
+    from tapetum.models.architectures import resnet18
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(resnet18, "_WIDTHS", (8, 16, 32, 64))
+        patch.setattr(resnet18.ResNet18Network, "width", 64)
+        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -12,6 +12,8 @@ import zarr
 from tapetum.data import open_dataset
 from tapetum.models import load_model
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 TINY = ("--kind", "resnet18", "--crop", 32, "--size", 16, "--epochs", 2, "--device", "cpu", "--no-intervals")
 
 

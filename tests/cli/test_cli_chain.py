@@ -11,6 +11,8 @@ import pytest
 from tapetum.record.recording import open_recording
 from tapetum.track import read_tracks
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 LITTLE = (
     *("--set", "probe.sensor.pixels=[160, 120]", "--set", "target.sensor.pixels=[162, 122]"),
     *("--set", "target.sensor.pitch=35.2um"),

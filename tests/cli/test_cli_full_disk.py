@@ -12,6 +12,8 @@ import pytest
 from tapetum.record.recording import open_recording
 from tapetum.track.tables import detections_schema, read_table, track_schema
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 resource = pytest.importorskip("resource", reason="the system has no limits to set")
 
 Small = Callable[[int], contextlib.AbstractContextManager[Path]]

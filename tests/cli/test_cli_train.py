@@ -15,6 +15,8 @@ from tapetum.data import open_dataset
 from tapetum.durable import sole_writer
 from tapetum.models import load_model
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 TINY = ("--crop", 32, "--size", 16, "--epochs", 2, "--device", "cpu")
 
 

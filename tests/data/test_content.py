@@ -14,6 +14,8 @@ from tapetum.data.content import DIGEST
 from tapetum.errors import InputError
 from tapetum.models import ResNet18, ZernikeRidge
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 
 @pytest.fixture
 def small() -> xr.Dataset:

@@ -30,6 +30,8 @@ from tapetum.record import FixedPattern
 from tapetum.report.figures._style import new_figure
 from tapetum.simulate.bounds import FocusBounds, GazeInformation
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 SIDE = 40
 OWN_RECIPES = dict(RECIPES)
 DISTANCES, LENGTHS = (3.0, 5.5), (0.05, 0.085, 0.135)

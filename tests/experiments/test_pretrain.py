@@ -14,6 +14,8 @@ from tapetum.models import load_model, model_card
 from tapetum.progress import quiet
 from tapetum.record import HandMotion, Session, open_recording
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:

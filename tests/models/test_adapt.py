@@ -15,6 +15,8 @@ from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
 from tapetum.models.adaptation import ALL, LAST
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 TINY = {"crop": 36, "size": 24, "epochs": 6, "batch": 20, "device": "cpu"}
 RATE = 15.0
 

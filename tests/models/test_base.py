@@ -10,6 +10,8 @@ from tapetum.errors import InputError
 from tapetum.models import Estimator, Prediction, ResNet18, ZernikeRidge
 from tapetum.models.base import target_names, training_part
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 
 def test_columns_of_a_table_of_tracks():
     value = np.array([[0.1, 0.2], [0.3, 0.4]])

@@ -15,7 +15,9 @@ from tapetum.models.base import training_part
 from tapetum.models.calibration import fit_temperature, probabilities
 from tapetum.models.novelty import fit_novelty
 
-TINY = {"crop": 36, "size": 24, "epochs": 3, "batch": 20, "device": "cpu", "shift": 0.5}
+pytestmark = pytest.mark.usefixtures("narrow")
+
+TINY = {"crop": 36, "size": 24, "epochs": 10, "batch": 20, "device": "cpu", "shift": 0.5}
 NAMES = ("ring", "pair", "spot", "cross")
 
 

@@ -17,6 +17,8 @@ from tapetum.models.domain import FALSE_REFUSALS, fit_domain, judged, magnitudes
 from tapetum.models.fast import FastResNet18
 from tapetum.optics.zernike import mode_count, zernike_basis
 
+pytestmark = pytest.mark.usefixtures("narrow")
+
 SIDE = 128
 COARSE = (f"probe.sensor.pixels=[{SIDE}, {SIDE}]", "sampling.accuracy=0.05", "probe.sensor.pitch=4.4 um")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -22,6 +23,7 @@ def phone(name: str, **values: object) -> Scene:
     return with_values(load_scene("phones"), {"target.name": name, "sampling.accuracy": 0.1, **values})
 
 
+@functools.cache
 def several() -> str:
     """The first phone of the catalogue with two cameras or more."""
     for i in range(1, 12):

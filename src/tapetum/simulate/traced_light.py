@@ -77,8 +77,9 @@ def nearer_by(focused: FocusedLens, depth: float) -> FocusedLens:
 class TracedScene:
     """The lens, and its light's way to the pixels of `output`. Lengths in metres, `curvature` in 1/m.
 
-    `path` leads to these pixels, `trial` to the fewer ones on which samplings are compared. Light under angles above `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's
-    middle to its corner, or to the aperture's edge.
+    `path` leads to these pixels, `trial` to the fewer ones on which samplings are compared. Light under angles above
+    `accepted` misses the probe's aperture; `seen` is the largest angle from the picture's middle to its corner, or to
+    the aperture's edge.
     """
 
     focused: FocusedLens

@@ -9,6 +9,9 @@ from tapetum.models.architectures.base import Network
 
 __all__ = ["ResNet18Network"]
 
+# Channels of the four layers; tests of what any network does train narrower ones.
+_WIDTHS = (64, 128, 256, 512)
+
 
 class BasicBlock(nn.Module):
     """Two 3 x 3 convolutions beside a shortcut."""
@@ -42,22 +45,23 @@ class ResNet18Network(Network):
     each block starts as its shortcut (Goyal et al., arXiv:1706.02677).
     """
 
-    title, width = "ResNet-18", 512
+    title, width = "ResNet-18", _WIDTHS[-1]
 
     def __init__(self, outputs: int, *, channels: int = 1, seed: int = 0) -> None:
         super().__init__(outputs, channels)
+        first, second, third, last = _WIDTHS
         # torch draws initial weights when it creates layers, which must not advance the caller's generator.
         with torch.random.fork_rng(devices=[]):
-            self.conv1 = nn.Conv2d(channels, 64, 7, 2, 3, bias=False)
-            self.bn1 = nn.BatchNorm2d(64)
+            self.conv1 = nn.Conv2d(channels, first, 7, 2, 3, bias=False)
+            self.bn1 = nn.BatchNorm2d(first)
             self.relu = nn.ReLU(inplace=True)
             self.maxpool = nn.MaxPool2d(3, 2, 1)
-            self.layer1 = _layer(64, 64, 1)
-            self.layer2 = _layer(64, 128, 2)
-            self.layer3 = _layer(128, 256, 2)
-            self.layer4 = _layer(256, 512, 2)
+            self.layer1 = _layer(first, first, 1)
+            self.layer2 = _layer(first, second, 2)
+            self.layer3 = _layer(second, third, 2)
+            self.layer4 = _layer(third, last, 2)
             self.avgpool = nn.AdaptiveAvgPool2d(1)
-            self.fc = nn.Linear(self.width, outputs)
+            self.fc = nn.Linear(last, outputs)
         # On the meta device there are no values to draw, and torch would import its compiler for it: seconds.
         if not self.fc.weight.is_meta:
             self._initialise(seed)
