@@ -47,6 +47,7 @@ def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     picture = (outcome.folder / "gaze-path.png").read_bytes()
     for module in (html, demo_report):
         monkeypatch.setattr(module, "figure_png", lambda figure, dpi=160: picture)
+    monkeypatch.setattr(demo, "save_figure", lambda figure, path: path.write_bytes(picture))
     monkeypatch.setattr(demo, "sign_dprime", lambda scene, gaze: torch.zeros(len(gaze), dtype=torch.float64))
     video = outcome.folder / "demo.rec" / "probe.mkv"
     before, first = video.stat().st_mtime_ns, outcome.report.stat().st_mtime_ns

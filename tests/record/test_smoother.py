@@ -38,7 +38,8 @@ def rms(error: np.ndarray) -> float:
 def test_a_tremor_of_unknown_spectrum_is_followed(rate: float, most: float) -> None:
     errors, scores = [], []
     for seed in (21, 22, 23):
-        samples, asked, true = sampled(rate, seed)
+        # Few frames a second take longer to show the spectrum.
+        samples, asked, true = sampled(rate, seed, seconds=24 if rate < 20 else 14)
         found = smooth(samples, asked, rate)
         error = found.places - true
         line = np.stack([np.interp(asked, samples.times, axis) for axis in samples.places.T], axis=1)
@@ -68,7 +69,7 @@ def test_what_no_frame_tells_has_a_wide_deviation() -> None:
 
 
 def test_the_exposure_and_the_rows_count() -> None:
-    samples, asked, true = sampled(60, 23, readout=0.012, exposure=0.015)
+    samples, asked, true = sampled(60, 23, seconds=14, readout=0.012, exposure=0.015)
     ignored = Samples(samples.times, samples.places, samples.deviations, 0.0)
     good, bad = (rms(smooth(one, asked, 60).places - true) for one in (samples, ignored))
     # The mean over 15 ms loses 4 % of a tremor at 10 Hz.
