@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 import torch
-from traced_cases import Case, finer, picture, planned, traced
+from traced_cases import PROBE_FOCAL, WAVELENGTH, Case, finer, picture, planned, traced
 
 from tapetum.bench import load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
-from tapetum.simulate import retroreflect, traced_plan
+from tapetum.simulate import retroreflect, traced_light, traced_plan
 
 SECTION = "Traced lenses"
 # Lenses, the widest field asked of each in degrees, and the range of focal lengths or F-numbers.
@@ -87,6 +87,19 @@ def test_samples_that_change_no_picture_are_left_out(monkeypatch: pytest.MonkeyP
     tilts = torch.stack([0.28 * sines, -0.96 * sines], -1)
     ours, usual = (one.field(tilts).abs() ** 2 for one in (few, many))
     assert float(((ours - usual).abs().amax((1, 2)) / usual.amax((1, 2))).max()) < 0.3 * accuracy
+
+
+@pytest.mark.parametrize("case", [Case("phone-a", 5.0), Case("phone-d", 5.0)], ids=str)
+def test_samplings_compared_on_few_pixels_state_as_much_as_on_all(case: Case, monkeypatch: pytest.MonkeyPatch) -> None:
+    output = picture(case, 120)
+    detail = WAVELENGTH * PROBE_FOCAL / (4 * traced(case)[1].aperture[1])
+    looked_at = traced_light._compared(output, detail)
+    # The middle, where the peak is, among them; an even number of pixels has none there.
+    assert looked_at.rows % 2 == 1 and looked_at.rows * looked_at.columns < 0.4 * output.rows * output.columns
+    assert 0.97 * output.width < looked_at.width < output.width + looked_at.pitch
+    few = planned(case, output, 1e-2).plan.expected_error
+    monkeypatch.setattr(traced_light, "_FEWER", math.inf)
+    assert 0.9 < few / planned(case, output, 1e-2).plan.expected_error < 1.2
 
 
 def test_a_bright_return_is_as_accurate_as_asked_and_a_faint_one_says_so() -> None:
