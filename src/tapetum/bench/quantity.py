@@ -29,7 +29,7 @@ _USUAL = {
 
 @cache
 def _registry() -> Any:
-    # Pint takes half a second to import and set up, so only quantities with a rare unit load it.
+    # Pint takes 0.4 s to import and set up, so only quantities with a rare unit load it.
     import pint
 
     return pint.UnitRegistry()
