@@ -37,14 +37,18 @@ STRENGTH = 0.3
 # looks counts the same, by the sign that optics gives it; only the scale and the offset of their sum are fitted.
 SECOND = 0.5
 """Share of the second stage's log odds, chosen on drawn scenes of seeds 61000 to 61005, the real ones in view."""
-LEFT_OUT = ("clear", "level")
+MOST = -1.0
+"""Most log odds that the looks alone may give, chosen on drawn scenes (62000 to 62119), the real ones in view."""
+LEFT_OUT = ("clear", "level", "above", "apart", "twin")
 """Looks that only the second stage uses: with them the weights fitted to some scenes hold less well on others."""
 LEVELS = np.arange(-12, 8, 0.25)
 """Log odds whose cost is counted."""
-EMPTY = range(51000, 51060)
+EMPTY = range(51000, 51100)
 """Seeds of the drawn scenes of each kind that say what a score costs."""
 FEWEST = 3
 """False alarms that tell a rate."""
+RARE = (24, 12, 6)
+"""False alarms in drawn scenes at which rare ones are told."""
 OF_ONE_FRAME = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
 
 
@@ -128,7 +132,9 @@ def crossed(cases: list[Case]) -> list[np.ndarray]:
     odds: dict[str, LogisticRegression] = {}
     for scene in sorted({one.scene for one in cases}):
         odds[scene] = fit([one for one in cases if one.scene != scene])
-    return [odds[one.scene].decision_function(_fitted(one.looks)) + SECOND * one.second for one in cases]
+    return [
+        np.minimum(odds[one.scene].decision_function(_fitted(one.looks)), MOST) + SECOND * one.second for one in cases
+    ]
 
 
 def recalled(cases: list[Case], scores: list[np.ndarray]) -> dict[float, float]:
@@ -178,8 +184,9 @@ def costs(
     rates = np.where(told >= FEWEST, np.sqrt(np.maximum(real * drawn, 1e-12)), drawn)
     known = np.flatnonzero((told_drawn >= FEWEST) & (rates < 30))
     if pair:
-        # Beyond one alarm in twenty frames few scenes tell: one straight line.
-        known = np.append(known[rates[known] > 0.05], known[-1])
+        # Beyond one alarm in twenty frames few scenes tell: straight lines between levels that more and more pass.
+        rare = [known[told_drawn[known] >= count][-1] for count in RARE if (told_drawn[known] >= count).any()]
+        known = np.unique(np.concatenate([known[rates[known] > 0.05], rare]).astype(int))
     rates = np.minimum.accumulate(rates[known] * 0.999 ** np.arange(len(known)))
     return levels[known].tolist(), [float(f"{one:.3g}") for one in rates]
 
@@ -244,13 +251,14 @@ def main() -> None:
                     cases.append(case(pair, lit, shake(dark, rng), shaken=True))
                 except ValueError as error:
                     print(f"{pair['lit']}: {error}", file=sys.stderr)
-        share, calibration = 0.0, (1.0, 0.0)
+        share, most, calibration = 0.0, np.inf, (1.0, 0.0)
         if kind == "frame":
             weights, offset = fixed(cases)
             scores = [one.looks @ weights + offset for one in cases]
         else:
             model, scores = fit(cases), crossed(cases)
             weights, offset, share = np.zeros(len(OF_A_FRAME + OF_A_PAIR)), float(model.intercept_[0]), SECOND
+            most = MOST
             weights[[name not in LEFT_OUT for name in OF_A_FRAME + OF_A_PAIR]] = model.coef_[0]
             calibration = scaled(cases, scores)
         still = [n for n, one in enumerate(cases) if not one.shaken]
@@ -258,13 +266,14 @@ def main() -> None:
         print(kind, "standing", recall)
         print(kind, "all", recalled(cases, scores))
         empty = drawn_empty(kind == "pair")
-        of_empty = [one.looks @ weights + offset + share * one.second for one in empty]
+        of_empty = [np.minimum(one.looks @ weights + offset, most) + share * one.second for one in empty]
         told(kind, cases, scores, empty, of_empty)
         names = OF_A_FRAME + (OF_A_PAIR if kind == "pair" else ())
         known[kind] = {
             "weights": dict(zip(names, np.round(weights, 4).tolist(), strict=True)),
             "offset": round(offset, 4),
             "second": share,
+            "most": most if np.isfinite(most) else None,
             "calibration": np.round(calibration, 4).tolist(),
             "alarms": costs(cases, scores, empty, of_empty, kind == "pair"),
             "scenes": sorted({one.scene for one in cases}),

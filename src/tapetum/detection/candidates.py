@@ -256,8 +256,8 @@ def layers(lit: NDArray, registered: Registered | None, largest: float) -> list[
 def screened(layer: Layer, most: int) -> tuple[Place, Place]:
     """Screen an octave for about so many places as are wanted; the highest are kept. And, in a pair, for rivals.
 
-    Rivals are places that only the dark frame shows bright, found in the same way: no camera makes them. What moved, and
-    what the registration left of edges, shows as often so as the other way round. A few are kept.
+    Rivals are places that only the dark frame shows bright, found in the same way: no camera makes them. What moved and
+    what the registration left of edges shows as often so as the other way round. A few are kept.
     """
     image = layer.bright
     if layer.base is not None:
@@ -422,7 +422,7 @@ def _median(values: NDArray) -> float:
 
 
 def _means(image: NDArray, sharp: bool) -> tuple[NDArray, NDArray]:
-    """Means over 3 x 3 pixels and over some 7 x 7, [H, W] each, in the image's own type. Sharp: pixels, and over 5 x 5."""
+    """Means over 3 x 3 pixels and some 7 x 7, [H, W] each, in the image's own type. Sharp: pixels, and over 5 x 5."""
     narrow = image if sharp else np.asarray(cv2.blur(image, (3, 3)))
     return narrow, np.asarray(cv2.blur(narrow, (5, 5)))
 
@@ -468,7 +468,7 @@ def _share_left(left: NDArray[Any], edges: NDArray[Any], inner: float | NDArray[
 
 @functools.cache
 def _around(half: int, inner: tuple[float, ...]) -> Array:
-    """1 for the pixels farther from the middle than each of some radii, [radii, 2 half + 1, 2 half + 1]; 0 for others."""
+    """1 for pixels farther from the middle than each of some radii, else 0: [radii, 2 half + 1, 2 half + 1]."""
     radius = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1])
     return (radius > np.array(inner)[:, None, None]).astype(np.float32)
 

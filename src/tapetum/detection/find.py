@@ -178,7 +178,7 @@ def candidates_with_looks(
 def scored(candidates: Candidates, score: Score) -> Array:
     """Log odds of candidates, [N]: of all by their looks and, in a pair, by the second stage of those put first."""
     odds = score.log_odds(candidates.looks)
-    return odds + score.second * second_look(candidates, odds) if score.second else odds
+    return score.joined(odds, second_look(candidates, odds)) if score.second else odds
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
@@ -243,10 +243,10 @@ def _candidates(
 
 def _listed(octaves: list[Layer], places: list[Place]) -> Array:
     """Places of all octaves, [N, 5]: x and y in pixels of the frame, clear height, level, and pixels a step."""
-    rows = [
-        np.stack([(p.x + 0.5) * o.step - 0.5, (p.y + 0.5) * o.step - 0.5, p.clear, p.level, np.full(len(p.x), o.step)], 1)
-        for o, p in zip(octaves, places, strict=True)
-    ]
+    rows = []
+    for octave, one in zip(octaves, places, strict=True):
+        x, y = ((at + 0.5) * octave.step - 0.5 for at in (one.x, one.y))
+        rows.append(np.stack([x, y, one.clear, one.level, np.full(len(x), octave.step)], 1))
     return np.concatenate(rows).astype(np.float64)
 
 

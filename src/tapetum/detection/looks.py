@@ -45,9 +45,9 @@ OF_A_PAIR = ("vanishes", "fresh", "motion", "partner", "clear", "level", "above"
 vanishes: the share of the lit frame's answer that the dark one lacks nearby; fresh: what is left after the surroundings
 alone are registered once more; motion: how unequal the flow is nearby; partner: how strongly the dark frame alone shows
 something of the same size nearby, as where a thing moved; clear: the height over the spread and what the registration
-left of edges around; level: the height in grey levels. By rivals, places that only the dark frame shows bright (`screened`), of which
-none is a camera: above, how much higher it stands than the third highest; apart, than any, the less the farther off it
-is; twin, whether one of its size and level is near, as where a small bright thing moved.
+left of edges around; level: the height in grey levels. By rivals, places that only the dark frame shows bright
+(`candidates.screened`), of which none is a camera: above, how much higher it stands than the third highest; apart, than
+any, the less the farther off it is; twin, how alike one nearby is in size and level, as where a small thing moved.
 """
 _SHAPE = 10
 # Of the frame's longer side: how far a rival matters to a factor of e, and how far a thing may move.

@@ -376,7 +376,8 @@ def _shade(place: _Place, spot: Spot) -> bool:
     # Without what belongs to other spots; at an eighth of the size, for what is looked for is wider.
     size = tuple(max(1, (one.stop - one.start) // _SHADE_STEP) for one in window[::-1])
     free = place.free[window].astype(np.float32)
-    small = [cv2.resize(np.asarray(one), size, interpolation=cv2.INTER_AREA) for one in (maps.excess[window] * free, free)]
+    both = np.asarray(maps.excess[window] * free), free
+    small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in both]
     if min(size) < 2 or not small[1].any():
         return False
     # Mirrored about its end a slope goes straight on: there it is no more bent than elsewhere.
