@@ -1,6 +1,6 @@
 """Fits the weights of the detector (src/tapetum/detection/weights.json) to labelled lit and dark frames.
 
-    python scripts/make_detector.py FOLDER
+    python scripts/make_detector.py FOLDER [pair|frame]
 
 The folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, `dark` (file names), `points` and
 `unsure` (x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are
@@ -43,11 +43,11 @@ LEFT_OUT = ("clear", "level", "above", "apart", "twin")
 """Looks that only the second stage uses: with them the weights fitted to some scenes hold less well on others."""
 LEVELS = np.arange(-12, 8, 0.25)
 """Log odds whose cost is counted."""
-EMPTY = range(51000, 51100)
+EMPTY = {"pair": range(62100, 62120), "frame": range(51000, 51060)}
 """Seeds of the drawn scenes of each kind that say what a score costs."""
 FEWEST = 3
 """False alarms that tell a rate."""
-RARE = (24, 12, 6)
+RARE = (12, 6, 3)
 """False alarms in drawn scenes at which rare ones are told."""
 OF_ONE_FRAME = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
 
@@ -224,7 +224,7 @@ def drawn_empty(pair: bool) -> list[Case]:
     """Drawn scenes of every kind without cameras and tape; scenes are kinds."""
     found = []
     for kind in KINDS:
-        for seed in EMPTY:
+        for seed in EMPTY["pair" if pair else "frame"]:
             scene = draw(kind, seed, tape=False)
             nothing = {"scene": kind, "points": [], "unsure": [], "tolerance": 0}
             found.append(case(nothing, scene.lit, scene.dark if pair else None))
@@ -232,12 +232,13 @@ def drawn_empty(pair: bool) -> list[Case]:
 
 
 def main() -> None:
-    if len(sys.argv) != 2:
-        sys.exit("usage: python scripts/make_detector.py FOLDER")
+    kinds = sys.argv[2:] or ["pair", "frame"]
+    if len(sys.argv) < 2 or not set(kinds) <= {"pair", "frame"}:
+        sys.exit("usage: python scripts/make_detector.py FOLDER [pair|frame]")
     folder = Path(sys.argv[1])
     pairs = json.loads((folder / "labels.json").read_text())["pairs"]
-    rng, known = np.random.default_rng(1), {}
-    for kind in ("pair", "frame"):
+    rng, known = np.random.default_rng(1), json.loads(OUT.read_text())
+    for kind in kinds:
         cases: list[Case] = []
         seen: set[str] = set()
         for pair in pairs:

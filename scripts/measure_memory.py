@@ -43,7 +43,8 @@ def frames(count: int, targets: int) -> Iterator[Frame]:
             angle = turn * n + start
             if angle % 6.3 < 0.63:
                 continue
-            _add(light, *(at + reach * (np.cos(angle), np.sin(angle))), spread)
+            x, y = (at + reach * (np.cos(angle), np.sin(angle))).tolist()
+            _add(light, x, y, spread)
         yield Frame(n, n / 30, np.clip(np.rint(light), 0, 255).astype(np.uint8))
     later = told[len(told) // 2 :]
     low, high = min(later), max(later)

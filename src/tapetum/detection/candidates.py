@@ -19,6 +19,7 @@ from typing import Any, Protocol
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tapetum.detection.registration import Registered
@@ -50,7 +51,6 @@ _RATIO = 1.6
 _MARGIN = 8
 # How far from a place the answers to the lit and to the dark frame are looked at.
 LIT_REACH, DARK_REACH = 12, 4
-_LARGE = 10
 _QUANTUM = 0.3
 # What a registration leaves of an edge, as a share of its height: as much as it left of those around, twice over for
 # what is worst, and within these bounds. Where all is well registered a camera beside a window is seen; where people
@@ -131,7 +131,8 @@ class Place:
     @classmethod
     def none(cls) -> Place:
         """No places."""
-        return cls(*(np.empty(0, kind) for kind in (np.int64, np.int64, np.float32, np.float32, np.float32)))
+        nowhere, nothing = np.empty(0, np.int64), np.empty(0, np.float32)
+        return cls(nowhere, nowhere, nothing, nothing, nothing)
 
 
 @dataclass(frozen=True)
@@ -221,12 +222,12 @@ def _filters(size: int, side: int, margin: int) -> tuple[Array, Array]:
 def patches(image: NDArray, x: Whole, y: Whole, half: int) -> Array:
     """Squares of 2·half + 1 pixels about places of an image [H, W]: [N, 2·half + 1, 2·half + 1]; edges are mirrored."""
     height, width = image.shape
-    inside = (half <= y) & (y < height - half) & (half <= x) & (x < width - half) & (half >= _LARGE)
-    found = np.empty((len(x), 2 * half + 1, 2 * half + 1), np.float32)
-    # Large ones are copied one by one, which is faster than by the numbers of their pixels.
-    for n in np.flatnonzero(inside).tolist():
-        column, row = int(x[n]), int(y[n])
-        found[n] = image[row - half : row + half + 1, column - half : column + half + 1]
+    side = 2 * half + 1
+    inside = (half <= y) & (y < height - half) & (half <= x) & (x < width - half)
+    found = np.empty((len(x), side, side), np.float32)
+    if inside.any():
+        # By windows whole rows are copied, several times faster than by the numbers of pixels.
+        found[inside] = sliding_window_view(image, (side, side))[y[inside] - half, x[inside] - half]
     if not inside.all():
         step = np.arange(-half, half + 1)
         rows, columns = (_mirrored(at[~inside, None] + step, end) for at, end in ((y, height), (x, width)))
@@ -265,10 +266,10 @@ def screened(layer: Layer, most: int) -> tuple[Place, Place]:
         whole = image.dtype == np.uint8
         image = cv2.addWeighted(image, 1, layer.base, -1, _ZERO) if whole else cv2.subtract(image, layer.base)
     narrow, wide = _means(np.asarray(image), sharp=layer.cell > 1)
-    found = _highest(_above(narrow, wide), layer, layer.base, most)
     if layer.base is None:
-        return found, Place.none()
-    return found, _highest(_above(wide, narrow), layer, layer.bright, min(most, _RIVALS))
+        return _highest(_above(narrow, wide, wide), layer, None, most), Place.none()
+    found = _highest(_above(narrow, wide), layer, layer.base, most)
+    return found, _highest(_above(wide, narrow, wide), layer, layer.bright, min(most, _RIVALS))
 
 
 def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int) -> Place:
@@ -427,9 +428,9 @@ def _means(image: NDArray, sharp: bool) -> tuple[NDArray, NDArray]:
     return narrow, np.asarray(cv2.blur(narrow, (5, 5)))
 
 
-def _above(one: NDArray, other: NDArray) -> NDArray:
-    """How far one stands above the other, 0 where it does not."""
-    answer = np.asarray(cv2.subtract(one, other))
+def _above(one: NDArray, other: NDArray, into: NDArray | None = None) -> NDArray:
+    """How far one stands above the other, 0 where it does not; `into` is written over."""
+    answer = np.asarray(cv2.subtract(one, other, dst=into))
     return answer if answer.dtype == np.uint8 else np.maximum(answer, 0)
 
 
