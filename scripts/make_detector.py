@@ -48,7 +48,7 @@ EMPTY = {"pair": range(62100, 62120), "frame": range(51000, 51060)}
 FEWEST = 3
 """False alarms that tell a rate."""
 RARE = (12, 6, 3)
-"""False alarms in drawn scenes at which rare ones are told."""
+"""False alarms, of real and drawn frames together, that tell the rates of rare ones."""
 OF_ONE_FRAME = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
 
 
@@ -184,8 +184,10 @@ def costs(
     rates = np.where(told >= FEWEST, np.sqrt(np.maximum(real * drawn, 1e-12)), drawn)
     known = np.flatnonzero((told_drawn >= FEWEST) & (rates < 30))
     if pair:
-        # Beyond one alarm in twenty frames few scenes tell: straight lines between levels that more and more pass.
-        rare = [known[told_drawn[known] >= count][-1] for count in RARE if (told_drawn[known] >= count).any()]
+        # Beyond one alarm in twenty frames few scenes tell: those of all together, joined by straight lines.
+        both, frames = told + told_drawn, len(cases) + len(empty)
+        rates = np.where(rates > 0.05, rates, both / frames)
+        rare = [np.flatnonzero(both >= count)[-1] for count in RARE]
         known = np.unique(np.concatenate([known[rates[known] > 0.05], rare]).astype(int))
     rates = np.minimum.accumulate(rates[known] * 0.999 ** np.arange(len(known)))
     return levels[known].tolist(), [float(f"{one:.3g}") for one in rates]
