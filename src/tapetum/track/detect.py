@@ -94,8 +94,7 @@ def detect(
     full_scale
         Value at which a pixel is saturated; default: the type's largest (none for float).
     min_snr
-        Smallest height of a spot over the noise, after smoothing. Of white noise one place in some millions stands 6
-        standard deviations high, so that a frame in some hundreds would have one; 7 hardly any has.
+        Smallest height of a spot over the noise, after smoothing. Noise alone reaches 6 in one frame of some hundreds.
     max_count
         Most spots to return; the brightest are kept.
     ghosts
