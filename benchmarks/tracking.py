@@ -22,6 +22,7 @@ from tapetum.models import NetworkEstimator, pretrained
 from tapetum.models.fast import FastResNet18
 from tapetum.record.source import Frame
 from tapetum.track import Tracker, detect, track
+from tapetum.track.turns import Turns
 
 from .measure import Contender, Effort, Figure, Row, in_turns
 
@@ -70,14 +71,15 @@ def _add(light: NDArray[np.float32], x: float, y: float, sigma: float, peak: flo
     part += (peak * np.exp(-(dy[:, None] ** 2 + dx**2) / (2 * sigma**2))).astype(np.float32)
 
 
-def paced(frames: Sequence[Frame], model: Any = None) -> tuple[float, float, float]:
+def paced(frames: Sequence[Frame], model: Any = None, turns: Turns | None = None) -> tuple[float, float, float]:
     """Track frames, each on its own, without ghost rules.
 
     Returns the seconds a frame, the 99th percentile of the seconds from one result to the next, and the spots a frame.
     """
     stamps, spots = [time.perf_counter()], 0
     free = {"ghost_ratio": 0.0, "stray": 0.0}
-    for one in track(frames, model=model, batch=1, tracker=Tracker(ghost_ratio=0.0), detect_options=free):
+    follower = Tracker(ghost_ratio=0.0)
+    for one in track(frames, model=model, batch=1, tracker=follower, detect_options=free, turns=turns):
         stamps.append(time.perf_counter())
         spots += len(one.detections)
     # The first results also wait for the threads to fill.
@@ -100,8 +102,13 @@ def large(effort: Effort) -> list[Row]:
         )
         rate = Figure.rate(detection.typical("detect"), "frames")
         rows.append(Row(f"2592 × 1944, {targets} targets: detection, one thread", rate))
-        for case, model in (("detection and tracking", None), ("the same and ResNet-18 on each", network)):
-            mean, late, spots = paced(frames, model)
+        cases = (
+            ("detection and tracking", None, None),
+            ("the same and ResNet-18 on each", network, None),
+            ("the same and ResNet-18 by turns in 20 ms", network, Turns(0.02)),
+        )
+        for case, model, turns in cases:
+            mean, late, spots = paced(frames, model, turns)
             note = f"p99 {late * 1e3:.0f} ms from one result to the next; {spots:.1f} spots a frame"
             rows.append(Row(f"2592 × 1944, {targets} targets: {case}", Figure.rate(mean, "frames"), note=note))
     return rows

@@ -25,14 +25,15 @@ _MARGIN = 48
 class Drawn:
     """A lit and a dark frame [H, W], uint8, and where cameras are, [N, 2] x and y, with their widths and heights.
 
-    `sigma` is the standard deviation of the spots in pixels, `snr` their height over the noise's standard deviation at
-    mid-grey, both [N].
+    `sigma` is the standard deviation of the spots in pixels, `height` theirs in grey levels, `snr` the same over the
+    noise's standard deviation at mid-grey, all [N].
     """
 
     lit: Array
     dark: Array
     places: Array
     sigma: Array
+    height: Array
     snr: Array
 
 
@@ -300,7 +301,7 @@ def draw(
             quality = [cv2.IMWRITE_JPEG_QUALITY, int(rng.integers(15, 60))]
             taken = cv2.imdecode(cv2.imencode(".jpg", taken, quality)[1], cv2.IMREAD_GRAYSCALE)
         frames.append(taken)
-    return Drawn(frames[0], frames[1], places, wides, ratios)
+    return Drawn(frames[0], frames[1], places, wides, ratios * spread, ratios)
 
 
 def with_camera(picture: Array, x: float, y: float, height: float, sigma: float) -> None:

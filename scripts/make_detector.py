@@ -1,6 +1,6 @@
 """Fits the weights of the detector (src/tapetum/detection/weights.json) to labelled lit and dark frames.
 
-    python scripts/make_detector.py FOLDER
+    python scripts/make_detector.py FOLDER [pair|frame]
 
 The folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, `dark` (file names), `points` and
 `unsure` (x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are
@@ -37,14 +37,18 @@ STRENGTH = 0.3
 # looks counts the same, by the sign that optics gives it; only the scale and the offset of their sum are fitted.
 SECOND = 0.5
 """Share of the second stage's log odds, chosen on drawn scenes of seeds 61000 to 61005, the real ones in view."""
-LEFT_OUT = ("clear", "level")
+MOST = -1.0
+"""Most log odds that the looks alone may give, chosen on drawn scenes (62000 to 62119), the real ones in view."""
+LEFT_OUT = ("clear", "level", "above", "apart", "twin")
 """Looks that only the second stage uses: with them the weights fitted to some scenes hold less well on others."""
 LEVELS = np.arange(-12, 8, 0.25)
 """Log odds whose cost is counted."""
-EMPTY = range(51000, 51060)
+EMPTY = {"pair": range(62100, 62120), "frame": range(51000, 51060)}
 """Seeds of the drawn scenes of each kind that say what a score costs."""
 FEWEST = 3
 """False alarms that tell a rate."""
+RARE = (12, 6, 3)
+"""False alarms, of real and drawn frames together, that tell the rates of rare ones."""
 OF_ONE_FRAME = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
 
 
@@ -128,7 +132,9 @@ def crossed(cases: list[Case]) -> list[np.ndarray]:
     odds: dict[str, LogisticRegression] = {}
     for scene in sorted({one.scene for one in cases}):
         odds[scene] = fit([one for one in cases if one.scene != scene])
-    return [odds[one.scene].decision_function(_fitted(one.looks)) + SECOND * one.second for one in cases]
+    return [
+        np.minimum(odds[one.scene].decision_function(_fitted(one.looks)), MOST) + SECOND * one.second for one in cases
+    ]
 
 
 def recalled(cases: list[Case], scores: list[np.ndarray]) -> dict[float, float]:
@@ -178,8 +184,11 @@ def costs(
     rates = np.where(told >= FEWEST, np.sqrt(np.maximum(real * drawn, 1e-12)), drawn)
     known = np.flatnonzero((told_drawn >= FEWEST) & (rates < 30))
     if pair:
-        # Beyond one alarm in twenty frames few scenes tell: one straight line.
-        known = np.append(known[rates[known] > 0.05], known[-1])
+        # Beyond one alarm in twenty frames few scenes tell: those of all together, joined by straight lines.
+        both, frames = told + told_drawn, len(cases) + len(empty)
+        rates = np.where(rates > 0.05, rates, both / frames)
+        rare = [np.flatnonzero(both >= count)[-1] for count in RARE]
+        known = np.unique(np.concatenate([known[rates[known] > 0.05], rare]).astype(int))
     rates = np.minimum.accumulate(rates[known] * 0.999 ** np.arange(len(known)))
     return levels[known].tolist(), [float(f"{one:.3g}") for one in rates]
 
@@ -217,7 +226,7 @@ def drawn_empty(pair: bool) -> list[Case]:
     """Drawn scenes of every kind without cameras and tape; scenes are kinds."""
     found = []
     for kind in KINDS:
-        for seed in EMPTY:
+        for seed in EMPTY["pair" if pair else "frame"]:
             scene = draw(kind, seed, tape=False)
             nothing = {"scene": kind, "points": [], "unsure": [], "tolerance": 0}
             found.append(case(nothing, scene.lit, scene.dark if pair else None))
@@ -225,12 +234,13 @@ def drawn_empty(pair: bool) -> list[Case]:
 
 
 def main() -> None:
-    if len(sys.argv) != 2:
-        sys.exit("usage: python scripts/make_detector.py FOLDER")
+    kinds = sys.argv[2:] or ["pair", "frame"]
+    if len(sys.argv) < 2 or not set(kinds) <= {"pair", "frame"}:
+        sys.exit("usage: python scripts/make_detector.py FOLDER [pair|frame]")
     folder = Path(sys.argv[1])
     pairs = json.loads((folder / "labels.json").read_text())["pairs"]
-    rng, known = np.random.default_rng(1), {}
-    for kind in ("pair", "frame"):
+    rng, known = np.random.default_rng(1), json.loads(OUT.read_text())
+    for kind in kinds:
         cases: list[Case] = []
         seen: set[str] = set()
         for pair in pairs:
@@ -244,13 +254,14 @@ def main() -> None:
                     cases.append(case(pair, lit, shake(dark, rng), shaken=True))
                 except ValueError as error:
                     print(f"{pair['lit']}: {error}", file=sys.stderr)
-        share, calibration = 0.0, (1.0, 0.0)
+        share, most, calibration = 0.0, np.inf, (1.0, 0.0)
         if kind == "frame":
             weights, offset = fixed(cases)
             scores = [one.looks @ weights + offset for one in cases]
         else:
             model, scores = fit(cases), crossed(cases)
             weights, offset, share = np.zeros(len(OF_A_FRAME + OF_A_PAIR)), float(model.intercept_[0]), SECOND
+            most = MOST
             weights[[name not in LEFT_OUT for name in OF_A_FRAME + OF_A_PAIR]] = model.coef_[0]
             calibration = scaled(cases, scores)
         still = [n for n, one in enumerate(cases) if not one.shaken]
@@ -258,13 +269,14 @@ def main() -> None:
         print(kind, "standing", recall)
         print(kind, "all", recalled(cases, scores))
         empty = drawn_empty(kind == "pair")
-        of_empty = [one.looks @ weights + offset + share * one.second for one in empty]
+        of_empty = [np.minimum(one.looks @ weights + offset, most) + share * one.second for one in empty]
         told(kind, cases, scores, empty, of_empty)
         names = OF_A_FRAME + (OF_A_PAIR if kind == "pair" else ())
         known[kind] = {
             "weights": dict(zip(names, np.round(weights, 4).tolist(), strict=True)),
             "offset": round(offset, 4),
             "second": share,
+            "most": most if np.isfinite(most) else None,
             "calibration": np.round(calibration, 4).tolist(),
             "alarms": costs(cases, scores, empty, of_empty, kind == "pair"),
             "scenes": sorted({one.scene for one in cases}),

@@ -3,7 +3,7 @@
     OMP_NUM_THREADS=1 python scripts/train_second.py [SCENES [FOLDER]]
 
 Scenes are those of varied_scenes.py; no photograph is used. Equal seeds, versions and processors give equal weights;
-the stored ones are of 1,750 scenes. Examples are kept in FOLDER (build/second-stage), 250 scenes a file, so that an
+the stored ones are of 3,000 scenes. Examples are kept in FOLDER (build/second-stage), 250 scenes a file, so that an
 interrupted run goes on. A candidate is a camera only where the frame shows one: where an overexposed wall hides it, the
 candidate says nothing. Strong light that only the lit frame shows and that is no camera, tape and reflections, counts
 little: it is drawn far more often than it was met in real frames, and a network that sees it so often distrusts what is
@@ -36,8 +36,8 @@ from tapetum.files import atomic_file
 from varied_scenes import Varied, varied
 
 OUT = Path(__file__).parents[1] / "src" / "tapetum" / "detection" / "second-pair.safetensors"
-SCENES, PART, EPOCHS, BATCH = 1750, 250, 14, 384
-FIRST_SEED = 100_000
+SCENES, PART, EPOCHS, BATCH = 3000, 250, 14, 384
+FIRST_SEED = 200_000
 BEST, OTHERS = 16, 4
 """Of each scene: how many candidates that are no camera, of the likeliest and of the others."""
 LIT_ONLY = 0.05
@@ -79,7 +79,7 @@ def examples(scene: Varied, rng: np.random.Generator) -> Arrays | None:
     What cannot be told from a camera, and what lies about one, is left out.
     """
     try:
-        found = candidates_with_looks(scene.lit, scene.dark, by_clear=True)
+        found = candidates_with_looks(scene.lit, scene.dark)
     except InputError:
         return None
     if found.cut is None:
@@ -128,7 +128,7 @@ def trained(data: Arrays) -> tuple[Network, np.ndarray, np.ndarray]:
             own = torch.from_numpy(looks[batch])
             # Looks that are missing now and then: the network must not lean on a single one.
             own = own * (torch.rand(len(own), 1) > 0.15) * (torch.rand_like(own) > 0.1)
-            wanted = torch.from_numpy(label[batch]) * 0.99 + 0.002
+            wanted = torch.from_numpy(label[batch]) * 0.996 + 0.001
             weights = torch.from_numpy(weight[batch])
             loss = nn.functional.binary_cross_entropy_with_logits(network(*sides, own), wanted.float(), weights)
             optimiser.zero_grad()

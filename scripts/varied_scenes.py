@@ -282,6 +282,16 @@ def _twinkle(rng: np.random.Generator, lit: Array, dark: Array) -> None:
             _fill(picture, corners + rng.normal(0, 0.7, 2), float(level + high * rng.random() ** 2))
 
 
+def _strays(rng: np.random.Generator, lit: Array, dark: Array) -> None:
+    """Small bright things that went each its own way: buttons and badges of who walks by, insects, far headlights."""
+    far = _log(rng, 2, 40)
+    for _ in range(int(_log(rng, 1, 25))):
+        at, level = rng.uniform((0, 0), lit.shape[::-1]), _log(rng, 40, 400)
+        corners = _polygon(rng, at, _log(rng, 0.6, 5))
+        _fill(lit, corners, level)
+        _fill(dark, corners + rng.normal(0, far, 2), level * rng.uniform(0.8, 1.2))
+
+
 def _tape(rng: np.random.Generator, added: Array) -> list[Array]:
     """Retro-reflective strips, patches, plates with letters and bike reflectors; returns the unresolved ones."""
     unresolved: list[Array] = []
@@ -382,7 +392,7 @@ def varied(seed: int, *, shape: tuple[int, int] = (288, 384), cameras: int | Non
     canvas = _painted(rng, wide)
     dark = canvas.picture
     lit = dark.copy()
-    if rng.random() < 0.25:
+    if rng.random() < 0.35:
         dark = _bent(rng, dark, _log(rng, 0.3, 2.5), _log(rng, 20, 80))  # leaves in the wind, haze
     # The probe's light falls on what is near.
     gain = _log(rng, 0.01, 1.0) if rng.random() < 0.7 else 0.0
@@ -394,6 +404,8 @@ def varied(seed: int, *, shape: tuple[int, int] = (288, 384), cameras: int | Non
         _screens(rng, lit, dark)
     if rng.random() < 0.55:
         _movers(rng, lit, dark, gain)
+    if rng.random() < 0.25:
+        _strays(rng, lit, dark)
     added = np.zeros_like(lit)
     unresolved = _tape(rng, added) if rng.random() < 0.25 else []
     if rng.random() < 0.2:
@@ -477,7 +489,7 @@ def _way_of_taking(rng: np.random.Generator, shape: tuple[int, int], spread: flo
         sharp=(_log(rng, 0.2, 1.5), _log(rng, 0.7, 2.5)) if rng.random() < 0.35 else (0.0, 1.0),
         tint=np.array([rng.uniform(0.6, 1), 1.0, rng.uniform(0.6, 1)]) if rng.random() < 0.15 else None,
         title="".join(chr(int(n)) for n in rng.integers(33, 123, 9)) if rng.random() < 0.08 else "",
-        quality=int(rng.integers(25, 96)) if rng.random() < 0.4 else 0,
+        quality=int(rng.integers(15, 96)) if rng.random() < 0.4 else 0,
     )
 
 

@@ -21,6 +21,7 @@ import train_second
 from drawn_scenes import KINDS, draw
 from tapetum.detection import find_each
 from tapetum.detection.find import candidates_with_looks, second_look
+from tapetum.detection.looks import beside_rivals
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.detection.second import Second
@@ -301,12 +302,13 @@ def test_the_second_stage_computes_what_was_trained() -> None:
     """Against torch, with weights drawn at random: the order of axes, the strides and the scale of the looks."""
     torch.manual_seed(3)
     network = train_second.Network().eval()
-    mean, spread = np.linspace(-1, 1, 16, dtype=np.float32), np.linspace(0.5, 2, 16, dtype=np.float32)
+    count = len(train_second.LOOKS)
+    mean, spread = np.linspace(-1, 1, count, dtype=np.float32), np.linspace(0.5, 2, count, dtype=np.float32)
     weights = train_second.weights_of(network, mean, spread)
     second = Second({name: one.astype(np.float32) for name, one in weights.items()})
     rng = np.random.default_rng(4)
     near, far = (rng.normal(0, 0.5, (6, side, side, 3)).astype(np.float32) for side in (21, 20))
-    looks = rng.normal(0, 3, (6, 16))
+    looks = rng.normal(0, 3, (6, count))
     own = torch.from_numpy(np.clip((looks - mean) / spread, -3, 3).astype(np.float32))
     with torch.no_grad():
         wanted = network(*(torch.from_numpy(one).movedim(-1, 1) for one in (near, far)), own).numpy()
@@ -326,6 +328,32 @@ def test_the_second_stage_tells_cameras_from_what_moved() -> None:
                 odds[bool(np.hypot(*(scene.places - (x, y)).T).min() < 3)].append(float(one))
     assert len(odds[True]) >= 12
     assert np.median(odds[True]) > np.quantile(odds[False], 0.98)
+
+
+def test_a_bright_thing_that_moved_is_less_of_a_camera() -> None:
+    """Its twin, 25 pixels off in the dark frame, is beyond the patches that the second stage sees."""
+    less = []
+    for seed in range(6):
+        empty = room(20 + seed)
+        x, y = np.random.default_rng(seed).uniform((80, 60), (320, 240))
+        lit, odds = exposed(glint(empty, x, y, 60, 1.2), seed), []
+        for picture in (empty, glint(empty, x + 20, y - 15, 60, 1.2)):
+            found = candidates_with_looks(lit, exposed(picture, 50 + seed, (5, 3)))
+            nearest = np.hypot(found.columns["x"] - x, found.columns["y"] - y).argmin()
+            odds.append(second_look(found, found.looks[:, 0])[nearest])
+        less.append(odds[0] - odds[1])
+    assert np.median(less) > 1 and min(less) > 0
+
+
+def test_rivals_are_compared_by_height_place_and_likeness() -> None:
+    own = np.array([[100.0, 100.0, 8.0, 40.0, 1.0], [500.0, 400.0, 8.0, 40.0, 1.0]])
+    rivals = np.array([[130.0, 100.0, 8.0, 40.0, 1.0], [110.0, 90.0, 2.0, 3.0, 8.0], [300.0, 90.0, 4.0, 9.0, 2.0]])
+    above, apart, twin = beside_rivals(own, rivals, 640).T
+    assert above == pytest.approx(np.log(8 / 2))
+    assert apart[0] == pytest.approx(30 / 640 / 0.2) and apart[1] > 4 * apart[0]
+    assert twin[0] == pytest.approx(1) and twin[1] == 0
+    alone = beside_rivals(own, np.empty((0, 5)), 640)
+    assert alone[:, 0] == pytest.approx(np.log(8)) and (alone[:, 2] == 0).all() and np.isfinite(alone).all()
 
 
 def test_the_weights_are_small() -> None:

@@ -82,7 +82,10 @@ def test_a_modulated_video_is_compared_lit_with_dark(first_lit: bool, full: int)
 
 def test_no_camera_is_a_row_before_it_persisted(tmp_path: Path) -> None:
     frames, _ = modulated(24, False)
-    summary = track_to_file(frames, tmp_path / "t.csv", detector="cameras", detections=tmp_path / "d.csv")
+    # At 0.01 one of the 36 sightings is missed, by a nearby rival; what is tested is when rows begin.
+    often = {"false_alarms": 0.02}
+    options = {"detector": "cameras", "detect_options": often, "detections": tmp_path / "d.csv"}
+    summary = track_to_file(frames, tmp_path / "t.csv", **options)
     assert summary.tracks == 3
     rows = read_tracks(tmp_path / "t.csv").to_pylist()
     begun = [row for row in rows if row["event"] == "begun"]

@@ -19,6 +19,7 @@ from typing import Any, Protocol
 
 import cv2
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from tapetum.detection.registration import Registered
@@ -50,7 +51,6 @@ _RATIO = 1.6
 _MARGIN = 8
 # How far from a place the answers to the lit and to the dark frame are looked at.
 LIT_REACH, DARK_REACH = 12, 4
-_LARGE = 10
 _QUANTUM = 0.3
 # What a registration leaves of an edge, as a share of its height: as much as it left of those around, twice over for
 # what is worst, and within these bounds. Where all is well registered a camera beside a window is seen; where people
@@ -70,6 +70,8 @@ _HIGHEST_OF_NOISE = {1: 2.3, 2: 1.9}
 _SCREENED = 2
 # The last octave of bytes: in the means of 64 pixels and more, rounding would be most of the noise.
 _WHOLE = 4
+# Most places of an octave that only the dark frame shows bright.
+_RIVALS = 24
 # Level of no difference, in bytes.
 _ZERO = 64
 
@@ -116,13 +118,21 @@ class Layer:
 class Place:
     """Places of an octave, [N] each: whole pixels of it, and the height over what the screen answers around.
 
-    `height` counts what the registration may leave of edges at worst, `clear` what it left of those around.
+    `height` counts what the registration may leave of edges at worst, `clear` what it left of those around; `level` is
+    the answer itself, in grey levels.
     """
 
     x: Whole
     y: Whole
     height: Array
     clear: Array
+    level: Array
+
+    @classmethod
+    def none(cls) -> Place:
+        """No places."""
+        nowhere, nothing = np.empty(0, np.int64), np.empty(0, np.float32)
+        return cls(nowhere, nowhere, nothing, nothing, nothing)
 
 
 @dataclass(frozen=True)
@@ -144,6 +154,8 @@ class Cut:
         [N] standard deviation of what the difference of Gaussians answers around, in levels.
     size
         [N] which of `SIGMAS`, in rising order.
+    number
+        [N] of the places that were cut out, in the order in which they came, which one each is.
     difference, lit, dark
         [N, 2 HALF + 1, 2 HALF + 1] what is searched, the lit frame, and the dark frame where there is one.
     answer, lit_answer, dark_answer
@@ -159,6 +171,7 @@ class Cut:
     clear: Array
     spread: Array
     size: Whole
+    number: Whole
     difference: Array
     lit: Array
     dark: Array | None
@@ -209,12 +222,12 @@ def _filters(size: int, side: int, margin: int) -> tuple[Array, Array]:
 def patches(image: NDArray, x: Whole, y: Whole, half: int) -> Array:
     """Squares of 2·half + 1 pixels about places of an image [H, W]: [N, 2·half + 1, 2·half + 1]; edges are mirrored."""
     height, width = image.shape
-    inside = (half <= y) & (y < height - half) & (half <= x) & (x < width - half) & (half >= _LARGE)
-    found = np.empty((len(x), 2 * half + 1, 2 * half + 1), np.float32)
-    # Large ones are copied one by one, which is faster than by the numbers of their pixels.
-    for n in np.flatnonzero(inside).tolist():
-        column, row = int(x[n]), int(y[n])
-        found[n] = image[row - half : row + half + 1, column - half : column + half + 1]
+    side = 2 * half + 1
+    inside = (half <= y) & (y < height - half) & (half <= x) & (x < width - half)
+    found = np.empty((len(x), side, side), np.float32)
+    if inside.any():
+        # By windows whole rows are copied, several times faster than by the numbers of pixels.
+        found[inside] = sliding_window_view(image, (side, side))[y[inside] - half, x[inside] - half]
     if not inside.all():
         step = np.arange(-half, half + 1)
         rows, columns = (_mirrored(at[~inside, None] + step, end) for at, end in ((y, height), (x, width)))
@@ -241,14 +254,26 @@ def layers(lit: NDArray, registered: Registered | None, largest: float) -> list[
     return [one for one in found if 4 * SIGMAS[0] * one.step <= largest]
 
 
-def screened(layer: Layer, most: int) -> Place:
-    """Screen an octave for about so many places as are wanted; the highest are kept."""
+def screened(layer: Layer, most: int) -> tuple[Place, Place]:
+    """Screen an octave for about so many places as are wanted; the highest are kept. And, in a pair, for rivals.
+
+    Rivals are places that only the dark frame shows bright, found in the same way: no camera makes them. What moved and
+    what the registration left of edges shows as often so as the other way round. A few are kept.
+    """
     image = layer.bright
     if layer.base is not None:
         # What is much darker in the lit frame does not matter: bytes may end there.
         whole = image.dtype == np.uint8
         image = cv2.addWeighted(image, 1, layer.base, -1, _ZERO) if whole else cv2.subtract(image, layer.base)
-    answer = _contrast(np.asarray(image), sharp=layer.cell > 1)
+    narrow, wide = _means(np.asarray(image), sharp=layer.cell > 1)
+    if layer.base is None:
+        return _highest(_above(narrow, wide, wide), layer, None, most), Place.none()
+    found = _highest(_above(narrow, wide), layer, layer.base, most)
+    return found, _highest(_above(wide, narrow, wide), layer, layer.bright, min(most, _RIVALS))
+
+
+def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int) -> Place:
+    """The highest places of what an octave's screen answers; `other` is the frame that should not show them."""
     block = _BLOCK // layer.cell
     peaks = _block_maxima(answer, block)
     highest = peaks.astype(np.float32)
@@ -256,7 +281,7 @@ def screened(layer: Layer, most: int) -> Place:
     around = cv2.blur(np.minimum(highest, cut), (_AROUND, _AROUND)) / _HIGHEST_OF_NOISE[layer.cell]
     variance = np.square(around) + _QUANTUM**2
     height = highest / np.sqrt(variance)
-    if layer.base is None:
+    if other is None:
         # In one frame alone, a place that stands alone is worth a closer look more than one of many.
         ring = np.ones((5, 5), np.uint8)
         ring[1:4, 1:4] = 0
@@ -267,15 +292,15 @@ def screened(layer: Layer, most: int) -> Place:
     x, y = _highest_of_block(answer, row, column, block)
     own = answer[y, x].astype(np.float32)
     top = own >= patches(answer, x, y, 2).max((1, 2))
-    x, y, number = x[top], y[top], number[top]
+    x, y, number, own = x[top], y[top], number[top], own[top]
     worst = clear = flat[number]
-    if layer.base is not None and len(x):
-        edge, share = _edges(answer, layer.base, x, y, layer.cell > 1)
+    if other is not None and len(x):
+        edge, share = _edges(answer, other, x, y, layer.cell > 1)
         noise = variance.ravel()[number]
-        worst, clear = (own[top] / np.sqrt(noise + np.square(k * edge)) for k in (_LEFT_OF_EDGES[1], share))
+        worst, clear = (own / np.sqrt(noise + np.square(k * edge)) for k in (_LEFT_OF_EDGES[1], share))
     kept = np.argsort(-clear, kind="stable")[:most]
-    heights = (np.asarray(one[kept], dtype=np.float32) for one in (worst, clear))
-    return Place(layer.cell * x[kept], layer.cell * y[kept], *heights)
+    columns = (np.asarray(one[kept], dtype=np.float32) for one in (worst, clear, own))
+    return Place(layer.cell * x[kept], layer.cell * y[kept], *columns)
 
 
 def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
@@ -320,6 +345,7 @@ def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
         np.concatenate(shapes)[order],
         *_heights(answer, dark_answer, size),
         size,
+        order,
         difference[:, inner, inner],
         lit[:, inner, inner],
         None if dark is None else dark[:, inner, inner],
@@ -396,14 +422,15 @@ def _median(values: NDArray) -> float:
     return (low + up) / 2
 
 
-def _contrast(image: NDArray, sharp: bool) -> NDArray:
-    """How far a mean over 3 x 3 pixels stands above one over some 7 x 7, [H, W], in the image's own type; 0 below.
-
-    Sharp: how far a pixel stands above the mean over 5 x 5.
-    """
+def _means(image: NDArray, sharp: bool) -> tuple[NDArray, NDArray]:
+    """Means over 3 x 3 pixels and some 7 x 7, [H, W] each, in the image's own type. Sharp: pixels, and over 5 x 5."""
     narrow = image if sharp else np.asarray(cv2.blur(image, (3, 3)))
-    wide = np.asarray(cv2.blur(narrow, (5, 5)))
-    answer = np.asarray(cv2.subtract(narrow, wide, dst=wide))
+    return narrow, np.asarray(cv2.blur(narrow, (5, 5)))
+
+
+def _above(one: NDArray, other: NDArray, into: NDArray | None = None) -> NDArray:
+    """How far one stands above the other, 0 where it does not; `into` is written over."""
+    answer = np.asarray(cv2.subtract(one, other, dst=into))
     return answer if answer.dtype == np.uint8 else np.maximum(answer, 0)
 
 
@@ -429,15 +456,22 @@ def _share_left(left: NDArray[Any], edges: NDArray[Any], inner: float | NDArray[
     Pixels nearer to the middle than `inner` are not asked: a camera may lie there. A few pixels that stand far out,
     another camera, count little.
     """
-    half = edges.shape[1] // 2
-    radius = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1])
-    around = (radius > np.asarray(inner)[..., None, None]).astype(np.float32)
+    around = _around(edges.shape[1] // 2, tuple(np.unique(inner).tolist()))
+    which = 0 if np.ndim(inner) == 0 else np.searchsorted(np.unique(inner), inner)
     size = np.abs(edges)
-    weight = size * around
-    share = (np.minimum(np.abs(left), size) * weight).sum((1, 2)) / (
-        (size * weight).sum((1, 2)) + _FLAT * around.sum((-1, -2))
+    weight = size * around[which]
+    among = np.minimum(np.abs(left), size)
+    share = np.einsum("nij,nij->n", among, weight) / (
+        np.einsum("nij,nij->n", size, weight) + _FLAT * around.sum((1, 2))[which]
     )
     return np.clip(_WORST_OF_EDGES * share, *_LEFT_OF_EDGES).astype(np.float32)
+
+
+@functools.cache
+def _around(half: int, inner: tuple[float, ...]) -> Array:
+    """1 for pixels farther from the middle than each of some radii, else 0: [radii, 2 half + 1, 2 half + 1]."""
+    radius = np.hypot(*np.mgrid[-half : half + 1, -half : half + 1])
+    return (radius > np.array(inner)[:, None, None]).astype(np.float32)
 
 
 def _block_maxima(image: NDArray, block: int) -> NDArray:

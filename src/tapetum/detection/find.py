@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, cut_out, layers, patches, screened
+from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, Place, cut_out, layers, patches, screened
 from tapetum.detection.found import Found
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR, looks
+from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR, beside_rivals, looks
 from tapetum.detection.registration import MATCHED, Registered, local_mean, register
 from tapetum.detection.score import Score, load_score
 from tapetum.detection.second import load_second, views
@@ -160,7 +160,7 @@ class Candidates:
 
 
 def candidates_with_looks(
-    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None, by_clear: bool = False
+    lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
 ) -> Candidates:
     """Return the candidates of a frame or a pair, before any is scored.
 
@@ -170,18 +170,15 @@ def candidates_with_looks(
         [H, W] levels from 0 to 255, both uint8 or both float32; dark None for one frame alone.
     largest, most
         As for `find_cameras`.
-    by_clear
-        Whether of two octaves at one place the one is kept that stands higher over what the registration left of edges,
-        as in the examples that the second stage learned from; else the one that does over what it may leave.
     """
     registered = None if dark is None else register(lit, dark)
-    return _candidates(layers(lit, registered, largest), registered, most, lit, by_clear=by_clear)
+    return _candidates(layers(lit, registered, largest), registered, most, lit)
 
 
 def scored(candidates: Candidates, score: Score) -> Array:
     """Log odds of candidates, [N]: of all by their looks and, in a pair, by the second stage of those put first."""
     odds = score.log_odds(candidates.looks)
-    return odds + score.second * second_look(candidates, odds) if score.second else odds
+    return score.joined(odds, second_look(candidates, odds)) if score.second else odds
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
@@ -200,29 +197,29 @@ def _candidates(
     most: int | None,
     lit: NDArray,
     swapped: bool = False,
-    by_clear: bool = False,
 ) -> Candidates:
     if most is None:
         most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
     width = len(OF_A_FRAME) + (0 if registered is None else len(OF_A_PAIR))
-    places = [screened(one, most) for one in octaves]
+    screens = [screened(one, most) for one in octaves]
+    places, rivals = [one for one, _ in screens], _listed(octaves, [other for _, other in screens])
     count = [len(one.x) for one in places]
     if not sum(count):
         return Candidates.none(width)
-    step = np.repeat([one.step for one in octaves], count).astype(np.float64)
     at = np.concatenate([np.stack([one.x, one.y], 1) for one in places])
-    height, clear = (
-        np.concatenate([getattr(one, n) for one in places]).astype(np.float64) for n in ("height", "clear")
-    )
-    middle = (at + 0.5) * step[:, None] - 0.5
+    height = np.concatenate([one.height for one in places]).astype(np.float64)
+    listed = _listed(octaves, places)
+    middle, clear, step = listed[:, :2], listed[:, 2], listed[:, 4]
     shape = octaves[0].shape
     allowed = np.arange(len(at)) if registered is None else np.flatnonzero(_within(registered, middle, shape))
     x, y = middle[allowed].T
     # Of those at one place the octave that stands highest at worst, of places those that do by what is left.
-    first = clear if by_clear else height
-    kept = allowed[_one_a_place(x, y, first[allowed], 4.0 * step[allowed], len(allowed))]
+    kept = allowed[_one_a_place(x, y, height[allowed], 4.0 * step[allowed], len(allowed))]
     kept = kept[np.argsort(-clear[kept], kind="stable")][:most]
     of = np.repeat(np.arange(len(octaves)), count)[kept]
+    # By octave, which is the order in which they are cut out.
+    kept = kept[np.argsort(of, kind="stable")]
+    of = np.sort(of)
     cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
     if cut is None:
         return Candidates.none(width)
@@ -231,7 +228,9 @@ def _candidates(
     wide = octaves[min(1, len(octaves) - 1)]
     mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
     features = looks(cut, _at(mean, table, shape), _FULL, None if registered is None else registered.coarse)
-    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 6 if by_clear else 2], table[:, 4], most)
+    if registered is not None:
+        features = np.concatenate([features, beside_rivals(listed[kept[cut.number]], rivals, max(shape))], 1)
+    kept = _one_a_place(table[:, 0], table[:, 1], table[:, 2], table[:, 4], most)
     kept = kept[~_stuck(table[kept], lit, registered, swapped)]
     if not len(kept):
         return Candidates.none(width)
@@ -240,6 +239,15 @@ def _candidates(
     low, middle = np.quantile(table[:, 2], [0.2, 0.5])
     features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (middle - low + 0.3))
     return Candidates(dict(zip(Candidates.NAMES, table.T, strict=True)), features, cut, kept)
+
+
+def _listed(octaves: list[Layer], places: list[Place]) -> Array:
+    """Places of all octaves, [N, 5]: x and y in pixels of the frame, clear height, level, and pixels a step."""
+    rows = []
+    for octave, one in zip(octaves, places, strict=True):
+        x, y = ((at + 0.5) * octave.step - 0.5 for at in (one.x, one.y))
+        rows.append(np.stack([x, y, one.clear, one.level, np.full(len(x), octave.step)], 1))
+    return np.concatenate(rows).astype(np.float64)
 
 
 def _at(grid: NDArray[np.float32], places: Array, shape: tuple[int, ...]) -> Array:

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from tapetum.detection.candidates import DARK_REACH, HALF, LIT_REACH, SIGMAS, Cut, differences_of_gaussians
 
-__all__ = ["OF_A_FRAME", "OF_A_PAIR", "looks", "shape"]
+__all__ = ["OF_A_FRAME", "OF_A_PAIR", "beside_rivals", "looks", "shape"]
 
 Array = NDArray[np.float64]
 
@@ -39,15 +39,20 @@ local brightness; isolation and alone: beside what the same filter finds within 
 of the pixels over 40 % of its peak; inside: 0 at the edge of the frame,
 or of the dark one; size; saturated: 1 where a pixel is at full scale.
 """
-OF_A_PAIR = ("vanishes", "fresh", "motion", "partner", "clear", "level")
+OF_A_PAIR = ("vanishes", "fresh", "motion", "partner", "clear", "level", "above", "apart", "twin")
 """Besides, where there is a dark frame.
 
 vanishes: the share of the lit frame's answer that the dark one lacks nearby; fresh: what is left after the surroundings
 alone are registered once more; motion: how unequal the flow is nearby; partner: how strongly the dark frame alone shows
 something of the same size nearby, as where a thing moved; clear: the height over the spread and what the registration
-left of edges around; level: the height in grey levels.
+left of edges around; level: the height in grey levels. By rivals, places that only the dark frame shows bright
+(`candidates.screened`), of which none is a camera: above, how much higher it stands than the third highest; apart, than
+any, the less the farther off it is; twin, how alike one nearby is in size and level, as where a small thing moved.
 """
 _SHAPE = 10
+# Of the frame's longer side: how far a rival matters to a factor of e, and how far a thing may move.
+_FADES, _MOVES = 0.2, 0.12
+_MANY = 3
 _AGAIN, _REACH = 12, 4
 
 
@@ -103,6 +108,27 @@ def looks(cut: Cut, bright: Array, full_scale: float, flow: NDArray[np.float32] 
         np.log(np.maximum(height, 0.1)),
     ]
     return np.stack(own, 1)
+
+
+def beside_rivals(own: Array, rivals: Array, side: int) -> Array:
+    """The looks "above", "apart" and "twin" of places, [N, 3].
+
+    Parameters
+    ----------
+    own, rivals
+        [N, 5], [M, 5] x and y in pixels, clear height, level, and pixels a step of the octave.
+    side
+        The frame's longer side in pixels.
+    """
+    if not len(rivals):
+        rivals = np.array([[-10.0 * side, -10.0 * side, 1.0, 0.1, 1.0]])
+    height, other = (np.log(np.maximum(one[:, 2], 1.0)) for one in (own, rivals))
+    level, step = (np.log(np.maximum(own[:, None, n], 0.1) / np.maximum(rivals[:, n], 0.1)) for n in (3, 4))
+    away = np.hypot(own[:, None, 0] - rivals[:, 0], own[:, None, 1] - rivals[:, 1]) / side
+    third = np.sort(other)[-min(_MANY, len(other))]
+    # A rival that is much dimmer or brighter is another thing.
+    alike = np.exp(-np.square(level / 0.7) - np.square(step / 0.7)) * (away < _MOVES)
+    return np.stack([height - third, (height[:, None] - other + away / _FADES).min(1), alike.max(1)], 1)
 
 
 def _uneven(flow: NDArray[np.float32], cut: Cut) -> Array:

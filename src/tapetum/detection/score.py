@@ -2,8 +2,9 @@
 
 The weights for a pair are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of
 real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what
-cross-validation by scene found. To their sum comes a share of the second stage's log odds (second.py). Probabilities
-are scaled so that they hold on those frames, each scene left out once. For one frame alone six scenes are too few
+cross-validation by scene found. To their sum comes a share of the second stage's log odds (second.py); beyond a limit
+the looks say no more, for the real frames hold little that moves, of which the second stage learned. Probabilities are
+scaled so that they hold on those frames, each scene left out once. For one frame alone six scenes are too few
 to fit weights: three looks count the same, and only the scale of their sum is fitted; a second stage that was trained
 for it found fewer of the real cameras and is left out. What a score costs in false alarms was counted on the same
 frames and on drawn scenes without cameras.
@@ -13,6 +14,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 from dataclasses import dataclass
 from importlib import resources
 
@@ -41,6 +43,8 @@ class Score:
         lines, which go on beyond both ends.
     second
         How much the second stage's log odds count; 0 where there is none.
+    most
+        Most log odds that the looks alone may give where there is a second stage.
     calibration
         Two numbers k, c: on frames that the weights were not fitted to, the log odds of a camera are k s + c.
     """
@@ -49,11 +53,16 @@ class Score:
     offset: float
     alarms: tuple[tuple[float, ...], tuple[float, ...]]
     second: float = 0.0
+    most: float = math.inf
     calibration: tuple[float, float] = (1.0, 0.0)
 
     def log_odds(self, looks: Array) -> Array:
-        """Log odds of candidates whose looks are [N, features]: [N]."""
+        """Log odds of candidates whose looks are [N, features], without the second stage: [N]."""
         return looks @ np.array(self.weights) + self.offset
+
+    def joined(self, log_odds: Array, second: Array) -> Array:
+        """Log odds by the looks and by the second stage together, [N]."""
+        return np.minimum(log_odds, self.most) + self.second * second
 
     def probability(self, log_odds: ArrayLike) -> Array:
         """Probability of being a camera, [N], among candidates as often cameras as in the frames of the fit."""
@@ -78,4 +87,5 @@ def load_score(pair: bool) -> Score:
     at, rate = known["alarms"]
     weights = tuple(known["weights"].get(name, 0.0) for name in names)
     k, c = known["calibration"]
-    return Score(weights, known["offset"], (tuple(at), tuple(rate)), known["second"], (k, c))
+    most = math.inf if known["most"] is None else known["most"]
+    return Score(weights, known["offset"], (tuple(at), tuple(rate)), known["second"], most, (k, c))

@@ -45,6 +45,10 @@ _MAD = 1.4826
 # Diameter of a spot from which it may be an unevenness of the background, and the standard deviation over which such a
 # one hardly varies. The light of a defocused lens ends at an edge, and has fringes.
 _BROAD, _SHADE, _SHADE_STEP = 70.0, 24.0, 8
+# Up to how often the noise that variation is noise: of some thousand places the highest stands 3.5 times as high.
+_SHADE_NOISE = 5.0
+# The frame's edge cuts what is broad.
+_BROAD_AT_EDGE = 30.0
 # Side of the windows, and most of them along an axis, whose smoothed noise stands for the frame's.
 _SAMPLE, _SAMPLES = 48, 7
 
@@ -354,8 +358,9 @@ def search(
                 continue
             height, width = place.lit.shape
             if spot is not None and 0 <= round(spot.x) < width and 0 <= round(spot.y) < height:
+                shade = spot.diameter > (_BROAD_AT_EDGE if spot.edge else _BROAD) and _shade(place, spot)
                 whole = _taken(place, spot, image, full_scale)
-                if whole is not None and not (whole.diameter > _BROAD and _shade(place, spot)):
+                if whole is not None and not shade:
                     found.append(whole)
             near = place.window(column, row, 2, 2)
             place.claim(near, np.ones(place.seeds[near].shape, bool))
@@ -367,18 +372,29 @@ def _shade(place: _Place, spot: Spot) -> bool:
     """Tell whether a broad spot varies so slowly that it may be the background, which no surface fits to the last."""
     maps, part = place.maps, place.maps.part
     reach = (_CLAIM * math.sqrt(spot.covariance[n]) for n in (0, 2))
-    near = maps.wide[place.window(spot.x, spot.y, *reach)]
-    # At an eighth of the size: what is looked for is wider.
-    size = max(1, near.shape[1] // _SHADE_STEP), max(1, near.shape[0] // _SHADE_STEP)
-    small = np.asarray(cv2.resize(near, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
-    rest = np.abs(small - blur(small, _SHADE / _SHADE_STEP))
-    # At the ends a slope is bent by the filter.
+    window = place.window(spot.x, spot.y, *reach)
+    # Without what belongs to other spots; at an eighth of the size, for what is looked for is wider.
+    size = tuple(max(1, (one.stop - one.start) // _SHADE_STEP) for one in window[::-1])
+    free = place.free[window].astype(np.float32)
+    both = np.asarray(maps.excess[window] * free), free
+    small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in both]
+    if min(size) < 2 or not small[1].any():
+        return False
+    # Mirrored about its end a slope goes straight on: there it is no more bent than elsewhere.
+    beyond = math.ceil(3 * _SHADE / _SHADE_STEP)
+    light = np.pad(small[0], beyond, mode="reflect", reflect_type="odd")
+    share = np.pad(small[1], beyond, mode="reflect")
+    one, other = (
+        cv2.GaussianBlur(light, (0, 0), width) / np.maximum(cv2.GaussianBlur(share, (0, 0), width), 0.05)
+        for width in (_WIDE / _SHADE_STEP, _SHADE / _SHADE_STEP)
+    )
+    rest = np.abs(one - other)[beyond:-beyond, beyond:-beyond] * (small[1] > 0.5)
     rim = [int(_SHADE / _SHADE_STEP) if n > 4 * _SHADE / _SHADE_STEP else 0 for n in rest.shape]
     varies = float(rest[rim[0] : rest.shape[0] - rim[0], rim[1] : rest.shape[1] - rim[1]].max())
     row, column = ((first + int(at)) // _REDUCE for first, at in ((part.top, spot.y), (part.left, spot.x)))
     height, width = maps.wide_noise.shape
     noise = float(maps.wide_noise[min(row, height - 1), min(column, width - 1)])
-    return varies < place.min_snr * noise
+    return varies < _SHADE_NOISE * noise
 
 
 def _taken(place: _Place, spot: Spot, image: NDArray[Any], full_scale: float) -> Spot | None:
