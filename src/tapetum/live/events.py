@@ -24,6 +24,8 @@ KINDS = (
 )
 """What events tell."""
 _NONE_OF_THESE = "none of these"
+# Of so many estimates one may be far off; share of its frames that must show a new camera.
+_WRONG, _SHOWN = 4, 0.6
 T = TypeVar("T")
 
 
@@ -93,18 +95,29 @@ class Ignored:
 
 
 class _Held(Generic[T]):
-    """A value that changes only when a new one has held for some seconds, and some seconds after the last change."""
+    """A value that changes only when a new one has held for some seconds, and some seconds after the last change.
+
+    A new value holds while it is said in most frames: one estimate in `_WRONG` may be far off without ending that.
+    """
 
     def __init__(self, value: T, hold: float, cooldown: float) -> None:
         self.value, self.hold, self.cooldown = value, hold, cooldown
         self._other: T = value
         self._since = self._changed = -math.inf
+        self._for = self._against = 0
 
     def update(self, value: T, time: float) -> bool:
         """Return whether the value changes now."""
-        if value != self._other:
-            self._other, self._since = value, time
-        if value == self.value or time - self._since < self.hold or time - self._changed < self.cooldown:
+        if value == self._other:
+            self._for += 1
+        else:
+            self._against += 1
+            # What was told of before needs no share: whatever differs may be the beginning of a change.
+            if self._other == self.value or self._against * _WRONG > self._for + self._against:
+                self._other, self._since, self._for, self._against = value, time, 1, 0
+        if value != self._other or value == self.value:
+            return False
+        if time - self._since < self.hold or time - self._changed < self.cooldown:
             return False
         self.value, self._changed = value, time
         return True
@@ -115,6 +128,7 @@ class _Stay:
 
     def __init__(self, camera: CameraState, time: float, hold: float, cooldown: float) -> None:
         self.camera, self.told, self.first, self.last = camera, False, time, time
+        self.frames = self.shown = 0
         self.published = camera
         self.active = _Held[bool | None](None, hold, cooldown)
         self.device = _Held[str | None](None, hold, cooldown)
@@ -129,8 +143,9 @@ class Events:
     regions
         Parts of the cameras' fields that are told of.
     confirm, hold, cooldown, gone
-        Seconds for which a camera must have been followed before it is told of; for which a change must have held;
-        between two changes of a kind; and unseen before it is gone.
+        Seconds for which a camera must have been followed, and seen in most of its frames, before it is told of; for
+        which a change must have held, one frame in four aside; between two changes of a kind; and unseen before it is
+        gone.
     ignored
         Cameras that are ours: nothing is told of them, and nothing begins with them.
     """
@@ -140,7 +155,7 @@ class Events:
         regions: Iterable[Region] = (),
         *,
         confirm: float = 0.5,
-        hold: float = 0.5,
+        hold: float = 0.4,
         cooldown: float = 1.0,
         gone: float = 1.0,
         ignored: Iterable[Ignored] = (),
@@ -183,10 +198,11 @@ class Events:
                 self._stays[number] = _Stay(camera, row.time, self.hold, self.cooldown)
             return []
         stay.camera = camera
+        stay.frames, stay.shown = stay.frames + (row.seen or not dark), stay.shown + row.seen
         if row.seen:
             stay.last = row.time
         if not stay.told:
-            if not row.seen or row.time - stay.first < self.confirm:
+            if not row.seen or row.time - stay.first < self.confirm or stay.shown < _SHOWN * stay.frames:
                 return []
             stay.told = True
             told = [self._event(stay, "new", "seen", utc_ns)]

@@ -238,7 +238,7 @@ class Watch:
         try:
             self.log.add(event, self._evidence(event))
         except sqlite3.Error as error:
-            # A full disk must not stop the watch.
+            # Whatever is wrong with the log must not stop the watch.
             self._fault = f"the log cannot be written ({error})"
         for listener in self.listeners:
             if not tell or getattr(listener, "hears_all", False) or getattr(listener, "name", "") in tell:
@@ -272,7 +272,8 @@ class Watch:
             delay = sum(one for _, one in self._times) / len(self._times)
         counts = self._frames, reading.lost, reading.refused
         unreached = tuple(filter(None, map(_unreached, self.listeners)))
-        health = Health(rate, delay, *counts, reading.connected, ended, self._fault, unreached)
+        fault = "; ".join(filter(None, (self._fault, self.log.fault)))
+        health = Health(rate, delay, *counts, reading.connected, ended, fault, unreached)
         size = (0, 0) if frame is None else frame.image.shape[::-1]
         number = -1 if frame is None else frame.index
         clocks = (None, None) if frame is None else (frame.monotonic_ns, frame.camera_time)
