@@ -19,7 +19,7 @@ from tapetum.track.rows import TrackedFrame, TrackRow
 __all__ = ["KINDS", "Event", "Events", "Ignored", "Region"]
 
 KINDS = (
-    *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "alert"),
+    *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "shutter opened", "alert"),
     *("source lost", "source returned", "source ended"),
 )
 """What events tell."""
@@ -38,7 +38,7 @@ class Event:
     id, type, kind
         Of the camera's stay; "new", "update" or "end"; one of `KINDS`.
     utc_ns
-        When the frame was taken that showed it.
+        When the frame was taken that showed it; of a shutter that opened, the first that showed it open.
     detail
         The region, the device, the rule of an alert, or why a source was lost.
     before, after
@@ -130,9 +130,11 @@ class _Stay:
         self.camera, self.told, self.first, self.last = camera, False, time, time
         self.frames = self.shown = 0
         self.published = camera
-        self.active = _Held[bool | None](None, hold, cooldown)
+        # Stated only where it is 95 % sure, which takes some frames already.
+        self.active = _Held[bool | None](None, hold / 2, cooldown)
         self.device = _Held[str | None](None, hold, cooldown)
         self.regions: dict[str, _Held[bool]] = {}
+        self.opened = -math.inf
 
 
 class Events:
@@ -214,6 +216,10 @@ class Events:
         told: list[Event] = []
         if row.active is not None and stay.active.update(row.active, row.time):
             told.append(self._event(stay, "update", "imaging" if row.active else "not imaging", utc_ns))
+        if row.opened is not None and row.time - stay.opened >= self.cooldown:
+            opened = utc_ns - round((row.time - row.opened) * 1e9)
+            stay.opened, stay.camera = row.time, replace(stay.camera, opened_utc_ns=opened)
+            told.append(self._event(stay, "update", "shutter opened", opened))
         device = stay.camera.device
         asked = row.seen and _asked(row)
         if asked and device is not None and stay.device.update(device, row.time):

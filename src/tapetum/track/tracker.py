@@ -326,6 +326,8 @@ class Tracker:
             if motion is not None:
                 for track in self._tracks:
                     track.home, track.homing = track.state.copy(), _HOMING
+                    # Of few tracks the jump may make good a wrong velocity, which would be wrong again.
+                    track.state[1] *= 0.5
         if motion is not None:
             for track, moved in zip(self._tracks, expected @ motion[:, :2].T + motion[:, 2], strict=True):
                 track.state = np.stack([moved, track.state[1]])

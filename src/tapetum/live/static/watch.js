@@ -4,9 +4,10 @@ import { $, bright, colour, colourName, name, number, percent, post, remove, say
 import { now, on } from "/static/socket.js";
 
 const view = $("view"), pen = view.getContext("2d");
-const TRAIL = 120, SPAN = 120e3, EVENTS = 100;
+const TRAIL = 120, SPAN = 120e3, EVENTS = 100, MOMENTS = 100;
 const trails = new Map();  // by a camera's id: places of the probe in its field
 const stays = new Map();  // by a camera's id: from and to when it was seen, ms
+const moments = new Map();  // by a camera's id: when its shutter opened, ms
 const places = new Map();  // by a frame's number: its cameras, so that marks stand where that picture shows them
 let state = null, chosen = null;
 
@@ -25,7 +26,7 @@ on("state", (message) => {
     }
   }
   for (const [id, { to }] of stays) {
-    if (to < state.utc_ns / 1e6 - SPAN) { stays.delete(id); trails.delete(id); }
+    if (to < state.utc_ns / 1e6 - SPAN) { stays.delete(id); trails.delete(id); moments.delete(id); }
   }
   requestAnimationFrame(draw);
 });
@@ -195,9 +196,12 @@ function drawLine() {
     draw2d.fillRect(Math.min(x, width - ratio), 0, ratio, rows * row);
     draw2d.globalAlpha = 1;
   }
+  const ink = getComputedStyle(document.body).color;
   [...stays].forEach(([id, { from, to }], k) => {
     draw2d.fillStyle = colour(id);
     draw2d.fillRect(Math.max(0, at(from)), k * row + 3 * ratio, Math.max(2 * ratio, at(to) - Math.max(0, at(from))), row - 6 * ratio);
+    draw2d.fillStyle = ink;
+    for (const moment of moments.get(id) ?? []) draw2d.fillRect(at(moment) - ratio, k * row, 2 * ratio, row);
   });
 }
 
@@ -205,12 +209,14 @@ const KINDS = {
   seen: (who) => `${who} is seen`, gone: (who) => `${who} is gone`, imaging: (who) => `${who} images`,
   "not imaging": (who) => `${who} images no more`, looks: (who, what) => `${who} looks at ${what}`,
   "looks away": (who, what) => `${who} looks away from ${what}`, device: (who, what) => `${who} is taken for ${what}`,
+  "shutter opened": (who) => `${who} opened its shutter`,
   alert: (who, what) => `Alert: ${what} (${who})`,
   "source lost": (_, what) => `The source went: ${what}`, "source returned": () => "The source returned",
   "source ended": () => "The recording is at its end",
 };
 
 function happened(event) {
+  if (event.kind === "shutter opened") moments.set(event.id, [...(moments.get(event.id) ?? []), event.utc_ns / 1e6].slice(-MOMENTS));
   const item = document.createElement("li"), when = document.createElement("time"), what = document.createElement("span");
   const moment = new Date(event.utc_ns / 1e6), image = event.picture ? document.createElement("img") : document.createElement("i");
   item.className = "event";
