@@ -341,8 +341,11 @@ class Tracker:
         if not homes:
             return False
         for n, home in homes:
-            near = np.linalg.norm(place - home[0], axis=1) <= max(_SHARED, 0.5 * self._tracks[n].diameter)
-            if not (near & (looks[n] < _SAME)).any():
+            track = self._tracks[n]
+            near = np.linalg.norm(place - home[0], axis=1) <= max(_SHARED, 0.5 * track.diameter)
+            # What is near both may as well have jumped, a little.
+            apart = np.linalg.norm(place - track.state[0], axis=1) > 2 * _SHARED
+            if not (near & apart & (looks[n] < _SAME)).any():
                 return False
         for n, home in homes:
             self._tracks[n].state = home
