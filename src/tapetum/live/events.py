@@ -156,7 +156,7 @@ class Events:
         self,
         regions: Iterable[Region] = (),
         *,
-        confirm: float = 0.4,
+        confirm: float = 0.5,
         hold: float = 0.4,
         cooldown: float = 1.0,
         gone: float = 1.0,
