@@ -6,13 +6,21 @@ when it has been seen for a while; a change when it has held for a while, and no
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import json
 import math
 import uuid
+from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from typing import Any, Generic, TypeVar
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tapetum.errors import InputError
+from tapetum.live.look import resembles
 from tapetum.live.state import CameraState
 from tapetum.track.rows import TrackedFrame, TrackRow
 
@@ -24,6 +32,10 @@ KINDS = (
 )
 """What events tell."""
 _NONE_OF_THESE = "none of these"
+_LOOKS = 120  # that are kept of a camera: a minute
+_LOOK_NOW, _LOOK_LATER = 0.1, 0.5  # s between two looks while they decide, and else
+_LATEST, _FEWEST = 5, 3  # looks that decide, and the fewest that do
+_RECENT, _UNLIKE = 1.0, 1.0  # s for which a look counts, and for which a camera of ours may look different
 # Of so many estimates one may be far off; share of its frames that must show a new camera.
 _WRONG, _SHOWN = 4, 0.6
 T = TypeVar("T")
@@ -80,18 +92,53 @@ class Region:
 
 @dataclass(frozen=True)
 class Ignored:
-    """A camera that is ours: everything within `radius` pixels of a place, or every camera of a device."""
+    """A camera that is ours, by place, by device or by look.
+
+    Parameters
+    ----------
+    x, y, radius
+        Everything within so many pixels of a place is ours.
+    device
+        Every camera of this device is.
+    looks, tolerance
+        Looks that were seen of it (see `tapetum.live.look`), and how far others may lie from them. One camera at a time
+        is taken for it.
+    """
 
     x: float = 0.0
     y: float = 0.0
     radius: float = 0.0
     device: str = ""
+    looks: tuple[tuple[float, ...], ...] = ()
+    tolerance: float = 0.0
 
     def holds(self, camera: CameraState) -> bool:
-        """Return whether a camera is this one."""
+        """Return whether a camera is this one by place or device."""
+        if self.looks:
+            return False
         if self.device:
             return camera.device == self.device
         return math.dist((self.x, self.y), (camera.x, camera.y)) <= self.radius
+
+    @functools.cached_property
+    def id(self) -> str:
+        """A short name, which follows from all the rest."""
+        return hashlib.sha256(self.as_text().encode()).hexdigest()[:12]
+
+    def as_text(self) -> str:
+        """Return it as JSON; see `from_text`."""
+        return json.dumps({one.name: getattr(self, one.name) for one in fields(self)})
+
+    @classmethod
+    def from_text(cls, text: str) -> Ignored:
+        """Return what `as_text` wrote."""
+        read = json.loads(text)
+        return cls(**{**read, "looks": tuple(tuple(one) for one in read.get("looks", ()))})
+
+    @functools.cached_property
+    def known(self) -> NDArray[np.float64]:
+        """The looks as an array [N, numbers]."""
+        return np.array(self.looks)
 
 
 class _Held(Generic[T]):
@@ -129,6 +176,10 @@ class _Stay:
     def __init__(self, camera: CameraState, time: float, hold: float, cooldown: float) -> None:
         self.camera, self.told, self.first, self.last = camera, False, time, time
         self.frames = self.shown = 0
+        self.looks: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_LOOKS)
+        # What it is taken for by its look, and since when it does not look so any more.
+        self.ours: Ignored | None = None
+        self.unlike: float | None = None
         self.published = camera
         # Stated only where it is 95 % sure, which takes some frames already.
         self.active = _Held[bool | None](None, hold / 2, cooldown)
@@ -174,9 +225,41 @@ class Events:
         """The cameras that were told of."""
         return tuple(stay.camera for stay in self._stays.values() if stay.told)
 
-    def update(self, tracked: TrackedFrame, utc_ns: int, offset: int = 0) -> list[Event]:
-        """Take a frame's tracks, whose numbers begin after `offset`, and return what happened."""
+    def wants_look(self, row: TrackRow, offset: int = 0) -> bool:
+        """Return whether the look of a row is to be measured: often while it decides, else now and then."""
+        stay = self._stays.get(row.track + offset)
+        if stay is None or not row.seen or row.diameter is None:
+            return False
+        decides = (stay.ours is not None or not stay.told) and any(one.looks for one in self.ignored)
+        return not stay.looks or row.time - stay.looks[-1][0] >= (_LOOK_NOW if decides else _LOOK_LATER)
+
+    def looks_of(self, camera: str) -> tuple[tuple[float, ...], ...]:
+        """Return the looks of the last minute of a camera that was told of; empty where there are none."""
+        # Copies, for another thread asks.
+        stay = next((one for one in list(self._stays.values()) if one.camera.id == camera and one.told), None)
+        return () if stay is None else tuple(look for _, look in stay.looks.copy())
+
+    def take_as(self, camera: str, ours: Ignored) -> None:
+        """Take a camera for one of ours by its look; its stay ends with its next frame."""
+        for stay in list(self._stays.values()):
+            if stay.camera.id == camera:
+                stay.ours = ours
+
+    def update(
+        self,
+        tracked: TrackedFrame,
+        utc_ns: int,
+        offset: int = 0,
+        looks: Mapping[int, tuple[float, ...]] | None = None,
+    ) -> list[Event]:
+        """Take a frame's tracks, whose numbers begin after `offset`, and return what happened.
+
+        `looks` holds those of this frame that were measured, by the tracks' numbers.
+        """
         told: list[Event] = []
+        for number, one in (looks or {}).items():
+            if (stay := self._stays.get(number)) is not None:
+                stay.looks.append((tracked.time, one))
         dark = tracked.moment.get("lit") is False
         for row in tracked.rows:
             told += self._row(row, row.track + offset, utc_ns, dark)
@@ -203,14 +286,55 @@ class Events:
         stay.frames, stay.shown = stay.frames + (row.seen or not dark), stay.shown + row.seen
         if row.seen:
             stay.last = row.time
+        if stay.ours is not None and self._still_ours(stay, row.time):
+            return self._silenced(stay, utc_ns)
         if not stay.told:
             if not row.seen or row.time - stay.first < self.confirm or stay.shown < _SHOWN * stay.frames:
+                return []
+            if self._taken_for_ours(stay, row.time):
                 return []
             stay.told = True
             told = [self._event(stay, "new", "seen", utc_ns)]
         else:
             told = []
         return told + self._changes(stay, row, utc_ns)
+
+    def _taken_for_ours(self, stay: _Stay, time: float) -> bool:
+        """Return whether a new camera is taken for one of ours by its look; one camera at a time is."""
+        latest = [look for _, look in list(stay.looks)[-_LATEST:]]
+        for one in self.ignored:
+            taken = any(other.ours == one and time - other.last <= self.gone for other in self._stays.values())
+            if one.looks and not taken and len(latest) >= _FEWEST and resembles(latest, one.known, one.tolerance):
+                stay.ours = one
+                return True
+        return False
+
+    def _still_ours(self, stay: _Stay, time: float) -> bool:
+        """Return whether a camera that was taken for one of ours is so still; not once it looks different for a while."""
+        ours = stay.ours
+        if ours is None or ours not in self.ignored:
+            stay.ours = stay.unlike = None
+            return False
+        latest = [look for at, look in list(stay.looks)[-_LATEST:] if time - at <= _RECENT]
+        if not latest or resembles(latest, ours.known, ours.tolerance):
+            stay.unlike = None
+        elif stay.unlike is None:
+            stay.unlike = time
+        elif time - stay.unlike >= max(self.hold, _UNLIKE):
+            stay.ours = stay.unlike = None
+            return False
+        return True
+
+    def _silenced(self, stay: _Stay, utc_ns: int) -> list[Event]:
+        """End what was told of a camera that is taken for ours from now on; it is followed in silence."""
+        if not stay.told:
+            return []
+        stay.told = False
+        ended = Event(stay.camera.id, "end", "gone", utc_ns, "", stay.camera, None)
+        # Should it be told of again, that is another stay.
+        stay.camera = replace(stay.camera, id=uuid.uuid4().hex)
+        stay.published = stay.camera
+        return [ended]
 
     def _changes(self, stay: _Stay, row: TrackRow, utc_ns: int) -> list[Event]:
         told: list[Event] = []

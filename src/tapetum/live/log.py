@@ -158,18 +158,21 @@ class Log:
     def ignore(self, one: Ignored) -> None:
         """Add to the ignored cameras."""
         with self._lock:
-            self._base.execute("INSERT OR IGNORE INTO ignored VALUES (?)", (json.dumps(vars(one)),))
+            self._base.execute("INSERT OR IGNORE INTO ignored VALUES (?)", (one.as_text(),))
 
-    def forget_ignored(self) -> None:
-        """Empty the list of ignored cameras."""
+    def forget_ignored(self, one: Ignored | None = None) -> None:
+        """Take one off the list of ignored cameras, or all."""
         with self._lock:
-            self._base.execute("DELETE FROM ignored")
+            rows = self._base.execute("SELECT body FROM ignored").fetchall()
+            for (body,) in rows:
+                if one is None or Ignored.from_text(body) == one:
+                    self._base.execute("DELETE FROM ignored WHERE body = ?", (body,))
 
     def ignored(self) -> tuple[Ignored, ...]:
         """Return the ignored cameras."""
         with self._lock:
             rows = self._base.execute("SELECT body FROM ignored").fetchall()
-        return tuple(Ignored(**json.loads(body)) for (body,) in rows)
+        return tuple(Ignored.from_text(body) for (body,) in rows)
 
     def expire(self, utc_ns: int | None = None) -> None:
         """Remove what is older than it may be kept."""

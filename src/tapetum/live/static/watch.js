@@ -1,6 +1,6 @@
 // The watch's view: the probe's picture, the cameras, where one looks, and the events.
 
-import { $, bright, colour, colourName, name, number, percent, post, remove, say } from "/static/common.js";
+import { $, bright, colour, colourName, element, keep, name, number, percent, post, remove, say } from "/static/common.js";
 import { now, on } from "/static/socket.js";
 
 const view = $("view"), pen = view.getContext("2d");
@@ -91,9 +91,16 @@ function drawCameras() {
     item.querySelector(".name").setAttribute("aria-pressed", String(one.id === chosen));
     const said = item.querySelector(".said"), text = words(one);
     if (said.textContent !== text) said.textContent = text;
+    item.querySelector("[data-by=device]").hidden = !one.device;
     if (one.seen) thumbnail(item.querySelector("canvas"), one);
   }
 }
+
+const WAYS = [
+  ["place", "this place", "Nothing is told of any camera near this place"],
+  ["device", "this device", "Nothing is told of any camera that is taken for this device"],
+  ["look", "this look", "Nothing is told of a camera that looks as this one did in the last minute, wherever it is"],
+];
 
 function card(id, list) {
   const item = document.createElement("li"), thumb = document.createElement("canvas");
@@ -109,11 +116,14 @@ function card(id, list) {
   button.onclick = () => { chosen = id; drawn = 0; draw(); };
   said.className = "said";
   middle.append(button, said);
-  const ours = document.createElement("button");
-  ours.type = "button";
-  ours.textContent = "Ignore";
-  ours.setAttribute("aria-label", `Ignore ${name(id)}: it is ours`);
-  ours.onclick = () => ignore(id);
+  const ours = element("details", { className: "ignore" }, element("summary", { textContent: "Ignore", "aria-label": `Ignore ${name(id)}: it is ours` }));
+  const ways = element("div", { className: "ways", role: "group", "aria-label": `What ${name(id)} is known by` });
+  for (const [by, words, title] of WAYS) {
+    const way = element("button", { type: "button", textContent: words, title, "data-by": by });
+    way.onclick = async () => { if (await ignore(id, by)) ours.open = false; };
+    ways.append(way);
+  }
+  ours.append(ways);
   item.append(thumb, middle, ours);
   list.append(item);
   return item;
@@ -232,17 +242,26 @@ function happened(event) {
   $("nothing").hidden = true;
 }
 
-async function ignore(id) {
+async function ignore(id, by = "place") {
   const one = state.cameras.find((camera) => camera.id === id);
-  if (!one) return;
-  await post("/api/ignored", { x: Math.max(0, one.x), y: Math.max(0, one.y), radius: Math.max(40, 2 * one.diameter) });
+  if (!one) return null;
+  const place = { x: Math.max(0, one.x), y: Math.max(0, one.y), radius: Math.max(40, 2 * one.diameter) };
+  const done = await post("/api/ignored", { place, device: { device: one.device }, look: { camera: id } }[by]);
   await ours();
+  return done;
 }
 
 async function ours() {
-  const answer = await fetch("/api/ignored"), count = answer.ok ? (await answer.json()).length : 0;
-  $("ours").hidden = !count;
-  say("ignored", `${count} of ours ${count === 1 ? "is" : "are"} ignored.`);
+  const answer = await fetch("/api/ignored"), all = answer.ok ? await answer.json() : [];
+  $("ours").hidden = !all.length;
+  say("ignored", `${all.length} of ours ${all.length === 1 ? "is" : "are"} ignored.`);
+  keep($("ours-list"), all, (one) => one.id, (one) => {
+    const known = { place: `within ${Math.round(one.radius)} pixels of ${Math.round(one.x)}, ${Math.round(one.y)}`, device: `each ${one.device}`, look: `one that looks alike (${one.looks} looks)` }[one.by];
+    const again = element("button", { type: "button", textContent: "Show again", "aria-label": `Show again: ${known}` });
+    again.onclick = async () => { await remove(`/api/ignored?one=${one.id}`); await ours(); };
+    return element("li", {}, element("span", { textContent: known }), again);
+  });
+  $("look-note").hidden = !all.some((one) => one.by === "look");
 }
 
 $("forget").onclick = async () => { await remove("/api/ignored"); await ours(); };
