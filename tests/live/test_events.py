@@ -84,7 +84,10 @@ def test_nothing_is_told_of_an_ignored_camera_and_one_that_was_told_of_ends() ->
 def test_one_wild_estimate_does_not_put_a_change_off_and_many_do() -> None:
     events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)], hold=1.0)
     where = [0.0] * 8 + [0.3 if k != 5 else -0.4 for k in range(20)]
-    assert told(events, [[row(k, **gaze(x))] for k, x in enumerate(where)]) == [(4, "seen", ""), (16, "looks", "screen")]
+    assert told(events, [[row(k, **gaze(x))] for k, x in enumerate(where)]) == [
+        (4, "seen", ""),
+        (16, "looks", "screen"),
+    ]
     events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)], hold=1.0)
     where = [0.0] * 8 + [0.3 if k % 3 else -0.4 for k in range(40)]
     assert told(events, [[row(k, **gaze(x))] for k, x in enumerate(where)]) == [(4, "seen", "")]

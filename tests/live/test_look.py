@@ -26,7 +26,9 @@ def drawn(*places: tuple[float, float, str], seed: int = 0) -> np.ndarray:
     for x, y, kind in places:
         away = np.hypot(columns - x, rows - y)
         radius = 22.0 if kind == "rings" else 34.0
-        light = 110 * (0.6 + 0.4 * np.cos(0.5 * away)) if kind == "rings" else 150 * (1 + 0.7 * np.cos(0.3 * columns)) / 2
+        light = (
+            110 * (0.6 + 0.4 * np.cos(0.5 * away)) if kind == "rings" else 150 * (1 + 0.7 * np.cos(0.3 * columns)) / 2
+        )
         image += light / (1 + np.exp((away - radius) / 1.5))
     return np.clip(np.random.default_rng(seed).normal(image, 1 + 0.05 * np.sqrt(image)), 0, 255).astype(np.uint8)
 
@@ -80,7 +82,10 @@ def named(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_a_look_does_not_change_by_place_and_turn_and_differs_between_kinds() -> None:
-    at = {name: drawn((x, y, "rings"), seed=seed) for seed, (name, x, y) in enumerate((("a", 200, 150), ("b", 411.4, 310.7)))}
+    at = {
+        name: drawn((x, y, "rings"), seed=seed)
+        for seed, (name, x, y) in enumerate((("a", 200, 150), ("b", 411.4, 310.7)))
+    }
     one = look(at["a"], 200, 150, 44, 255)
     other = look(at["b"], 411.4, 310.7, 44, 255)
     turned = look(np.ascontiguousarray(np.rot90(at["a"])), 150, 639 - 200, 44, 255)

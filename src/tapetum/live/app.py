@@ -206,9 +206,7 @@ def make_app(
 
 def _told(one: Ignored) -> IgnoredOne:
     by: Literal["place", "device", "look"] = "look" if one.looks else "device" if one.device else "place"
-    return IgnoredOne(
-        id=one.id, by=by, x=one.x, y=one.y, radius=one.radius, device=one.device, looks=len(one.looks)
-    )
+    return IgnoredOne(id=one.id, by=by, x=one.x, y=one.y, radius=one.radius, device=one.device, looks=len(one.looks))
 
 
 async def _push(socket: WebSocket, watch: Watch, after: int, pictures: bool, pushed: Callable[[], str] | None) -> None:

@@ -71,7 +71,12 @@ class Log:
         most: int | None = None,
         most_pictures: int | None = None,
     ) -> None:
-        for name, value in (("days", days), ("picture_days", picture_days), ("most", most), ("most_pictures", most_pictures)):
+        for name, value in (
+            ("days", days),
+            ("picture_days", picture_days),
+            ("most", most),
+            ("most_pictures", most_pictures),
+        ):
             if value is not None and not value > 0:
                 raise InputError(f"must be positive, is {value}", where=name)
         self.days, self.picture_days = days, picture_days

@@ -34,7 +34,9 @@ _SIDE = 64  # of the reduced square
 _SHARE = 0.75  # of the latest looks that must resemble
 
 
-def look(image: npt.NDArray[np.generic], x: float, y: float, diameter: float, full_scale: float) -> tuple[float, ...] | None:
+def look(
+    image: npt.NDArray[np.generic], x: float, y: float, diameter: float, full_scale: float
+) -> tuple[float, ...] | None:
     """Return the look of a return in a frame; None where it is too small, faint, or largely saturated.
 
     Parameters
@@ -51,7 +53,9 @@ def look(image: npt.NDArray[np.generic], x: float, y: float, diameter: float, fu
     side = math.ceil(2 * diameter) + 4
     square = crop(image, (x, y), side).astype(np.float32)
     rim = max(2, side // 16)
-    edge = np.concatenate([square[:rim].ravel(), square[-rim:].ravel(), square[:, :rim].ravel(), square[:, -rim:].ravel()])
+    edge = np.concatenate(
+        [square[:rim].ravel(), square[-rim:].ravel(), square[:, :rim].ravel(), square[:, -rim:].ravel()]
+    )
     if np.mean(square >= full_scale) > 0.02:
         return None
     light = np.maximum(square - np.median(edge), 0) / full_scale
