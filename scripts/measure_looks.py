@@ -1,7 +1,7 @@
 """How often a camera of ours is known by its look, and how often another is taken for it: `measure_looks.py SEED...`.
 
-On the virtual bench: copies of one thin lens, other thin lenses, and phones, two copies each; each filmed three times in
-a hand 5.5 m away: as it was when it was named as ours; elsewhere, as another hand holds it; and turned farther, a little
+On the virtual bench: copies of one thin lens, other thin lenses, and phones, two copies each; each filmed three times
+in a hand 5.5 m away: as it was when it was named as ours; elsewhere, in another motion; and turned farther, a little
 nearer. Every camera is named once, and every other plays the stranger.
 """
 

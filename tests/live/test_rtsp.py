@@ -89,7 +89,7 @@ def test_an_rtsp_camera_is_watched_lost_and_found_again(film: list[list[bytes]])
 
 def test_a_wrong_password_is_one_line(film: list[list[bytes]]) -> None:
     camera = RtspCamera(film, RATE)
-    with pytest.raises(InputError, match="cannot be watched .*check address, user and password") as raised:
+    with pytest.raises(InputError, match=r"cannot be watched .*check address, user and password") as raised:
         open_frames(f"rtsp://user:guess@127.0.0.1:{camera.port}/live")
     camera.off()
     assert "guess" not in str(raised.value)

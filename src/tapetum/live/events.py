@@ -310,7 +310,7 @@ class Events:
         return False
 
     def _still_ours(self, stay: _Stay, time: float) -> bool:
-        """Return whether a camera that was taken for one of ours is so still; not once it looks different for a while."""
+        """Return whether a camera that was taken for one of ours still is, until it looks different for a while."""
         ours = stay.ours
         if ours is None or ours not in self.ignored:
             stay.ours = stay.unlike = None

@@ -37,7 +37,7 @@ _BOTH = "".join(
 class Log:
     """Events, pictures of them, and the ignored cameras; each write is whole on its own.
 
-    What a file cannot take, as on a full disk, is kept in memory, the newest thousand events, and read like the rest; it
+    What a file cannot take, as on a full disk, is kept in memory and read like the rest: the newest thousand events. It
     is written once that is possible again.
 
     Parameters

@@ -1,8 +1,8 @@
 """How a return looks, so that a camera of ours is known again at another place.
 
-A look is a row of numbers that a turn about the line of sight leaves as they are: size, light, and how the light lies in
-rings and around. They change with where the camera looks, so one camera has many looks; it is known by those that were
-seen of it. Which cameras differ by them was measured on the virtual bench (`scripts/measure_looks.py`).
+A look is a row of numbers that a turn about the line of sight leaves as they are: size, light, and how the light
+lies in rings and around. They change with where the camera looks, so one camera has many looks; it is known by those
+that were seen of it. Which cameras differ by them was measured on the virtual bench (`scripts/measure_looks.py`).
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = npt.NDArray[np.float64]
 LEAST = 20.0
 """Diameter in pixels from which a return has a look: smaller ones all look alike."""
 TOLERANCE = 1.0
-"""How far a look of ours may lie from those that were seen: rather too near, for what is taken for ours is not told of."""
+"""How far a look of ours may lie from those that were seen; rather too near: what is taken for ours is not told of."""
 _RINGS = 6
 NAMES = ("size", "light", "uneven", *(f"ring {k + 1}" for k in range(_RINGS)))
 """What the numbers of a look are."""

@@ -192,7 +192,7 @@ class Activity:
     # Joint probability of imaging or idle (rows), and of each way in which its sensor is seen.
     _joint: Array = field(default_factory=lambda: np.full((2, len(_SEEN)), 0.5 / len(_SEEN)))
     _stated: bool | None = None
-    # Evidence for imaging since it began to outweigh that for idle, and when that was (Page, Biometrika 41, 100 (1954)).
+    # Evidence for imaging since it began to outweigh that for idle, and since when (Page, Biometrika 41, 100 (1954)).
     _evidence: float = 0.0
     _began: float | None = None
 
@@ -230,7 +230,7 @@ class Activity:
         return None
 
     def _weigh(self, likely: Array, time: float) -> None:
-        """Follow since when returns speak for imaging, given how likely this one is for each state and way [2, ways]."""
+        """Follow since when returns speak for imaging; this one is so likely for each state and way [2, ways]."""
         ways = self._joint.sum(0) / self._joint.sum()
         imaging, idle = likely @ ways
         self._evidence = max(0.0, self._evidence + math.log(imaging / idle))
