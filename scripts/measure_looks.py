@@ -127,11 +127,10 @@ if __name__ == "__main__":
         "--keep", type=Path, required=True, help="folder of looks, a file a camera: a later run goes on"
     )
     parser.add_argument("--tolerances", nargs="+", type=float, default=[0.5, 0.75, 1.0, 1.25, 1.5, 2.0])
-    parser.add_argument("--only", type=int, help="film one camera, by its number, and print no table")
+    parser.add_argument("--only", nargs="+", type=int, help="numbers of the cameras, from 0; default: all")
     given = parser.parse_args()
     whole: list[list[Looks]] = []
     for seed in given.seeds:
-        chosen = [(k, *one) for k, one in enumerate(cameras(seed)) if given.only in (None, k)]
+        chosen = [(k, *one) for k, one in enumerate(cameras(seed)) if given.only is None or k in given.only]
         whole.append([looks_of(*one, seed, given.keep) for one in chosen])
-    if given.only is None:
-        table(whole, given.tolerances)
+    table(whole, given.tolerances)

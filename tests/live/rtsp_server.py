@@ -94,7 +94,10 @@ class RtspCamera:
         with contextlib.suppress(OSError, ValueError), client, client.makefile("rb") as lines:
             while request := lines.readline().decode():
                 method = request.split()[0]
-                headers = dict(iter(lambda: tuple(lines.readline().decode().strip().partition(": ")[::2]), ("", "")))
+                headers: dict[str, str] = {}
+                while line := lines.readline().decode().strip():
+                    key, _, value = line.partition(": ")
+                    headers[key] = value
                 self.asked.append(method)
                 answer, more, body = "200 OK", [], ""
                 if method == "OPTIONS":

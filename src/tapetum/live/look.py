@@ -22,7 +22,7 @@ Array = npt.NDArray[np.float64]
 
 LEAST = 20.0
 """Diameter in pixels from which a return has a look: smaller ones all look alike."""
-TOLERANCE = 1.0
+TOLERANCE = 0.5
 """How far a look of ours may lie from those that were seen; rather too near: what is taken for ours is not told of."""
 _RINGS = 6
 NAMES = ("size", "light", "uneven", *(f"ring {k + 1}" for k in range(_RINGS)))
