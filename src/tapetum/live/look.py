@@ -27,8 +27,7 @@ TOLERANCE = 0.5
 _RINGS = 6
 NAMES = ("size", "light", "uneven", *(f"ring {k + 1}" for k in range(_RINGS)))
 """What the numbers of a look are."""
-# How far each number lies from the nearest look that was seen of the same camera, half of the time: development
-# cameras of scripts/measure_looks.py.
+# What counts as one step of each number: chosen by hand, the tolerance by scripts/measure_looks.py.
 _SCALES = np.array([0.05, 0.12, 0.25, *([0.12] * _RINGS)])
 _SIDE = 64  # of the reduced square
 _SHARE = 0.75  # of the latest looks that must resemble
