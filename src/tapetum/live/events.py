@@ -6,20 +6,15 @@ when it has been seen for a while; a change when it has held for a while, and no
 
 from __future__ import annotations
 
-import functools
-import hashlib
-import json
 import math
 import uuid
 from collections import deque
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tapetum.errors import InputError
+from tapetum.live.ignored import Ignored
 from tapetum.live.look import resembles
 from tapetum.live.state import CameraState
 from tapetum.track.rows import TrackedFrame, TrackRow
@@ -88,57 +83,6 @@ class Region:
     def holds(self, x: float, y: float) -> bool:
         """Return whether a gaze falls into it."""
         return self.left <= x <= self.right and self.top <= y <= self.bottom
-
-
-@dataclass(frozen=True)
-class Ignored:
-    """A camera that is ours, by place, by device or by look.
-
-    Parameters
-    ----------
-    x, y, radius
-        Everything within so many pixels of a place is ours.
-    device
-        Every camera of this device is.
-    looks, tolerance
-        Looks that were seen of it (see `tapetum.live.look`), and how far others may lie from them. One camera at a time
-        is taken for it.
-    """
-
-    x: float = 0.0
-    y: float = 0.0
-    radius: float = 0.0
-    device: str = ""
-    looks: tuple[tuple[float, ...], ...] = ()
-    tolerance: float = 0.0
-
-    def holds(self, camera: CameraState) -> bool:
-        """Return whether a camera is this one by place or device."""
-        if self.looks:
-            return False
-        if self.device:
-            return camera.device == self.device
-        return math.dist((self.x, self.y), (camera.x, camera.y)) <= self.radius
-
-    @functools.cached_property
-    def id(self) -> str:
-        """A short name, which follows from all the rest."""
-        return hashlib.sha256(self.as_text().encode()).hexdigest()[:12]
-
-    def as_text(self) -> str:
-        """Return it as JSON; see `from_text`."""
-        return json.dumps({one.name: getattr(self, one.name) for one in fields(self)})
-
-    @classmethod
-    def from_text(cls, text: str) -> Ignored:
-        """Return what `as_text` wrote."""
-        read = json.loads(text)
-        return cls(**{**read, "looks": tuple(tuple(one) for one in read.get("looks", ()))})
-
-    @functools.cached_property
-    def known(self) -> NDArray[np.float64]:
-        """The looks as an array [N, numbers]."""
-        return np.array(self.looks)
 
 
 class _Held(Generic[T]):
