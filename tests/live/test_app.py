@@ -84,7 +84,17 @@ def test_a_bad_camera_to_ignore_is_refused_with_a_reason(watch: Watch, body: obj
 def test_a_camera_is_ignored_and_all_are_shown_again(watch: Watch) -> None:
     ask = client(watch)
     assert ask.post("/api/ignored", json={"x": 170, "y": 150, "radius": 40}).status_code == 204
-    assert ask.get("/api/ignored").json() == [{"x": 170.0, "y": 150.0, "radius": 40.0, "device": ""}]
+    assert ask.post("/api/ignored", json={"device": "phone-03"}).status_code == 204
+    place, device = ask.get("/api/ignored").json()
+    assert {**place, "id": ""} == {
+        **{"id": "", "by": "place", "x": 170.0, "y": 150.0, "radius": 40.0, "device": "", "looks": 0}
+    }
+    assert device["by"] == "device" and device["device"] == "phone-03"
+    assert ask.delete("/api/ignored", params={"one": "none of them"}).status_code == 404
+    assert ask.delete("/api/ignored", params={"one": place["id"]}).status_code == 204
+    assert ask.get("/api/ignored").json() == [device]
+    answer = ask.post("/api/ignored", json={"camera": "nobody"})
+    assert answer.status_code == 409 and "is not here now" in answer.json()["detail"]
     assert ask.delete("/api/ignored").status_code == 204
     assert ask.get("/api/ignored").json() == []
 

@@ -54,7 +54,7 @@ def test_an_event_of_a_change_has_the_camera_before_and_after() -> None:
 
 def test_a_state_that_flickers_is_not_told_of() -> None:
     rows = [[row(k, active=True)] for k in range(20)] + [[row(k, active=bool(k % 3))] for k in range(20, 60)]
-    assert told(Events(), rows) == [(4, "seen", ""), (8, "imaging", "")]
+    assert told(Events(), rows) == [(4, "seen", ""), (6, "imaging", "")]
 
 
 def gaze(x: float) -> dict[str, Any]:
@@ -79,6 +79,24 @@ def test_nothing_is_told_of_an_ignored_camera_and_one_that_was_told_of_ends() ->
     both = [[row(k), row(k, 2, device="ours")] for k in range(8, 30)]
     assert told(events, both, 8) == [(8, "gone", "")]
     assert Ignored(48, 41, 5).holds(events.cameras[0]) and not Ignored(58, 41, 5).holds(events.cameras[0])
+
+
+def test_one_wild_estimate_does_not_put_a_change_off_and_many_do() -> None:
+    events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)], hold=1.0)
+    where = [0.0] * 8 + [0.3 if k != 5 else -0.4 for k in range(20)]
+    assert told(events, [[row(k, **gaze(x))] for k, x in enumerate(where)]) == [
+        (4, "seen", ""),
+        (16, "looks", "screen"),
+    ]
+    events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)], hold=1.0)
+    where = [0.0] * 8 + [0.3 if k % 3 else -0.4 for k in range(40)]
+    assert told(events, [[row(k, **gaze(x))] for k, x in enumerate(where)]) == [(4, "seen", "")]
+
+
+def test_a_glint_that_comes_back_is_no_camera() -> None:
+    """Its track coasts between two flashes: it was followed for a while, and hardly seen."""
+    rows = [[row(k, seen=k < 2 or k >= 7)] for k in range(9)] + [[] for _ in range(20)]
+    assert told(Events(), rows) == []
 
 
 def test_a_model_that_knows_no_device_names_none() -> None:

@@ -74,6 +74,72 @@ def test_a_killed_process_loses_nothing_that_it_wrote(tmp_path: Path) -> None:
     assert log._base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
 
 
+def test_what_is_kept_in_memory_is_bounded_and_numbers_go_on() -> None:
+    log = Log(":memory:", most=300, most_pictures=120)
+    for n in range(1000):
+        assert log.add(event(n), b"x") == n + 1
+    count = log._base.execute("SELECT count(*), count(picture) FROM events").fetchone()
+    # Trimmed now and then.
+    assert 300 <= count[0] <= 400 and 120 <= count[1] <= 220
+    assert [one["id"] for one in log.events(most=2)] == ["id998", "id999"]
+    assert log.picture(1000) == b"x" and log.picture(720) is None
+    usual = Log(":memory:")
+    assert usual.most == 10_000 and usual.most_pictures == 1_000
+
+
+def full(log: Log) -> None:
+    """Let the file of a log grow no more."""
+    size = log._base.execute("PRAGMA page_count").fetchone()[0]
+    log._base.execute(f"PRAGMA max_page_count={size}")
+
+
+def alert(n: int) -> Event:
+    return Event(f"id{n}", "update", "alert", 1, "here")
+
+
+def test_a_full_disk_keeps_events_in_memory_and_writes_them_when_there_is_room(tmp_path: Path) -> None:
+    log = Log(tmp_path / "log.db")
+    log.add(alert(0))
+    full(log)
+    while not log.fault:
+        log.add(alert(1), b"x" * 500)
+    assert log.fault == "the log cannot be written (database or disk is full)"
+    last = log.add(alert(2), b"seen")
+    assert log.newest == last and log.picture(last) == b"seen"
+    assert [one["id"] for one in log.events(after=last - 2)] == ["id1", "id2"]
+    (newest, done), *_ = log.alerts()[0]
+    waiting = log.alerts()[1]
+    assert newest["number"] == last and done is None and waiting == last
+    assert log.acknowledge(last, 7) == 1 and log.alerts()[1] == waiting - 1
+    assert log.alerts()[0][0][1] == 7
+    # Of those that wait the newest are kept.
+    for n in range(1100):
+        log.add(event(n))
+    assert log._base.execute("SELECT count(*) FROM waiting.events").fetchone()[0] <= 1001
+    log._base.execute("PRAGMA max_page_count=100000")
+    log.add(alert(3))
+    assert log.fault == ""
+    log.close()
+    again = Log(tmp_path / "log.db")
+    assert again.newest == last + 1101 and len(again.events(after=last, most=1000)) == 1000
+    assert again.events(after=last + 101, most=1)[0]["number"] == last + 1101
+    assert again._base.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+
+
+def test_an_alert_in_memory_keeps_its_acknowledgement_when_it_is_written(tmp_path: Path) -> None:
+    log = Log(tmp_path / "log.db")
+    full(log)
+    while not log.fault:
+        log.add(alert(1), b"x" * 500)
+    number = log.add(alert(2))
+    log.acknowledge(None, 9)
+    log._base.execute("PRAGMA max_page_count=100000")
+    log.add(alert(3))
+    log.close()
+    found, waiting = Log(tmp_path / "log.db").alerts()
+    assert waiting == 1 and {one["number"]: done for one, done in found}[number] == 9
+
+
 def test_a_file_that_is_no_log_a_newer_one_and_a_missing_folder_are_refused(tmp_path: Path) -> None:
     (tmp_path / "a.db").write_bytes(b"no database at all" * 100)
     with pytest.raises(InputError, match=r"a\.db: cannot be used as a log .*name another file"):

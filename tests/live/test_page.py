@@ -42,6 +42,7 @@ def test_the_page_shows_cameras_ignores_one_and_returns_after_a_restart(
         page.keyboard.press("i")
         page.wait_for_selector("#ignored:text('1 of ours')", timeout=WAIT)
         page.wait_for_selector(f".camera[data-id='{chosen}']", state="detached", timeout=WAIT)
+        assert page.locator("#ours-list li:has-text('pixels of')").count() == 1
         page.wait_for_selector(".event:has-text('is gone')", timeout=WAIT)
     page.wait_for_selector("#connected:text('does not answer')", timeout=WAIT)
     known = page.locator(".event").count()

@@ -203,3 +203,37 @@ def test_a_wrong_answer_ends_no_track():
         said: list[str | None] = ["phone" if n % 3 else "webcam"]
         numbers |= {point.track for point in tracker.update(Detections.of(columns), n / 30, devices=said) if point.seen}
     assert numbers == {1}
+
+
+def test_a_track_that_could_be_anywhere_takes_no_spot_from_one_that_is_there():
+    """A glint near a camera was seen three times; its track coasts, and the camera is missed once."""
+    tracker = Tracker(ghost_ratio=0.0, persist=(3, 5))
+    for n in range(40):
+        # Its centroid errs a little in the frame after.
+        camera = [] if n == 20 else [(500.0 - 8 * n / 15, 137.5 if n == 21 else 135.0)]
+        glint = [(500.0, 193.0)] if 5 <= n < 8 else []
+        points = tracker.update(spots(*camera, *glint, diameter=6.0), n / 15)
+        if n > 2 and camera:
+            assert [one.track for one in points if one.seen and one.y < 150] == [1], n
+
+
+def test_a_jump_to_a_glint_is_taken_back():
+    """The only camera is missed in the frame in which a glint of its look appears elsewhere."""
+    tracker = Tracker(ghost_ratio=0.0, persist=(3, 5))
+    for n in range(30):
+        camera = [] if n == 20 else [(140.0, 352.0)]
+        glint = [(268.0, 302.0)] if 20 <= n < 24 else []
+        points = tracker.update(spots(*camera, *glint, diameter=6.0), n / 15)
+        if n > 21:
+            assert [(one.track, round(one.x)) for one in points if one.seen and one.x < 200] == [(1, 140)], n
+
+
+def test_a_wrong_velocity_of_a_track_alone_does_not_last():
+    """A spot that is none gave the track a speed; each frame then looks like a jump back."""
+    tracker = Tracker(ghost_ratio=0.0)
+    for n in range(20):
+        if n == 10:
+            tracker._tracks[0].state[1] = 290.0, 583.0
+        tracker.update(spots((488.0, 125.0), diameter=6.0), n / 15)
+    (point,) = tracker.update(spots(), 20 / 15)
+    assert math.dist((point.x, point.y), (488, 125)) < 3

@@ -147,6 +147,8 @@ def serve(
         modes = Modes(watch, folder, how_many(source) if hands else 0)
         if guard is not None:
             guard.rules.check_outputs({one.name for one in listeners}, str(rules))
+            known = {name for model in watch.models for name in model.target_names}
+            guard.rules.check_abilities(activity, known, str(rules))
         watch.start()
     except InputError:
         for one in listeners:

@@ -6,7 +6,7 @@ import asyncio
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from tapetum.errors import InputError, need
 from tapetum.live.doors import Doors
@@ -52,6 +52,24 @@ class IgnoredDevice(Strict):
     """Every camera of a device is ignored."""
 
     device: str = Field(min_length=1, max_length=200)
+
+
+class IgnoredLook(Strict):
+    """A camera that is here now is ignored wherever it looks as it did in the last minute."""
+
+    camera: str = Field(min_length=1, max_length=64)
+
+
+class IgnoredOne(BaseModel):
+    """A camera of ours: its name in this list, what it is known by, and where, as what device or by how many looks."""
+
+    id: str
+    by: Literal["place", "device", "look"]
+    x: float
+    y: float
+    radius: float
+    device: str
+    looks: int
 
 
 class Problem(Strict):
@@ -145,19 +163,28 @@ def make_app(
         return Response(picture, media_type="image/jpeg")
 
     @app.get("/api/ignored")
-    async def ignored() -> list[dict[str, Any]]:
+    async def ignored() -> list[IgnoredOne]:
         """Return the cameras that are ignored."""
-        return [vars(one) for one in watch.events.ignored]
+        return [_told(one) for one in watch.events.ignored]
 
-    @app.post("/api/ignored", status_code=204)
-    async def ignore(one: IgnoredPlace | IgnoredDevice) -> None:
-        """Ignore a camera from now on."""
+    @app.post("/api/ignored", status_code=204, responses={409: {"model": Problem}})
+    async def ignore(one: IgnoredPlace | IgnoredDevice | IgnoredLook) -> None:
+        """Ignore a camera from now on: by its place, its device, or its look."""
+        if isinstance(one, IgnoredLook):
+            try:
+                await asyncio.to_thread(watch.ignore_look, one.camera)
+            except InputError as error:
+                raise HTTPException(409, str(error)) from error
+            return
         await asyncio.to_thread(watch.ignore, Ignored(**one.model_dump()))
 
-    @app.delete("/api/ignored", status_code=204)
-    async def forget() -> None:
-        """Report on every camera again."""
-        await asyncio.to_thread(watch.forget_ignored)
+    @app.delete("/api/ignored", status_code=204, responses={404: {"model": Problem}})
+    async def forget(one: Annotated[str, Query(max_length=64)] = "") -> None:
+        """Report on a camera of ours again, by its `id` of the list; without one, on every camera."""
+        found = next((each for each in watch.events.ignored if each.id == one), None)
+        if one and found is None:
+            raise HTTPException(404, "that camera is not in the list of ours")
+        await asyncio.to_thread(watch.forget_ignored, found)
 
     @app.websocket("/ws")
     async def push(socket: WebSocket, after: _NUMBER = 0, pictures: bool = True) -> None:
@@ -175,6 +202,11 @@ def make_app(
     for router in routers:
         app.include_router(router)
     return Doors(app, hosts, token, largest=largest)
+
+
+def _told(one: Ignored) -> IgnoredOne:
+    by: Literal["place", "device", "look"] = "look" if one.looks else "device" if one.device else "place"
+    return IgnoredOne(id=one.id, by=by, x=one.x, y=one.y, radius=one.radius, device=one.device, looks=len(one.looks))
 
 
 async def _push(socket: WebSocket, watch: Watch, after: int, pictures: bool, pushed: Callable[[], str] | None) -> None:

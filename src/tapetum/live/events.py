@@ -8,22 +8,31 @@ from __future__ import annotations
 
 import math
 import uuid
+from collections import deque
 from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Generic, TypeVar
 
 from tapetum.errors import InputError
+from tapetum.live.ignored import Ignored
+from tapetum.live.look import resembles
 from tapetum.live.state import CameraState
 from tapetum.track.rows import TrackedFrame, TrackRow
 
 __all__ = ["KINDS", "Event", "Events", "Ignored", "Region"]
 
 KINDS = (
-    *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "alert"),
+    *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "shutter opened", "alert"),
     *("source lost", "source returned", "source ended"),
 )
 """What events tell."""
 _NONE_OF_THESE = "none of these"
+_LOOKS = 120  # that are kept of a camera: a minute
+_LOOK_NOW, _LOOK_LATER = 0.1, 0.5  # s between two looks while they decide, and else
+_LATEST, _FEWEST = 5, 3  # looks that decide, and the fewest that do
+_RECENT, _UNLIKE = 1.0, 1.0  # s for which a look counts, and for which a camera of ours may look different
+# Of so many estimates one may be far off; share of its frames that must show a new camera.
+_WRONG, _SHOWN = 4, 0.6
 T = TypeVar("T")
 
 
@@ -36,7 +45,7 @@ class Event:
     id, type, kind
         Of the camera's stay; "new", "update" or "end"; one of `KINDS`.
     utc_ns
-        When the frame was taken that showed it.
+        When the frame was taken that showed it; of a shutter that opened, the first that showed it open.
     detail
         The region, the device, the rule of an alert, or why a source was lost.
     before, after
@@ -76,35 +85,30 @@ class Region:
         return self.left <= x <= self.right and self.top <= y <= self.bottom
 
 
-@dataclass(frozen=True)
-class Ignored:
-    """A camera that is ours: everything within `radius` pixels of a place, or every camera of a device."""
-
-    x: float = 0.0
-    y: float = 0.0
-    radius: float = 0.0
-    device: str = ""
-
-    def holds(self, camera: CameraState) -> bool:
-        """Return whether a camera is this one."""
-        if self.device:
-            return camera.device == self.device
-        return math.dist((self.x, self.y), (camera.x, camera.y)) <= self.radius
-
-
 class _Held(Generic[T]):
-    """A value that changes only when a new one has held for some seconds, and some seconds after the last change."""
+    """A value that changes only when a new one has held for some seconds, and some seconds after the last change.
+
+    A new value holds while it is said in most frames: one estimate in `_WRONG` may be far off without ending that.
+    """
 
     def __init__(self, value: T, hold: float, cooldown: float) -> None:
         self.value, self.hold, self.cooldown = value, hold, cooldown
         self._other: T = value
         self._since = self._changed = -math.inf
+        self._for = self._against = 0
 
     def update(self, value: T, time: float) -> bool:
         """Return whether the value changes now."""
-        if value != self._other:
-            self._other, self._since = value, time
-        if value == self.value or time - self._since < self.hold or time - self._changed < self.cooldown:
+        if value == self._other:
+            self._for += 1
+        else:
+            self._against += 1
+            # What was told of before needs no share: whatever differs may be the beginning of a change.
+            if self._other == self.value or self._against * _WRONG > self._for + self._against:
+                self._other, self._since, self._for, self._against = value, time, 1, 0
+        if value != self._other or value == self.value:
+            return False
+        if time - self._since < self.hold or time - self._changed < self.cooldown:
             return False
         self.value, self._changed = value, time
         return True
@@ -115,10 +119,17 @@ class _Stay:
 
     def __init__(self, camera: CameraState, time: float, hold: float, cooldown: float) -> None:
         self.camera, self.told, self.first, self.last = camera, False, time, time
+        self.frames = self.shown = 0
+        self.looks: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_LOOKS)
+        # What it is taken for by its look, and since when it does not look so any more.
+        self.ours: Ignored | None = None
+        self.unlike: float | None = None
         self.published = camera
-        self.active = _Held[bool | None](None, hold, cooldown)
+        # Stated only where it is 95 % sure, which takes some frames already.
+        self.active = _Held[bool | None](None, hold / 2, cooldown)
         self.device = _Held[str | None](None, hold, cooldown)
         self.regions: dict[str, _Held[bool]] = {}
+        self.opened = -math.inf
 
 
 class Events:
@@ -129,8 +140,9 @@ class Events:
     regions
         Parts of the cameras' fields that are told of.
     confirm, hold, cooldown, gone
-        Seconds for which a camera must have been followed before it is told of; for which a change must have held;
-        between two changes of a kind; and unseen before it is gone.
+        Seconds for which a camera must have been followed, and seen in most of its frames, before it is told of; for
+        which a change must have held, one frame in four aside; between two changes of a kind; and unseen before it is
+        gone.
     ignored
         Cameras that are ours: nothing is told of them, and nothing begins with them.
     """
@@ -140,7 +152,7 @@ class Events:
         regions: Iterable[Region] = (),
         *,
         confirm: float = 0.5,
-        hold: float = 0.5,
+        hold: float = 0.4,
         cooldown: float = 1.0,
         gone: float = 1.0,
         ignored: Iterable[Ignored] = (),
@@ -157,9 +169,41 @@ class Events:
         """The cameras that were told of."""
         return tuple(stay.camera for stay in self._stays.values() if stay.told)
 
-    def update(self, tracked: TrackedFrame, utc_ns: int, offset: int = 0) -> list[Event]:
-        """Take a frame's tracks, whose numbers begin after `offset`, and return what happened."""
+    def wants_look(self, row: TrackRow, offset: int = 0) -> bool:
+        """Return whether the look of a row is to be measured: often while it decides, else now and then."""
+        stay = self._stays.get(row.track + offset)
+        if stay is None or not row.seen or row.diameter is None:
+            return False
+        decides = (stay.ours is not None or not stay.told) and any(one.looks for one in self.ignored)
+        return not stay.looks or row.time - stay.looks[-1][0] >= (_LOOK_NOW if decides else _LOOK_LATER)
+
+    def looks_of(self, camera: str) -> tuple[tuple[float, ...], ...]:
+        """Return the looks of the last minute of a camera that was told of; empty where there are none."""
+        # Copies, for another thread asks.
+        stay = next((one for one in list(self._stays.values()) if one.camera.id == camera and one.told), None)
+        return () if stay is None else tuple(look for _, look in stay.looks.copy())
+
+    def take_as(self, camera: str, ours: Ignored) -> None:
+        """Take a camera for one of ours by its look; its stay ends with its next frame."""
+        for stay in list(self._stays.values()):
+            if stay.camera.id == camera:
+                stay.ours = ours
+
+    def update(
+        self,
+        tracked: TrackedFrame,
+        utc_ns: int,
+        offset: int = 0,
+        looks: Mapping[int, tuple[float, ...]] | None = None,
+    ) -> list[Event]:
+        """Take a frame's tracks, whose numbers begin after `offset`, and return what happened.
+
+        `looks` holds those of this frame that were measured, by the tracks' numbers.
+        """
         told: list[Event] = []
+        for number, one in (looks or {}).items():
+            if (stay := self._stays.get(number)) is not None:
+                stay.looks.append((tracked.time, one))
         dark = tracked.moment.get("lit") is False
         for row in tracked.rows:
             told += self._row(row, row.track + offset, utc_ns, dark)
@@ -183,10 +227,15 @@ class Events:
                 self._stays[number] = _Stay(camera, row.time, self.hold, self.cooldown)
             return []
         stay.camera = camera
+        stay.frames, stay.shown = stay.frames + (row.seen or not dark), stay.shown + row.seen
         if row.seen:
             stay.last = row.time
+        if stay.ours is not None and self._still_ours(stay, row.time):
+            return self._silenced(stay, utc_ns)
         if not stay.told:
-            if not row.seen or row.time - stay.first < self.confirm:
+            if not row.seen or row.time - stay.first < self.confirm or stay.shown < _SHOWN * stay.frames:
+                return []
+            if self._taken_for_ours(stay, row.time):
                 return []
             stay.told = True
             told = [self._event(stay, "new", "seen", utc_ns)]
@@ -194,10 +243,51 @@ class Events:
             told = []
         return told + self._changes(stay, row, utc_ns)
 
+    def _taken_for_ours(self, stay: _Stay, time: float) -> bool:
+        """Return whether a new camera is taken for one of ours by its look; one camera at a time is."""
+        latest = [look for _, look in list(stay.looks)[-_LATEST:]]
+        for one in self.ignored:
+            taken = any(other.ours == one and time - other.last <= self.gone for other in self._stays.values())
+            if one.looks and not taken and len(latest) >= _FEWEST and resembles(latest, one.known, one.tolerance):
+                stay.ours = one
+                return True
+        return False
+
+    def _still_ours(self, stay: _Stay, time: float) -> bool:
+        """Return whether a camera that was taken for one of ours still is, until it looks different for a while."""
+        ours = stay.ours
+        if ours is None or ours not in self.ignored:
+            stay.ours = stay.unlike = None
+            return False
+        latest = [look for at, look in list(stay.looks)[-_LATEST:] if time - at <= _RECENT]
+        if not latest or resembles(latest, ours.known, ours.tolerance):
+            stay.unlike = None
+        elif stay.unlike is None:
+            stay.unlike = time
+        elif time - stay.unlike >= max(self.hold, _UNLIKE):
+            stay.ours = stay.unlike = None
+            return False
+        return True
+
+    def _silenced(self, stay: _Stay, utc_ns: int) -> list[Event]:
+        """End what was told of a camera that is taken for ours from now on; it is followed in silence."""
+        if not stay.told:
+            return []
+        stay.told = False
+        ended = Event(stay.camera.id, "end", "gone", utc_ns, "", stay.camera, None)
+        # Should it be told of again, that is another stay.
+        stay.camera = replace(stay.camera, id=uuid.uuid4().hex)
+        stay.published = stay.camera
+        return [ended]
+
     def _changes(self, stay: _Stay, row: TrackRow, utc_ns: int) -> list[Event]:
         told: list[Event] = []
         if row.active is not None and stay.active.update(row.active, row.time):
             told.append(self._event(stay, "update", "imaging" if row.active else "not imaging", utc_ns))
+        if row.opened is not None and row.time - stay.opened >= self.cooldown:
+            opened = utc_ns - round((row.time - row.opened) * 1e9)
+            stay.opened, stay.camera = row.time, replace(stay.camera, opened_utc_ns=opened)
+            told.append(self._event(stay, "update", "shutter opened", opened))
         device = stay.camera.device
         asked = row.seen and _asked(row)
         if asked and device is not None and stay.device.update(device, row.time):

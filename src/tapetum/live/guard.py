@@ -51,6 +51,7 @@ class _Known:
     imaging: bool | None = None
     device: str | None = None
     regions: set[str] = field(default_factory=set)
+    opened: bool = False
 
 
 @dataclass
@@ -104,6 +105,9 @@ class Guard:
                 if self._holds(rule, known, stand, state.utc_ns) and not quiet:
                     stand.told, stand.alerted = True, state.utc_ns
                     told.append(Alert(state.utc_ns, rule.name, known.camera, rule.tell))
+        for known in self._known.values():
+            # A moment, which is over.
+            known.opened = False
         return told
 
     def _learn(self, event: Event) -> None:
@@ -114,6 +118,8 @@ class Guard:
         known = self._known.setdefault(event.id, _Known(camera))
         if event.kind in ("imaging", "not imaging"):
             known.imaging = event.kind == "imaging"
+        elif event.kind == "shutter opened":
+            known.opened = True
         elif event.kind == "device":
             known.device = event.detail
         elif event.kind == "looks":
@@ -136,6 +142,7 @@ def _true(rule: Rule, known: _Known) -> bool:
     when = rule.when
     return (
         (when.imaging is None or known.imaging is when.imaging)
+        and (when.shutter is None or known.opened)
         and (when.looks_at is None or when.looks_at in known.regions)
         and (not when.device or known.device in when.device)
         and (not when.not_device or (known.device is not None and known.device not in when.not_device))

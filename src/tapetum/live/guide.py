@@ -26,6 +26,8 @@ _SETTLE = 0.6  # s that the eye and hand take to reach a new mark, at least
 _WINDOW = 0.8  # s for which the gaze must rest
 _LONGEST = 4.0  # s over which so many samples may be spread
 _SAMPLES = 6
+_FEWEST = 3  # samples that do, once their mean is known as well as `_ENOUGH`
+_ENOUGH = 0.002  # of the field: standard deviation of a mark's mean gaze; the hand's slow tremble is as large
 _REST = 0.004  # of the field: standard deviation of a resting gaze, at most, where its intervals allow no more
 _DRIFT = 3.0  # standard errors between the halves of the window, at most
 _AWAY = 4.0  # standard errors from the gaze at the mark before, at least
@@ -129,16 +131,22 @@ class Guide:
         middle = np.median(gazes, axis=0)
         # A single wild estimate is no movement: the spread is the median's.
         spread = float(np.max(1.4826 * np.median(np.abs(gazes - middle), axis=0)))
-        allowed = max(_REST, float(np.median(samples[:, 3])))
+        own = float(np.median(samples[:, 3]))
+        # That of few samples is large by chance more often.
+        allowed = max(_REST, own) * (1 + 3 / len(samples))
         if spread > allowed:
+            self._pass_over()
             return self._step(0.0, "hold still")
-        if time - samples[0, 0] < _WINDOW * 0.9 or len(samples) < _SAMPLES:
+        known = 1.25 * max(spread, own) / math.sqrt(len(samples)) <= _ENOUGH
+        if time - samples[0, 0] < _WINDOW * 0.8 or len(samples) < (_FEWEST if known else _SAMPLES):
             return self._step(self._rested(time), "look")
         half = len(samples) // 2
         drift = float(np.max(np.abs(np.median(gazes[:half], axis=0) - np.median(gazes[half:], axis=0))))
-        # Medians of a few samples scatter by 1.25 standard deviations over the root of their number.
-        error = 1.25 * max(spread, _REST / 4) / math.sqrt(half)
+        # Medians of a few samples scatter by 1.25 standard deviations over the root of their number; the spread of few
+        # is small by chance, where the estimates' own intervals are not.
+        error = 1.25 * max(spread, min(max(own, _REST / 4), _REST / 2)) / math.sqrt(half)
         if drift > _DRIFT * math.sqrt(2) * error:
+            self._pass_over()
             return self._step(0.0, "hold still")
         error /= math.sqrt(2)
         if self.fixes and math.dist(middle, (self.fixes[-1].gaze_x, self.fixes[-1].gaze_y)) < _AWAY * math.hypot(
@@ -152,6 +160,11 @@ class Guide:
         self._since = None
         self._window.clear()
         return Step(None, len(self.marks), len(self.marks), 1.0, "done") if self.done else self._step(0.0, "next")
+
+    def _pass_over(self) -> None:
+        """Of a slow watch, whose window is long, leave out the sample that was taken on the way here."""
+        if _FEWEST < len(self._window) <= _SAMPLES:
+            self._window.popleft()
 
     def _rested(self, time: float) -> float:
         return min(1.0, (time - self._window[0][0]) / _WINDOW) if self._window else 0.0

@@ -14,14 +14,17 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tapetum.errors import InputError
 from tapetum.live.acquire import Acquisition
 from tapetum.live.events import Event, Events, Ignored, Region
 from tapetum.live.guard import Guard
 from tapetum.live.log import Log
+from tapetum.live.look import LEAST, TOLERANCE, look
 from tapetum.live.outputs.base import Counts
 from tapetum.live.state import Health, State
 from tapetum.record.source import Frame, Source, full_scale_of
 from tapetum.track.pipeline import make_detector, track, usual_tracker
+from tapetum.track.rows import TrackRow
 from tapetum.track.turns import Turns
 
 if TYPE_CHECKING:
@@ -35,6 +38,7 @@ _QUALITY = 80
 _RECENT = 30  # frames over which rate and delay are averaged
 _PATIENCE = 5.0
 _EXPIRE_EVERY = 600.0
+_FEWEST_LOOKS = 10  # of a camera that is to be known by them
 _PAUSE = 0.2  # s after a frame that could not be searched
 
 
@@ -157,10 +161,32 @@ class Watch:
         self.log.ignore(one)
         self.events.ignored = self.log.ignored()
 
-    def forget_ignored(self) -> None:
-        """Report on every camera again."""
-        self.log.forget_ignored()
-        self.events.ignored = ()
+    def ignore_look(self, camera: str) -> None:
+        """Ignore a camera that is followed now wherever it looks as it did in the last minute.
+
+        Raises
+        ------
+        InputError
+            When there is no such camera, or it showed too few looks.
+        """
+        found = next((one for one in self.state.cameras if one.id == camera), None)
+        if found is None:
+            raise InputError("is not here now", where=f"camera {camera}", remedy="choose one of the list")
+        looks = self.events.looks_of(camera)
+        if len(looks) < _FEWEST_LOOKS:
+            if found.diameter < LEAST:
+                what = f"its return is {found.diameter:.0f} pixels wide: returns below {LEAST:.0f} all look alike"
+                raise InputError(what, where="look", remedy="ignore it by its place or device")
+            what = f"{len(looks)} of {_FEWEST_LOOKS} looks were seen, or its return is saturated or faint"
+            raise InputError(what, where="look", remedy="wait some seconds, or ignore it by its place or device")
+        one = Ignored(looks=looks, tolerance=TOLERANCE)
+        self.ignore(one)
+        self.events.take_as(camera, one)
+
+    def forget_ignored(self, one: Ignored | None = None) -> None:
+        """Report on a camera of ours again, or on every one."""
+        self.log.forget_ignored(one)
+        self.events.ignored = self.log.ignored()
 
     @property
     def shown(self) -> Frame | None:
@@ -219,13 +245,24 @@ class Watch:
             if frame.lit is not False:
                 self._shown = frame
             utc = frame.utc_ns or time.time_ns()
-            made = self.events.update(tracked, utc, self._offset)
+            looks = self._looks(frame, tracked.rows)
+            made = self.events.update(tracked, utc, self._offset, looks)
             for event in made:
                 self._publish(event)
             self._set_state(utc)
             if self.guard is not None:
                 for alert in self.guard.update(self.state, made):
                     self._publish(alert.as_event(), alert.tell)
+
+    def _looks(self, frame: Frame, rows: Iterable[TrackRow]) -> dict[int, tuple[float, ...]]:
+        """Measure the looks that are wanted, by the tracks' numbers."""
+        scale, found = float(frame.full_scale or full_scale_of(frame.image.dtype)), {}
+        for row in rows:
+            if row.diameter is not None and row.diameter >= LEAST and self.events.wants_look(row, self._offset):
+                one = look(frame.image, row.x, row.y, row.diameter, scale)
+                if one is not None:
+                    found[row.track + self._offset] = one
+        return found
 
     def _taken(self) -> Iterator[Frame]:
         for frame in self.acquisition:
@@ -238,7 +275,7 @@ class Watch:
         try:
             self.log.add(event, self._evidence(event))
         except sqlite3.Error as error:
-            # A full disk must not stop the watch.
+            # Whatever is wrong with the log must not stop the watch.
             self._fault = f"the log cannot be written ({error})"
         for listener in self.listeners:
             if not tell or getattr(listener, "hears_all", False) or getattr(listener, "name", "") in tell:
@@ -272,7 +309,8 @@ class Watch:
             delay = sum(one for _, one in self._times) / len(self._times)
         counts = self._frames, reading.lost, reading.refused
         unreached = tuple(filter(None, map(_unreached, self.listeners)))
-        health = Health(rate, delay, *counts, reading.connected, ended, self._fault, unreached)
+        fault = "; ".join(filter(None, (self._fault, self.log.fault)))
+        health = Health(rate, delay, *counts, reading.connected, ended, fault, unreached)
         size = (0, 0) if frame is None else frame.image.shape[::-1]
         number = -1 if frame is None else frame.index
         clocks = (None, None) if frame is None else (frame.monotonic_ns, frame.camera_time)

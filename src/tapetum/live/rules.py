@@ -113,6 +113,8 @@ class Conditions:
 
     # Whether it images; false: it is known not to.
     imaging: bool | None = None
+    # That a shutter opens on its sensor, while it was idle: a moment.
+    shutter: Literal["opened"] | None = None
     # Name of a region of its field that the probe must lie in.
     looks_at: Name | None = None
     # It is taken for one of these, or for something else than these.
@@ -123,6 +125,8 @@ class Conditions:
     def _one(self) -> Conditions:
         if self.device and self.not_device:
             raise ValueError("has device and not_device; leave one of them out")
+        if self.shutter is not None and self.imaging is not None:
+            raise ValueError("has shutter and imaging; leave imaging out: it is told half a second later")
         return self
 
 
@@ -140,6 +144,12 @@ class Rule:
     quiet: Annotated[tuple[Quiet, ...], BeforeValidator(_list)] | None = None
     # Names of outputs; none named: all.
     tell: Names = ()
+
+    @model_validator(mode="after")
+    def _moment(self) -> Rule:
+        if self.when.shutter is not None and self.hold:
+            raise ValueError("has a shutter that opens, which is a moment, and hold; leave hold out")
+        return self
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -188,6 +198,31 @@ class Rules:
             return False
         local = dt.datetime.fromtimestamp(utc_ns / 1e9, self.zone)
         return any(one.holds(local) for one in hours)
+
+    def check_abilities(self, activity: bool, targets: Collection[str], where: str = "rules") -> None:
+        """Raise an InputError where a rule asks for what the watch does not estimate: its alert would never come.
+
+        Parameters
+        ----------
+        activity
+            Whether the watch says of cameras if they image.
+        targets
+            What its models estimate.
+        where
+            The rules' file.
+        """
+        for k, rule in enumerate(self.rules):
+            when = rule.when
+            wants = (
+                ("imaging", when.imaging is not None, activity, "add --activity"),
+                ("shutter", when.shutter is not None, activity, "add --activity"),
+                ("looks_at", when.looks_at is not None, "gaze_x" in targets, "add a --model of gaze"),
+                ("device", bool(when.device or when.not_device), "device" in targets, "add a --model of devices"),
+            )
+            for name, asked, able, remedy in wants:
+                if asked and not able:
+                    what = f"rule {rule.name!r} asks for {name}, which this watch does not estimate"
+                    raise InputError(what, where=f"{where}: rules.{k}.when", remedy=remedy)
 
     def check_outputs(self, names: Collection[str], where: str = "rules") -> None:
         """Raise an InputError where a rule tells an output that there is not."""

@@ -38,6 +38,8 @@ class CameraState:
     estimated_utc_ns
         When the frame was taken that device and gaze are of: with many cameras models see each by turns. None without
         a model.
+    opened_utc_ns
+        When a shutter last opened on its sensor, of a camera that was idle; None where that was not seen.
     """
 
     id: str
@@ -56,6 +58,7 @@ class CameraState:
     gaze_y: tuple[float, float, float] | None = None
     regions: tuple[str, ...] = ()
     estimated_utc_ns: int | None = None
+    opened_utc_ns: int | None = None
 
     def is_fresh(self, utc_ns: int) -> bool:
         """Return whether its gaze is of the frame that was taken then, and not of an earlier one."""

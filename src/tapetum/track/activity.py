@@ -182,11 +182,19 @@ class Activity:
     ----------
     time
         Of the latest return, in seconds; None before the first.
+    opened
+        When a shutter last opened on the sensor of a camera that was idle, in seconds: the first of the returns that
+        show it. None where that was not seen.
     """
 
     time: float | None = None
+    opened: float | None = None
     # Joint probability of imaging or idle (rows), and of each way in which its sensor is seen.
     _joint: Array = field(default_factory=lambda: np.full((2, len(_SEEN)), 0.5 / len(_SEEN)))
+    _stated: bool | None = None
+    # Evidence for imaging since it began to outweigh that for idle, and since when (Page, Biometrika 41, 100 (1954)).
+    _evidence: float = 0.0
+    _began: float | None = None
 
     @property
     def imaging(self) -> float:
@@ -205,11 +213,28 @@ class Activity:
         if asymmetry is not None and seen:
             kind = int(np.searchsorted(EDGES, asymmetry))
             likely = np.array([[chances[kind] for chances in _SEEN.values()], [_IDLE[kind]] * len(_SEEN)])
+            self._weigh(likely, time)
             self._joint = self._joint * likely ** (1 / _ALIKE)
         self._joint = self._joint / self._joint.sum()
         if not seen:
             return None
         if self.imaging >= _SURE:
+            if self._stated is False:
+                self.opened = time if self._began is None else self._began
+            self._stated = True
             return True
+        if self._joint[1, _CLEAR] >= _SURE:
+            self._stated = False
+            return False
         # Behind a filter that passes some percent the sensor shows at some gazes only.
-        return False if self._joint[1, _CLEAR] >= _SURE else None
+        return None
+
+    def _weigh(self, likely: Array, time: float) -> None:
+        """Follow since when returns speak for imaging; this one is so likely for each state and way [2, ways]."""
+        ways = self._joint.sum(0) / self._joint.sum()
+        imaging, idle = likely @ ways
+        self._evidence = max(0.0, self._evidence + math.log(imaging / idle))
+        if self._evidence == 0:
+            self._began = None
+        elif self._began is None:
+            self._began = time

@@ -52,6 +52,9 @@ class TrackRow:
         What happened to the track in this frame (see `TrackPoint`).
     active
         Whether the camera images now (see `tapetum.track.activity`); None where it cannot be told or was not asked.
+    opened
+        In the frame in which it was noticed that a shutter opened on the camera's sensor: when that was, seconds. In
+        tables it is part of `event`.
     moment
         Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
@@ -73,6 +76,7 @@ class TrackRow:
     seen: bool
     event: str = ""
     active: bool | None = None
+    opened: float | None = None
     moment: Mapping[str, Any] = field(default_factory=dict)
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
@@ -81,8 +85,10 @@ class TrackRow:
 
         `device` and `device_probability` are absent where no model recognises devices.
         """
-        own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates")}
-        return {**own, "event": self.event or None, **self.moment, **self.estimates}
+        own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates", "opened")}
+        shutter = "" if self.opened is None else f"shutter opened at {self.opened:.3f} s"
+        event = "; ".join(one for one in (self.event, shutter) if one)
+        return {**own, "event": event or None, **self.moment, **self.estimates}
 
 
 @dataclass(frozen=True)
@@ -133,7 +139,9 @@ class TrackedFrame:
             place["event"] = point.event
             if activities is not None:
                 known = activities.setdefault(point.track, Activity())
+                before = known.opened
                 place["active"] = known.update(None if n is None else answers[n].get("asymmetry"), about["time"])
+                place["opened"] = None if known.opened == before else known.opened
             rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
         return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers))
 

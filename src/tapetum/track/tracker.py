@@ -29,6 +29,8 @@ _ALIKE, _SAME = 1.0, 0.7
 _SHARED = 12.0
 # Frames unseen after which a track's place no longer tells where all went.
 _LOST_FOR = 5
+# Frames for which a jump of few tracks can be taken back.
+_HOMING = 4
 # Cost of giving a spot to a track that models take for another device: it decides between places within the gate, but
 # does not end a track, for models err. Answers needed before a track counts as a device.
 _OTHER_DEVICE, _TOLD = 8.0, 3
@@ -83,6 +85,9 @@ class _Track:
         self.hits, self.misses, self.seen_at = 1, 0, time
         self.lately = [True]
         self.hidden: int | None = None
+        # Where it would be had it not followed a jump, and for how many frames that is remembered.
+        self.home: Array | None = None
+        self.homing = 0
         self.devices: Counter[str] = Counter()
 
     @property
@@ -96,6 +101,8 @@ class _Track:
         self.state = step @ self.state
         self.covariance = step @ self.covariance @ step.T + acceleration**2 * np.outer(push, push)
         self.peak *= math.exp(-dt / _MEMORY)
+        self.homing = max(0, self.homing - 1)
+        self.home = None if self.home is None or not self.homing else step @ self.home
 
     def correct(self, place: Array, peak: float, diameter: float, noise: float, time: float) -> None:
         gain = self.covariance[0] / (self.covariance[0, 0] + noise**2)
@@ -114,8 +121,8 @@ class Tracker:
     """Assigns the spots of successive frames to numbered tracks.
 
     A spot moves with constant velocity, disturbed by random accelerations; the filter uses the actual time stamps, so
-    gaps and jitter do no harm. The assignment of spots to tracks minimises the sum of squared distances, in standard
-    deviations (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track seen in
+    gaps and jitter do no harm. The assignment of spots to tracks is the likeliest under the filters' Gaussian
+    predictions (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track seen in
     `confirm` frames coasts through frames without its spot; a younger one ends at the first.
 
     When a spot fades, its ghost (see `tapetum.track.detect`) may remain for some frames. A spot much dimmer than a
@@ -203,7 +210,9 @@ class Tracker:
         fits = ((squared <= self.gate**2) | overlaps) & (distance <= self.max_distance) & ~(apart & dim)
         # Brightness decides between spots that fit equally well.
         likeness = np.log(np.maximum(peak, 1e-12) / np.maximum(bright, 1e-12))
-        costs = np.where(fits, squared + np.minimum(likeness**2, 4.0), _NEVER)
+        # Twice the negative logarithm of the likelihood, whose width counts: a track that has been unseen for long, and
+        # could be anywhere, takes no spot from one that is known to be there.
+        costs = np.where(fits, squared + 2 * np.log(variance + noise**2) + np.minimum(likeness**2, 4.0), _NEVER)
         return costs, dim & (distance <= self.ghost_radius)
 
     def update(
@@ -305,6 +314,8 @@ class Tracker:
         bright, wide = np.array([(track.now, track.diameter) for track in self._tracks]).T[:, :, None]
         brighter = np.abs(np.log(np.maximum(peak, 1e-12) / np.maximum(bright, 1e-12)))
         wider = np.abs(np.log((diameter + 1) / (wide + 1)))
+        if self._go_home(place, np.maximum(brighter, wider)):
+            return
         if steady.sum() > 2:
             alike = (brighter < _ALIKE) & (wider < _ALIKE) & steady[:, None]
             motion = common_motion(expected, place, alike, self.shake)
@@ -312,9 +323,35 @@ class Tracker:
             motion = None
         if motion is None:
             motion = self._jump(expected, place, np.maximum(brighter, wider))
+            if motion is not None:
+                for track in self._tracks:
+                    track.home, track.homing = track.state.copy(), _HOMING
+                    # Of few tracks the jump may make good a wrong velocity, which would be wrong again.
+                    track.state[1] *= 0.5
         if motion is not None:
             for track, moved in zip(self._tracks, expected @ motion[:, :2].T + motion[:, 2], strict=True):
                 track.state = np.stack([moved, track.state[1]])
+
+    def _go_home(self, place: Array, looks: Array) -> bool:
+        """Undo a jump where all that jumped find their like where they would have been: what they followed was another.
+
+        A camera that is missed in the frame in which a reflection appears elsewhere looks as if it had jumped there.
+        """
+        homes = [(n, track.home) for n, track in enumerate(self._tracks) if track.home is not None and track.number]
+        if not homes:
+            return False
+        for n, home in homes:
+            track = self._tracks[n]
+            near = np.linalg.norm(place - home[0], axis=1) <= max(_SHARED, 0.5 * track.diameter)
+            # What is near both may as well have jumped, a little.
+            apart = np.linalg.norm(place - track.state[0], axis=1) > 2 * _SHARED
+            if not (near & apart & (looks[n] < _SAME)).any():
+                return False
+        for n, home in homes:
+            self._tracks[n].state = home
+        for track in self._tracks:
+            track.home = None
+        return True
 
     def _jump(self, expected: Array, place: Array, looks: Array) -> Array | None:
         """The one shift by which well-known tracks, none of which is where expected, find their like.

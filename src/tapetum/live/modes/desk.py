@@ -172,6 +172,8 @@ def _words(rule: Rule) -> str:
         said.append(f"it is taken for something else than {', '.join(when.not_device)}")
     if when.imaging is not None:
         said.append("it images" if when.imaging else "it does not image")
+    if when.shutter is not None:
+        said.append("its shutter opens")
     if when.looks_at is not None:
         said.append(f"it looks at {when.looks_at}")
     return "a camera is here" + "".join(f", {one}" for one in said)

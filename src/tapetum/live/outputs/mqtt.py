@@ -165,6 +165,7 @@ def _shown(camera: CameraState | None) -> dict[str, Any]:
         "here": "ON",
         "id": camera.id,
         "imaging": camera.active,
+        "opened_utc_ns": camera.opened_utc_ns,
         "since_utc_ns": camera.since_utc_ns,
     }
     shown |= {"x": round(camera.x, 1), "y": round(camera.y, 1), "seen": camera.seen, "regions": camera.regions}

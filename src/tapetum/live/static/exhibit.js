@@ -34,7 +34,14 @@ on("state", ({ cameras }) => {
   list.replaceChildren(list.options[0], ...shown.map((one) => element("option", { value: one.id, textContent: name(one.id) })));
   list.value = shown.some((one) => one.id === chosen) ? chosen : "";
 });
-addEventListener("view", ({ detail }) => { hidden = detail !== "exhibit"; if (!hidden) draw(); });
+addEventListener("view", ({ detail }) => {
+  hidden = detail !== "exhibit";
+  if (hidden || !now.modes) return;
+  // Nothing may come for long after: what came before is shown.
+  exhibit = now.modes.exhibit;
+  words(now.modes);
+  draw();
+});
 addEventListener("resize", () => { if (!hidden) draw(); });
 
 function words({ hands }) {
@@ -66,6 +73,8 @@ function words({ hands }) {
     say(item.lastChild, `${at(one.x, width)}, ${at(one.y, height)} px${one.inside ? "" : ", beside the screen"}`);
   });
   $("no-pointing").hidden = exhibit.pointers.length > 0;
+  const blind = now.state?.cameras.length && !now.state.cameras.some((one) => one.gaze_x);
+  say("no-pointing", blind ? "No camera shows its gaze: that takes a --model, as “tapetum serve hand” has." : "No camera points.");
 }
 
 function draw() {

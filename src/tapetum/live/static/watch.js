@@ -1,12 +1,13 @@
 // The watch's view: the probe's picture, the cameras, where one looks, and the events.
 
-import { $, bright, colour, colourName, name, number, percent, post, remove, say } from "/static/common.js";
+import { $, bright, colour, colourName, element, keep, name, number, percent, post, remove, say } from "/static/common.js";
 import { now, on } from "/static/socket.js";
 
 const view = $("view"), pen = view.getContext("2d");
-const TRAIL = 120, SPAN = 120e3, EVENTS = 100;
+const TRAIL = 120, SPAN = 120e3, EVENTS = 100, MOMENTS = 100;
 const trails = new Map();  // by a camera's id: places of the probe in its field
 const stays = new Map();  // by a camera's id: from and to when it was seen, ms
+const moments = new Map();  // by a camera's id: when its shutter opened, ms
 const places = new Map();  // by a frame's number: its cameras, so that marks stand where that picture shows them
 let state = null, chosen = null;
 
@@ -25,7 +26,7 @@ on("state", (message) => {
     }
   }
   for (const [id, { to }] of stays) {
-    if (to < state.utc_ns / 1e6 - SPAN) { stays.delete(id); trails.delete(id); }
+    if (to < state.utc_ns / 1e6 - SPAN) { stays.delete(id); trails.delete(id); moments.delete(id); }
   }
   requestAnimationFrame(draw);
 });
@@ -90,9 +91,16 @@ function drawCameras() {
     item.querySelector(".name").setAttribute("aria-pressed", String(one.id === chosen));
     const said = item.querySelector(".said"), text = words(one);
     if (said.textContent !== text) said.textContent = text;
+    item.querySelector("[data-by=device]").hidden = !one.device;
     if (one.seen) thumbnail(item.querySelector("canvas"), one);
   }
 }
+
+const WAYS = [
+  ["place", "this place", "Nothing is told of any camera near this place"],
+  ["device", "this device", "Nothing is told of any camera that is taken for this device"],
+  ["look", "this look", "Nothing is told of a camera that looks as this one did in the last minute, wherever it is"],
+];
 
 function card(id, list) {
   const item = document.createElement("li"), thumb = document.createElement("canvas");
@@ -108,11 +116,14 @@ function card(id, list) {
   button.onclick = () => { chosen = id; drawn = 0; draw(); };
   said.className = "said";
   middle.append(button, said);
-  const ours = document.createElement("button");
-  ours.type = "button";
-  ours.textContent = "Ignore";
-  ours.setAttribute("aria-label", `Ignore ${name(id)}: it is ours`);
-  ours.onclick = () => ignore(id);
+  const ours = element("details", { className: "ignore" }, element("summary", { textContent: "Ignore", "aria-label": `Ignore ${name(id)}: it is ours` }));
+  const ways = element("div", { className: "ways", role: "group", "aria-label": `What ${name(id)} is known by` });
+  for (const [by, words, title] of WAYS) {
+    const way = element("button", { type: "button", textContent: words, title, "data-by": by });
+    way.onclick = async () => { if (await ignore(id, by)) ours.open = false; };
+    ways.append(way);
+  }
+  ours.append(ways);
   item.append(thumb, middle, ours);
   list.append(item);
   return item;
@@ -195,9 +206,12 @@ function drawLine() {
     draw2d.fillRect(Math.min(x, width - ratio), 0, ratio, rows * row);
     draw2d.globalAlpha = 1;
   }
+  const ink = getComputedStyle(document.body).color;
   [...stays].forEach(([id, { from, to }], k) => {
     draw2d.fillStyle = colour(id);
     draw2d.fillRect(Math.max(0, at(from)), k * row + 3 * ratio, Math.max(2 * ratio, at(to) - Math.max(0, at(from))), row - 6 * ratio);
+    draw2d.fillStyle = ink;
+    for (const moment of moments.get(id) ?? []) draw2d.fillRect(at(moment) - ratio, k * row, 2 * ratio, row);
   });
 }
 
@@ -205,12 +219,14 @@ const KINDS = {
   seen: (who) => `${who} is seen`, gone: (who) => `${who} is gone`, imaging: (who) => `${who} images`,
   "not imaging": (who) => `${who} images no more`, looks: (who, what) => `${who} looks at ${what}`,
   "looks away": (who, what) => `${who} looks away from ${what}`, device: (who, what) => `${who} is taken for ${what}`,
+  "shutter opened": (who) => `${who} opened its shutter`,
   alert: (who, what) => `Alert: ${what} (${who})`,
   "source lost": (_, what) => `The source went: ${what}`, "source returned": () => "The source returned",
   "source ended": () => "The recording is at its end",
 };
 
 function happened(event) {
+  if (event.kind === "shutter opened") moments.set(event.id, [...(moments.get(event.id) ?? []), event.utc_ns / 1e6].slice(-MOMENTS));
   const item = document.createElement("li"), when = document.createElement("time"), what = document.createElement("span");
   const moment = new Date(event.utc_ns / 1e6), image = event.picture ? document.createElement("img") : document.createElement("i");
   item.className = "event";
@@ -226,17 +242,26 @@ function happened(event) {
   $("nothing").hidden = true;
 }
 
-async function ignore(id) {
+async function ignore(id, by = "place") {
   const one = state.cameras.find((camera) => camera.id === id);
-  if (!one) return;
-  await post("/api/ignored", { x: Math.max(0, one.x), y: Math.max(0, one.y), radius: Math.max(40, 2 * one.diameter) });
+  if (!one) return null;
+  const place = { x: Math.max(0, one.x), y: Math.max(0, one.y), radius: Math.max(40, 2 * one.diameter) };
+  const done = await post("/api/ignored", { place, device: { device: one.device }, look: { camera: id } }[by]);
   await ours();
+  return done;
 }
 
 async function ours() {
-  const answer = await fetch("/api/ignored"), count = answer.ok ? (await answer.json()).length : 0;
-  $("ours").hidden = !count;
-  say("ignored", `${count} of ours ${count === 1 ? "is" : "are"} ignored.`);
+  const answer = await fetch("/api/ignored"), all = answer.ok ? await answer.json() : [];
+  $("ours").hidden = !all.length;
+  say("ignored", `${all.length} of ours ${all.length === 1 ? "is" : "are"} ignored.`);
+  keep($("ours-list"), all, (one) => one.id, (one) => {
+    const known = { place: `within ${Math.round(one.radius)} pixels of ${Math.round(one.x)}, ${Math.round(one.y)}`, device: `each ${one.device}`, look: `one that looks alike (${one.looks} looks)` }[one.by];
+    const again = element("button", { type: "button", textContent: "Show again", "aria-label": `Show again: ${known}` });
+    again.onclick = async () => { await remove(`/api/ignored?one=${one.id}`); await ours(); };
+    return element("li", {}, element("span", { textContent: known }), again);
+  });
+  $("look-note").hidden = !all.some((one) => one.by === "look");
 }
 
 $("forget").onclick = async () => { await remove("/api/ignored"); await ours(); };
