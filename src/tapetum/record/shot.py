@@ -83,7 +83,7 @@ class BenchCamera(Stored):
     @property
     def marks(self) -> frozenset[str]:
         """The mark of its scene (`tapetum.record.marks`), where one camera alone stays at its distance."""
-        changes = self.shot.session.others or self.shot.session.motion.walk
+        changes = self.shot.session.others or getattr(self.shot.session.motion, "walk", None)
         return frozenset() if changes else frozenset({scene_mark(self.shot.scene)})
 
     def _rng(self, purpose: int) -> np.random.Generator:
