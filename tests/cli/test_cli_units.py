@@ -49,6 +49,7 @@ def test_a_model_learns_how_it_errs_on_copies(run, chain, copies: Path, tmp_path
     other = "for a copy of the camera that the model was not trained on"
     assert other not in run("evaluate", out, chain.dataset).out
     assert other in run("evaluate", out, copies).out
+    assert json.loads(run("evaluate", out, copies, "--json").out)["coverage"]["unit"] == "other"
     assert other in run("evaluate", out, chain.dataset, "--unit", "other").out
     assert other not in run("evaluate", out, copies, "--unit", "own").out
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m"]
