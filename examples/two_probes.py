@@ -76,8 +76,10 @@ def film(scene: Scene, motion: SeenBy, seconds: float) -> tuple[pa.Table, Array,
             if np.abs(gaze[n]).max() < 0.5:
                 yield Frame(n, float(time), shot.probe(n, n + 1)[0])
 
-    schema = track_schema()
-    rows = [row.record() for one in tp.track(frames(), model=pretrained()) for row in one.rows]
+    schema, model = track_schema(), pretrained()
+    # The scene is the one that it was trained on; frames alone do not say so.
+    model.whose = "own"
+    rows = [row.record() for one in tp.track(frames(), model=model) for row in one.rows]
     table = pa.Table.from_pylist([{name: row.get(name) for name in schema.names} for row in rows], schema=schema)
     return table, times, gaze
 

@@ -2,7 +2,8 @@
 
 make models
 
-`--describe` keeps the weights and learns from the same recordings only where the model applies (some minutes).
+`--describe` keeps the weights and learns from the same recordings only where the model applies (some minutes);
+`--units` keeps them and calibrates the intervals for copies of the camera (ten minutes).
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import argparse
 from pathlib import Path
 
 from tapetum.cli.memory import keep_big_blocks
-from tapetum.experiments.pretrain import EPOCHS, NAME, describe_pretrained, make_pretrained
+from tapetum.experiments.pretrain import EPOCHS, NAME, calibrate_pretrained, describe_pretrained, make_pretrained
 from tapetum.progress import bar
 
 
@@ -22,10 +23,14 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("src/tapetum/models/pretrained") / NAME)
     parser.add_argument("--epochs", type=int, default=EPOCHS)
     parser.add_argument("--describe", action="store_true", help="learn only where the model applies")
+    parser.add_argument("--units", action="store_true", help="calibrate only the intervals for copies of the camera")
     options = parser.parse_args()
     keep_big_blocks()
     if options.describe:
         describe_pretrained(options.work, options.out, progress=bar)
+        return
+    if options.units:
+        calibrate_pretrained(options.work, options.out, progress=bar)
         return
     make_pretrained(options.work, options.out, epochs=options.epochs, progress=bar, on_epoch=print)
 

@@ -141,6 +141,8 @@ def scored(one: Wanted, data: xr.Dataset, precision: str) -> dict[str, Any]:
         "mae_answered": mean(error, answered),
         "held_answered": mean(held, answered),
         "width": width.tolist() if np.isfinite(width).all() else None,
+        # A model as it is does not know this copy of the camera.
+        "intervals": found.unit,
         "processor_seconds": round(took, 1),
         "chosen": ((getattr(model, "training_", None) or {}).get("chosen") or {}).get("fitted"),
     }

@@ -9,10 +9,12 @@ import numpy as np
 import pyarrow.compute as pc
 import pytest
 
+from tapetum.bench import draw_unit
 from tapetum.experiments import pretrain
 from tapetum.models import load_model, model_card
 from tapetum.progress import quiet
 from tapetum.record import HandMotion, Session, open_recording
+from tapetum.record.marks import scene_mark
 
 pytestmark = pytest.mark.usefixtures("narrow")
 
@@ -21,6 +23,8 @@ pytestmark = pytest.mark.usefixtures("narrow")
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrain, "TRAIN_SEEDS", (101,))
     monkeypatch.setattr(pretrain, "SECONDS", 1.2)
+    monkeypatch.setattr(pretrain, "UNIT_SEEDS", range(3_000_000, 3_000_010))
+    monkeypatch.setattr(pretrain, "UNIT_FRAMES", 2)
 
 
 @pytest.mark.usefixtures("tiny")
@@ -45,7 +49,12 @@ def test_an_interrupted_making_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert card["notes"]["seeds"] == [101]
     assert card["weights"]["precision"] == "half"
     assert set(card["metrics"]["targets"]) == {"gaze_x", "gaze_y"}
-    assert load_model(out).target_names == ("gaze_x", "gaze_y")
+    model = load_model(out)
+    assert model.target_names == ("gaze_x", "gaze_y")
+    # Intervals for copies of the camera, and what it knows again: its recordings and their scene.
+    assert model.others_ is not None and card["training"]["other_units"] == {"copies": 10, "frames": 20}
+    assert model.knows(open_recording(work / "101.rec").source().marks)
+    assert not model.knows(frozenset({scene_mark(draw_unit(pretrain.SCENE, None, 3_000_000))}))
 
 
 @pytest.mark.usefixtures("tiny")

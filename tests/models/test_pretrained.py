@@ -11,6 +11,7 @@ import tapetum as tp
 from tapetum.data import crop, find_centre
 from tapetum.experiments import pretrain
 from tapetum.models import ResNet18, model_card, pretrained, store
+from tapetum.record.marks import scene_mark
 from tapetum.record.source import Frame
 
 FOLDER = Path(store.__file__).parent / "pretrained" / pretrain.NAME
@@ -40,6 +41,19 @@ def test_its_card_says_how_it_was_made_and_what_it_reached() -> None:
     for name in ("gaze_x", "gaze_y"):
         figures = card["metrics"]["targets"][name]
         assert figures["mae"] < 0.5 * figures["baseline_mae"]
+
+
+def test_it_promises_little_of_a_camera_that_it_does_not_know() -> None:
+    """Its own intervals hold a tenth of the gaze of other copies: they are for its own scene alone."""
+    model, scene = pretrained(), tp.load_scene(pretrain.SCENE)
+    assert model.knows(frozenset({scene_mark(scene)}))
+    assert not model.knows(frozenset({scene_mark(tp.load_scene(pretrain.SCENE, ["distance=5.6 m"]))}))
+    assert model.others_ is not None and (model.others_.half_width > 4 * model.intervals_.half_width.max()).all()
+    crops = shown(7, count=3)
+    own, other = (model.predict(crops, unit=unit) for unit in ("own", None))
+    assert (own.unit, other.unit) == ("own", "other")
+    assert ((other.upper - other.lower) > 4 * (own.upper - own.lower))[own.applies].all()
+    np.testing.assert_array_equal(own.value[own.applies], other.value[own.applies])
 
 
 def shown(seed: int, *changes: str, count: int = 12) -> np.ndarray:

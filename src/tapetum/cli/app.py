@@ -14,6 +14,7 @@ from typer.core import TyperGroup
 
 from tapetum.cli.adapt import adapt
 from tapetum.cli.calibrate import ghost, probe, sync
+from tapetum.cli.calibrate_units import units
 from tapetum.cli.cameras import cameras
 from tapetum.cli.dataset import build, info, synth
 from tapetum.cli.dataset_import import import_data
@@ -64,6 +65,11 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
         "alone.rec -o my-ghost.yaml --focal-length '200 mm' --pitch '2.2 um'",
     ),
     "calibrate sync": (sync, "Lag and drift between the two cameras.", "walk.rec -o my-sync.yaml"),
+    "calibrate units": (
+        units,
+        "How far a model errs on copies of its camera.",
+        "my-model copies.zarr -o my-model-for-copies",
+    ),
     "twin": (twin, "The scene that explains a recording.", "hand.rec --scene hand-held -o twin.yaml"),
     "dataset build": (build, "Cut crops out of labelled recordings.", "hand.rec -o hand.zarr"),
     "dataset info": (info, "What a dataset holds, and what is wrong with it.", "hand.zarr --sheet hand.png"),
@@ -119,7 +125,10 @@ _GROUPS: dict[str, tuple[str, str]] = {
         "Build datasets from recordings, and look into them.",
         "Build, import and film datasets, and look into them.",
     ),
-    "calibrate": ("Measure what must be known of a real probe.", "A real probe's sensor, ghost and clocks."),
+    "calibrate": (
+        "Measure what must be known of a real probe, and of a model's errors on further cameras.",
+        "A real probe's sensor, ghost and clocks; a model on copies.",
+    ),
 }
 _groups = {
     name: typer.Typer(help=told, no_args_is_help=True, rich_markup_mode=None) for name, (told, _) in _GROUPS.items()

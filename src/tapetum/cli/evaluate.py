@@ -10,7 +10,7 @@ from typing import Annotated
 import typer
 
 from tapetum.cli.models import find_model
-from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, Split, option
+from tapetum.cli.options import AsJson, Device, Force, ModelName, SetPath, Split, WhoseIntervals, option
 from tapetum.cli.outputs import check_output
 from tapetum.errors import InputError
 from tapetum.progress import bar
@@ -32,6 +32,7 @@ def evaluate(
         ),
     ] = None,
     split: Split = "time",
+    unit: WhoseIntervals = None,
     device: Device = "auto",
     as_json: AsJson = False,
     force: Force = False,
@@ -48,7 +49,7 @@ def evaluate(
     from tapetum.report.evaluation import describe, gather, score, write_evaluation
     from tapetum.report.evaluation.write import samples, subject_of
 
-    fitted = find_model(model, device)
+    fitted = find_model(model, device, unit)
     data = split_by(open_dataset(dataset), split)
     trained = set((getattr(fitted, "training_", None) or {}).get("units") or ())
     if split == "unit" and (both := sorted(trained & set(data.tp.test.tp.units))):
@@ -61,12 +62,16 @@ def evaluate(
             part.write_text(json.dumps(scores, indent=1) + "\n", encoding="utf-8")
     elif out is not None:
         card = model_card(model) if Path(model).is_dir() else None
-        how = "" if split == "time" else f" --split {split}"
+        how = ("" if split == "time" else f" --split {split}") + ("" if unit is None else f" --unit {unit}")
         subject = subject_of(fitted, data, model_name=model, card=card)
         subject = dataclasses.replace(subject, command=f"tapetum evaluate {model} {dataset}{how} -o {out}")
         rrs, rrs_at = samples(outcome, data)
         write_evaluation(out, outcome, subject, rrs=rrs, rrs_at=rrs_at, overwrite=force, progress=bar)
     typer.echo(json.dumps(scores) if as_json else describe(scores))
+    if outcome.prediction.unit == "other" and not as_json:
+        typer.echo(
+            "intervals: those for a copy of the camera that the model was not trained on (--unit own for its own)"
+        )
     chosen = (getattr(fitted, "training_", None) or {}).get("chosen") or {}
     for what, why in {} if as_json else chosen.items():
         typer.echo(f"chosen in training: {what}: {why}")

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tapetum.errors import InputError
+from tapetum.errors import InputError, one_of
 
 if TYPE_CHECKING:
     from tapetum.models import Predictor
@@ -13,10 +13,11 @@ if TYPE_CHECKING:
 __all__ = ["find_model"]
 
 
-def find_model(name: str, device: str = "auto") -> Predictor:
+def find_model(name: str, device: str = "auto", unit: str | None = None) -> Predictor:
     """Load a model by its folder, by its exported file NAME.onnx or by the name of a bundled one.
 
-    A network computes on `device`. Raises an InputError for an unknown model or one that runs on the CPU only.
+    A network computes on `device`, and has the intervals of `unit` (`tapetum.models.base.UNIT_CHOICES`). Raises an
+    InputError for an unknown model, one that runs on the CPU only, and one without intervals for another copy.
     """
     from tapetum.models import NetworkEstimator, load_predictor, pretrained
 
@@ -32,4 +33,11 @@ def find_model(name: str, device: str = "auto") -> Predictor:
         model.device = device
     elif device not in ("auto", "cpu"):
         raise InputError(f"{name} computes on the processor alone", where="--device", remedy="leave it out")
+    if unit is not None:
+        from tapetum.models.base import UNIT_CHOICES
+
+        model.whose = one_of(unit, UNIT_CHOICES, "--unit")
+        if unit == "other" and model.others_ is None:
+            remedy = "calibrate them: tapetum calibrate units"
+            raise InputError(f"{name} has no intervals for another copy of its camera", where="--unit", remedy=remedy)
     return model

@@ -47,6 +47,15 @@ SeedIfGiven = Annotated[int | None, _SEED]
 Device = Annotated[str, option("NAME", "Where to compute: auto, cpu, cuda or cuda:1.")]
 Processes = Annotated[str | None, option("N", "On this machine; auto: to film one a core, to train one a GPU.")]
 Cluster = Annotated[str | None, option("ADDRESS", "A Dask scheduler, tcp://HOST:8786 (extra: cluster).")]
+WhoseIntervals = Annotated[
+    str | None,
+    option(
+        "WHOSE",
+        "Intervals of the copy of the camera that the model was trained on (own), or of one that it has not seen "
+        "(other), where it has these. Left out: own where the input is known to show that copy.",
+        "--unit",
+    ),
+]
 Force = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists, once the new one is whole.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tapetum.cli.models import find_model
-from tapetum.cli.options import Device, Models, option
+from tapetum.cli.options import Device, Models, WhoseIntervals, option
 from tapetum.errors import InputError, one_of
 
 if TYPE_CHECKING:
@@ -87,6 +87,7 @@ def serve(
         option("TEXT", "What browsers must bring, 16 characters or more; random where one is needed."),
     ] = None,
     browse: Annotated[bool, typer.Option("--open", help="Open the page in the browser.")] = False,
+    unit: WhoseIntervals = None,
     device: Device = "auto",
 ) -> None:
     """Watch a source live: find cameras, follow them, and show them, with what happens, on a page.
@@ -134,7 +135,7 @@ def serve(
         lambda: open_frames(source, stream, rate=rate) if aim is None else Hands(source, aim, rate),
         name=shown,
         detector=detector,
-        models=[_quick(find_model(name, device), device) for name in models or ()],
+        models=[_quick(find_model(name, device, unit), device) for name in models or ()],
         mode="all" if every else "newest",
         repeat=repeat,
         log=Log(":memory:" if log is None else log, days=days, picture_days=picture_days),
@@ -179,7 +180,9 @@ def _quick(model: Predictor, device: str) -> Predictor:
         return model
     from tapetum.models.fast import FastResNet18
 
-    return FastResNet18(model)
+    fast = FastResNet18(model)
+    fast.whose = model.whose
+    return fast
 
 
 def _opened(texts: Sequence[str]) -> list[Queued]:

@@ -11,7 +11,18 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from tapetum.cli.models import find_model
-from tapetum.cli.options import WAYS, AsJson, Device, Force, Models, Smooth, Systematic, TracksOut, option
+from tapetum.cli.options import (
+    WAYS,
+    AsJson,
+    Device,
+    Force,
+    Models,
+    Smooth,
+    Systematic,
+    TracksOut,
+    WhoseIntervals,
+    option,
+)
 from tapetum.cli.outputs import check_output, says_what_is_kept
 from tapetum.errors import InputError, one_of
 from tapetum.progress import bar
@@ -70,6 +81,7 @@ def track(
     seconds: Annotated[
         float | None, option("S", "Track so long; else to the end, or of a camera to Ctrl-C.", min=0.01)
     ] = None,
+    unit: WhoseIntervals = None,
     device: Device = "auto",
     as_json: AsJson = False,
     force: Force = False,
@@ -122,7 +134,7 @@ def track(
         summary = track_to_file(
             source,
             raw,
-            model=[find_model(name, device) for name in models or ()],
+            model=[find_model(name, device, unit) for name in models or ()],
             detections=detections,
             detector=find,
             stream=stream,

@@ -123,6 +123,8 @@ def run_demo(
         resnet = pretrained(pretrain.NAME)
         origin = "bundled; trained on recordings of other seeds"
     assert isinstance(resnet, ResNet18)
+    # The demo films the copy that both were trained on.
+    resnet.whose = "own"
     resnet.device = device
     with watch.step("Reading the held-out gaze"):
         models: dict[str, Estimator] = {"ResNet-18": resnet, "Zernike + ridge": ridge}

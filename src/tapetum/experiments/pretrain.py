@@ -13,12 +13,22 @@ import xarray as xr
 
 from tapetum.bench import load_scene
 from tapetum.data import build_dataset, open_dataset
+from tapetum.experiments.copies import film_copies
 from tapetum.files import sha256_file
-from tapetum.models import EpochReport, NetworkEstimator, ResNet18, load_model, model_card, save_model
+from tapetum.models import (
+    EpochReport,
+    NetworkEstimator,
+    ResNet18,
+    calibrate_units,
+    load_model,
+    model_card,
+    save_model,
+)
 from tapetum.models.base import json_safe
 from tapetum.progress import Progress, quiet
 from tapetum.record import Session, film, label_recording, open_recording
 from tapetum.record.layout import LABELS, is_recording
+from tapetum.record.marks import scene_mark
 from tapetum.record.shot import Shot
 from tapetum.report.evaluation import evaluate_model
 
@@ -30,6 +40,9 @@ __all__ = [
     "SCENE",
     "SECONDS",
     "TRAIN_SEEDS",
+    "UNIT_FRAMES",
+    "UNIT_SEEDS",
+    "calibrate_pretrained",
     "describe_pretrained",
     "is_made",
     "labelled_recording",
@@ -44,6 +57,10 @@ SECONDS = 80.0
 EPOCHS = 12
 # The second RR is 90 pixels from the first, whose disc is 130 pixels wide.
 CROP = 320
+# Copies of the camera on which the intervals for an unknown one are calibrated; no evaluation may use them.
+UNIT_SEEDS = range(3_000_000, 3_000_040)
+UNIT_FRAMES = 32
+UNIT_ACCURACY = 0.03
 
 
 def labelled_recording(path: Path, session: Session, scene: str = SCENE, *, progress: Progress = quiet) -> None:
@@ -103,6 +120,7 @@ def make_pretrained(
     # Score the weights as stored, in half precision.
     scores = evaluate_model(load_model(work / NAME), fresh.tp.test, fresh.tp.train, progress=progress)
     save_model(model, out, metrics=scores, notes=notes, half=True, overwrite=True)
+    calibrate_pretrained(work, out, progress=progress)
     return model
 
 
@@ -120,6 +138,23 @@ def describe_pretrained(work: Path, out: Path, *, progress: Progress = quiet) ->
     assert isinstance(model, NetworkEstimator)
     notes = {**card["notes"], "described_seeds": list(seeds), "described_frames": int(some.sizes["frame"])}
     model.describe(some, progress=progress)
+    save_model(model, out, metrics=card["metrics"], notes=notes, half=True, overwrite=True)
+
+
+def calibrate_pretrained(work: Path, out: Path, *, progress: Progress = quiet) -> None:
+    """Give the model in `out` intervals for copies of its camera that it has not seen; its weights stay.
+
+    The copies are drawn from the tolerances of the scene's target, with seeds of their own.
+    """
+    scene = load_scene(SCENE, [f"sampling.accuracy={UNIT_ACCURACY}"])
+    copies = film_copies(scene, UNIT_SEEDS, UNIT_FRAMES, work / "copies", side=CROP, progress=progress)
+    model, card = load_model(out), model_card(out)
+    assert isinstance(model, NetworkEstimator)
+    # Cards of older versions do not name what the model was trained on.
+    own = {"films": [scene_mark(load_scene(SCENE))]}
+    model.training_ = {**own, **(model.training_ or {})}
+    calibrate_units(model, copies, progress=progress)
+    notes = {**card["notes"], "unit_seeds": [UNIT_SEEDS[0], UNIT_SEEDS[-1]], "unit_frames": UNIT_FRAMES}
     save_model(model, out, metrics=card["metrics"], notes=notes, half=True, overwrite=True)
 
 

@@ -50,6 +50,8 @@ class Acquisition:
         Frames read; frames lost by the source or for want of time; frames whose time was not after the one before's.
     taps
         Who is handed every frame that is not refused, from the thread that reads: none of these may wait.
+    marks
+        Of what the source shows (`tapetum.record.marks`), once it is open.
     connected, ended
         Whether the source gives frames, and whether it is at its end.
     """
@@ -67,11 +69,13 @@ class Acquisition:
         self._change = threading.Condition()
         self._over = threading.Event()
         self._source: Source | None = None
+        self.marks: frozenset[str] = frozenset()
         self._thread = threading.Thread(target=self._run, name="acquire", daemon=True)
 
     def start(self) -> None:
         """Open the source and begin; InputError where it cannot be opened at first."""
         self._source = self._opens()
+        self.marks = getattr(self._source, "marks", frozenset())
         self._round = 0.0
         self._begin, self._utc, self._last = time.monotonic_ns(), time.time_ns(), -1.0
         self._thread.start()

@@ -23,7 +23,7 @@ from tapetum.live.look import LEAST, TOLERANCE, look
 from tapetum.live.outputs.base import Counts
 from tapetum.live.state import Health, State
 from tapetum.record.source import Frame, Source, full_scale_of
-from tapetum.track.pipeline import make_detector, track, usual_tracker
+from tapetum.track.pipeline import make_detector, seeing, track, usual_tracker
 from tapetum.track.rows import TrackRow
 from tapetum.track.turns import Turns
 
@@ -231,7 +231,7 @@ class Watch:
         follower = usual_tracker(self._find)
         for tracked in track(
             self._taken(),
-            model=self.models,
+            model=seeing(self.models, self.acquisition),
             tracker=follower,
             detector=self._find,
             batch=1,

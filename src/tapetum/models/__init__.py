@@ -6,6 +6,7 @@ from tapetum.models.base import Data, Estimator, Predictor
 from tapetum.models.fast import load_predictor
 from tapetum.models.features import feature_names, zernike_features
 from tapetum.models.network import NetworkEstimator, ResNet18
+from tapetum.models.other_units import calibrate_units
 from tapetum.models.prediction import COVERAGE, NONE_OF_THESE, Prediction
 from tapetum.models.simulation import SimulationFit, SimulationFitResult
 from tapetum.models.snr import crop_snr
@@ -28,6 +29,7 @@ __all__ = [
     "SimulationFitResult",
     "ZernikeRidge",
     "adapt",
+    "calibrate_units",
     "crop_snr",
     "feature_names",
     "load_model",

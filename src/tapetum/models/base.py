@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from tapetum.data.dataset import DEVICE, STD, TRAIN, image_batches
 from tapetum.data.embargo import meeting, reach_of
-from tapetum.errors import InputError, of_type
+from tapetum.data.marks import marks_of
+from tapetum.errors import InputError, of_type, one_of
 from tapetum.models.domain import Domain, judged
 from tapetum.models.features import as_images
 from tapetum.models.intervals import Intervals
@@ -24,6 +25,7 @@ from tapetum.progress import Progress, quiet
 
 __all__ = [
     "TARGETS",
+    "UNIT_CHOICES",
     "Data",
     "Estimator",
     "Predictor",
@@ -47,6 +49,9 @@ Data: TypeAlias = xr.Dataset | NDArray[np.generic]
 
 T = TypeVar("T")
 
+UNIT_CHOICES = ("own", "other")
+"""Whose intervals: those of the copy of the camera that the model was trained on, or those of another one."""
+
 
 class Predictor(ABC):
     """A fitted model, on any runtime.
@@ -59,6 +64,14 @@ class Predictor(ABC):
         The labels that it estimates, and those of them that are numbers.
     intervals_
         `tapetum.models.intervals.Intervals`, calibrated on training frames that were not fitted.
+    others_
+        Intervals for a copy of the camera that the model was not trained on, divided by the distance from the training
+        frames (`tapetum.models.other_units`), or None.
+    marks
+        Of the films that it was trained on (`tapetum.record.marks`).
+    whose
+        Which intervals `predict` uses where its argument does not say, one of `UNIT_CHOICES`; None for what the data
+        say. Not saved with a model.
     data_hash_
         Hash of the content of the fitted training frames, where known.
     """
@@ -67,11 +80,23 @@ class Predictor(ABC):
     target_names: tuple[str, ...]
     quantities: tuple[str, ...]
     intervals_: Intervals
+    others_: Intervals | None = None
+    whose: str | None = None
     data_hash_: str | None
     _batch: ClassVar[int] = 64
 
+    @property
+    @abstractmethod
+    def marks(self) -> frozenset[str]: ...
+
     def predict(
-        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+        self,
+        data: Data,
+        *,
+        full_scale: float | None = None,
+        progress: Progress = quiet,
+        anyway: bool = False,
+        unit: str | None = None,
     ) -> Prediction:
         """Estimate the target for every image.
 
@@ -85,14 +110,38 @@ class Predictor(ABC):
             Shown over the batches.
         anyway
             Keep the estimates of images to which the model does not apply; their `reason` is still set.
+        unit
+            Whose intervals, of `UNIT_CHOICES`; by default `Predictor.whose`. Where that is None too: "own" for a
+            dataset whose recordings show what the model was trained on, and for a model without other intervals; else
+            "other".
 
         Raises
         ------
         InputError
-            When the model is not fitted or the images do not fit it.
+            When the model is not fitted, the images do not fit it, or it has no intervals for another copy.
         """
-        found = joined(self._map_batches(self._estimate, self._progress_label(), data, full_scale, progress))
+        own = self._own(data, unit) == "own"
+
+        def estimate(images: NDArray[np.generic], depth: float) -> Prediction:
+            return self._estimate(images, depth, own)
+
+        found = joined(self._map_batches(estimate, self._progress_label(), data, full_scale, progress))
         return found if anyway else found.withheld()
+
+    def _own(self, data: Data, unit: str | None) -> str:
+        """Return whose intervals to use."""
+        unit = self.whose if unit is None else one_of(unit, UNIT_CHOICES, "unit")
+        if unit == "other" and self.others_ is None:
+            remedy = "calibrate them with `tapetum calibrate units`, or use its own"
+            raise InputError("has no intervals for another copy of its camera", where="model", remedy=remedy)
+        if unit is not None or self.others_ is None:
+            return unit or "own"
+        marks = marks_of(data) if isinstance(data, xr.Dataset) else []
+        return "own" if marks and all(self.knows(one) for one in marks) else "other"
+
+    def knows(self, marks: frozenset[str]) -> bool:
+        """Whether a film with these marks (`tapetum.record.marks`) shows what the model was trained on."""
+        return bool(self.marks & marks)
 
     @abstractmethod
     def parameters(self) -> dict[str, Any]:
@@ -107,8 +156,11 @@ class Predictor(ABC):
         """Return the label of the progress bar."""
 
     @abstractmethod
-    def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
-        """Return the estimates of one batch, with a reason for each image to which the model does not apply."""
+    def _estimate(self, images: NDArray[np.generic], full_scale: float, own: bool = True) -> Prediction:
+        """Return the estimates of one batch, with a reason for each image to which the model does not apply.
+
+        `own` says whose intervals they have, those of the copy trained on or of another one.
+        """
 
     def _map_batches(
         self,
@@ -141,8 +193,15 @@ class Predictor(ABC):
         distance: NDArray[np.float64] | None,
         probability: NDArray[np.float64] | None = None,
         novelty: NDArray[np.float64] | None = None,
+        own: bool = True,
     ) -> Prediction:
         """Make a prediction of values [N, K]: add the intervals and the reasons why the model does not apply."""
+        if not own:
+            assert self.others_ is not None
+            width = self.others_.at(np.zeros(len(value)) if distance is None else distance)
+            ends = value - width, value + width
+            found = Prediction(self.quantities, value, *ends, self.classes(), probability, novelty, unit="other")
+            return judged(found, distance)
         # The SNR costs half a millisecond a frame: only where the intervals depend on it.
         width = self.intervals_.at(snr() if self.intervals_.conditional else np.zeros(len(value)))
         ends = value - width, value + width
@@ -166,6 +225,10 @@ class Estimator(Predictor):
 
     domain_: Domain | None
     training_: dict[str, Any] | None
+
+    @property
+    def marks(self) -> frozenset[str]:
+        return frozenset((self.training_ or {}).get("films") or ())
 
     @abstractmethod
     def fit(self, dataset: xr.Dataset, *, progress: Progress = quiet) -> Self:
@@ -275,6 +338,8 @@ class TrainingPart:
             if kept
             else "none: every training frame is fitted, as in the paper",
             "centring": self.dataset.attrs.get("centring"),
+            # Marks of what the frames show, by which the model knows it again.
+            **({"films": films} if (films := sorted(frozenset().union(*marks_of(self.dataset)))) else {}),
             **({"units": list(units)} if (units := self.dataset.tp.units) else {}),
             # The constant estimate that serves as the baseline.
             "mean": dict(zip(self.quantities, self.targets.mean(axis=0).tolist(), strict=True)),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -203,4 +203,4 @@ def judged(prediction: Prediction, distance: Array | None) -> Prediction:
         reach = np.where(np.isfinite(width), width, _MARGIN)
         for n in np.flatnonzero(np.abs(value) - reach > _HALF_FIELD):
             reasons[n] = reasons[n] or f"{name} {value[n]:.2f} lies outside the field of view"
-    return prediction.because(reasons, described=distance is not None)
+    return replace(prediction.because(reasons, described=distance is not None), distance=distance)

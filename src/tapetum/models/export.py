@@ -22,6 +22,7 @@ from tapetum.models.architectures import ARCHITECTURES
 from tapetum.models.base import Predictor
 from tapetum.models.domain import described
 from tapetum.models.inputs import root_over_background
+from tapetum.models.intervals import Intervals
 from tapetum.models.network import NetworkEstimator
 
 __all__ = ["EXTRA", "FORMAT", "VERSION", "export_onnx", "onnx_bytes", "onnx_card"]
@@ -39,8 +40,9 @@ _PREPARATION = (
     " grey levels as the camera counts them, finite and not negative; full_scale: float32 scalar, the camera's largest"
     " count (255 for 8 bits). Averaging over areas to {size} x {size}, square root, background and scaling are inside."
     " Intervals of 90 %: value - half_width ... value + half_width, from the row of half_width whose SNR (edges between"
-    " the rows: snr_edges) is the crop's. novelty above 1: none of the classes. distance above 1: the crop is unlike"
-    " the training frames, and the answer means nothing."
+    " the rows: snr_edges) is the crop's. These hold for the copy of the camera trained on; other_unit has those for"
+    " another copy, by distance (distance_edges). novelty above 1: none of the classes. distance above 1: the crop is"
+    " unlike the training frames, and the answer means nothing."
 )
 
 
@@ -49,7 +51,10 @@ def onnx_card(model: NetworkEstimator) -> dict[str, Any]:
 
     `half_width` [B, K] (None where unknown) and `snr_edges` [B - 1] are those of `tapetum.models.intervals.Intervals`.
     """
-    widths = [[float(w) if math.isfinite(w) else None for w in row] for row in model.intervals_.half_width]
+    other = model.others_
+    beside = (
+        {} if other is None else {"other_unit": {"half_width": _widths(other), "distance_edges": other.edges.tolist()}}
+    )
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -60,12 +65,18 @@ def onnx_card(model: NetworkEstimator) -> dict[str, Any]:
         "classes": list(model.classes()),
         "crop": model.crop,
         "size": model.size,
-        "half_width": widths,
+        "half_width": _widths(model.intervals_),
         "snr_edges": [float(edge) for edge in model.intervals_.edges],
+        **beside,
+        "films": sorted(model.marks),
         "training_data": model.data_hash_,
         "versions": {"tapetum": metadata.version("tapetum"), "torch": metadata.version("torch")},
         "use": _PREPARATION.format(crop=model.crop, size=model.size),
     }
+
+
+def _widths(intervals: Intervals) -> list[list[float | None]]:
+    return [[float(w) if math.isfinite(w) else None for w in row] for row in intervals.half_width]
 
 
 def export_onnx(model: Predictor, path: str | Path) -> Path:

@@ -80,8 +80,15 @@ class FastResNet18(Predictor):
         self.target_names = tuple(self.card["targets"])
         self.quantities = tuple(self.card["quantities"])
         self.data_hash_ = self.card["training_data"]
-        self.intervals_ = _intervals(self.card, where)
+        self.intervals_ = _intervals(self.card["half_width"], self.card["snr_edges"], self.card, where)
+        # Files of older versions lack both.
+        other = self.card.get("other_unit")
+        self.others_ = _intervals(*_told(other, where), self.card, where) if other else None
         self._outputs = [output.name for output in self._session.get_outputs()]
+
+    @property
+    def marks(self) -> frozenset[str]:
+        return frozenset(map(str, self.card.get("films") or ()))
 
     def classes(self) -> tuple[str, ...]:
         return tuple(self.card["classes"])
@@ -94,7 +101,7 @@ class FastResNet18(Predictor):
     def _progress_label(self) -> str:
         return f"{self.kind}, fast"
 
-    def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
+    def _estimate(self, images: NDArray[np.generic], full_scale: float, own: bool = True) -> Prediction:
         counts = central(images, self.card["crop"]).astype(np.float32, copy=False)
         # ONNX Runtime refuses an empty batch: it gets a black image, whose result is dropped.
         counts = counts if len(counts) else np.zeros((1, *counts.shape[1:]), np.float32)
@@ -108,6 +115,7 @@ class FastResNet18(Predictor):
             found.get("distance"),
             found.get("probability"),
             found.get("novelty"),
+            own,
         )
 
 
@@ -156,10 +164,16 @@ def _card(metadata: dict[str, str], where: object) -> dict[str, Any]:
     return card
 
 
-def _intervals(card: dict[str, Any], where: object) -> Intervals:
+def _told(other: Any, where: object) -> tuple[Any, Any]:
+    if not isinstance(other, dict) or not {"half_width", "distance_edges"} <= set(other):
+        raise InputError("the intervals for another unit on its card cannot be read", where=where, remedy=_REMEDY)
+    return other["half_width"], other["distance_edges"]
+
+
+def _intervals(half_width: Any, limits: Any, card: dict[str, Any], where: object) -> Intervals:
     try:
-        widths = [[np.inf if w is None else float(w) for w in row] for row in card["half_width"]]
-        edges = np.array(card["snr_edges"], dtype=np.float64)
+        widths = [[np.inf if w is None else float(w) for w in row] for row in half_width]
+        edges = np.array(limits, dtype=np.float64)
         return Intervals(edges, np.array(widths).reshape(len(edges) + 1, len(card["quantities"])))
     except (TypeError, ValueError) as error:
         raise InputError("the intervals on its card cannot be read", where=where, remedy=_REMEDY) from error

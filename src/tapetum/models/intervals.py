@@ -14,7 +14,13 @@ from tapetum.errors import InputError
 from tapetum.models.prediction import COVERAGE
 from tapetum.models.state import MISMATCH
 
-__all__ = ["Intervals", "conformal_half_width", "fit_intervals"]
+__all__ = ["OTHER", "Intervals", "conformal_half_width", "fit_intervals", "has_intervals"]
+
+OTHER = "other_unit."
+"""Prefix in a model's state of its intervals for a copy of its camera that it was not trained on."""
+
+# Names in the state of what divides the intervals; those for another copy are divided by another quantity.
+_EDGES = {OTHER: "distance_edges"}
 
 # Most classes of SNR, and fewest frames to calibrate one.
 _MOST_BINS = 6
@@ -51,12 +57,12 @@ def conformal_half_width(residuals: NDArray[np.float64], coverage: float = COVER
 
 @dataclass(frozen=True)
 class Intervals:
-    """Half-widths of intervals, for each class of SNR.
+    """Half-widths of intervals, for each class of SNR, or of what else divides frames.
 
     Parameters
     ----------
     edges
-        [B - 1] ascending SNR limits between the classes; empty where all frames have the same width.
+        [B - 1] ascending limits of the SNR between the classes; empty where all frames have the same width.
     half_width
         [B, K].
     """
@@ -83,19 +89,24 @@ class Intervals:
         if not self.conditional:
             return {f"{prefix}half_width": torch.from_numpy(self.half_width[0])}
         edges, widths = torch.from_numpy(self.edges), torch.from_numpy(self.half_width)
-        return {f"{prefix}half_width": widths, f"{prefix}snr_edges": edges}
+        return {f"{prefix}half_width": widths, prefix + _EDGES.get(prefix, "snr_edges"): edges}
 
     @classmethod
     def from_state(cls, state: Mapping[str, torch.Tensor], quantities: int, prefix: str = "") -> Intervals:
         """Rebuild the intervals from `state`; raise an InputError when they are missing, misshapen or NaN."""
         widths = state.get(f"{prefix}half_width", torch.full((1, quantities + 1), torch.nan)).double().numpy()
-        edges = state.get(f"{prefix}snr_edges", torch.empty(0)).double().numpy()
+        edges = state.get(prefix + _EDGES.get(prefix, "snr_edges"), torch.empty(0)).double().numpy()
         widths = widths[None] if widths.ndim == 1 else widths
         shaped = widths.shape == (len(edges) + 1, quantities)
         if not shaped or np.isnan(widths).any() or np.isnan(edges).any():
-            what = f"expected half_width of {quantities} quantities and {len(edges) + 1} classes of SNR"
+            what = f"expected {prefix}half_width of {quantities} quantities and {len(edges) + 1} classes of frames"
             raise InputError(what, where="weights", remedy=MISMATCH)
         return cls(edges, widths)
+
+
+def has_intervals(state: Mapping[str, torch.Tensor], prefix: str) -> bool:
+    """Whether a model's state holds intervals under a prefix."""
+    return f"{prefix}half_width" in state
 
 
 def fit_intervals(residuals: NDArray[np.float64], snr: NDArray[np.float64], *, coverage: float = COVERAGE) -> Intervals:

@@ -24,7 +24,7 @@ from tapetum.models.base import Estimator, TrainingPart, plain_target, quantitie
 from tapetum.models.calibration import fit_temperature, probabilities
 from tapetum.models.domain import Domain, fit_domain, picture_features, picture_width
 from tapetum.models.inputs import BACKGROUNDS, prepare
-from tapetum.models.intervals import Intervals, fit_intervals
+from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
 from tapetum.models.losses import MixedLoss
 from tapetum.models.novelty import Novelty, fit_novelty
 from tapetum.models.prediction import Prediction
@@ -233,6 +233,8 @@ class NetworkEstimator(Estimator):
             why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
             self.training_["chosen"]["epochs"] = f"{kept}: {why}"
         self._calibrate(part, images, snr, device)
+        # Those of another training are not of these weights.
+        self.others_ = None
         self._describe(images, np.asarray(part.dataset["recording"].values))
         return self
 
@@ -316,7 +318,7 @@ class NetworkEstimator(Estimator):
     def _progress_label(self) -> str:
         return ARCHITECTURES[self.kind].title
 
-    def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
+    def _estimate(self, images: NDArray[np.generic], full_scale: float, own: bool = True) -> Prediction:
         self._check_fitted()
         device, k = training_device(self.device), len(self.quantities)
         self.network_.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
@@ -332,6 +334,7 @@ class NetworkEstimator(Estimator):
             None if self.domain_ is None else self.domain_(picture_features(seen)),
             probabilities(found[:, k:], self.temperature_) if self.classes_ else None,
             None if self.novelty_ is None else self.novelty_(features),
+            own,
         )
 
     def parameters(self) -> dict[str, Any]:
@@ -351,6 +354,7 @@ class NetworkEstimator(Estimator):
         for name, values in scaling.items():
             learned[f"scaling.{name}"] = torch.from_numpy(np.array(values, dtype=np.float64))
         learned |= self.intervals_.state("scaling.")
+        learned |= {} if self.others_ is None else self.others_.state(OTHER)
         for one in (self.novelty_, self.domain_):
             learned |= {} if one is None else one.state()
         return learned
@@ -393,6 +397,7 @@ class NetworkEstimator(Estimator):
         model._unit = float(scaling["unit"][0])
         model.temperature_ = float(scaling["temperature"][0]) if classes else 1.0
         model.intervals_ = Intervals.from_state(state, k, "scaling.")
+        model.others_ = Intervals.from_state(state, k, OTHER) if has_intervals(state, OTHER) else None
         model.novelty_ = Novelty.from_state(state, len(classes), network.width) if classes else None
         model.domain_ = Domain.from_state(state, picture_width())
         return model

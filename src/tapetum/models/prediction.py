@@ -51,6 +51,11 @@ class Prediction:
         unless `predict` was called with `anyway`.
     described
         Whether the model knows what its training frames look like, and so whether it applies.
+    distance
+        [N] how far each image is from the training frames; above 1 it has a `reason`. None where this is unknown.
+    unit
+        Whose intervals these are: "own", those of the copy of the camera that the model was trained on, or "other",
+        those of a copy that it has not seen.
     """
 
     names: tuple[str, ...]
@@ -62,6 +67,8 @@ class Prediction:
     novelty: NDArray[np.float64] | None = None
     reason: tuple[str, ...] = ()
     described: bool = False
+    distance: NDArray[np.float64] | None = None
+    unit: str = "own"
 
     def __post_init__(self) -> None:
         shape = (len(self.value), len(self.names))
@@ -70,7 +77,11 @@ class Prediction:
             raise InputError(f"value, lower and upper must all be {shape}, are {found}")
         if bool(self.classes) != (self.probability is not None):
             raise InputError("classes and their probabilities belong together", where="probability")
-        for name, wanted in (("probability", (len(self.value), len(self.classes))), ("novelty", shape[:1])):
+        for name, wanted in (
+            ("probability", (len(self.value), len(self.classes))),
+            ("novelty", shape[:1]),
+            ("distance", shape[:1]),
+        ):
             given = getattr(self, name)
             if given is not None and given.shape != wanted:
                 raise InputError(f"must be {wanted}, is {given.shape}", where=name)
@@ -219,5 +230,5 @@ def joined(parts: Sequence[Prediction]) -> Prediction:
         values = [getattr(part, name) for part in parts]
         return None if values[0] is None else np.concatenate(values)
 
-    arrays = {name: column(name) for name in ("value", "lower", "upper", "probability", "novelty")}
+    arrays = {name: column(name) for name in ("value", "lower", "upper", "probability", "novelty", "distance")}
     return replace(first, **arrays, reason=tuple(why for part in parts for why in part.reason))

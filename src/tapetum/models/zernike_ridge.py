@@ -17,7 +17,7 @@ from tapetum.errors import InputError
 from tapetum.models.base import Data, Estimator, plain_target, target_names, training_part
 from tapetum.models.domain import Domain, fit_domain, magnitudes
 from tapetum.models.features import ORDER, POWERS, SCALES, zernike_features
-from tapetum.models.intervals import Intervals, fit_intervals
+from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
 from tapetum.models.prediction import Prediction
 from tapetum.models.snr import crop_snr
 from tapetum.models.state import checked_state
@@ -162,6 +162,7 @@ class ZernikeRidge(Estimator):
         self.intercept_ = np.asarray(ridge.intercept_, dtype=np.float64).reshape(-1)
         aside = part.calibrate
         self.intervals_ = fit_intervals(part.targets[aside] - self._linear(features[aside]), snr[aside])
+        self.others_ = None
         self.data_hash_, self.training_ = part.data_hash, part.summary
         if self.alpha == "cv":
             why = f"{self.alpha_:.3g}: least squared error over contiguous fifths of the fitted frames, each left out"
@@ -172,11 +173,11 @@ class ZernikeRidge(Estimator):
     def _linear(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         return (features - self.mean_) / self.scale_ @ self.coef_.T + self.intercept_
 
-    def _estimate(self, images: NDArray[np.generic], full_scale: float) -> Prediction:
+    def _estimate(self, images: NDArray[np.generic], full_scale: float, own: bool = True) -> Prediction:
         self._check_fitted()
         features = self._features(images, full_scale)
         distance = None if self.domain_ is None else self.domain_(self._look(features))
-        return self._prediction(self._linear(features), lambda: crop_snr(images, full_scale), distance)
+        return self._prediction(self._linear(features), lambda: crop_snr(images, full_scale), distance, own=own)
 
     def _look(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return rotation-invariant features of crops for `Domain`: low-order Zernike magnitudes at every scale."""
@@ -202,7 +203,9 @@ class ZernikeRidge(Estimator):
         names = ("coef", "intercept", "mean", "scale")
         state = {name: torch.from_numpy(np.array(getattr(self, name + "_"), dtype=np.float64)) for name in names}
         state["alpha"] = torch.tensor([self.alpha_], dtype=torch.float64)
-        return {**state, **self.intervals_.state(), **({} if self.domain_ is None else self.domain_.state())}
+        state |= self.intervals_.state()
+        state |= {} if self.others_ is None else self.others_.state(OTHER)
+        return {**state, **({} if self.domain_ is None else self.domain_.state())}
 
     @classmethod
     def from_state(
@@ -217,6 +220,7 @@ class ZernikeRidge(Estimator):
         model.coef_, model.intercept_ = arrays["coef"], arrays["intercept"]
         model.mean_, model.scale_ = arrays["mean"], arrays["scale"]
         model.intervals_, model.alpha_ = Intervals.from_state(state, k), float(arrays["alpha"][0])
+        model.others_ = Intervals.from_state(state, k, OTHER) if has_intervals(state, OTHER) else None
         model.domain_ = Domain.from_state(state, model._look_width)
         return model
 

@@ -20,6 +20,7 @@ import torch
 
 from tapetum.bench import load_scene, with_values
 from tapetum.errors import InputError
+from tapetum.record.marks import scene_mark
 from tapetum.record.noise import counts
 from tapetum.record.patch import Patch, add_patch
 from tapetum.record.source import Frame
@@ -159,6 +160,11 @@ class Hands:
     def hardware(self) -> dict[str, Any]:
         """A note that all of it is simulated."""
         return {"camera": "simulated", "target": "a camera in a simulated hand"}
+
+    @property
+    def marks(self) -> frozenset[str]:
+        """The mark of the scene that every hand's camera is of (`tapetum.record.marks`)."""
+        return frozenset({scene_mark(self._scene)})
 
     def first(self) -> Frame:
         """Return a frame in which all hands point at the middle."""

@@ -21,6 +21,7 @@ import pyarrow.compute as pc
 from tapetum.errors import InputError
 from tapetum.record import layout
 from tapetum.record.layout import FRAMES, JOURNAL, LABELS, TRUTH, StreamInfo, is_recording, read_table, write_table
+from tapetum.record.marks import recording_marks
 from tapetum.record.source import Frame, Stored, existing
 from tapetum.record.video import count_frames, decoded, truncated
 from tapetum.record.writer import RecordingWriter
@@ -146,7 +147,8 @@ class Recording:
         columns = {"utc_ns": utc, "monotonic_ns": frames["monotonic_ns"], "lost": frames["dropped_before"]}
         known = pa.table({**columns, "exposure": frames["exposure"], "lit": frames["lit"]}).to_pylist()
         video, full_scale = existing(self.video(stream)), int(info.full_scale or 0)
-        return RecordingSource(video, stream, full_scale, times, self.finished, info.rate, tuple(known))
+        marks = recording_marks(self.meta)
+        return RecordingSource(video, stream, full_scale, times, self.finished, info.rate, tuple(known), marks=marks)
 
     def readout(self, stream: str) -> float:
         """Return the time from the exposure of a stream's first row to that of its last, in s; 0 where unknown."""
@@ -194,6 +196,8 @@ class RecordingSource(Stored):
         Further arguments of each `Frame`.
     late
         Whether the readable frames come before that error.
+    marks
+        Of the recording (`tapetum.record.marks`).
     """
 
     video: Path
@@ -204,6 +208,7 @@ class RecordingSource(Stored):
     rate: float | None = None
     known: tuple[dict[str, Any], ...] = ()
     late: bool = field(default=False, kw_only=True)
+    marks: frozenset[str] = field(default=frozenset(), kw_only=True)
 
     @property
     def name(self) -> str:

@@ -18,6 +18,7 @@ from tapetum.errors import of_type
 from tapetum.record.beats import Beat
 from tapetum.record.clutter import Painter, Stage
 from tapetum.record.imaging import idle_scene, imaging_scene
+from tapetum.record.marks import scene_mark
 from tapetum.record.motion import Hand
 from tapetum.record.noise import counts
 from tapetum.record.patch import add_patch, moved
@@ -78,6 +79,12 @@ class BenchCamera(Stored):
     def hardware(self) -> dict[str, Any]:
         """A note that the camera is simulated."""
         return {"camera": "simulated"}
+
+    @property
+    def marks(self) -> frozenset[str]:
+        """The mark of its scene (`tapetum.record.marks`), where one camera alone stays at its distance."""
+        changes = self.shot.session.others or getattr(self.shot.session.motion, "walk", None)
+        return frozenset() if changes else frozenset({scene_mark(self.shot.scene)})
 
     def _rng(self, purpose: int) -> np.random.Generator:
         return np.random.default_rng([self.shot.session.seed, purpose + self._number])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
 import threading
@@ -33,7 +34,7 @@ from tapetum.track.turns import Turns
 if TYPE_CHECKING:
     from tapetum.models import Predictor
 
-__all__ = ["SIDE", "TrackSummary", "make_detector", "track", "track_to_file", "usual_tracker"]
+__all__ = ["SIDE", "TrackSummary", "make_detector", "seeing", "track", "track_to_file", "usual_tracker"]
 
 SIDE = 400
 """Side of the square that the models are shown, in pixels (the paper's largest crop)."""
@@ -77,6 +78,21 @@ def _loaded(models: Models) -> list[Predictor]:
     if twice:
         raise InputError(f"two models estimate {', '.join(twice)}", where="model", remedy="give one model a quantity")
     return estimators
+
+
+def seeing(estimators: Sequence[Predictor], source: object) -> list[Predictor]:
+    """Return the models with the intervals that a source asks for, unless they were told whose to use.
+
+    A source that knows what it shows (`tapetum.record.marks`) may show what a model was trained on.
+    """
+    marks = getattr(source, "marks", frozenset())
+    seeing = []
+    for one in estimators:
+        if getattr(one, "others_", None) is not None and one.whose is None and one.knows(marks):
+            one = copy.copy(one)
+            one.whose = "own"
+        seeing.append(one)
+    return seeing
 
 
 def _estimates(
@@ -207,7 +223,7 @@ def track(
     follower = usual_tracker(find) if tracker is None else tracker
     frames = _opened(source, stream)
     pairs = _found(frames, taken(frames, threading.Event()), find)
-    tracked = _track(pairs, estimators, follower, side, batch, activity, turns)
+    tracked = _track(pairs, seeing(estimators, frames), follower, side, batch, activity, turns)
     return progress(tracked, "tracking", total=_count(frames))
 
 
@@ -357,7 +373,7 @@ def track_to_file(
     pairs = _found(opened, taken(opened, stop, seconds), find)
     follower = usual_tracker(find) if tracker is None else tracker
     tracked = progress(
-        _track(pairs, estimators, follower, side, batch, activity),
+        _track(pairs, seeing(estimators, opened), follower, side, batch, activity),
         "tracking",
         total=None if seconds is not None else _count(opened),
     )

@@ -158,7 +158,13 @@ class SimulationFit(Estimator):
         return self
 
     def predict(
-        self, data: Data, *, full_scale: float | None = None, progress: Progress = quiet, anyway: bool = False
+        self,
+        data: Data,
+        *,
+        full_scale: float | None = None,
+        progress: Progress = quiet,
+        anyway: bool = False,
+        unit: str | None = None,
     ) -> Prediction:
         """As `Predictor.predict`, with 90 % intervals from each fit's own covariance; also of whole frames [N, H, W].
 
@@ -168,7 +174,7 @@ class SimulationFit(Estimator):
         for image in first:
             # Prepared here, so that its progress bar does not appear within that of the images.
             self._prepared(len(self._seen(image, depth)[0]), progress)
-        return super().predict(data, full_scale=full_scale, progress=progress, anyway=anyway)
+        return super().predict(data, full_scale=full_scale, progress=progress, anyway=anyway, unit=unit)
 
     def _progress_label(self) -> str:
         return "fitting"
@@ -182,7 +188,8 @@ class SimulationFit(Estimator):
         for images in stacks:
             yield from ((images[k : k + 1], full_scale) for k in range(max(1, len(images))))
 
-    def _estimate(self, images: NDArray[np.generic], full_scale: float | None) -> Prediction:
+    def _estimate(self, images: NDArray[np.generic], full_scale: float | None, own: bool = True) -> Prediction:
+        del own  # It knows one scene alone.
         found = [self.fit_image(image, full_scale=full_scale) for image in images]
         value, lower, upper = (
             np.array([getattr(one, name) for one in found], np.float64).reshape(len(found), len(self.quantities))

@@ -240,7 +240,9 @@ def _coverage(outcome: Outcome) -> Picture:
         "Share of true values inside the 90 % intervals: "
         + ", ".join(f"{q} {c:.1%}" for q, c in zip(outcome.quantities, everything.coverage, strict=True))
         + ".",
-        "Share of truths inside the model's intervals, nominally 90 %. The number of frames is in brackets. Errors of "
+        "Share of truths inside the model's intervals, nominally 90 %"
+        + (", those for a copy of the camera that it was not trained on" if outcome.prediction.unit == "other" else "")
+        + ". The number of frames is in brackets. Errors of "
         "neighbouring frames are correlated, so the share in one recording scatters more than that number suggests.",
     )
 

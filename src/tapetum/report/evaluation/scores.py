@@ -255,7 +255,8 @@ def score(outcome: Outcome) -> dict[str, Any]:
         the share of truths inside the model's 90 % intervals, `interval`, their median half-width (None if infinite),
         all in the label's own unit, and `intervals`, a verdict on them; `gaze` with errors by axis and radial (see
         `GazeScores`) and `baseline_gaze` where both coordinates are predicted; `classes` where devices are (see
-        `ClassScores`); `recordings`, `snr` and `devices`: the same by part.
+        `ClassScores`); `coverage`, the wanted and the found share of all, and whose intervals they are
+        (`Prediction.unit`); `recordings`, `snr` and `devices`: the same by part.
 
     Raises
     ------
@@ -278,7 +279,7 @@ def score(outcome: Outcome) -> dict[str, Any]:
         told["classes"] = classes.to_dict()
     if names:
         held = [target["coverage"] for target in told["targets"].values()]
-        told["coverage"] = {"wanted": COVERAGE, "all": float(np.mean(held))}
+        told["coverage"] = {"wanted": COVERAGE, "all": float(np.mean(held)), "unit": outcome.prediction.unit}
         parts = {"recordings": by_recording(outcome), "snr": by_snr(outcome), "devices": by_device(outcome)}
         told |= {key: [one.to_dict(names) for one in found] for key, found in parts.items() if found}
     return told

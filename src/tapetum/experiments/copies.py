@@ -1,0 +1,93 @@
+"""Frames of copies of a camera, drawn from its tolerances: what intervals for an unknown copy are calibrated on."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from tapetum.bench import Scene, as_scene, draw_unit
+from tapetum.data.dataset import UNIT, class_variable, dataset_from_arrays
+from tapetum.data.write import Rules
+from tapetum.errors import InputError
+from tapetum.files import atomic_file
+from tapetum.progress import Progress, quiet
+from tapetum.record import HandMotion
+from tapetum.record.film import probe_frames
+
+__all__ = ["film_copies"]
+
+
+def film_copies(
+    scene: Scene | str,
+    seeds: Sequence[int],
+    frames: int,
+    work: Path,
+    *,
+    side: int,
+    motion: HandMotion | None = None,
+    progress: Progress = quiet,
+) -> xr.Dataset:
+    """Film copies of a scene's camera at gazes that are spread over its field, and return them as one dataset.
+
+    The gaze of every frame is drawn anew, alike over the field, with the sway and tremor of a hand; so few frames of a
+    copy say more than seconds of film. Labels are the truth.
+
+    Parameters
+    ----------
+    scene
+        The model of the camera; its copies are those of `tapetum.bench.draw_unit`.
+    seeds
+        Of the copies.
+    frames
+        Frames of each; those without a visible RR are left out.
+    work
+        Folder that keeps every copy, from which an interrupted run goes on.
+    side
+        Of the crops, in pixels.
+    motion
+        Extent, sway and tremor.
+    progress
+        Shown over the copies.
+
+    Raises
+    ------
+    InputError
+        For a scene that cannot be filmed.
+    """
+    model, hand, rules = as_scene(scene), motion or HandMotion(), Rules(side=side)
+    work.mkdir(parents=True, exist_ok=True)
+    found = [
+        _copy(draw_unit(model, None, seed), seed, frames, work / f"copy-{seed}-{frames}-{side}.npz", rules, hand)
+        for seed in progress(seeds, "filming copies", total=len(seeds))
+    ]
+    images, gazes = (np.concatenate([one[k] for one in found]) for k in (0, 1))
+    number = np.repeat(np.arange(len(found)), [len(one[0]) for one in found])
+    full = float(2**model.probe.sensor.bits - 1)
+    labels = {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]}
+    data = dataset_from_arrays(images, labels, full_scale=full, recording=number)
+    return data.assign({UNIT: class_variable([f"copy-{seeds[k]}" for k in number.tolist()])})
+
+
+def _copy(
+    scene: Scene, seed: int, frames: int, path: Path, rules: Rules, hand: HandMotion
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return one copy's crops [n, side, side] and gazes [n, 2], from its file where it was filmed before."""
+    if path.exists():
+        try:
+            with np.load(path) as file:
+                return file["image"], file["gaze"]
+        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+            raise InputError(f"cannot be read ({error})", where=path, remedy="remove it: it is made again") from error
+    rng = np.random.default_rng([seed, 2])
+    gaze = rng.uniform(-hand.extent, hand.extent, (frames, 2)) + rng.normal(0, hand.tremor, (frames, 2))
+    place = rng.normal(0, hand.sway, (frames, 2))
+    cut = [rules.cut(image) for image in probe_frames(scene, gaze, place, seed)]
+    seen = [k for k, one in enumerate(cut) if one is not None]
+    images = np.stack([one[0] for one in cut if one is not None]) if seen else np.empty((0, rules.side, rules.side))
+    with atomic_file(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, image=images, gaze=gaze[seen])
+    return images, gaze[seen]
