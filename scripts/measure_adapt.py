@@ -193,6 +193,8 @@ def picture(rows: list[dict[str, Any]], out: Path) -> None:
     kinds = [kind for kind in KINDS if any(row["kind"] == kind for row in rows)]
     figure = Figure(figsize=(4.2 * len(kinds), 3.4), layout="constrained")
     panels = np.atleast_1d(figure.subplots(1, len(kinds), sharey=True))
+    # A name has one colour in all panels.
+    colours: dict[str, str] = {}
     for panel, kind in zip(panels, kinds, strict=True):
         curves: dict[str, dict[float, list[float]]] = {}
         for row in rows:
@@ -205,7 +207,8 @@ def picture(rows: list[dict[str, Any]], out: Path) -> None:
             curves.setdefault(name, {}).setdefault(at, []).append(float(np.mean(row["mae"])))
         for name, points in sorted(curves.items()):
             x = sorted(points)
-            panel.plot(x, [np.mean(points[one]) for one in x], "o-", label=name)
+            colour = colours.setdefault(name, f"C{len(colours)}")
+            panel.plot(x, [np.mean(points[one]) for one in x], "o-", color=colour, label=name)
             panel.plot([one for one in x for _ in points[one]], [y for one in x for y in points[one]], ".", color="0.7")
         panel.set_xscale("log")
         panel.set_yscale("log")
@@ -214,8 +217,8 @@ def picture(rows: list[dict[str, Any]], out: Path) -> None:
         panel.set_title(kind)
         panel.set_xlabel("seconds of labelled film")
         panel.grid(alpha=0.3)
+        panel.legend(fontsize=7)
     panels[0].set_ylabel("MAE, fractions of the field")
-    panels[0].legend(fontsize=7)
     with atomic_file(out) as part:
         figure.savefig(part, dpi=110)
 
