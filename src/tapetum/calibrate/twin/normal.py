@@ -33,8 +33,8 @@ __all__ = ["Linear", "Normal", "State"]
 
 Array = NDArray[np.float64]
 # Step of a difference, in spreads. Over a tenth of a spread of the tilt derivatives change by a tenth, and pictures are
-# computed in double precision, a traced lens's on the same samples: so small a step leaves 3e-3 of nonlinearity.
-_STEP = 1e-3
+# computed in double precision, a traced lens's on the same samples: so small a step leaves 1e-3 of nonlinearity.
+_STEP = 3e-4
 # Frames whose pictures are held at once.
 _CHUNK = 8
 # A hand's roll, in radians: the width of its prior.
