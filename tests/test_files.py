@@ -110,8 +110,9 @@ def test_refusals_become_one_line(tmp_path: Path, error: Exception, words: str) 
 
 def test_other_errors_pass(tmp_path: Path) -> None:
     elsewhere = PermissionError(errno.EACCES, "Permission denied", "/somewhere/else/in.png")
+    beside = PermissionError(errno.EACCES, "Permission denied", str(tmp_path / "in.png"))
     missing = FileNotFoundError(errno.ENOENT, "No such file", str(tmp_path / "in.png"))
-    for error in (elsewhere, missing, ValueError("no"), InputError("No space left in the margin")):
+    for error in (elsewhere, beside, missing, ValueError("no"), InputError("No space left in the margin")):
         with pytest.raises(type(error)) as raised, told_when_full(tmp_path / "a.bin"):
             raise error
         assert raised.value is error

@@ -75,11 +75,14 @@ def _told(error: Exception, path: Path) -> InputError | None:
 
 
 def _concerns(error: OSError, path: Path) -> bool:
-    """Whether an error is about `path`, something beside or inside it, or a folder above it, as far as it says."""
+    """Whether an error is about `path`, its temporary names, what they hold, or a folder above, as far as it says."""
     if not isinstance(error.filename, str):
         return True
     named, target = Path(error.filename).absolute(), path.absolute()
-    return named.is_relative_to(target.parent) or target.is_relative_to(named)
+    if target.is_relative_to(named):
+        return True
+    # Temporary names carry that of the target; what else stands beside it may be what is read.
+    return named.is_relative_to(target.parent) and target.stem in named.relative_to(target.parent).parts[0]
 
 
 @contextlib.contextmanager

@@ -12,15 +12,16 @@ import pyarrow as pa
 import pytest
 import torch
 
-from tapetum.bench import Scene, load_scene, scene_yaml, with_values
+from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
 from tapetum.calibrate.twin.climb import covariance, settle, two_groups, untold
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
 from tapetum.calibrate.twin.normal import Normal, State
-from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of
+from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
 from tapetum.calibrate.twin.starts import placed_in
 from tapetum.cli.app import main
 from tapetum.errors import InputError
+from tapetum.models.simulation.pictures import Pictures
 from tapetum.record import Session, film, open_recording
 from tapetum.simulate.information import slopes_of
 
@@ -204,3 +205,23 @@ def test_the_command_writes_a_scene_or_says_that_it_does_not_explain(
     assert not (tmp_path / "twin.part").exists()
     assert main(["twin", *common]) == 2
     assert "exists already" in capsys.readouterr().err
+
+
+def test_a_traced_lens_is_differentiated_on_the_same_samples():
+    # A unit whose plan changes within a step of the derivative: planned afresh, slopes of 3e-4 and 1e-2 of a spread
+    # differ by more than their size.
+    scene = draw_unit(load_scene("rotation"), None, 5)
+    parameters = parameters_of(scene)
+    at = [one.read(scene) for one in parameters]
+    own = Pictures(scene, 120, None, torch.complex128)
+    poses = [replace(own.start(), gaze=gaze) for gaze in ((0.1, -0.2), (-0.3, 0.25))]
+    base = own.render_each(poses)
+    n = next(n for n, one in enumerate(parameters) if one.name == "decentre_x")
+
+    def slope(step: float) -> np.ndarray:
+        moved = [value + step * parameters[n].spread * (k == n) for k, value in enumerate(at)]
+        other = Pictures(placed(scene, parameters, moved), 120, None, torch.complex128, like=own)
+        return (other.render_each(poses) - base) / step
+
+    small, large = slope(3e-4), slope(1e-2)
+    assert np.abs(small - large).max() < 0.05 * np.abs(large).max()

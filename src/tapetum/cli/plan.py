@@ -7,9 +7,10 @@ from typing import Annotated
 
 import typer
 
-from tapetum.bench import load_scene
+from tapetum.bench import Target, ThinLens, load_scene
 from tapetum.cli.options import AsJson, Changes, SceneName, option
 from tapetum.errors import InputError
+from tapetum.progress import bar, quiet
 
 
 def plan(
@@ -46,7 +47,9 @@ def plan(
     # Torch takes a second to import.
     from tapetum.simulate.planning import label_lines, plan_bench
 
-    planned = plan_bench(known, names)
+    # A thin lens is planned at once.
+    thin = isinstance(known.target, Target) and isinstance(known.target.lens, ThinLens)
+    planned = plan_bench(known, names, progress=quiet if thin else bar)
     if as_json:
         typer.echo(json.dumps({"scene": scene, **planned.as_dict()}, allow_nan=False))
     else:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 
@@ -75,6 +75,8 @@ _EDGE_SHARE = 0.5
 # Steps in which the reach of the scattered light's tables grows.
 _FARTHER = 1.2
 
+_T = TypeVar("_T")
+
 # A mirror's single order.
 _MIRRORS = torch.tensor([[1.0, 0.0, 0.0]], dtype=torch.float64)
 
@@ -111,6 +113,9 @@ class Camera:
     edge
         How to treat a spot that the edge of the target's sensor cuts. `exact`: compute it on a sampled sensor plane, or
         refuse it. `dimmed`: dim the return to the share of the spot that the sensor holds, by rays.
+    like
+        A camera of a scene that differs by little and of the same pixels: behind a traced lens pictures are computed
+        on its samples, so that a difference of the two is that of the scenes. `steepest` must be its own.
     accuracy, dtype, device
         As for `retroreflect`.
 
@@ -131,6 +136,7 @@ class Camera:
         distance: torch.Tensor | float | None = None,
         power: torch.Tensor | float | None = None,
         edge: EdgeRule = "exact",
+        like: Camera | None = None,
         accuracy: float | None = None,
         dtype: torch.dtype = torch.complex64,
         device: torch.device | str = "auto",
@@ -158,6 +164,7 @@ class Camera:
         light = scene.illumination
         self._directions = directions(light, light.wavelength / (2 * target.lens.aperture_radius))
         self._lens: TracedLens | None = None
+        self._like: Camera | None = None
         if isinstance(target.lens, PrescriptionLens):
             for name, forced in (("pupil", scene.sampling.pupil), ("sensor", scene.sampling.sensor)):
                 if forced is not None:
@@ -167,9 +174,16 @@ class Camera:
             if any(self._scalar(one).requires_grad for one in (self._focal_length, self._object_distance)):
                 what = "carries gradients, which a traced lens has for the gaze alone"
                 raise InputError(what, where="object_distance", remedy="give a number, or use a thin lens")
-            self._lens = TracedLens(scene, float(self._object_distance), steepest)
-            self._return_radius = max(self._return_radius, self._lens.return_radius)
-            self._finite = self._is_finite()
+            at = float(self._object_distance)
+            self._like = like if like is not None and like._lens is not None else None
+            if self._like is None:
+                self._lens = TracedLens(scene, at, steepest)
+                self._return_radius = max(self._return_radius, self._lens.return_radius)
+                self._finite = self._is_finite()
+            else:
+                assert self._like._lens is not None
+                self._lens = self._like._lens.set_to(scene, at)
+                self._return_radius, self._finite = self._like._return_radius, self._like._finite
         self._steepest = steepest
         self.geometry = self._geometry(light.wavelength, steepest)
         self._plans: list[Plan] = []
@@ -180,7 +194,11 @@ class Camera:
         light, first = self.scene.illumination, self.geometry
         rings = first.exit_angle / (light.wavelength / (2 * first.radius)) + _RINGS_SHOWN
         path = longest_path(self.scene)
-        return [self._line(length, watts, self._steepest) for length, watts in wavelengths(light, rings, path)]
+        lines = wavelengths(light, rings, path)
+        likes = _as_many([] if self._like is None else self._like._lines, len(lines))
+        return [
+            self._line(length, watts, self._steepest, like) for (length, watts), like in zip(lines, likes, strict=True)
+        ]
 
     @cached_property
     def plan(self) -> Plan:
@@ -229,7 +247,7 @@ class Camera:
         spread = max(math.hypot(x, y) for x, y, _ in self._directions)
         return scene_geometry(self.scene, steepest, f, z, self.output, wavelength, spread)
 
-    def _line(self, wavelength: float, watts: float, steepest: float) -> _Line:
+    def _line(self, wavelength: float, watts: float, steepest: float, like: _Line | None = None) -> _Line:
         scene, geometry, lens = self.scene, self._geometry(wavelength, steepest), self._lens
         if lens is not None:
             # Scattered light is computed for a thin lens with the prescription's focus at this wavelength.
@@ -241,8 +259,9 @@ class Camera:
         groups = specular_groups(scene, wavelength, self._z, widest)
         passes: list[Pass] = []
         ends: list[SensorEnd | None] = []
-        for group in groups:
-            one, end = self._thin(geometry, group) if lens is None else self._traced(lens, wavelength, group)
+        before = _as_many(() if like is None else like.passes, len(groups))
+        for group, planned in zip(groups, before, strict=True):
+            one, end = self._thin(geometry, group) if lens is None else self._traced(lens, wavelength, group, planned)
             self._plans.append(one.plan)
             passes.append(one)
             ends.append(end)
@@ -262,15 +281,19 @@ class Camera:
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 
     def _traced(
-        self, lens: TracedLens, wavelength: float, group: Sequence[Surface]
+        self, lens: TracedLens, wavelength: float, group: Sequence[Surface], planned: Pass | None
     ) -> tuple[TracedGroup, SensorEnd | None]:
         distance = float(self._distance.detach()) if self._finite else None
+        where: dict[str, Any] = {"dtype": self._dtype, "device": self._device}
 
         def opened(group: Sequence[Surface]) -> TracedGroup:
-            given = group, self.output, wavelength, self._accuracy, distance
-            return lens.group(*given, dtype=self._dtype, device=self._device)
+            return lens.group(group, self.output, wavelength, self._accuracy, distance, **where)
 
-        return opened(group), traced_end(group, opened, self.output)
+        if isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
+            one = lens.again(planned, group, self.output, wavelength, distance, **where)
+        else:
+            one = opened(group)
+        return one, traced_end(group, opened, self.output)
 
     def _thin(self, geometry: DoublePassGeometry, group: Sequence[Surface]) -> tuple[RoundPass, SensorEnd | None]:
         scene = self.scene
@@ -627,6 +650,11 @@ def scene_geometry(
         curvature=illumination_curvature(scene),
         lit_radius=beam_radius(scene),
     )
+
+
+def _as_many(items: Sequence[_T], count: int) -> list[_T | None]:
+    """`count` items, None for those that are missing."""
+    return [*items[:count], *[None] * (count - len(items))]
 
 
 def pick_device(device: torch.device | str) -> torch.device:

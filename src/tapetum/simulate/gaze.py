@@ -9,6 +9,7 @@ import torch
 from tapetum.bench import PrescriptionLens, Scene
 from tapetum.optics.grid import lens_numbers
 from tapetum.simulate.field_map import FieldMap, field_map
+from tapetum.simulate.pupil_fits import rounded_up
 
 __all__ = ["field_size", "gaze_of", "largest_sine", "spot_places", "tilt_of_gaze"]
 
@@ -93,5 +94,5 @@ def _traced(scene: Scene) -> FieldMap | None:
         return None
     sensor = target.sensor
     # From the lens's axis to the corner farthest from it.
-    half_diagonal = math.hypot(*sensor.pixels) * sensor.pitch / 2 + math.hypot(*sensor.decentre)
+    half_diagonal = math.hypot(*sensor.pixels) * sensor.pitch / 2 + rounded_up(math.hypot(*sensor.decentre))
     return field_map(target.lens, scene.illumination.wavelength, target.object_distance, half_diagonal)

@@ -13,6 +13,7 @@ import torch
 from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, as_scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import lens_numbers
+from tapetum.progress import Progress, quiet
 from tapetum.simulate.budget import LinkBudget, link_budget
 from tapetum.simulate.eye_safety import NOT_A_CERTIFICATE, beam_of, eye_safety
 from tapetum.simulate.gaze import gaze_of, tilt_of_gaze
@@ -130,7 +131,9 @@ def label_lines() -> list[str]:
 _FOCUS = ("object_distance", "focal_length")
 
 
-def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] | None = None) -> Plan:
+def plan_bench(
+    scene: Scene | str | os.PathLike[str], parameters: Sequence[str] | None = None, *, progress: Progress = quiet
+) -> Plan:
     """Plan a bench: the results to expect of a scene, before it is simulated or built.
 
     Parameters
@@ -141,6 +144,8 @@ def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] 
         Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them, all estimated
         from one frame. Default: those of `PARAMETERS` that have a limit in this scene, but for the focus of a traced
         lens, which takes four more of it; the plan says why the others have none.
+    progress
+        Shown over the two steps that may take long: sampling and limits.
 
     Raises
     ------
@@ -160,13 +165,21 @@ def plan_bench(scene: Scene | str | os.PathLike[str], parameters: Sequence[str] 
     light = scene.illumination
     wavelengths = (light.wavelength, *(line.wavelength for line in light.lines))
     budgets = tuple(link_budget(scene, wavelength) for wavelength in wavelengths)
-    # Keyword arguments are evaluated in order: the planner refuses before the costly derivatives.
+    sampling: SamplingChoice | None = None
+    limit: FisherInformation | None = None
+    # The planner refuses before the costly derivatives.
+    for step in progress(("sampling", "limits"), "planning", total=2):
+        if step == "sampling":
+            sampling = _sampling(scene, budgets[0])
+        elif parameters or not left_out:
+            # Parameters named by the user are refused, not left out.
+            limit = fisher(scene, parameters)
+    assert sampling is not None
     return Plan(
         geometry=_geometry(scene),
         budgets=budgets,
-        sampling=_sampling(scene, budgets[0]),
-        # Parameters named by the user are refused, not left out.
-        limit=fisher(scene, parameters) if parameters or not left_out else None,
+        sampling=sampling,
+        limit=limit,
         left_out=left_out,
         eye=eye_check(scene),
     )

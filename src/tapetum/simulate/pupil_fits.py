@@ -31,6 +31,7 @@ __all__ = [
     "on_grid",
     "on_tilt_grid",
     "open_share",
+    "rounded_up",
     "values_at",
     "with_rim",
 ]
@@ -45,6 +46,12 @@ _FITTED = 1.15
 _FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS = 33, 5, 21
 # Places evaluated at a time: their memory fits the processor's caches.
 _PLACES_AT_ONCE = 1 << 15
+
+
+def rounded_up(value: float) -> float:
+    """Round up by at most 1 in 256, so that a lens is traced once for scenes that differ by little."""
+    mantissa, exponent = math.frexp(value)
+    return math.ldexp(math.ceil(512 * mantissa) / 512, exponent)
 
 
 @dataclass(frozen=True)
@@ -111,7 +118,8 @@ class PupilFits:
     R, `bend` [T, 2] those of C across and along the tilt. `spread` is the largest distance of a ray's landing from y0.
     Landings about y0 are linear in s, with slope `defocus` about the middle of s, and depart from it by at most
     `aberration`. `misfit` is the worst RMS of Ψ against the rays that pass; `aperture` the pupil's largest half width
-    in s and reach in e.
+    in s and reach in e. `corrected_from`: where the light that leaves has the
+    paths of rays that a mirror returns, the tilts that were fitted before; else None.
     """
 
     nodes: TiltNodes
@@ -125,6 +133,7 @@ class PupilFits:
     aberration: float
     misfit: float
     aperture: tuple[float, float]
+    corrected_from: TiltNodes | None = None
 
     def to(self, device: torch.device) -> PupilFits:
         """The same on another device: lenses are traced on the CPU, fields computed anywhere."""

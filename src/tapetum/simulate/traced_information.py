@@ -12,24 +12,23 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import torch
 
 from tapetum.bench import PhoneTarget, PrescriptionLens, Scene, with_values
 from tapetum.errors import InputError
-from tapetum.optics.focus import FocusedLens
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.gaze import field_size, largest_sine, tilt_of_gaze
-from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
 from tapetum.simulate.radiometry import dark_electrons, illumination_curvature, photoelectrons
 from tapetum.simulate.round_pass import Surface
+from tapetum.simulate.traced_again import pass_again
 from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
-from tapetum.simulate.traced_return import corrected
 from tapetum.simulate.unknowns import NUISANCES, PHOTOSITES, TRACED, checked_parameters, has_photosites
 
 __all__ = ["NUISANCES", "TRACED", "TracedSlopes", "sensor_part"]
@@ -225,9 +224,6 @@ class _Steps:
         )
 
 
-_Again = Callable[[TracedPass, float, bool], TracedPass]
-
-
 class _Camera(Camera):
     """A camera whose lens can be set to neighbouring values on the same samples."""
 
@@ -238,24 +234,25 @@ class _Camera(Camera):
 
     def set_to(self, scene: Scene) -> _Camera:
         """Another focus or focal length."""
-        lens, at = scene.target.lens, scene.target.object_distance
-        assert isinstance(lens, PrescriptionLens)
-        curvature = illumination_curvature(scene)
-
-        def again(one: TracedPass, wavelength: float, by_rays: bool) -> TracedPass:
-            fits = _fits(lens.focused(wavelength, at), one, curvature, by_rays)
-            return _with(one, fits, one.surface, wavelength)
-
-        return self._changed(again)
+        given: dict[str, Any] = {"accuracy": self._accuracy, "dtype": self._dtype, "device": self._device}
+        return _Camera(scene, self._steepest, output=self.output, like=self, **given)
 
     def with_sites_moved(self, axis: int, by: float) -> _Camera:
         """The same with its pixel array moved under the spot, in metres: the phases of its orders change."""
 
-        def again(one: TracedPass, wavelength: float, by_rays: bool) -> TracedPass:
-            del by_rays
-            return _with(one, one.fits, _moved_sites(one.surface, axis, by, wavelength), wavelength)
-
-        return self._changed(again)
+        other = copy.copy(self)
+        lines = list(self._lines)
+        for i, line in enumerate(lines):
+            made: list[TracedGroup] = []
+            for group in map(_group, line.passes):
+                moved = [
+                    pass_again(one, one.fits, _moved_sites(one.surface, axis, by, line.wavelength), one.path)
+                    for one in group.passes
+                ]
+                made.append(TracedGroup(moved, group.plan))
+            lines[i] = replace(line, passes=tuple(made))
+        other._lines = lines
+        return other
 
     def tilts_like(self, other: _Camera, sines: torch.Tensor) -> torch.Tensor:
         """Tilts [B, 2] that put the spot where the other one's tilts put it."""
@@ -275,19 +272,6 @@ class _Camera(Camera):
     def _first(self) -> TracedPass:
         return _group(self._lines[0].passes[0]).passes[0]
 
-    def _changed(self, again: _Again) -> _Camera:
-        other = copy.copy(self)
-        lines = list(self._lines)
-        for i, line in enumerate(lines):
-            groups = [_group(one) for one in line.passes]
-            made = [
-                TracedGroup([again(one, line.wavelength, group.plan.by_rays) for one in group.passes], group.plan)
-                for group in groups
-            ]
-            lines[i] = replace(line, passes=tuple(made))
-        other._lines = lines
-        return other
-
 
 def _period(scene: Scene) -> float:
     """Of the photosites, in metres, and of the lenses over them."""
@@ -298,32 +282,6 @@ def _period(scene: Scene) -> float:
 def _group(one: object) -> TracedGroup:
     assert isinstance(one, TracedGroup)
     return one
-
-
-def _with(one: TracedPass, fits: PupilFits, surface: Surface, wavelength: float) -> TracedPass:
-    """The same samples with another lens or plane."""
-    return TracedPass(
-        fits,
-        one.grids,
-        surface,
-        one.path,
-        wavelength=wavelength,
-        accepted=one.accepted,
-        dtype=one.dtype,
-        device=one.device,
-    )
-
-
-def _fits(focused: FocusedLens, one: TracedPass, curvature: float, by_rays: bool) -> PupilFits:
-    nodes = one.fits.nodes
-    fits = fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
-    if not by_rays:
-        return fits
-    found = corrected(focused, fits, curvature=curvature, accepted=one.accepted)
-    if found is None:
-        what = "too little light comes back to tell how it changes with the focus"
-        raise InputError(what, where="target", remedy="focus nearer to the probe, or stop down with f_number")
-    return found
 
 
 def _moved_sites(surface: Surface, axis: int, by: float, wavelength: float) -> Surface:

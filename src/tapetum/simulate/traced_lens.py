@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import math
 from collections.abc import Sequence
@@ -14,10 +15,11 @@ from tapetum.optics.focus import FocusedLens, best_focus
 from tapetum.optics.grid import Grid
 from tapetum.simulate.glints import Glints, GlintTable, glint_tables
 from tapetum.simulate.probe_path import ProbeAperture
-from tapetum.simulate.pupil_fits import PupilFits, fit_pupils
+from tapetum.simulate.pupil_fits import PupilFits, TiltNodes, fit_pupils, rounded_up
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
 from tapetum.simulate.surfaces import Mask, Surface
+from tapetum.simulate.traced_again import group_again
 from tapetum.simulate.traced_bundle import trace_bundle
 from tapetum.simulate.traced_light import Way, any_angle, return_angle
 from tapetum.simulate.traced_plan import TracedGroup, TracedMask, traced_group, traced_mask
@@ -57,8 +59,9 @@ class TracedLens:
         self._scene, self._lens, self._object_distance = scene, lens, object_distance
         light = scene.illumination
         second = math.hypot(*light.second_beam.angle) if light.second_beam is not None else 0.0
-        self._steepest = min(1.0, steepest + second + light.source_size / 2)
+        self._steepest = min(1.0, rounded_up(steepest + second + light.source_size / 2))
         self._curvature = illumination_curvature(scene)
+        self._planned: TracedLens | None = None
         depths = [0.0] if scene.target.sensor.reflectance > 0 else []
         depths += [
             layer.depth / layer.index
@@ -73,8 +76,28 @@ class TracedLens:
         self.return_radius = lens.aperture_radius + self.exit_angle * scene.distance
         """Radius of the widest return at the probe, by rays, in metres."""
 
+    def set_to(self, scene: Scene, object_distance: float) -> TracedLens:
+        """The lens of a scene that differs by little, for pictures on the same samples (`again`)."""
+        other = copy.copy(self)
+        lens = scene.target.lens
+        assert isinstance(lens, PrescriptionLens)
+        other._scene, other._lens, other._object_distance = scene, lens, object_distance
+        other._curvature, other._planned = illumination_curvature(scene), self
+        return other
+
     def _at(self, wavelength: float) -> tuple[FocusedLens, PupilFits]:
-        return _fitted(*self._asked(wavelength))
+        if self._planned is None:
+            return _fitted(*self._asked(wavelength))
+        planned = self._planned._at(wavelength)
+        if self._is_planned:
+            return planned
+        return _fitted_on(self._lens, wavelength, self._object_distance, planned[1].nodes, self._curvature)
+
+    @property
+    def _is_planned(self) -> bool:
+        """Whether the lens was not changed."""
+        one = self._planned
+        return one is not None and one._asked(0.0) == self._asked(0.0)
 
     def _asked(self, wavelength: float) -> tuple[PrescriptionLens, float, float, float, float]:
         return self._lens, wavelength, self._object_distance, self._steepest, self._curvature
@@ -107,6 +130,21 @@ class TracedLens:
         """The passes of planes that interfere, over the `distance` through the probe's aperture or to the far field."""
         way = self._way(output, wavelength, distance, dtype, device)
         return traced_group(*self._at(wavelength), surfaces, output, accuracy=accuracy, **way)
+
+    def again(
+        self,
+        group: TracedGroup,
+        surfaces: Sequence[Surface],
+        output: Grid,
+        wavelength: float,
+        distance: float | None,
+        *,
+        dtype: torch.dtype,
+        device: torch.device,
+    ) -> TracedGroup:
+        """As `group`, on the samples of one that was planned for the lens before it was set."""
+        way = self._way(output, wavelength, distance, dtype, device)
+        return group_again(group, *self._at(wavelength), surfaces, output, same_lens=self._is_planned, **way)
 
     def mask(
         self,
@@ -188,6 +226,16 @@ def _fitted(
 ) -> tuple[FocusedLens, PupilFits]:
     focused = lens.focused(wavelength, object_distance)
     return focused, fit_pupils(focused, _covered(focused, steepest, curvature), curvature=curvature)
+
+
+@functools.lru_cache(maxsize=16)
+def _fitted_on(
+    lens: PrescriptionLens, wavelength: float, object_distance: float, nodes: TiltNodes, curvature: float
+) -> tuple[FocusedLens, PupilFits]:
+    # Tracing differentiates, and a camera is planned at its first use, maybe where gradients are off.
+    with torch.enable_grad():
+        focused = lens.focused(wavelength, object_distance)
+        return focused, fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
 
 
 @functools.lru_cache(maxsize=16)

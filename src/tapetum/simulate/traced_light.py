@@ -18,6 +18,7 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
 from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, with_rim
+from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_bundle import rim_curvature
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
 
@@ -27,6 +28,8 @@ __all__ = [
     "Way",
     "any_angle",
     "followed",
+    "in_air",
+    "is_blurred",
     "nearer_by",
     "return_angle",
     "traced_scene",
@@ -113,6 +116,11 @@ class TracedLight:
     steepest: float
 
 
+def is_blurred(fits: PupilFits, wavelength: float) -> bool:
+    """Whether a plane is so far out of focus that each place of the pupil has one leaving ray."""
+    return abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength > _GEOMETRIC
+
+
 def traced_scene(
     focused: FocusedLens,
     fits: PupilFits,
@@ -172,6 +180,18 @@ def _compared(output: Grid, detail: float) -> Grid:
     return Grid(rows, columns, pitch)
 
 
+def in_air(scene: TracedScene, surface: Surface) -> tuple[TracedScene, Surface]:
+    """A plane before the sensor as one in air: nearer by its reduced depth t/n, on a path that is shorter by n t."""
+    if not surface.depth:
+        return scene, surface
+    nearer = surface.depth / surface.index
+    focused, nodes = nearer_by(scene.focused, nearer), scene.fits.nodes
+    fits = fit_pupils(focused, nodes.steepest, curvature=scene.curvature, nodes=nodes)
+    longer = 4 * math.pi / scene.wavelength * (surface.index * surface.depth - nearer)
+    surface = replace(surface, depth=0.0, index=1.0, phase=-longer)
+    return replace(scene, focused=focused, fits=fits), surface
+
+
 def _rounded_up(error: float) -> float:
     """An error to two digits that is no smaller: what may be asked for instead."""
     digit = 10 ** (math.floor(math.log10(error)) - 1)
@@ -184,8 +204,8 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     Only what a plane returns by rays can be corrected by them: not what a mask scatters.
     """
     focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
-    zones = abs(fits.defocus) * fits.aperture[0] ** 2 / wavelength
-    if zones <= _GEOMETRIC:
+    blurred = is_blurred(fits, wavelength)
+    if not blurred:
         # Out of focus light is told by its rays, in focus by the pupil's rim.
         fits = with_rim(fits, rim_curvature(focused))
     sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
@@ -203,7 +223,7 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
             # No ray leaves under an angle that is faded out: follow the whole pupil, and waves beyond its rays.
             accepted = None
     pupils, by_rays = fits, False
-    far_out = zones > _GEOMETRIC and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted))
+    far_out = blurred and (unsure > 0.2 * accuracy or (accepted is not None and angle > 4 * accepted))
     allowed = min(accuracy, 2 * math.pi * _LARGEST_DEPARTURE)
     if correct and far_out:
         found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)

@@ -82,7 +82,7 @@ class TracedPass(SampledPass[TracedPupil]):
         device: torch.device | str = "cpu",
     ) -> None:
         self.fits, self.grids, self.surface, self.path = fits.to(torch.device(device)), grids, surface, path
-        self.accepted = accepted
+        self.accepted, self.wavelength = accepted, wavelength
         samples = grids.pupil, grids.returning, grids.leaving or grids.pupil
         needed = _SAMPLE * (sum(side**2 for side in samples) + grids.sensor**2)
         if mask is not None:

@@ -19,9 +19,9 @@ from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.optics.sampling import Plan
 from tapetum.simulate.faint import FAINT
-from tapetum.simulate.pupil_fits import PupilFits, chebyshev, fit_pupils
+from tapetum.simulate.pupil_fits import PupilFits, chebyshev
 from tapetum.simulate.surfaces import Mask, Surface
-from tapetum.simulate.traced_light import TracedLight, TracedScene, Way, any_angle, followed, nearer_by, traced_scene
+from tapetum.simulate.traced_light import TracedLight, TracedScene, Way, any_angle, followed, in_air, traced_scene
 from tapetum.simulate.traced_pass import AT_ONCE_BYTES, TracedGrids, TracedPass
 
 __all__ = ["TracedGroup", "TracedMask", "TracedPlan", "traced_group", "traced_mask"]
@@ -247,14 +247,7 @@ def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> floa
 
 
 def _planned(scene: TracedScene, surface: Surface, accuracy: float) -> tuple[TracedPass, TracedPlan]:
-    if surface.depth:
-        # Nearer by the reduced depth t/n, while the light's path is shorter by n t.
-        nearer = surface.depth / surface.index
-        focused = nearer_by(scene.focused, nearer)
-        fits = fit_pupils(focused, scene.fits.nodes.steepest, curvature=scene.curvature, nodes=scene.fits.nodes)
-        longer = 4 * math.pi / scene.wavelength * (surface.index * surface.depth - nearer)
-        surface = replace(surface, depth=0.0, index=1.0, phase=-longer)
-        scene = replace(scene, focused=focused, fits=fits)
+    scene, surface = in_air(scene, surface)
     light = followed(scene, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)

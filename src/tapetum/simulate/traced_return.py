@@ -181,6 +181,7 @@ def corrected(
     *,
     curvature: float = 0.0,
     accepted: float | None = None,
+    nodes: TiltNodes | None = None,
 ) -> PupilFits | None:
     """Pupils whose outgoing light has the paths of its real rays; None where too few rays return.
 
@@ -193,6 +194,8 @@ def corrected(
     accepted
         Largest angle under which light still reaches the picture, in radians; places whose light all leaves beyond
         `_KEPT` times this are dropped. None keeps all.
+    nodes
+        The tilts to fit; by default those at which light returns.
 
     Returns
     -------
@@ -202,7 +205,8 @@ def corrected(
         tilts end where hardly any light returns. The misfit is large where rays cross on their way out, so that a place
         has several paths.
     """
-    nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
+    if nodes is None:
+        nodes = TiltNodes.up_to(_last_return(focused, fits.nodes.steepest, curvature, accepted))
     tilt = fits.nodes.terms(nodes.sines)
     middle = tilt @ fits.middle
     box = None if accepted is None else _accepted_box(focused, nodes.sines, curvature, accepted)
@@ -225,7 +229,8 @@ def corrected(
         leaving, misfit = _part(fits, nodes, back, rays, more)
         aperture = float(torch.where(passing, length(back.e), torch.zeros_like(more)).max())
     misfit = max(misfit, inwards.misfit, _between(focused, fits, leaving, nodes, curvature, accepted))
-    return replace(inwards, leaving=leaving, misfit=misfit, aperture=(inwards.aperture[0], aperture))
+    reach = (inwards.aperture[0], aperture)
+    return replace(inwards, leaving=leaving, misfit=misfit, aperture=reach, corrected_from=fits.nodes)
 
 
 def _whole_pupil(

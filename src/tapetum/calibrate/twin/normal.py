@@ -33,7 +33,7 @@ __all__ = ["Linear", "Normal", "State"]
 
 Array = NDArray[np.float64]
 # Step of a difference, in spreads. Over a tenth of a spread of the tilt derivatives change by a tenth, and pictures are
-# computed in double precision: so small a step leaves 1e-3 of nonlinearity, and does not meet another sampling.
+# computed in double precision, a traced lens's on the same samples: so small a step leaves 1e-3 of nonlinearity.
 _STEP = 3e-4
 # Frames whose pictures are held at once.
 _CHUNK = 8
@@ -256,6 +256,7 @@ class Normal:
         """Return steps and pictures a step away along each parameter that the pictures show."""
         steps: list[float] = []
         others: list[Pictures] = []
+        own = self.pictures(coordinates)
         for n in self._shown:
             one = self.parameters[n]
             step = _STEP * one.spread
@@ -267,7 +268,7 @@ class Normal:
             beside[n] += step
             scene = placed(self.scene, shown, beside[self._shown].tolist())
             steps.append(step)
-            others.append(Pictures(scene, self.side, self.accuracy, torch.complex128))
+            others.append(Pictures(scene, self.side, self.accuracy, torch.complex128, like=own))
         return steps, others
 
     def _beside(self, pictures: Pictures, poses: list[Pose]) -> Array:

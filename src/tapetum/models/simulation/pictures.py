@@ -54,14 +54,21 @@ class Pictures:
     """Renders the retro-reflection of a pose on `side` x `side` pixels of the probe; caches the cameras.
 
     The scene's own rotation is not used. `accuracy` is in fractions of the peak; None takes the scene's own. `dtype` is
-    the type of the fields. Raises as `check_scene` and `simulate.Camera`.
+    the type of the fields. `like` are those of a scene that differs by little: a traced lens is then sampled as it was
+    for their scene, so that differences do not show the sampling. Raises as `check_scene` and `simulate.Camera`.
     """
 
     def __init__(
-        self, scene: Scene, side: int, accuracy: float | None = None, dtype: torch.dtype = torch.complex64
+        self,
+        scene: Scene,
+        side: int,
+        accuracy: float | None = None,
+        dtype: torch.dtype = torch.complex64,
+        like: Pictures | None = None,
     ) -> None:
         check_scene(scene)
         self.scene, self.side, self._accuracy, self._dtype = scene, side, accuracy, dtype
+        self._like = like
         self._cameras = lru_cache(_CAMERAS_KEPT)(self._camera)
         light, target, probe = scene.illumination, scene.target, scene.probe
         self.pitch = probe.sensor.pitch
@@ -141,10 +148,14 @@ class Pictures:
             scene = replace(scene, target=replace(target, lens=lens, object_distance=object_distance))
         corners = torch.tensor([[x, y] for x in (-_EDGE, _EDGE) for y in (-_EDGE, _EDGE)], dtype=torch.float64)
         steepest = largest_sine(tilt_of_gaze(scene, corners))
+        like = None
+        if self._like is not None:
+            own = self._like.scene.target
+            _, like = self._like._cameras(own.object_distance, own.lens.focal_length, side)
         grid = Grid(side, side, self.pitch)
         # These images are small: copying them would cost more time than a GPU gains.
         options: dict[str, Any] = {"accuracy": self._accuracy, "dtype": self._dtype, "device": "cpu"}
-        return scene, Camera(scene, steepest, output=grid, edge="dimmed", **options)
+        return scene, Camera(scene, steepest, output=grid, edge="dimmed", like=like, **options)
 
 
 def period_of(scene: Scene) -> float | None:

@@ -1,0 +1,81 @@
+"""Passes of a lens that differs by little from one that was planned, on the same samples.
+
+Errors of sampling nearly cancel in a difference of two pictures on the same samples, and nothing is planned again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Unpack
+
+from tapetum.errors import InputError
+from tapetum.optics.focus import FocusedLens
+from tapetum.optics.grid import Grid
+from tapetum.simulate.probe_path import ProbePath
+from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, with_rim
+from tapetum.simulate.surfaces import Surface
+from tapetum.simulate.traced_bundle import rim_curvature
+from tapetum.simulate.traced_light import TracedScene, Way, in_air, is_blurred, traced_scene
+from tapetum.simulate.traced_pass import TracedPass
+from tapetum.simulate.traced_plan import TracedGroup
+from tapetum.simulate.traced_return import corrected
+
+__all__ = ["group_again", "pass_again"]
+
+
+def group_again(
+    group: TracedGroup,
+    focused: FocusedLens,
+    fits: PupilFits,
+    surfaces: Sequence[Surface],
+    output: Grid,
+    *,
+    same_lens: bool,
+    **way: Unpack[Way],
+) -> TracedGroup:
+    """The passes of another lens or of other planes on the samples of `group`, which has as many planes.
+
+    Arguments are those of `traced_group`; `fits` have the tilts of those that `group` was planned with. `same_lens`
+    says that lens, focus and wavelength are those of `group`. Raises as `traced_scene`, and an InputError where too
+    little light comes back.
+    """
+    scene = traced_scene(focused, fits, output, **way)
+    made: list[TracedPass] = []
+    for one, surface in zip(group.passes, surfaces, strict=True):
+        if same_lens and not surface.depth:
+            made.append(pass_again(one, one.fits, surface, scene.path))
+            continue
+        at, plane = in_air(scene, surface)
+        made.append(pass_again(one, _fits(at, one), plane, scene.path))
+    return TracedGroup(made, group.plan)
+
+
+def pass_again(one: TracedPass, fits: PupilFits, surface: Surface, path: ProbePath) -> TracedPass:
+    """The samples of a pass with another lens, plane or way to the probe."""
+    return TracedPass(
+        fits,
+        one.grids,
+        surface,
+        path,
+        wavelength=one.wavelength,
+        accepted=one.accepted,
+        dtype=one.dtype,
+        device=one.device,
+    )
+
+
+def _fits(scene: TracedScene, one: TracedPass) -> PupilFits:
+    """The pupils of another lens as `followed` found those of a pass."""
+    before = one.fits.corrected_from
+    if before is None:
+        return (
+            scene.fits if is_blurred(one.fits, scene.wavelength) else with_rim(scene.fits, rim_curvature(scene.focused))
+        )
+    fits = scene.fits
+    if before != fits.nodes:
+        fits = fit_pupils(scene.focused, before.steepest, curvature=scene.curvature, nodes=before)
+    found = corrected(scene.focused, fits, curvature=scene.curvature, accepted=one.accepted, nodes=one.fits.nodes)
+    if found is None:
+        what = "too little light comes back to tell how it changes with the focus"
+        raise InputError(what, where="target", remedy="focus nearer to the probe, or stop down with f_number")
+    return found
