@@ -23,17 +23,19 @@ _CONVERGED = 0.02
 _STEPS, _HARDEST, _FARTHEST = 25, 1e8, 1.5
 # Information, in inverse squared spreads, added to every step: it only slows what the data hardly tell.
 _SLOW = 0.1
+# Misfit up to which a scene explains the frames, so that its residuals count as noise.
+_EXPLAINS = 1.2
 # Component of a flat direction from which a parameter is named.
 _NAMED = 0.2
 
 
-def settle(normal: Normal, state: State, steps: int = 6, progress: Progress = quiet) -> Linear:
-    """Fit every frame's nuisances alone, the shared parameters fixed."""
-    linear = normal.linear(state, shared=False)
+def settle(normal: Normal, state: State, steps: int = 6, progress: Progress = quiet, *, doubt: float = 1.0) -> Linear:
+    """Fit every frame's nuisances alone, the shared parameters fixed; a large `doubt` keeps gazes at their labels."""
+    linear = normal.linear(state, shared=False, doubt=doubt)
     nothing = np.zeros(0)
     # Each step costs a picture or more of every frame.
     for _ in progress(range(steps), "fitting each frame"):
-        linear = normal.linear(normal.stepped(linear, nothing), shared=False)
+        linear = normal.linear(normal.stepped(linear, nothing), shared=False, doubt=doubt)
     return linear
 
 
@@ -63,12 +65,12 @@ def climb(
     progress, what
         Shown over the steps.
     """
-    linear = normal.linear(state)
+    linear = _doubted(normal.linear(state), np.inf)
     hardness = 1e-3
     for _ in progress(range(steps), what):
         free = _movable(normal, linear, held)
         matrix, score = linear.information[np.ix_(free, free)], linear.score[free]
-        damped = matrix + np.diag(hardness * matrix.diagonal() + _SLOW)
+        damped = matrix + np.diag(hardness * matrix.diagonal() + _SLOW * linear.doubt)
         step = np.zeros(len(linear.score))
         step[free] = np.clip(np.linalg.solve(damped, score), -_FARTHEST, _FARTHEST)
         new = normal.stepped(linear, step)
@@ -79,7 +81,7 @@ def climb(
                 return linear, False
             continue
         hardness = max(hardness / 10, 1e-9)
-        linear = normal.linear(new, near=linear)
+        linear = _doubted(normal.linear(new, near=linear, doubt=linear.doubt), linear.doubt)
         if after is not None:
             after(new)
         free = _movable(normal, linear, held)
@@ -87,6 +89,12 @@ def climb(
         if float(score @ np.linalg.solve(_sure(matrix), score)) < enough:
             return linear, True
     return linear, False
+
+
+def _doubted(linear: Linear, most: float) -> Linear:
+    """Let what is known beforehand count as many times as the residuals exceed the noise, up to `most`."""
+    misfit = linear.misfit(lit=True)
+    return linear.doubted(min(most, misfit) if misfit > _EXPLAINS else 1.0)
 
 
 def _movable(normal: Normal, linear: Linear, held: Sequence[int]) -> NDArray[np.int64]:

@@ -31,6 +31,8 @@ Array = NDArray[np.float64]
 _FEW, _COARSER, _COARSEST, _STEPS = 14, 3.0, 0.1, 14
 # Expected fall of the squared residuals that ends them, and how far derivatives are kept, in spreads.
 _ROUGHLY, _FAR = 2.0, 0.15
+# How many times labels count before anything shared is fitted: a wrong scene would draw the gazes far off.
+_TIED = 1e4
 # A search from another start is not worth it where this one explains the frames.
 _EXPLAINED = 1.05
 # Least scatter of the frames' brightness: pictures are not known better.
@@ -148,7 +150,7 @@ def _from_starts(
         if kept.searched and kept.searched[-1][2] < _EXPLAINED:
             break
         first = placed_in(few, kept.starts[n]) if kept.search is None else kept.search
-        state = settle(few, first, 3).state if kept.search is None else first
+        state = settle(few, first, 3, doubt=_TIED).state if kept.search is None else first
         what = f"start {n + 1} of {len(kept.starts)}"
         linear, _ = climb(few, state, steps=_STEPS, enough=_ROUGHLY, after=kept.searching, progress=progress, what=what)
         kept.done(linear.state.coordinates, linear.log_likelihood, linear.misfit(lit=True))

@@ -57,20 +57,30 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class _Frame:
-    """One frame linearised: `matrix` [P + n, P + n] and `score` [P + n] with the priors; weights; weighted squares.
+    """One frame linearised: information [P + n, P + n] and score [P + n] of its pixels and of the priors; weights.
 
-    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters.
+    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters; `squares` are the weighted ones of
+    the residuals, `priors` those of what is known beforehand, which counts `doubt` times.
     """
 
     rows: NDArray[np.float32]
-    matrix: Array
-    score: Array
+    pixels_told: tuple[Array, Array]
+    priors_told: tuple[Array, Array]
     noise: Noise
     squares: float
-    prior: float
+    priors: float
+    doubt: float
     pixels: int
     lit_squares: float
     lit: int
+
+    @property
+    def matrix(self) -> Array:
+        return self.pixels_told[0] + self.doubt * self.priors_told[0]
+
+    @property
+    def score(self) -> Array:
+        return self.pixels_told[1] + self.doubt * self.priors_told[1]
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,6 +95,9 @@ class Linear:
         The frames' own parts.
     at
         [P] coordinates at which the derivatives by the shared parameters were taken.
+    doubt
+        How many times what is known beforehand counts. Where the scene does not explain the frames yet, its residuals
+        are no noise, and the pixels tell the gaze by as much less well: the labels must hold it.
     """
 
     state: State
@@ -92,11 +105,16 @@ class Linear:
     score: Array
     frames: tuple[_Frame, ...]
     at: Array
+    doubt: float
 
     @property
     def objective(self) -> float:
         """Weighted squares of the residuals and of the priors."""
-        return sum(one.squares + one.prior for one in self.frames)
+        return sum(one.squares + one.doubt * one.priors for one in self.frames)
+
+    def doubted(self, doubt: float) -> Linear:
+        """Return the same with another doubt."""
+        return _reduced(self.state, [replace(one, doubt=doubt) for one in self.frames], len(self.score), self.at, doubt)
 
     @property
     def log_likelihood(self) -> float:
@@ -213,7 +231,13 @@ class Normal:
         return State(coordinates, tuple(replace(pose, **own) for pose in state.poses), state.slow)
 
     def linear(
-        self, state: State, *, shared: bool = True, near: Linear | None = None, progress: Progress = quiet
+        self,
+        state: State,
+        *,
+        shared: bool = True,
+        near: Linear | None = None,
+        doubt: float = 1.0,
+        progress: Progress = quiet,
     ) -> Linear:
         """Linearise all frames at a state; without `shared` by the nuisances alone.
 
@@ -231,9 +255,11 @@ class Normal:
             beside = [self._beside(other, poses) for other in others]
             for k, n in enumerate(chunk):
                 made = [(one[k], step) for one, step in zip(beside, steps, strict=True)]
-                found.append(self._frame(n, state, pictures, made if near is None else near.frames[n].rows, shared))
+                found.append(
+                    self._frame(n, state, pictures, made if near is None else near.frames[n].rows, shared, doubt)
+                )
         at = state.coordinates if near is None else near.at
-        return self._reduced(state, found, len(self.parameters) if shared else 0, at)
+        return _reduced(state, found, len(self.parameters) if shared else 0, at, doubt)
 
     def left(self, linear: Linear, state: State) -> float:
         """Return the objective at another state, with the weights of `linear`."""
@@ -249,7 +275,7 @@ class Normal:
                 else:
                     mean = (pose.background + pose.power / self.scene.illumination.power * made[at]).ravel()
                 rest = search.residual(self.model(mean)[0])
-                total += float(linear.frames[n].noise(rest, rest)[0, 0]) + self._prior(n, state)[0]
+                total += float(linear.frames[n].noise(rest, rest)[0, 0]) + linear.doubt * self._prior(n, state)[0]
         return total
 
     def _neighbours(self, coordinates: Array) -> tuple[list[float], list[Pictures]]:
@@ -283,6 +309,7 @@ class Normal:
         pictures: Pictures,
         near: list[tuple[Array, float]] | NDArray[np.float32],
         shared: bool,
+        doubt: float,
     ) -> _Frame:
         pose, slow, frame = state.poses[n], state.slow[n], self.frames[n]
         search, names = self.search(frame, pictures), self.names(pictures)
@@ -303,12 +330,12 @@ class Normal:
         bent = np.concatenate([rows, slopes]) * bend
         noise, rest = search.noise(bend, variance), search.residual(expected)
         matrix, score = noise(bent, bent), noise(bent, rest)[:, 0]
-        prior, more, push = self._prior(n, state, names, len(rows))
+        priors, *told = self._prior(n, state, names, len(rows))
         lit = mean - pose.background > 3 * np.sqrt(variance) / max(float(bend.max()), 1e-12)
         each = rest[0] ** 2 / variance
         squares = float(noise(rest, rest)[0, 0])
         own = float(each[lit].sum()), int(lit.sum())
-        return _Frame(rows, matrix + more, score + push, noise, squares, prior, mean.size, *own)
+        return _Frame(rows, (matrix, score), (told[0], told[1]), noise, squares, priors, doubt, mean.size, *own)
 
     def _prior(self, n: int, state: State, names: tuple[str, ...] = (), shared: int = 0) -> tuple[float, Array, Array]:
         """Return the squares of the priors, their information and their score: label, brightness, roll."""
@@ -342,13 +369,6 @@ class Normal:
                 score[k] = -pose.roll / _ROLL**2
         return squares, matrix, score
 
-    def _reduced(self, state: State, frames: list[_Frame], shared: int, at: Array) -> Linear:
-        information, score = np.zeros((shared, shared)), np.zeros(shared)
-        for one in frames:
-            matrix, push = _eliminated(one, shared)
-            information, score = information + matrix, score + push
-        return Linear(state, information, score, tuple(frames), at)
-
     def stepped(self, linear: Linear, step: Array) -> State:
         """Return the state after a step of the shared parameters, in spreads, with each frame's best own step."""
         state, shared = linear.state, len(step)
@@ -362,8 +382,9 @@ class Normal:
         poses: list[Pose] = []
         slow = np.zeros_like(state.slow)
         for n, one in enumerate(linear.frames):
-            own = one.score[shared:] - one.matrix[shared:, :shared] @ step
-            change = _inverse(one.matrix[shared:, shared:]) @ own
+            matrix = one.matrix
+            own = one.score[shared:] - matrix[shared:, :shared] @ step
+            change = _inverse(matrix[shared:, shared:]) @ own
             search = self.search(self.frames[n], pictures)
             pose, slow[n] = search.moved(state.poses[n], state.slow[n], names, change)
             poses.append(pose)
@@ -374,10 +395,19 @@ class Normal:
         return _eliminated(linear.frames[n], len(linear.score))
 
 
+def _reduced(state: State, frames: list[_Frame], shared: int, at: Array, doubt: float) -> Linear:
+    information, score = np.zeros((shared, shared)), np.zeros(shared)
+    for one in frames:
+        matrix, push = _eliminated(one, shared)
+        information, score = information + matrix, score + push
+    return Linear(state, information, score, tuple(frames), at, doubt)
+
+
 def _eliminated(one: _Frame, shared: int) -> tuple[Array, Array]:
-    inverse, cross = _inverse(one.matrix[shared:, shared:]), one.matrix[:shared, shared:]
-    information = one.matrix[:shared, :shared] - cross @ inverse @ cross.T
-    return information, one.score[:shared] - cross @ inverse @ one.score[shared:]
+    matrix, score = one.matrix, one.score
+    inverse, cross = _inverse(matrix[shared:, shared:]), matrix[:shared, shared:]
+    information = matrix[:shared, :shared] - cross @ inverse @ cross.T
+    return information, score[:shared] - cross @ inverse @ score[shared:]
 
 
 def _inverse(matrix: Array) -> Array:
