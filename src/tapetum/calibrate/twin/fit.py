@@ -28,7 +28,7 @@ __all__ = ["fit_twin"]
 Array = NDArray[np.float64]
 # Frames of the searches from several starts, how coarse their pictures may be (factor on the accuracy, and the
 # coarsest), and their steps.
-_FEW, _COARSER, _COARSEST, _STEPS = 14, 3.0, 0.1, 14
+_FEW, _COARSER, _COARSEST, _STEPS = 14, 3.0, 0.1, 30
 # Expected fall of the squared residuals that ends them, and how far derivatives are kept, in spreads.
 _ROUGHLY, _FAR = 2.0, 0.15
 # How many times labels count before anything shared is fitted: a wrong scene would draw the gazes far off.
