@@ -11,11 +11,14 @@ import subprocess
 import sys
 import urllib.request
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
 
 from tapetum.cli.serve import _bound, _hosts
+from tapetum.durable import sole_writer
 
 
 @pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
@@ -76,6 +79,15 @@ def test_a_port_in_use_is_refused(run: Callable[..., object]) -> None:
         ran = run("serve", "demo", "--port", taken.getsockname()[1])
     assert ran.code == 2 and "cannot be used" in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
     assert "give another port, or 0 for a free one" in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def test_a_log_belongs_to_one_watch(run: Callable[..., object], tmp_path: Path) -> None:
+    log = tmp_path / "watch.db"
+    with ThreadPoolExecutor(1) as other, ExitStack() as held:
+        other.submit(held.enter_context, sole_writer(log)).result()
+        ran = run("serve", "demo", "--port", 0, "--log", log)
+    assert ran.code == 2 and "watch.db: is being written by" in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
+    assert not log.exists()
 
 
 def test_the_names_that_are_let_in() -> None:

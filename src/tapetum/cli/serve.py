@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import signal
 import socket
 import threading
@@ -13,6 +14,7 @@ import typer
 
 from tapetum.cli.models import find_model
 from tapetum.cli.options import Device, Models, WhoseIntervals, option
+from tapetum.durable import sole_writer
 from tapetum.errors import InputError, one_of
 
 if TYPE_CHECKING:
@@ -123,47 +125,49 @@ def serve(
 
         _run(Doors(make_play_app(), _hosts(address, names), token), bound, token, "the bench to play with", browse)
         return
-    guard = None
-    if rules is not None:
-        from tapetum.live.guard import Guard
-        from tapetum.live.rules import load_rules
+    # Two watches would give the events of one log the same numbers. Without its folder the log itself is refused.
+    with sole_writer(log) if log is not None and log.parent.is_dir() else contextlib.nullcontext():
+        guard = None
+        if rules is not None:
+            from tapetum.live.guard import Guard
+            from tapetum.live.rules import load_rules
 
-        guard = Guard(load_rules(rules))
-    listeners = _opened(outputs or ())
-    aim = Aim() if hands else None
-    watch = Watch(
-        lambda: open_frames(source, stream, rate=rate) if aim is None else Hands(source, aim, rate),
-        name=shown,
-        detector=detector,
-        models=[_quick(find_model(name, device, unit), device) for name in models or ()],
-        mode="all" if every else "newest",
-        repeat=repeat,
-        log=Log(":memory:" if log is None else log, days=days, picture_days=picture_days),
-        listeners=listeners,
-        guard=guard,
-        activity=activity,
-        budget=budget or None,
-    )
-    try:
-        modes = Modes(watch, folder, how_many(source) if hands else 0)
-        if guard is not None:
-            guard.rules.check_outputs({one.name for one in listeners}, str(rules))
-            known = {name for model in watch.models for name in model.target_names}
-            guard.rules.check_abilities(activity, known, str(rules))
-        watch.start()
-    except InputError:
-        for one in listeners:
-            one.close()
-        raise
-    app = make_app(
-        watch,
-        _hosts(address, names),
-        token,
-        [modes_router(modes, aim)],
-        pushed=modes.text,
-        largest=LARGEST,
-    )
-    _run(app, bound, token, f"watching {shown}", browse)
+            guard = Guard(load_rules(rules))
+        listeners = _opened(outputs or ())
+        aim = Aim() if hands else None
+        watch = Watch(
+            lambda: open_frames(source, stream, rate=rate) if aim is None else Hands(source, aim, rate),
+            name=shown,
+            detector=detector,
+            models=[_quick(find_model(name, device, unit), device) for name in models or ()],
+            mode="all" if every else "newest",
+            repeat=repeat,
+            log=Log(":memory:" if log is None else log, days=days, picture_days=picture_days),
+            listeners=listeners,
+            guard=guard,
+            activity=activity,
+            budget=budget or None,
+        )
+        try:
+            modes = Modes(watch, folder, how_many(source) if hands else 0)
+            if guard is not None:
+                guard.rules.check_outputs({one.name for one in listeners}, str(rules))
+                known = {name for model in watch.models for name in model.target_names}
+                guard.rules.check_abilities(activity, known, str(rules))
+            watch.start()
+        except InputError:
+            for one in listeners:
+                one.close()
+            raise
+        app = make_app(
+            watch,
+            _hosts(address, names),
+            token,
+            [modes_router(modes, aim)],
+            pushed=modes.text,
+            largest=LARGEST,
+        )
+        _run(app, bound, token, f"watching {shown}", browse)
 
 
 def _quick(model: Predictor, device: str) -> Predictor:
