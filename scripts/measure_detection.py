@@ -113,7 +113,7 @@ def drawn(listed: list[Camera]) -> Figure:
         ax.set_xscale("log", base=2)
         ax.set_xticks(middles, [f"{one:.0f}" for one in middles])
         ax.set_xlabel("height over the noise")
-        ax.legend(fontsize=7, frameon=False)
+        ax.legend(fontsize=7, frameon=False, loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2)
         ax.set_ylim(0, 1.03)
     axes[0].set_ylabel("found at 0.1 false alarms a frame")
     return figure
