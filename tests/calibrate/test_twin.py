@@ -225,3 +225,14 @@ def test_a_traced_lens_is_differentiated_on_the_same_samples():
 
     small, large = slope(3e-4), slope(1e-2)
     assert np.abs(small - large).max() < 0.05 * np.abs(large).max()
+
+
+def test_labels_hold_the_gazes_while_the_scene_is_wrong(bench: Scene, filmed: Path) -> None:
+    parameters = chosen(bench, FREE)
+    _, frames = frames_of(filmed, bench, 20)
+    normal = Normal(bench, parameters, frames)
+    at = np.array([one.read(bench) for one in parameters])
+    labels = np.array([one.gaze for one in frames])
+    free, held = (settle(normal, placed_in(normal, at), 3, doubt=doubt).state.gazes - labels for doubt in (1.0, 1e4))
+    # The unit's tilt looks like another gaze: the pixels, taken for true, draw every gaze by many label deviations.
+    assert np.abs(held).max() < 1e-4 < 10 * 1e-4 < np.abs(free).max()

@@ -80,18 +80,19 @@ def test_a_modulated_video_is_compared_lit_with_dark(first_lit: bool, full: int)
     assert detector.notes == ({"no dark frame came before": 1} if first_lit else {})
 
 
-def test_no_camera_is_a_row_before_it_persisted(tmp_path: Path) -> None:
+@pytest.mark.parametrize(("rate", "missed"), [(None, 1), (0.02, 0)])
+def test_no_camera_is_a_row_before_it_persisted(tmp_path: Path, rate: float | None, missed: int) -> None:
     frames, _ = modulated(24, False)
-    # At 0.01 one of the 36 sightings is missed, by a nearby rival; what is tested is when rows begin.
-    often = {"false_alarms": 0.02}
-    options = {"detector": "cameras", "detect_options": often, "detections": tmp_path / "d.csv"}
+    # By default (0.01) one of the 36 sightings is missed: its estimated rate is 0.014.
+    wanted = {} if rate is None else {"detect_options": {"false_alarms": rate}}
+    options = {"detector": "cameras", "detections": tmp_path / "d.csv", **wanted}
     summary = track_to_file(frames, tmp_path / "t.csv", **options)
     assert summary.tracks == 3
     rows = read_tracks(tmp_path / "t.csv").to_pylist()
     begun = [row for row in rows if row["event"] == "begun"]
     assert [row["frame"] for row in begun] == [5] * 3
     assert {row["event"] for row in rows if row["lit"] is False} == {"dark"}
-    assert all(row["seen"] for row in rows if row["lit"])
+    assert sum(not row["seen"] for row in rows if row["lit"]) <= missed
 
 
 def test_a_dark_frame_that_does_not_suit_is_said_and_left() -> None:

@@ -26,7 +26,7 @@ def units(
         str,
         typer.Argument(
             metavar="SET_OR_SCENE",
-            help="A set of 10 or more copies, told apart by unit; or a scene of the bench, whose copies are drawn from "
+            help="A set of 10 or more copies, each named in unit; or a scene of the bench, whose copies are drawn from "
             "tolerances and filmed.",
         ),
     ],

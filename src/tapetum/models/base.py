@@ -1,4 +1,7 @@
-"""Common part of all models: targets, training frames, `predict`, and the interface of estimators."""
+"""Common part of all models: targets, training frames, `predict`, and the interface of estimators.
+
+A little over 400 lines: what every model shares is in one place, so that a new one is one file.
+"""
 
 from __future__ import annotations
 

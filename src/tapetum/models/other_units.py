@@ -131,7 +131,7 @@ def calibrate_units(model: Estimator, dataset: xr.Dataset, *, progress: Progress
     model
         A fitted network or ridge of quantities; it is changed.
     dataset
-        Frames of at least `FEWEST_UNITS` other copies, told apart by `unit`. Training frames calibrate where there are
+        Frames of at least `FEWEST_UNITS` other copies, which `unit` names. Training frames calibrate where there are
         any, so that test frames stay apart.
     progress
         Shown over the frames.

@@ -2,6 +2,8 @@
 
 Unlike a thin lens, a real one has no closed form to plan by. Efforts are tried from coarse to fine: each computes the
 image at some tilts and is compared with the second next. Rays give the error that remains (traced_light).
+
+More than 400 lines, as the steps, their thinning and the error that is stated share the pictures that were tried.
 """
 
 from __future__ import annotations

@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 from tapetum.calibrate.twin.normal import Linear, Normal, State
 from tapetum.progress import Progress, quiet
 
-__all__ = ["Untold", "climb", "covariance", "settle", "two_groups", "untold"]
+__all__ = ["LIMIT", "Untold", "climb", "covariance", "settle", "two_groups", "untold"]
 
 Array = NDArray[np.float64]
+LIMIT = 1.2
+"""Misfit of the lit pixels above which a scene does not explain a recording; a true one gives 1 to some hundredths."""
 # Expected fall of the squared residuals from which a search has converged: a seventh of a standard deviation.
 _CONVERGED = 0.02
 _STEPS, _HARDEST, _FARTHEST = 25, 1e8, 1.5
 # Information, in inverse squared spreads, added to every step: it only slows what the data hardly tell.
 _SLOW = 0.1
-# Misfit up to which a scene explains the frames, so that its residuals count as noise.
-_EXPLAINS = 1.2
 # Component of a flat direction from which a parameter is named.
 _NAMED = 0.2
 
@@ -94,7 +94,7 @@ def climb(
 def _doubted(linear: Linear, most: float) -> Linear:
     """Let what is known beforehand count as many times as the residuals exceed the noise, up to `most`."""
     misfit = linear.misfit(lit=True)
-    return linear.doubted(min(most, misfit) if misfit > _EXPLAINS else 1.0)
+    return linear.doubted(min(most, misfit) if misfit > LIMIT else 1.0)
 
 
 def _movable(normal: Normal, linear: Linear, held: Sequence[int]) -> NDArray[np.int64]:

@@ -14,16 +14,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, scene_yaml
-from tapetum.calibrate.twin.climb import covariance, untold
+from tapetum.calibrate.twin.climb import LIMIT, covariance, untold
 from tapetum.calibrate.twin.normal import Linear, Normal
 from tapetum.files import atomic_file
 from tapetum.record.recording import Recording
 
-__all__ = ["LIMIT", "Before", "Fitted", "Seen", "Twin", "twin_of"]
+__all__ = ["Before", "Fitted", "Seen", "Twin", "twin_of"]
 
 Array = NDArray[np.float64]
-LIMIT = 1.2
-"""Misfit of the lit pixels above which a scene does not explain a recording; a true one gives 1 to some hundredths."""
 # Frames that are shown: some of all misfits.
 _SHOWN = 5
 
