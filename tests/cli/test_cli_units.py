@@ -78,6 +78,7 @@ def test_what_calibrates_nothing(run, chain, copies: Path, tmp_path: Path) -> No
     for words, why in (
         ((chain.model, chain.dataset), "tells no units apart"),
         ((chain.model, copies, "--units", 3), "--units: is of a scene"),
+        ((chain.model, "hand-held", "--units", 3), "--units: 3 copies are too few"),
         ((chain.model, copies, "--split", "unit"), "are too few"),
         ((chain.model, "no-such-scene"), "no-such-scene"),
     ):

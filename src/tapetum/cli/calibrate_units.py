@@ -65,6 +65,10 @@ def units(
     else:
         if split != "time":
             raise InputError("is of a set", where="--split", remedy="leave it out")
+        from tapetum.models.other_units import FEWEST_UNITS
+
+        if count is not None and count < FEWEST_UNITS:
+            raise InputError(f"{count} copies are too few", where="--units", remedy=f"film {FEWEST_UNITS} or more")
         first = 3_000_000 + SEED if seed is None else seed
         data = _filmed(source, fitted, range(first, first + (count or _USUAL_UNITS)), frames or 32, kept)
     calibrate_units(fitted, data, progress=bar)
