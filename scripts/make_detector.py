@@ -24,8 +24,8 @@ from scipy.stats import binomtest
 from sklearn.linear_model import LogisticRegression
 
 from drawn_scenes import KINDS, draw
+from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
 from tapetum.detection.find import candidates_with_looks, second_look
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR
 from tapetum.detection.score import Score
 from tapetum.files import atomic_file
 

@@ -46,9 +46,9 @@ def test_a_film_adapts_a_network(run, chain, network: Path, tmp_path: Path, of: 
 
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(run, chain, network: Path, tmp_path: Path, monkeypatch) -> None:
-    from tapetum.models import adaptation
+    from tapetum.models import fine_tuning
 
-    begun, train = list[object](), adaptation.train
+    begun, train = list[object](), fine_tuning.train
 
     def interrupted(*given, **named):
         begun.append(given)
@@ -57,7 +57,7 @@ def test_ctrl_c_says_what_is_kept_and_how_to_go_on(run, chain, network: Path, tm
         return train(*given, **named)
 
     with monkeypatch.context() as patched:
-        patched.setattr(adaptation, "train", interrupted)
+        patched.setattr(fine_tuning, "train", interrupted)
         ran = run("adapt", network, chain.dataset, "-o", tmp_path / "m", *few())
     told = " ".join(ran.err.split())
     assert ran.code == 130 and f"kept in {tmp_path / 'm'}.checkpoint" in told and "--resume" in told

@@ -13,7 +13,7 @@ from tests.models.conftest import pictures
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
-from tapetum.models.adaptation import ALL, LAST
+from tapetum.models.fine_tuning import ALL, LAST
 
 pytestmark = pytest.mark.usefixtures("narrow")
 

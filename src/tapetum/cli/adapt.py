@@ -65,7 +65,7 @@ def adapt(
     if checkpoint.exists() and not (resume or force):
         remedy = "go on with --resume, or start over with --overwrite"
         raise InputError("an unfinished adaptation is kept here", where=checkpoint, remedy=remedy)
-    from tapetum.data.shares import of_unit
+    from tapetum.data.film_parts import of_unit
     from tapetum.models import NetworkEstimator, save_model
     from tapetum.models import adapt as adapt_network
     from tapetum.models.kept_folds import remove_kept

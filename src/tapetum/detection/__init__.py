@@ -1,7 +1,7 @@
 """Cameras in a room: retro-reflections in one frame, or in a lit and a dark frame of the same scene.
 
 `find_cameras` registers the dark frame to the lit one (registration.py), looks for small bright places in the
-difference (candidates.py), measures how each looks (looks.py), looks again at the likeliest by a small network
+difference (candidates.py), measures how each looks (features.py), looks again at the likeliest by a small network
 (second.py) and says how likely each is a camera (score.py). `find_each` takes many frames (many.py).
 """
 

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, Place, cut_out, layers, patches, screened
+from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR, beside_rivals, looks
 from tapetum.detection.found import Found
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR, beside_rivals, looks
 from tapetum.detection.registration import MATCHED, Registered, local_mean, register
 from tapetum.detection.score import Score, load_score
 from tapetum.detection.second import load_second, views

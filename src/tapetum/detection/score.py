@@ -21,7 +21,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR
+from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
 
 __all__ = ["Score", "load_score"]
 

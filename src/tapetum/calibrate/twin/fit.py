@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, as_scene, scene_dict
-from tapetum.calibrate.twin.climb import LIMIT, climb, settle, two_groups, untold
 from tapetum.calibrate.twin.frames import frames_of
-from tapetum.calibrate.twin.normal import Linear, Normal, State
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, State
 from tapetum.calibrate.twin.parameters import chosen
 from tapetum.calibrate.twin.result import Before, Twin, twin_of
+from tapetum.calibrate.twin.search import LIMIT, climb, settle, two_groups, untold
 from tapetum.calibrate.twin.starts import placed_in, shifts, starting
 from tapetum.calibrate.twin.state import Kept
 from tapetum.errors import InputError

@@ -9,8 +9,8 @@ import os
 import numpy as np
 from matplotlib.figure import Figure
 
-from tapetum.calibrate.twin.climb import LIMIT
 from tapetum.calibrate.twin.result import Fitted, Twin
+from tapetum.calibrate.twin.search import LIMIT
 from tapetum.report.figures._style import LABEL, MODELS, QUIET, dress, new_figure
 from tapetum.report.html import bullets, facts, figure, note, page, section, table, write_page
 

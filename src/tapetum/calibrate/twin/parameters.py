@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tapetum.bench import PhoneTarget, PrescriptionLens, Scene
-from tapetum.bench.units import usual_tolerances
+from tapetum.bench.copies import usual_tolerances
 from tapetum.errors import InputError
 
 __all__ = ["GROUPS", "Parameter", "chosen", "parameters_of", "placed"]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, scene_yaml
-from tapetum.calibrate.twin.climb import LIMIT, covariance, untold
-from tapetum.calibrate.twin.normal import Linear, Normal
+from tapetum.calibrate.twin.normal_equations import Linear, Normal
+from tapetum.calibrate.twin.search import LIMIT, covariance, untold
 from tapetum.files import atomic_file
 from tapetum.record.recording import Recording
 

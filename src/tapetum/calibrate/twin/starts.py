@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tapetum.bench import Target
 from tapetum.calibrate.twin.frames import TwinFrame
-from tapetum.calibrate.twin.normal import Normal, State
+from tapetum.calibrate.twin.normal_equations import Normal, State
 from tapetum.models.simulation.pictures import Pictures, Pose
 from tapetum.models.simulation.starts import Templates
 from tapetum.progress import Progress, quiet

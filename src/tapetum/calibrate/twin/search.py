@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.calibrate.twin.normal import Linear, Normal, State
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, State
 from tapetum.progress import Progress, quiet
 
 __all__ = ["LIMIT", "Untold", "climb", "covariance", "settle", "two_groups", "untold"]
