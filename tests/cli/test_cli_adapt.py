@@ -82,7 +82,7 @@ def test_each_mistake_is_one_line(run, chain, network: Path, tmp_path: Path) -> 
         ((network, chain.dataset, "--seconds", 100), "asks for 100 s of film"),
         ((network, chain.dataset, "--seconds", 0), "must be positive"),
         ((network, chain.dataset, "--label", "focus"), "estimates gaze_x, gaze_y, not object_distance, focal_length"),
-        ((network, chain.dataset, "--unit", "mine"), "tells no units apart"),
+        ((network, chain.dataset, "--unit", "mine"), "does not distinguish copies of its camera"),
         ((network, chain.dataset, "--precision", "half"), "--precision"),
     ):
         ran = run("adapt", *arguments, "-o", tmp_path / "m", *few())

@@ -182,7 +182,7 @@ def test_what_cannot_be_adapted_is_said(base: NetworkEstimator, small: xr.Datase
     with pytest.raises(InputError, match=r"no trainable network \(zernike\)"):
         adapt(ridge, data)  # type: ignore[arg-type]
     devices = NetworkEstimator("device", **TINY)
-    with pytest.raises(InputError, match="tells devices apart"):
+    with pytest.raises(InputError, match="recognises devices"):
         adapt(devices, data)
     with pytest.raises(InputError, match="not fitted"):
         adapt(NetworkEstimator(**TINY), data)

@@ -1,4 +1,4 @@
-"""What is asked of the frames that a sensor is calibrated with, and how its numbers answer."""
+"""Requirements on the frames that a sensor is calibrated with, and checks of the numbers that follow from them."""
 
 from __future__ import annotations
 

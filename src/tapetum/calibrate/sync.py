@@ -1,10 +1,11 @@
 """Calibration of two cameras' clocks by the laser's blink code: lag, drift and what is left of both.
 
-The words of the code are placed in each stream alone: frames show the laser on or off, by their brightness within its
-running extremes, and a word may begin wherever all of them agree with it, but for a few and for the jitter of their
-stamps. The posterior of the words' common beginning and period, over a grid, gives both with their deviations. Where
-every flank of the code falls at one phase of the frames, as with bits of whole frames, more flanks tell no more: the
-common posterior says so, where a mean over words would not.
+The words of the code are located in each stream separately. A frame shows the laser on or off by its brightness,
+compared with the recent largest and smallest one; a word may begin at every time for which all frames but a few agree
+with it, within the jitter of their time stamps. The posterior of the words' common beginning and period, computed over
+a grid, gives both with their deviations. Where every flank of the code falls at the same phase of the frames, as with
+bits that last whole frames, further flanks add no information. The common posterior is then as wide as it should be; a
+mean over words would look too precise.
 """
 
 from __future__ import annotations
@@ -95,7 +96,7 @@ class SyncCalibration:
 
     @property
     def verdict(self) -> str:
-        """`good`, or what to mend."""
+        """`good`, or which checks failed."""
         return verdict(self.checks())
 
     def checks(self) -> list[Check]:
@@ -329,7 +330,7 @@ def _refined(
     """Place a word: the middle and deviation of the posterior of its beginning."""
     here = (times > start - margin) & (times < start + length + margin)
     grid = np.arange(start - _SPAN * code.bit, start + _SPAN * code.bit, _FINE)
-    # On or off at the middle of the exposure: brightness in between tells more of a hand and a turning camera than of
+    # On or off at the middle of the exposure: brightness in between depends more on a hand and a turning camera than on
     # the flanks.
     lit = _sent(code, times[here], grid, 0.0)
     agrees = np.where(seen[here] > 0.5, lit, 1 - lit)
@@ -351,7 +352,7 @@ def _paired(
 ) -> tuple[tuple[Word, ...], tuple[Word, ...], list[int], float]:
     """Return the words that both streams show, their numbers in the beat of the code, and its period in seconds.
 
-    A target's word belongs to the probe's that is nearest; lags beyond half a period cannot be told.
+    A target's word belongs to the probe's that is nearest; lags beyond half a period are ambiguous.
     """
     length = code.bit * len(code.sent)
     if not probe or not target:

@@ -33,7 +33,7 @@ def probe(
     page: PageOut = None,
     more_darks: Annotated[list[str] | None, option("DARK", "Further dark frames; repeatable.", "--dark")] = None,
     pitch: Annotated[
-        str | None, option("LENGTH", "Pitch of the pixels, '3.45 um', which no frame tells; scenes ask for it.")
+        str | None, option("LENGTH", "Pitch of the pixels, '3.45 um', which no frame shows; scenes need it.")
     ] = None,
     bits: Annotated[
         int | None, option("N", "Bit depth of the frames; else the least that holds all numbers.", min=1, max=16)
@@ -169,7 +169,7 @@ def _tell(found: Any, out: Path, page: Path, as_json: bool, values: dict[str, An
     else:
         for name, value in found.numbers():
             typer.echo(f"  {name:<36} {value}")
-        typer.echo(f"{out}, {page}: {'good' if not failed else 'to mend'}")
+        typer.echo(f"{out}, {page}: {'good' if not failed else 'to correct'}")
         for one in failed:
             typer.echo(f"  {one.line}")
     if failed:

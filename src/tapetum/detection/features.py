@@ -1,4 +1,4 @@
-"""How a candidate looks: numbers that tell a camera from edges, foliage, lettering and people.
+"""Features of a candidate: numbers that separate a camera from edges, foliage, lettering and people.
 
 Each is a logarithm or a share, so that a weighted sum of them can be the logarithm of odds (score.py).
 """

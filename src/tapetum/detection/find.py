@@ -145,7 +145,7 @@ def find_cameras(
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidates of a frame: columns of `NAMES` [N], looks [N, features], and which rows of a cut show them, [N]."""
+    """Candidates of a frame: columns of `NAMES` [N], features `looks` [N, features], and their rows in a cut, [N]."""
 
     NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak", "clear")
     columns: dict[str, Array]
@@ -155,7 +155,7 @@ class Candidates:
 
     @classmethod
     def none(cls, width: int) -> Candidates:
-        """No candidates, of so many looks."""
+        """No candidates, with so many features."""
         return cls({name: np.empty(0) for name in cls.NAMES}, np.empty((0, width)), None, np.empty(0, np.int64))
 
 
@@ -176,7 +176,7 @@ def candidates_with_looks(
 
 
 def scored(candidates: Candidates, score: Score) -> Array:
-    """Log odds of candidates, [N]: of all by their looks and, in a pair, by the second stage of those put first."""
+    """Log odds of candidates, [N]: by their features, and in a pair by the second stage for the highest ones."""
     odds = score.log_odds(candidates.looks)
     return score.joined(odds, second_look(candidates, odds)) if score.second else odds
 

@@ -114,7 +114,7 @@ def _check_base(base: Any) -> None:
         raise InputError(f"cannot be adapted: it is no trainable network ({kind})", where="model", remedy=remedy)
     if DEVICE in base.target_names:
         remedy = "train it again with the new camera's frames added"
-        raise InputError("tells devices apart: it cannot be adapted to one camera", where="model", remedy=remedy)
+        raise InputError("recognises devices: it cannot be adapted to one camera", where="model", remedy=remedy)
 
 
 def _origin(base: NetworkEstimator, name: str | None) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""The work of an adaptation: which layers are fitted anew, by which frames, and how wide the intervals become."""
+"""The steps of an adaptation: which layers are fitted again, on which frames, and how wide the intervals become."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ Array = NDArray[np.float64]
 T = TypeVar("T")
 
 LAST, ALL = "the last layer", "all layers"
-"""What may be fitted anew."""
+"""What may be fitted again."""
 
 # Up to so many frames every frame fits and calibrates, by cross-validation; of more, a part is kept aside.
 _FEW = 250
 _FOLDS = 4
-# Passes of an image forth and back in all, at 96 x 96 pixels: a minute or two on two cores.
+# Forward and backward passes of one image in total, at 96 x 96 pixels: a minute or two on two cores.
 _PASSES, _AT_SIZE = 6000, 96
 _MOST_EPOCHS = 40
 _FEWEST_EPOCHS = 3
@@ -58,7 +58,7 @@ _CHOOSE, _CALIBRATE = 0.08, 0.17
 
 @dataclass
 class Adaptation:
-    """One adaptation: the frames as the network sees them, in the order of `part`."""
+    """One adaptation: the frames as the network takes them (`looks`), in the order of `part`."""
 
     base: NetworkEstimator
     part: TrainingPart
@@ -252,7 +252,8 @@ class Adaptation:
         own = np.abs(residuals if best == ALL else last)
         wide = _deviations(self.part)
         if self.single and wide is not None:
-            # Neighbours may share the error of their labels, which a network can learn of one and repeat for the other.
+            # Neighbouring frames may share the error of their labels, which a network can learn from one and repeat for
+            # the other.
             own = own + wide / self.spread_of
         chosen = {"fitted": f"{best}: {why}", "penalty": f"{penalty:.3g}: least error on the same frames"}
         summary = {"fitted": len(everything), "calibrated_on": len(everything), "embargo": 0, "chosen": chosen}
@@ -262,7 +263,7 @@ class Adaptation:
         aside = self.folds == np.unique(self.folds)[-1]
         places = np.flatnonzero(aside)
         fit = self.apart(aside)
-        # Stretches of the part aside choose and calibrate in turn: all of one stretch does the same.
+        # Stretches of the part kept aside choose and calibrate by turns; all frames of one stretch do the same.
         edges = np.flatnonzero(np.diff(places) > 1) + 1
         stretches = np.split(places, edges)
         every = max(2, round((_CHOOSE + _CALIBRATE) / _CHOOSE))
@@ -309,7 +310,7 @@ class Adaptation:
         return np.flatnonzero(kept) if kept.any() else these
 
     def _last_layer(self, asides: list[NDArray[np.bool_]], fits: list[NDArray[np.intp]]) -> tuple[Array, float]:
-        """Return the last layer's errors [N, K] on the frames left out, and the penalty that makes them least."""
+        """Return the last layer's errors [N, K] on the frames left out, and the penalty with the smallest ones."""
         best, least, penalty = np.empty(0), np.inf, 1.0
         for one in PENALTIES:
             errors = np.full_like(self.targets, np.nan)

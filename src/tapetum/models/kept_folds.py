@@ -31,7 +31,7 @@ class KeptFolds:
     resume: bool
 
     def begin(self, identity: dict[str, Any]) -> None:
-        """Begin the folder anew, or refuse to go on with that of another adaptation."""
+        """Start with an empty folder, or go on with this one; refuse one of another adaptation."""
         if self.folder is None:
             return
         file = self.folder / _STATE

@@ -31,7 +31,7 @@ Array = NDArray[np.float64]
 _FEW, _COARSER, _COARSEST, _STEPS = 14, 3.0, 0.1, 30
 # Expected fall of the squared residuals that ends them, and how far derivatives are kept, in spreads.
 _ROUGHLY, _FAR = 2.0, 0.15
-# How many times labels count before anything shared is fitted: a wrong scene would draw the gazes far off.
+# Weight of the labels before anything shared is fitted: a wrong scene would pull the gazes far off.
 _TIED = 1e4
 # A search from another start is not worth it where this one explains the frames.
 _EXPLAINED = 1.05
@@ -172,7 +172,7 @@ def _drawn(normal: Normal, at: Array, starts: int, seed: int) -> list[Array]:
 
 
 def _whole(normal: Normal, kept: Kept, best: Array, progress: Progress) -> tuple[Linear, bool, list[int]]:
-    """Return the maximum for all frames, and what they do not tell, which stays at the scene's own values."""
+    """Return the maximum for all frames, and the parameters they do not determine, which keep the scene's values."""
     own = np.array([one.read(normal.scene) for one in normal.parameters])
     state = kept.whole or settle(normal, placed_in(normal, best), 2, progress).state
     if kept.scatter is None:

@@ -1,7 +1,8 @@
-"""The search for a twin's maximum of likelihood, and which of its parameters a recording tells.
+"""The search for a twin's maximum likelihood, and which of its parameters a recording determines.
 
 Damped Gauss-Newton steps (Levenberg and Marquardt) on the information that is left once each frame's nuisances are
-eliminated. A step counts as better by the weights it was made with: a larger variance must not count as a better fit.
+eliminated. A step is judged with the weights it was computed with, so that a larger variance does not pass for a better
+fit.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ LIMIT = 1.2
 # Expected fall of the squared residuals from which a search has converged: a seventh of a standard deviation.
 _CONVERGED = 0.02
 _STEPS, _HARDEST, _FARTHEST = 25, 1e8, 1.5
-# Information, in inverse squared spreads, added to every step: it only slows what the data hardly tell.
+# Information, in inverse squared spreads, added to every step: it only slows parameters that the data hardly determine.
 _SLOW = 0.1
 # Component of a flat direction from which a parameter is named.
 _NAMED = 0.2
@@ -122,7 +123,8 @@ def _sure(matrix: Array) -> Array:
 
 @dataclass(frozen=True)
 class Untold:
-    """A parameter that a recording does not tell: its number, and those of others whose changes look like its own."""
+    """A parameter that a recording does not determine: its number, and those of others whose changes look like its
+    own."""
 
     number: int
     like: tuple[int, ...]
