@@ -1,4 +1,4 @@
-"""The bench to play with: what a moved slider takes, until all that the page draws is there."""
+"""The playground: what a moved slider takes, until all that the page draws is there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tapetum.simulate.planning import plan_bench
 
 from .measure import Contender, Effort, Figure, Row, in_turns
 
-TITLE = "The bench to play with: a moved slider, until picture, frame, budget, eye safety and rays are there"
+TITLE = "The playground: a moved slider, until picture, frame, budget, eye safety and rays are there"
 PEERS = ()
 
 _LENS = {"lens": "cmount-12mm-f1.4", "f_number": 4.0, "gaze_x": 0.1, "photosites": "square", "photosite_pitch": 2.2}

@@ -1,4 +1,4 @@
-// The bench to play with: sliders change a scene, the server computes it, this page draws what comes back.
+// The playground: sliders change a scene, the server computes it, this page draws what comes back.
 "use strict";
 
 const PAGE = Math.random().toString(36).slice(2);
