@@ -65,7 +65,11 @@ def serve(
     ] = None,
     outputs: Annotated[
         list[str] | None,
-        option("TEXT", "Tell a receiver: osc://…, mqtt://…, https://…, lsl:NAME, FILE.parquet; several times.", "--to"),
+        option(
+            "TEXT",
+            "Send events and states to a receiver: osc://…, mqtt://…, https://…, lsl:NAME, FILE.parquet; repeatable.",
+            "--to",
+        ),
     ] = None,
     rules: Annotated[
         Path | None, option("FILE", "Rules of a guard, YAML: when an alert is raised, and who gets it.")

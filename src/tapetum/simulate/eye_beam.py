@@ -1,4 +1,4 @@
-"""The probe's beam as eye safety needs it: its width, and the power that passes an opening."""
+"""The probe's beam for eye safety: its width, and the power that passes an opening."""
 
 from __future__ import annotations
 
