@@ -36,7 +36,7 @@ _CASES: tuple[tuple[str, str, dict[str, Any], float, float, int], ...] = (
 
 
 def run(effort: Effort) -> list[Row]:
-    """Time each case beside the commands `plan` and `simulate`, which prepare everything anew."""
+    """Time each case beside the commands `plan` and `simulate`, which prepare everything again."""
     threads = torch.get_num_threads()
     # As the server computes.
     torch.set_num_threads(1)
