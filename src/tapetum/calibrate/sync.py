@@ -3,9 +3,8 @@
 The words of the code are located in each stream separately. A frame shows the laser on or off by its brightness,
 compared with the recent largest and smallest one; a word may begin at every time for which all frames but a few agree
 with it, within the jitter of their time stamps. The posterior of the words' common beginning and period, computed over
-a grid, gives both with their deviations. Where every flank of the code falls at the same phase of the frames, as with
-bits that last whole frames, further flanks add no information. The common posterior is then as wide as it should be; a
-mean over words would look too precise.
+a grid, gives both with their deviations. Where every flank falls at the same phase of the frames, as with bits that
+last whole frames, further flanks add no information: the posterior stays wide, where a mean over words would not.
 """
 
 from __future__ import annotations
