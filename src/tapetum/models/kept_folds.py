@@ -25,7 +25,7 @@ _AGAIN = "remove the folder and adapt from the start"
 
 @dataclass(frozen=True)
 class KeptFolds:
-    """A folder with the errors of finished folds, or None; and whether to go on from there."""
+    """A folder with the errors of finished folds, or None; and whether to go on from it."""
 
     folder: Path | None
     resume: bool

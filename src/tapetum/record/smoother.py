@@ -35,11 +35,10 @@ STEPS, ENOUGH = 40, 0.05  # most steps, and the gain of log-likelihood that ends
 LEVEL = 10.0  # variance of the constant part, in squared fractions of the field: any
 NOISE = (1.0, 25.0)  # range of the noise's variance over the stated one, which is the least possible
 SURE = 0.5
-"""Factor of the part of a deviation that comes from the path, where the frames leave almost nothing of it open. Each
-power is 0 or more, so that a fit leaves some at aliases where the hand has none, and the deviation is too wide by about
-this factor; where an alias cannot be excluded, it is right. Measured on simulated hands (scripts/measure_labels.py,
-seeds 100 to 105, bands of the bench and random ones): the 90 % intervals hold 89 to 94 % with the factor, 91 to 99 %
-without.
+"""Factor on the path's part of a deviation, where the frames determine the path almost completely. Fitted powers cannot
+be negative, so that a fit leaves some at aliases where the hand has none, and the deviation is too wide by about this
+factor; where an alias cannot be excluded, it is right. Measured on simulated hands (scripts/measure_labels.py, seeds
+100 to 105, bands of the bench and random ones): the 90 % intervals hold 89 to 94 % with the factor, 91 to 99 % without.
 """
 BLUR = 0.006  # deviation of a streak's middle in lengths of the streak (measured: a ghost within its reach moves it)
 STAMP = (1e-12, 1e-5)  # s^2, range of the variance of time stamps; the upper end is 3 ms RMS
