@@ -60,7 +60,7 @@ class Tiles:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """What frames under one light and exposure say, in digital numbers; T tiles.
+    """Statistics of frames under one light and exposure, in digital numbers; T tiles.
 
     Attributes
     ----------

@@ -41,7 +41,7 @@ _FOUND = 0.6  # correlation from which a word is one
 _JITTER = 2e-3  # s, of a frame's time stamp
 _FINE = 5e-4  # s
 _SPAN = 1.0  # bits about a word's rough place in which it is sought
-_WRONG = 0.02  # chance that a frame shows the contrary: a hand before the lens
+_WRONG = 0.02  # probability that a frame shows the opposite: a hand before the lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Word:
     Attributes
     ----------
     start, correlation
-        Its beginning by the stream's clock, and the correlation of what is seen with what was sent.
+        Its beginning by the stream's clock, and the correlation of the light that is seen with the code that was sent.
     times, seen, sent
         [N] frames about the word: their times, what share of the light they show, and what the code says.
     places, misfit
@@ -386,7 +386,7 @@ def _together(words: tuple[Word, ...], numbers: NDArray[np.int64], period: float
     chance /= chance.sum()
     jitter = _JITTER / math.sqrt(len(words))
     place = _moments(places, chance.sum(axis=0), jitter)
-    # All periods count the same here; the true one may be that which leaves the widest range: no error below its own.
+    # All periods have equal weight here; the true one may have the widest range: the error is no smaller than that.
     widest = chance[int(np.argmax(chance.sum(axis=1)))]
     place = Measured(place.value, max(place.error, _moments(places, widest / widest.sum(), jitter).error))
     rate = _moments(rates, chance.sum(axis=1), jitter / span)

@@ -36,8 +36,7 @@ _SATURATED = OF_A_FRAME.index("saturated")
 _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
 _MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
-# How many of the first candidates the second stage looks at, and the largest log odds that are believed of it: what it
-# does not see is as little of a camera as it can say.
+# How many of the first candidates the second stage judges, and the limit of its log odds; others get the lowest.
 _LOOKED_AGAIN, _SUREST = 40, 9.0
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
@@ -73,10 +72,10 @@ def find_cameras(
     largest
         Largest diameter of a spot in pixels.
     most
-        Most candidates that are looked at closely; default: 100, of one frame alone at more than one false alarm 200.
+        Most candidates that are searched closely; default: 100, of one frame alone at more than one false alarm 200.
     channel
-        Of a colour frame: mean, red, green or blue. The mean holds the glint of a white flash and, in all three,
-        of a near-infrared lamp; for a red laser "red" has less of the room's own light in it.
+        Of a colour frame: mean, red, green or blue. The mean shows the glint of a white flash, and that of a
+        near-infrared lamp, which is in all three; for a red laser "red" has less of the room's own light in it.
     swaps
         Whether to look, where nothing is likely in a pair, if the two are swapped. It takes half the time again.
 
@@ -182,7 +181,8 @@ def scored(candidates: Candidates, score: Score) -> Array:
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
-    """What the second stage says of a pair's candidates, [N]: of so many with the highest odds, of others the least."""
+    """Log odds by the second stage of a pair's candidates, [N]: of those with the highest odds; others get the
+    lowest."""
     again = np.full(len(odds), -_SUREST)
     if candidates.cut is not None:
         best = np.sort(np.argsort(-odds, kind="stable")[:most])

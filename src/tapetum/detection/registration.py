@@ -322,7 +322,7 @@ def _details(image: Array) -> Array:
 
 
 def _blank(image: Array) -> bool:
-    """Whether a frame shows nothing but noise, as a bare wall or a dark room: it is taken away as it is."""
+    """Whether a frame shows nothing but noise, as a bare wall or a dark room: it is subtracted without registration."""
     band = np.median(np.abs(_blurred(image, 2) - _far_blurred(image, 8)))
     return bool(band <= _BLANK * np.median(np.abs(image - _blurred(image, 1))))
 

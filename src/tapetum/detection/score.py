@@ -65,7 +65,8 @@ class Score:
         return np.minimum(log_odds, self.most) + self.second * second
 
     def probability(self, log_odds: ArrayLike) -> Array:
-        """Probability of being a camera, [N], among candidates as often cameras as in the frames of the fit."""
+        """Probability of being a camera, [N], where the share of cameras among candidates is as in the frames of the
+        fit."""
         k, c = self.calibration
         return 1 / (1 + np.exp(-np.clip(k * np.asarray(log_odds, dtype=np.float64) + c, -500, 500)))
 

@@ -24,11 +24,11 @@ __all__ = ["STRIDES", "Second", "load_second", "views"]
 Array = NDArray[np.float32]
 
 STRIDES = (2, 1, 2)
-"""Every how many pixels the convolutions of a view look, in order."""
+"""Strides of a view's convolutions, in pixels, in order."""
 _NEAR = 10
 # Features are limited to so many standard deviations of the training scenes about their mean.
 _FARTHEST = 3.0
-# What of the noise is drawn in to a half.
+# Multiple of the noise that is compressed to a half.
 _NOISY = 6.0
 
 
@@ -74,10 +74,10 @@ def load_second() -> Second:
 
 
 def views(cut: Cut, rows: NDArray[np.int64]) -> tuple[Array, Array]:
-    """What the network sees of a pair's candidates: [N, 21, 21, 3] near, and [N, 20, 20, 3] at half the scale.
+    """The network's input for a pair's candidates: [N, 21, 21, 3] near, and [N, 20, 20, 3] at half the scale.
 
-    Channels are the difference and the dark frame, each about its surroundings' median, over the height that the
-    difference of Gaussians answers; and the difference over the noise; drawn in to lie between -1 and 1.
+    Channels are the difference and the dark frame, each about its surroundings' median, over the response of the
+    difference of Gaussians; and the difference over the noise; compressed to lie between -1 and 1.
     """
     assert cut.dark is not None
     height = np.maximum(cut.answer[rows, HALF, HALF], 0.5)[:, None, None]

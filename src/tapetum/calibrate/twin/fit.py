@@ -33,9 +33,9 @@ _FEW, _COARSER, _COARSEST, _STEPS = 14, 3.0, 0.1, 30
 _ROUGHLY, _FAR = 2.0, 0.15
 # Weight of the labels before anything shared is fitted: a wrong scene would pull the gazes far off.
 _TIED = 1e4
-# A search from another start is not worth it where this one explains the frames.
+# No search from another start where this one explains the frames.
 _EXPLAINED = 1.05
-# Least scatter of the frames' brightness: pictures are not known better.
+# Least scatter of the frames' brightness: pictures are not more accurate.
 _STEADY, _LOOSE = 3e-3, 0.3
 # Fall of the squared residuals, for each pixel, that two cameras must bring over one.
 _TWO = 0.5
@@ -99,10 +99,9 @@ def fit_twin(
     Notes
     -----
     Each frame's gaze is a nuisance with its label for a prior; place, brightness and, where photosites show, their
-    phase are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher
-    information with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames know
-    no better than the usual spread between copies keeps the scene's value; what that leaves open enters the
-    deviations of the others.
+    phase are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher information
+    with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames determine no better
+    than the usual spread between copies keeps the scene's value; its uncertainty enters the deviations of the others.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -204,7 +203,7 @@ def _scatter(state: State) -> float:
 
 
 def _refuse_two(normal: Normal, linear: Linear, where: Path, progress: Progress) -> None:
-    """Raise an InputError where two cameras explain the frames that one does not."""
+    """Raise an InputError where two cameras explain the frames and one does not."""
     second, gain = two_groups(normal, linear)
     pixels = sum(one.lit for one in linear.frames)
     if min(second.sum(), (~second).sum()) < 4 or gain < _TWO * pixels * (linear.misfit(lit=True) - 1):

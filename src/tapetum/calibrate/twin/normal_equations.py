@@ -61,8 +61,8 @@ class State:
 class _Frame:
     """One frame linearised: information [P + n, P + n] and score [P + n] of its pixels and of the priors; weights.
 
-    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters; `squares` are the weighted ones of
-    the residuals, `priors` those of the priors, whose weight is `doubt`.
+    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters; `squares` are the weighted squares
+    of the residuals, `priors` those of the deviations from the priors, whose weight is `doubt`.
     """
 
     rows: NDArray[np.float32]

@@ -93,7 +93,7 @@ def climb(
 
 
 def _doubted(linear: Linear, most: float) -> Linear:
-    """Let what is known beforehand count as many times as the residuals exceed the noise, up to `most`."""
+    """Multiply the weight of the priors by the ratio of residuals to noise, up to `most`."""
     misfit = linear.misfit(lit=True)
     return linear.doubted(min(most, misfit) if misfit > LIMIT else 1.0)
 
@@ -131,7 +131,7 @@ class Untold:
 
 
 def untold(information: Array) -> list[Untold]:
-    """Return the parameters that information [P, P], per squared spread, knows no better than their spread."""
+    """Return the parameters that information [P, P], per squared spread, determines no better than their spread."""
     found: list[Untold] = []
     rest = list(range(len(information)))
     while rest:
