@@ -6,8 +6,9 @@ The folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, 
 `unsure` (x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are
 near copies: scenes weigh the same, and what is printed is cross-validated by scene. Each dark frame is also shaken, as
 by a hand: turned, shifted and bent at random. To the weighted looks of a pair comes a share of what the second stage
-says, which learned from drawn scenes alone (train_second.py). How many false alarms a score costs is told by these
-frames, each scene left out once, and by drawn scenes without cameras; the geometric mean of both where both know.
+says, which learned from drawn scenes alone (train_second.py). How many false alarms a score costs, and how much more in
+a cluttered pair, is what these frames have, each scene left out once, and drawn scenes without cameras: the geometric
+mean of both where both are known.
 """
 
 from __future__ import annotations
@@ -15,17 +16,17 @@ from __future__ import annotations
 import json
 import sys
 from collections import defaultdict
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 from scipy.stats import binomtest
-from sklearn.linear_model import LogisticRegression
+from sklearn.linear_model import LogisticRegression, PoissonRegressor
 
 from drawn_scenes import KINDS, draw
 from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
-from tapetum.detection.find import candidates_with_looks, second_look
+from tapetum.detection.find import candidates_with_looks, clutter_by, second_look
 from tapetum.detection.score import Score
 from tapetum.files import atomic_file
 
@@ -43,12 +44,12 @@ LEFT_OUT = ("clear", "level", "above", "apart", "twin")
 """Looks that only the second stage uses: with them the weights fitted to some scenes hold less well on others."""
 LEVELS = np.arange(-12, 8, 0.25)
 """Log odds whose cost is counted."""
-EMPTY = {"pair": range(62100, 62120), "frame": range(51000, 51060)}
+EMPTY = {"pair": range(64000, 64060), "frame": range(51000, 51060)}
 """Seeds of the drawn scenes of each kind that say what a score costs."""
-FEWEST = 3
-"""False alarms that tell a rate."""
-RARE = (12, 6, 3)
-"""False alarms, of real and drawn frames together, that tell the rates of rare ones."""
+FEWEST, MANY = 3, 20
+"""False alarms that say how many there are, and that say by how much they rise with clutter."""
+EVEN = 0.01
+"""Weight of the squares of a regression's coefficients."""
 OF_ONE_FRAME = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
 
 
@@ -56,7 +57,8 @@ OF_ONE_FRAME = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
 class Case:
     """A labelled frame: its candidates [N, 2], their looks [N, features], and which are cameras or neither.
 
-    `second` [N] is what the second stage says of them.
+    `second` [N] is what the second stage says of them. `decoys` are those of a pair: looks [M, features] and
+    what the second stage says, [M].
     """
 
     scene: str
@@ -67,6 +69,7 @@ class Case:
     glints: int
     second: np.ndarray
     shaken: bool = False
+    decoys: tuple[np.ndarray, np.ndarray] | None = field(default=None)
 
 
 def read(path: Path) -> np.ndarray:
@@ -88,8 +91,9 @@ def shake(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 
 def case(pair: dict, lit: np.ndarray, dark: np.ndarray | None, shaken: bool = False) -> Case:
-    found = candidates_with_looks(lit, dark)
+    found, others = candidates_with_looks(lit, dark)
     table, looks = found.columns, found.looks
+    decoys = None if others is None else (others.looks, second_look(others, others.looks[:, 0], len(others.looks)))
     again = np.zeros(len(looks)) if dark is None else second_look(found, looks[:, 0], len(looks))
     places = np.stack([table["x"], table["y"]], 1)
     camera, counted = np.zeros(len(places), bool), np.ones(len(places), bool)
@@ -99,7 +103,7 @@ def case(pair: dict, lit: np.ndarray, dark: np.ndarray | None, shaken: bool = Fa
             counted[near] = False
             if kind == "points" and len(near):
                 camera[near[np.argmax(table["snr"][near])]] = True
-    return Case(pair["scene"], places, looks, camera, counted | camera, len(pair["points"]), again, shaken)
+    return Case(pair["scene"], places, looks, camera, counted | camera, len(pair["points"]), again, shaken, decoys)
 
 
 def fit(cases: list[Case], strength: float = STRENGTH) -> LogisticRegression:
@@ -127,14 +131,23 @@ def fixed(cases: list[Case]) -> tuple[np.ndarray, float]:
     return signs * model.coef_[0, 0], float(model.intercept_[0])
 
 
-def crossed(cases: list[Case]) -> list[np.ndarray]:
-    """Log odds of every case's candidates by weights fitted to the other scenes."""
-    odds: dict[str, LogisticRegression] = {}
+def joined(by_looks: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Log odds of a pair's candidates by looks and second stage, as `Score.joined`."""
+    return np.minimum(by_looks, MOST) + SECOND * second
+
+
+def by(model: LogisticRegression, looks: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """Log odds of a pair's candidates by fitted weights."""
+    return joined(model.decision_function(_fitted(looks)), second) if len(looks) else np.empty(0)
+
+
+def crossed(cases: list[Case]) -> tuple[list[np.ndarray], list[float]]:
+    """Log odds of every case's candidates, and its clutter, by weights fitted to the other scenes."""
+    models = {}
     for scene in sorted({one.scene for one in cases}):
-        odds[scene] = fit([one for one in cases if one.scene != scene])
-    return [
-        np.minimum(odds[one.scene].decision_function(_fitted(one.looks)), MOST) + SECOND * one.second for one in cases
-    ]
+        models[scene] = fit([one for one in cases if one.scene != scene])
+    scores = [by(models[one.scene], one.looks, one.second) for one in cases]
+    return scores, [clutter_by(by(models[one.scene], *one.decoys)) for one in cases if one.decoys is not None]
 
 
 def recalled(cases: list[Case], scores: list[np.ndarray]) -> dict[float, float]:
@@ -174,37 +187,74 @@ def scaled(cases: list[Case], scores: list[np.ndarray]) -> tuple[float, float]:
     return float(model.coef_[0, 0]), float(model.intercept_[0])
 
 
-def costs(
-    cases: list[Case], scores: list[np.ndarray], empty: list[Case], of_empty: list[np.ndarray], pair: bool
-) -> tuple[list[float], list[float]]:
-    """Log odds, and how many false alarms a frame has above each."""
-    levels = LEVELS
-    real, told = alarm_rates(cases, scores, levels)
-    drawn, told_drawn = alarm_rates(empty, of_empty, levels)
-    rates = np.where(told >= FEWEST, np.sqrt(np.maximum(real * drawn, 1e-12)), drawn)
-    known = np.flatnonzero((told_drawn >= FEWEST) & (rates < 30))
-    if pair:
-        # Beyond one alarm in twenty frames few scenes tell: those of all together, joined by straight lines.
-        both, frames = told + told_drawn, len(cases) + len(empty)
-        rates = np.where(rates > 0.05, rates, both / frames)
-        rare = [np.flatnonzero(both >= count)[-1] for count in RARE]
-        known = np.unique(np.concatenate([known[rates[known] > 0.05], rare]).astype(int))
-    rates = np.minimum.accumulate(rates[known] * 0.999 ** np.arange(len(known)))
-    return levels[known].tolist(), [float(f"{one:.3g}") for one in rates]
+@dataclass(frozen=True)
+class Alarms:
+    """What passes for a camera in a frame of a scene: log odds [N], and how cluttered the frame is."""
+
+    scene: str
+    odds: np.ndarray
+    clutter: float
 
 
-def told(kind: str, cases: list[Case], scores: list[np.ndarray], empty: list[Case], of_empty: list[np.ndarray]) -> None:
-    """Print, for each real scene, what is found and what alarms where nothing is known of it.
+def alarms_of(cases: list[Case], scores: list[np.ndarray], clutter: list[float]) -> list[Alarms]:
+    return [
+        Alarms(one.scene, odds[one.counted & ~one.camera], level)
+        for one, odds, level in zip(cases, scores, clutter, strict=True)
+    ]
 
-    Its scores come from weights fitted to the other scenes, and so does what a score costs.
+
+def costs(real: list[Alarms], drawn: list[Alarms], pair: bool) -> tuple[list[float], list[float], float, list[float]]:
+    """Log odds, how many false alarms a frame has above each, the usual clutter, and how they rise with it.
+
+    Poisson regressions, one a level: on clutter, in a pair, and on whether frames are real or drawn, half-way between
+    which the rates are. Scenes of each weigh the same, and so do both together. Few false alarms tell of real and drawn
+    frames together only, and not how they rise with clutter: there as at the last level that has enough.
     """
+    weights, is_real = [], np.repeat([1.0, 0.0], [len(real), len(drawn)])
+    for part in (real, drawn):
+        scenes = [one.scene for one in part]
+        weights += [1 / scenes.count(one) / len(set(scenes)) for one in scenes]
+    both, weight = real + drawn, np.array(weights) * (len(real) + len(drawn)) / 2
+    clutter = np.array([one.clutter for one in both])
+    usual = float(np.average(clutter, weights=weight))
+    spread = float(np.sqrt(np.average(np.square(clutter - usual), weights=weight))) or 1.0
+    levels, rates, rises = [], [], []
+    for level in LEVELS:
+        count = np.array([(one.odds >= level).sum() for one in both])
+        of_real, of_drawn = count[is_real == 1].sum(), count[is_real == 0].sum()
+        apart = min(of_real, of_drawn) >= FEWEST
+        if (of_real + of_drawn if pair else of_drawn) < FEWEST:
+            break
+        chosen = np.ones(len(both), bool) if apart or pair else is_real == 0
+        known = np.stack([(clutter - usual) / spread * pair, (is_real - 0.5) * apart], 1)
+        model = PoissonRegressor(alpha=EVEN, max_iter=2000).fit(known[chosen], count[chosen], weight[chosen])
+        levels.append(float(level))
+        rates.append(float(np.exp(model.intercept_)))
+        rises.append(float(model.coef_[0] / spread) if count.sum() >= MANY or not rises else rises[-1])
+    kept = np.array(rates) < 30
+    rates = np.minimum.accumulate(np.array(rates)[kept] * 0.999 ** np.arange(kept.sum()))
+    rounded = [float(f"{one:.3g}") for one in rates]
+    return np.array(levels)[kept].tolist(), rounded, round(usual, 2), np.round(np.array(rises)[kept], 3).tolist()
+
+
+def costs_by_others(cases: list[Case], alarms: list[Alarms], scores: list[np.ndarray], drawn: list[Alarms], pair: bool):
+    """False alarms a frame that each candidate of the cases costs, as the other real scenes and drawn ones say."""
+    found: list[np.ndarray] = [np.empty(0)] * len(cases)
+    for scene in sorted({one.scene for one in cases}):
+        levels, rates, usual, rises = costs([one for one in alarms if one.scene != scene], drawn, pair)
+        score = Score((), 0.0, (tuple(levels), tuple(rates)), clutter=(usual, tuple(rises)))
+        for n, one in enumerate(alarms):
+            if one.scene == scene:
+                found[n] = score.false_alarms(scores[n], one.clutter)
+    return found
+
+
+def told(kind: str, cases: list[Case], costs: list[np.ndarray]) -> None:
+    """Print, for each real scene, what is found and what alarms at the false alarms that candidates cost, [N] each."""
     print(f"| {kind}: scene | frames | cameras | found at 0.1, 0.5, 1 asked | alarms a frame |\n|---|---|---|---|---|")
     rows = []
     for scene in sorted({one.scene for one in cases}):
-        others = [n for n, one in enumerate(cases) if one.scene != scene]
-        levels, rates = costs([cases[n] for n in others], [scores[n] for n in others], empty, of_empty, kind == "pair")
-        score = Score((), 0.0, (tuple(levels), tuple(rates)))
-        own = [(one, score.false_alarms(odds)) for one, odds in zip(cases, scores, strict=True) if one.scene == scene]
+        own = [(one, cost) for one, cost in zip(cases, costs, strict=True) if one.scene == scene]
         cameras = sum(one.glints for one, _ in own)
         hits = [sum(int((cost <= rate)[one.camera].sum()) for one, cost in own) for rate in RATES[:3]]
         alarms = [sum(int((cost <= r)[one.counted & ~one.camera].sum()) for one, cost in own) for r in RATES[:3]]
@@ -229,7 +279,10 @@ def drawn_empty(pair: bool) -> list[Case]:
         for seed in EMPTY["pair" if pair else "frame"]:
             scene = draw(kind, seed, tape=False)
             nothing = {"scene": kind, "points": [], "unsure": [], "tolerance": 0}
-            found.append(case(nothing, scene.lit, scene.dark if pair else None))
+            try:
+                found.append(case(nothing, scene.lit, scene.dark if pair else None))
+            except ValueError as error:
+                print(f"{kind} {seed}: {error}", file=sys.stderr)
     return found
 
 
@@ -255,22 +308,29 @@ def main() -> None:
                 except ValueError as error:
                     print(f"{pair['lit']}: {error}", file=sys.stderr)
         share, most, calibration = 0.0, np.inf, (1.0, 0.0)
+        empty = drawn_empty(kind == "pair")
         if kind == "frame":
             weights, offset = fixed(cases)
-            scores = [one.looks @ weights + offset for one in cases]
+            scores, clutter = [one.looks @ weights + offset for one in cases], [0.0] * len(cases)
+            of_empty, empty_clutter = [one.looks @ weights + offset for one in empty], [0.0] * len(empty)
         else:
-            model, scores = fit(cases), crossed(cases)
+            model, (scores, clutter) = fit(cases), crossed(cases)
             weights, offset, share = np.zeros(len(OF_A_FRAME + OF_A_PAIR)), float(model.intercept_[0]), SECOND
             most = MOST
             weights[[name not in LEFT_OUT for name in OF_A_FRAME + OF_A_PAIR]] = model.coef_[0]
             calibration = scaled(cases, scores)
+            of_empty = [by(model, one.looks, one.second) for one in empty]
+            empty_clutter = [clutter_by(by(model, *one.decoys)) for one in empty if one.decoys is not None]
+        real, drawn = alarms_of(cases, scores, clutter), alarms_of(empty, of_empty, empty_clutter)
+        apart = costs_by_others(cases, real, scores, drawn, kind == "pair")
+        # The first and the last of a ranking by cost are those of one by log odds, frame by frame.
+        ranks = [-np.log(one) for one in apart]
         still = [n for n, one in enumerate(cases) if not one.shaken]
-        recall = recalled([cases[n] for n in still], [scores[n] for n in still])
+        recall = recalled([cases[n] for n in still], [ranks[n] for n in still])
         print(kind, "standing", recall)
-        print(kind, "all", recalled(cases, scores))
-        empty = drawn_empty(kind == "pair")
-        of_empty = [np.minimum(one.looks @ weights + offset, most) + share * one.second for one in empty]
-        told(kind, cases, scores, empty, of_empty)
+        print(kind, "all", recalled(cases, ranks))
+        told(kind, cases, apart)
+        levels, rates, usual, rises = costs(real, drawn, kind == "pair")
         names = OF_A_FRAME + (OF_A_PAIR if kind == "pair" else ())
         known[kind] = {
             "weights": dict(zip(names, np.round(weights, 4).tolist(), strict=True)),
@@ -278,7 +338,8 @@ def main() -> None:
             "second": share,
             "most": most if np.isfinite(most) else None,
             "calibration": np.round(calibration, 4).tolist(),
-            "alarms": costs(cases, scores, empty, of_empty, kind == "pair"),
+            "alarms": [levels, rates],
+            "clutter": [usual, rises] if kind == "pair" else None,
             "scenes": sorted({one.scene for one in cases}),
             "frames": len(cases),
             # The looks of a frame alone were chosen with these scenes in view.

@@ -79,7 +79,7 @@ def examples(scene: Varied, rng: np.random.Generator) -> Arrays | None:
     What cannot be told from a camera, and what lies about one, is left out.
     """
     try:
-        found = candidates_with_looks(scene.lit, scene.dark)
+        found, _ = candidates_with_looks(scene.lit, scene.dark)
     except InputError:
         return None
     if found.cut is None:

@@ -15,7 +15,7 @@ from synth_plans import PIECE, digest, little_plan, little_scene
 
 from tapetum.data import build_dataset, content_hash, open_dataset
 from tapetum.data.dataset import EMBARGO, TEST, TRAIN
-from tapetum.data.synth import Plan, focusing_plan, synthesise
+from tapetum.data.synth import Plan, focusing_plan, make_plan, synthesise
 from tapetum.data.synth import work as working
 from tapetum.data.synth.store import Made, Staging
 from tapetum.data.synth.work import make_part, shot_of
@@ -319,6 +319,17 @@ def test_only_a_missing_laser_means_no_label(monkeypatch) -> None:
     monkeypatch.setattr(working, "label_recording", fails(InputError("UTC of stream target does not rise")))
     with pytest.raises(InputError, match="does not rise"):
         make_part(*asked)
+
+
+def test_frames_after_the_target_s_last_have_no_label() -> None:
+    """One frame is left for the last part of a video, and the target's camera ended 30 ms before it."""
+    plan = make_plan("rotation", "small", seed=2)
+    video = plan.videos[1]
+    beats = shot_of(video.scene, video.session).beats
+    count = len(beats["probe"].times)
+    assert beats["probe"].times[-1] > beats["target"].times[-1]
+    made = make_part(video, replace(plan.parts[-1], video=1, first=count - 1, last=count), plan.rules, plan.classes)
+    assert made.told["used"] == 0 and made.told["left_out"] == {"no label": 1}
 
 
 def test_of_two_commands_that_make_one_set_one_is_refused(tmp_path: Path) -> None:

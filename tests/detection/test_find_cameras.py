@@ -21,7 +21,7 @@ import train_second
 from drawn_scenes import KINDS, draw
 from tapetum.detection import find_each
 from tapetum.detection.features import beside_rivals
-from tapetum.detection.find import candidates_with_looks, second_look
+from tapetum.detection.find import candidates_with_looks, clutter_by, scored, second_look
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.detection.second import Second
@@ -322,7 +322,7 @@ def test_the_second_stage_tells_cameras_from_what_moved() -> None:
     for kind in ("people", "lettering", "leaves"):
         for seed in (9101, 9102):
             scene = draw(kind, seed, shape=(360, 480), cameras=3, snr=(20, 60), tape=False)
-            found = candidates_with_looks(scene.lit, scene.dark)
+            found, _ = candidates_with_looks(scene.lit, scene.dark)
             told = second_look(found, load_score(True).log_odds(found.looks))
             for x, y, one in zip(found.columns["x"], found.columns["y"], told, strict=True):
                 odds[bool(np.hypot(*(scene.places - (x, y)).T).min() < 3)].append(float(one))
@@ -338,7 +338,7 @@ def test_a_bright_thing_that_moved_is_less_of_a_camera() -> None:
         x, y = np.random.default_rng(seed).uniform((80, 60), (320, 240))
         lit, odds = exposed(glint(empty, x, y, 60, 1.2), seed), []
         for picture in (empty, glint(empty, x + 20, y - 15, 60, 1.2)):
-            found = candidates_with_looks(lit, exposed(picture, 50 + seed, (5, 3)))
+            found, _ = candidates_with_looks(lit, exposed(picture, 50 + seed, (5, 3)))
             nearest = np.hypot(found.columns["x"] - x, found.columns["y"] - y).argmin()
             odds.append(second_look(found, found.looks[:, 0])[nearest])
         less.append(odds[0] - odds[1])
@@ -371,5 +371,23 @@ def test_real_cat_eyes_by_weights_of_other_scenes() -> None:
     cases = [
         make_detector.case(p, make_detector.read(REAL / p["lit"]), make_detector.read(REAL / p["dark"])) for p in pairs
     ]
-    recall = make_detector.recalled(cases, make_detector.crossed(cases))
+    recall = make_detector.recalled(cases, make_detector.crossed(cases)[0])
     assert recall[0.1] >= 0.95 and recall[0.5] >= 0.98 and recall[1.0] == 1.0
+
+
+def test_clutter_costs_and_makes_less_likely() -> None:
+    score = load_score(True)
+    odds = np.arange(-9.0, 6.0, 0.25)
+    quiet, usual, busy = (score.false_alarms(odds, one) for one in (-9.0, None, -2.0))
+    assert (quiet < usual).all() and (usual < busy).all()
+    assert (np.diff(busy) <= 0).all() and (np.diff(quiet) <= 0).all()
+    assert (score.probability(odds, -2.0) < score.probability(odds)).all()
+
+
+def test_a_pair_in_which_much_moves_is_more_cluttered() -> None:
+    clutter = {}
+    for kind in ("room", "screens"):
+        scenes = [draw(kind, seed, shape=(360, 480), tape=False) for seed in (9201, 9202, 9203)]
+        decoys = [candidates_with_looks(one.lit, one.dark)[1] for one in scenes]
+        clutter[kind] = [clutter_by(scored(one, load_score(True))) for one in decoys if one is not None]
+    assert np.median(clutter["screens"]) > np.median(clutter["room"]) + 1

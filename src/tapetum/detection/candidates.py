@@ -71,7 +71,7 @@ _SCREENED = 2
 # The last octave of bytes: in the means of 64 pixels and more, rounding would be most of the noise.
 _WHOLE = 4
 # Most places of an octave that only the dark frame shows bright.
-_RIVALS = 24
+_RIVALS = 60
 # Level of no difference, in bytes.
 _ZERO = 64
 
@@ -133,6 +133,10 @@ class Place:
         """No places."""
         nowhere, nothing = np.empty(0, np.int64), np.empty(0, np.float32)
         return cls(nowhere, nowhere, nothing, nothing, nothing)
+
+    def first(self, count: int) -> Place:
+        """The first so many."""
+        return Place(self.x[:count], self.y[:count], self.height[:count], self.clear[:count], self.level[:count])
 
 
 @dataclass(frozen=True)

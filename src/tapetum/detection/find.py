@@ -22,6 +22,7 @@ __all__ = [
     "LARGEST_FRAME",
     "Candidates",
     "candidates_with_looks",
+    "clutter_by",
     "find_cameras",
     "scored",
     "second_look",
@@ -38,6 +39,10 @@ _FULL = 255.0
 _MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
 # How many of the first candidates the second stage judges, and the limit of its log odds; others get the lowest.
 _LOOKED_AGAIN, _SUREST = 40, 9.0
+# Of an octave's places that only the dark frame shows bright, how many candidates are compared with.
+_RIVALS = 24
+# Decoys of a pair, how many of them the second stage looks at, and how many of the likeliest say how cluttered it is.
+_DECOYS, _DECOYS_LOOKED_AGAIN, _CLUTTER = 24, 8, 3
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
 
@@ -112,21 +117,23 @@ def find_cameras(
     if second is not None and first.dtype != second.dtype:
         first, second = first.astype(np.float32), second.astype(np.float32)
     registered = None if second is None else register(first, second)
-    if most is None and registered is None and false_alarms <= 1:
+    if most is None:
         # What stands behind a hundred other places is rarely among the likeliest.
-        most = _MOST_OF_A_PAIR
+        most = _MOST_ALONE if registered is None and false_alarms > 1 else _MOST_OF_A_PAIR
     octaves = layers(first, registered, largest)
-    candidates = _candidates(octaves, registered, most, first)
+    candidates, decoys = _with_decoys(octaves, registered, most, first)
     found, measured = candidates.columns, candidates.looks
     log_odds = scored(candidates, score)
-    alarms = score.false_alarms(log_odds)
+    clutter = None if decoys is None else clutter_by(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
+    alarms = score.false_alarms(log_odds, clutter)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
-        turned = scored(_candidates([one.swapped() for one in octaves], registered, most, first, True), score)
-        swapped = bool((score.false_alarms(turned) < _LIKELY_ONE).any())
+        turned = [one.swapped() for one in octaves]
+        others = scored(_candidates(turned, _screened(turned, most), registered, most, first, swapped=True), score)
+        swapped = bool((score.false_alarms(others, clutter_by(log_odds)) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
-    probability = score.probability(log_odds)
+    probability = score.probability(log_odds, clutter)
     return Found(
         x=found["x"][order],
         y=found["y"][order],
@@ -160,8 +167,11 @@ class Candidates:
 
 def candidates_with_looks(
     lit: NDArray, dark: NDArray | None, *, largest: float = 60.0, most: int | None = None
-) -> Candidates:
-    """Return the candidates of a frame or a pair, before any is scored.
+) -> tuple[Candidates, Candidates | None]:
+    """Return the candidates of a frame or a pair, before any is scored; and, of a pair, its decoys.
+
+    Decoys are what would be the first candidates if the frames were swapped: only the dark frame shows them bright, so
+    none is a camera. What moves, and what the registration leaves of edges, shows as often so as the other way round.
 
     Parameters
     ----------
@@ -171,13 +181,26 @@ def candidates_with_looks(
         As for `find_cameras`.
     """
     registered = None if dark is None else register(lit, dark)
-    return _candidates(layers(lit, registered, largest), registered, most, lit)
+    if most is None:
+        most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
+    return _with_decoys(layers(lit, registered, largest), registered, most, lit)
 
 
-def scored(candidates: Candidates, score: Score) -> Array:
+def scored(candidates: Candidates, score: Score, again: int = _LOOKED_AGAIN) -> Array:
     """Log odds of candidates, [N]: by their features, and in a pair by the second stage for the highest ones."""
     odds = score.log_odds(candidates.looks)
-    return score.joined(odds, second_look(candidates, odds)) if score.second else odds
+    return score.joined(odds, second_look(candidates, odds, again)) if score.second else odds
+
+
+def clutter_by(odds: Array) -> float:
+    """How much in a pair passes for a camera: the mean log odds of its three likeliest decoys.
+
+    As in a search of spectra against reversed sequences (Elias and Gygi 2007), what cannot be true says how often
+    chance does as well.
+    """
+    best = np.full(_CLUTTER, -_SUREST)
+    best[: len(odds)] = np.sort(odds)[::-1][:_CLUTTER]
+    return float(np.maximum(best, -_SUREST).mean())
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
@@ -191,18 +214,35 @@ def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) 
     return again
 
 
+def _with_decoys(
+    octaves: list[Layer], registered: Registered | None, most: int, lit: NDArray
+) -> tuple[Candidates, Candidates | None]:
+    screens = _screened(octaves, most)
+    found = _candidates(octaves, screens, registered, most, lit)
+    if registered is None:
+        return found, None
+    turned = [(rivals, places.first(len(rivals.x))) for places, rivals in screens]
+    swapped = [one.swapped() for one in octaves]
+    return found, _candidates(swapped, turned, registered, _DECOYS, lit, swapped=True, among=found.columns["snr"])
+
+
+def _screened(octaves: list[Layer], most: int) -> list[tuple[Place, Place]]:
+    return [screened(one, most) for one in octaves]
+
+
 def _candidates(
     octaves: list[Layer],
+    screens: list[tuple[Place, Place]],
     registered: Registered | None,
-    most: int | None,
+    most: int,
     lit: NDArray,
+    *,
     swapped: bool = False,
+    among: Array | None = None,
 ) -> Candidates:
-    if most is None:
-        most = _MOST_ALONE if registered is None else _MOST_OF_A_PAIR
+    """At most so many candidates of screened places; `among` [M] are the heights that theirs are compared with."""
     width = len(OF_A_FRAME) + (0 if registered is None else len(OF_A_PAIR))
-    screens = [screened(one, most) for one in octaves]
-    places, rivals = [one for one, _ in screens], _listed(octaves, [other for _, other in screens])
+    places, rivals = [one for one, _ in screens], _listed(octaves, [other.first(_RIVALS) for _, other in screens])
     count = [len(one.x) for one in places]
     if not sum(count):
         return Candidates.none(width)
@@ -236,7 +276,7 @@ def _candidates(
         return Candidates.none(width)
     table, features = table[kept], features[kept]
     # Below the median, for up to half of the candidates may be cameras.
-    low, middle = np.quantile(table[:, 2], [0.2, 0.5])
+    low, middle = np.quantile(table[:, 2] if among is None or not len(among) else among, [0.2, 0.5])
     features[:, _OUTLIER] = np.log(np.maximum(table[:, 2] - middle, 0.05) / (middle - low + 0.3))
     return Candidates(dict(zip(Candidates.NAMES, table.T, strict=True)), features, cut, kept)
 

@@ -39,12 +39,14 @@ class Score:
     offset
         Log odds of a candidate whose features are all zero.
     alarms
-        Log odds, rising, and how many false alarms a frame has above each. The logarithm of these is joined by straight
-        lines, which go on beyond both ends.
+        Log odds, rising, and how many false alarms a frame of the usual clutter has above each. The logarithm of these
+        is joined by straight lines, which go on beyond both ends.
     second
         How much the second stage's log odds count; 0 where there is none.
     most
         Largest log odds that the features alone may give where there is a second stage.
+    clutter
+        The usual clutter, and by how much the logarithm of the false alarms at each of those log odds rises with it.
     calibration
         Two numbers k, c: on frames that the weights were not fitted to, the log odds of a camera are k s + c.
     """
@@ -54,6 +56,7 @@ class Score:
     alarms: tuple[tuple[float, ...], tuple[float, ...]]
     second: float = 0.0
     most: float = math.inf
+    clutter: tuple[float, tuple[float, ...]] | None = None
     calibration: tuple[float, float] = (1.0, 0.0)
 
     def log_odds(self, looks: Array) -> Array:
@@ -64,17 +67,27 @@ class Score:
         """Log odds from the features and the second stage together, [N]."""
         return np.minimum(log_odds, self.most) + self.second * second
 
-    def probability(self, log_odds: ArrayLike) -> Array:
-        """Probability of being a camera, [N], where the share of cameras among candidates is as in the frames of the
-        fit."""
-        k, c = self.calibration
-        return 1 / (1 + np.exp(-np.clip(k * np.asarray(log_odds, dtype=np.float64) + c, -500, 500)))
+    def probability(self, log_odds: ArrayLike, clutter: float | None = None) -> Array:
+        """Probability of being a camera, [N], where the share of cameras among candidates is as in the fit.
 
-    def false_alarms(self, log_odds: ArrayLike) -> Array:
-        """Expected false alarms a frame of at least these log odds, [N]."""
+        In a pair of other than the usual clutter the odds fall as the false alarms rise.
+        """
+        k, c = self.calibration
+        odds = np.asarray(log_odds, dtype=np.float64)
+        rises = 0.0
+        if clutter is not None and self.clutter is not None:
+            rises = np.interp(odds, self.alarms[0], self.clutter[1]) * (clutter - self.clutter[0])
+        return 1 / (1 + np.exp(-np.clip(k * odds + c - rises, -500, 500)))
+
+    def false_alarms(self, log_odds: ArrayLike, clutter: float | None = None) -> Array:
+        """Expected false alarms of at least these log odds, [N], in a frame of so much clutter; None: of the usual."""
         at, rate = np.array(self.alarms[0]), np.log(self.alarms[1])
         odds = np.asarray(log_odds, dtype=np.float64)
         slope = np.diff(rate)[[0, -1]] / np.diff(at)[[0, -1]]
+        if clutter is not None and self.clutter is not None:
+            usual, rises = self.clutter
+            # Higher odds never cost more.
+            rate = np.minimum.accumulate(rate + np.array(rises) * (clutter - usual))
         beyond = slope[0] * np.minimum(odds - at[0], 0) + slope[1] * np.maximum(odds - at[-1], 0)
         return np.exp(np.minimum(np.interp(odds, at, rate) + beyond, 50.0))
 
@@ -86,7 +99,15 @@ def load_score(pair: bool) -> Score:
     known = json.loads(text)["pair" if pair else "frame"]
     names = OF_A_FRAME + (OF_A_PAIR if pair else ())
     at, rate = known["alarms"]
+    clutter = known.get("clutter")
     weights = tuple(known["weights"].get(name, 0.0) for name in names)
-    k, c = known["calibration"]
     most = math.inf if known["most"] is None else known["most"]
-    return Score(weights, known["offset"], (tuple(at), tuple(rate)), known["second"], most, (k, c))
+    return Score(
+        weights,
+        known["offset"],
+        (tuple(at), tuple(rate)),
+        known["second"],
+        most,
+        None if clutter is None else (clutter[0], tuple(clutter[1])),
+        tuple(known["calibration"]),
+    )

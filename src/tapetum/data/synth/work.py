@@ -83,6 +83,10 @@ def _labelled(clip: Clip) -> bool:
     """Label a clip; return False where the laser is not seen, or the clip is empty."""
     if any(first == last for first, last in clip.ranges.values()):
         return False
+    probe, target = (clip.utc_ns(stream) for stream in ("probe", "target"))
+    if probe[0] > target[-1] or target[0] > probe[-1]:
+        # The last frames of a video may come after the target's last one: nothing labels them.
+        return False
     try:
         label_recording(clip)
     except NoLaserError:
