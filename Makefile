@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 PEERS := .peers
 DEMO_OUT ?= demo-out
 
-.PHONY: setup peers demo test test-all lint format bench validation docs models any-camera lock clean
+.PHONY: setup peers demo test test-all lint format benchmarks bench validation docs models any-camera lock clean
 
 setup: $(VENV)/.ready
 
@@ -53,8 +53,11 @@ format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
-bench: setup
+benchmarks: setup
 	$(BIN)/python -m benchmarks
+
+# Its old name, for one release: `tapetum.bench` and `serve bench` are something else.
+bench: benchmarks
 
 # docs/validation.md, from the numbers that the tests check (some minutes).
 validation: peers

@@ -1,4 +1,4 @@
-"""The bench to play with: what a moved slider takes, until all that the page draws is there."""
+"""The playground: what a moved slider takes, until all that the page draws is there."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tapetum.simulate.planning import plan_bench
 
 from .measure import Contender, Effort, Figure, Row, in_turns
 
-TITLE = "The bench to play with: a moved slider, until picture, frame, budget, eye safety and rays are there"
+TITLE = "The playground: a moved slider, until picture, frame, budget, eye safety and rays are there"
 PEERS = ()
 
 _LENS = {"lens": "cmount-12mm-f1.4", "f_number": 4.0, "gaze_x": 0.1, "photosites": "square", "photosite_pitch": 2.2}
@@ -36,7 +36,7 @@ _CASES: tuple[tuple[str, str, dict[str, Any], float, float, int], ...] = (
 
 
 def run(effort: Effort) -> list[Row]:
-    """Time each case beside the commands `plan` and `simulate`, which prepare everything anew."""
+    """Time each case beside the commands `plan` and `simulate`, which prepare everything again."""
     threads = torch.get_num_threads()
     # As the server computes.
     torch.set_num_threads(1)

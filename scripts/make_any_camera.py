@@ -4,12 +4,10 @@ make any-camera (about an hour of one quiet core)
 
 Films `UNITS` cameras of the virtual bench, each one copy drawn from its tolerances, `FRAMES` frames of each at gazes
 spread over its field; trains a ResNet-18 on four fifths of the cameras, from the weights of `thin-lens-gaze`; and sets
-its intervals by the other fifth, which it has not seen: what no retro-reflection shows of an unknown camera (where its
-point of symmetry lies, how large its sensor is) is in their width. In training each camera has a last layer of its own;
-in the end one for all is fitted. An interrupted run goes on where it stopped.
-
-Two lenses of the catalogue, `HELD_OUT`, are in no camera here: they stand for a lens that nobody has filmed. Copies
-have seeds from `FIRST_UNIT` on; no evaluation may use these.
+its intervals by the other fifth, which it has not seen: they include what no retro-reflection shows of an unknown
+camera (where its point of symmetry lies, how large its sensor is). In training each camera has a last layer of its own;
+in the end one for all is fitted. Two lenses of the catalogue, `HELD_OUT`, are in no camera here: they stand for a lens
+that nobody has filmed. Copies have seeds from `FIRST_UNIT` on; no evaluation may use these. An interrupted run goes on.
 """
 
 from __future__ import annotations

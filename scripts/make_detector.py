@@ -25,8 +25,8 @@ from scipy.stats import binomtest
 from sklearn.linear_model import LogisticRegression, PoissonRegressor
 
 from drawn_scenes import KINDS, draw
+from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
 from tapetum.detection.find import candidates_with_looks, clutter_by, second_look
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR
 from tapetum.detection.score import Score
 from tapetum.files import atomic_file
 

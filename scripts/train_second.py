@@ -28,8 +28,8 @@ import torch
 from safetensors.numpy import save
 from torch import nn
 
+from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
 from tapetum.detection.find import candidates_with_looks
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR
 from tapetum.detection.second import STRIDES, views
 from tapetum.errors import InputError
 from tapetum.files import atomic_file

@@ -1,4 +1,4 @@
-"""What every command does where its user does not say."""
+"""Defaults that all commands share."""
 
 from __future__ import annotations
 

@@ -77,7 +77,7 @@ def exchange(one: Path, other: Path) -> bool:
 
 
 def _home() -> str:
-    """What tells the processes of this machine, or of this container, from those of others."""
+    """An identifier of this machine, or of this container, which its processes share."""
     try:
         space = str(Path("/proc/self/ns/pid").readlink())
     except OSError:
@@ -154,7 +154,7 @@ def sole_writer(path: str | os.PathLike[str]) -> Iterator[None]:
         with _guard:
             del _held[target]
         if handle is not None:
-            # Removed while it is still locked: whoever waits for this very file finds that it is gone.
+            # Removed while it is still locked: a process that waits for this very file finds that it is gone.
             _lock_file(target).unlink(missing_ok=True)
             os.close(handle)
 

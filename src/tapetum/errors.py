@@ -1,4 +1,4 @@
-"""What a user may have got wrong, said in one line: where, what, and what to do about it."""
+"""Errors in one line: where, what is wrong, and what to do about it."""
 
 from __future__ import annotations
 

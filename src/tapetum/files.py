@@ -1,4 +1,4 @@
-"""Files that are either whole or not there: write under a temporary name, then rename."""
+"""Files that are either whole or absent: write under a temporary name, then rename."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How long work tells a person where it stands: one protocol that every room can take, one bar that the commands give.
+"""How long work reports its progress: one protocol that every room can take, and one bar that the commands pass.
 
 A function that works long takes `progress: Progress = quiet` and wraps its loop:
 `for x in progress(items, "filming", total=n)`.
@@ -35,7 +35,7 @@ def bar(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[
     from rich.console import Console
 
     if total is None:
-        # What has a length may still refuse to tell it, as an iterable dataset's loader does.
+        # An object with a length may still refuse to give it, as an iterable dataset's loader does.
         with contextlib.suppress(TypeError, NotImplementedError):
             total = len(items)  # type: ignore[arg-type]
     console = Console(stderr=True)

@@ -249,7 +249,9 @@ def test_an_object_nearer_than_the_front_focus_is_refused() -> None:
 
 
 def test_wavelengths_without_an_index_are_refused() -> None:
-    with pytest.raises(InputError, match="wavelength: 1550 nm is outside of what n_d and the Abbe number tell"):
+    with pytest.raises(
+        InputError, match="wavelength: 1550 nm is outside the range that n_d and the Abbe number describe"
+    ):
         PrescriptionLens("phone-a").focused(1550e-9, math.inf)
 
 

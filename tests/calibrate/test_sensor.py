@@ -147,7 +147,7 @@ def test_what_is_amiss_is_named(tmp_path: Path, how: dict[str, object], amiss: s
     sensor = sensor_of(3)
     got = calibrate_sensor(*files(tmp_path, sensor, np.random.default_rng(3), **how), bits=sensor.bits)
     assert amiss in [check.what for check in got.checks() if not check.good]
-    assert got.verdict.startswith("to mend: ")
+    assert got.verdict.startswith("to correct: ")
 
 
 def changed(folder: Path, change) -> SensorCalibration:
@@ -238,7 +238,7 @@ def test_the_command_and_its_misuse(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert code == 0 and told["verdict"] == "good" and told["gain"]["error"] > 0 and (tmp_path / "s.html").exists()
     assert run(*dark, *flats, "-o", out)[0] == 2
     code, said, _ = run(*dark, *flats[:3], "-o", out, "--overwrite")
-    assert code == 1 and "to mend" in said and "saturation: not reached" in said
+    assert code == 1 and "to correct" in said and "saturation: not reached" in said
     for words, complaint in (
         ([*dark, "-o", tmp_path / "t.yaml"], "error: FLAT: no flat frames are named"),
         ([*dark, *flats, "-o", tmp_path / "t.json"], "t.json: is no name for this; name it NAME.yaml"),

@@ -14,10 +14,10 @@ import torch
 
 from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
-from tapetum.calibrate.twin.climb import covariance, settle, two_groups, untold
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
-from tapetum.calibrate.twin.normal import Normal, State
+from tapetum.calibrate.twin.normal_equations import Normal, State
 from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
+from tapetum.calibrate.twin.search import covariance, settle, two_groups, untold
 from tapetum.calibrate.twin.starts import placed_in
 from tapetum.cli.app import main
 from tapetum.errors import InputError

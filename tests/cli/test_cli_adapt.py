@@ -46,9 +46,9 @@ def test_a_film_adapts_a_network(run, chain, network: Path, tmp_path: Path, of: 
 
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(run, chain, network: Path, tmp_path: Path, monkeypatch) -> None:
-    from tapetum.models import adaptation
+    from tapetum.models import fine_tuning
 
-    begun, train = list[object](), adaptation.train
+    begun, train = list[object](), fine_tuning.train
 
     def interrupted(*given, **named):
         begun.append(given)
@@ -57,7 +57,7 @@ def test_ctrl_c_says_what_is_kept_and_how_to_go_on(run, chain, network: Path, tm
         return train(*given, **named)
 
     with monkeypatch.context() as patched:
-        patched.setattr(adaptation, "train", interrupted)
+        patched.setattr(fine_tuning, "train", interrupted)
         ran = run("adapt", network, chain.dataset, "-o", tmp_path / "m", *few())
     told = " ".join(ran.err.split())
     assert ran.code == 130 and f"kept in {tmp_path / 'm'}.checkpoint" in told and "--resume" in told
@@ -82,7 +82,7 @@ def test_each_mistake_is_one_line(run, chain, network: Path, tmp_path: Path) -> 
         ((network, chain.dataset, "--seconds", 100), "asks for 100 s of film"),
         ((network, chain.dataset, "--seconds", 0), "must be positive"),
         ((network, chain.dataset, "--label", "focus"), "estimates gaze_x, gaze_y, not object_distance, focal_length"),
-        ((network, chain.dataset, "--unit", "mine"), "tells no units apart"),
+        ((network, chain.dataset, "--unit", "mine"), "does not distinguish copies of its camera"),
         ((network, chain.dataset, "--precision", "half"), "--precision"),
     ):
         ran = run("adapt", *arguments, "-o", tmp_path / "m", *few())

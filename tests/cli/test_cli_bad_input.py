@@ -273,7 +273,7 @@ def test_training_that_makes_no_sense(run, chain, tmp_path: Path) -> None:
         (("--resume",), "--resume: has no meaning for zernike"),
         (("--epochs", 3), "--epochs: has no meaning for zernike"),
         (("--tuned", "--model", "resnet18"), "--tuned: has no meaning for resnet18"),
-        (("--target", "device"), "a linear model of quantities does not tell devices"),
+        (("--target", "device"), "a linear model of quantities does not recognise devices"),
         (("--target", "device", "--model", "resnet18"), "has no label 'device'"),
         (("--model", "resnet18", "--crop", 500), "looks at 500 pixels, the crops have 400"),
         (("--model", "resnet18", "--processes", "some"), "--processes: must be a number or auto"),

@@ -76,7 +76,7 @@ def test_track_takes_the_intervals_that_are_asked_for(run, chain, copies: Path, 
 
 def test_what_calibrates_nothing(run, chain, copies: Path, tmp_path: Path) -> None:
     for words, why in (
-        ((chain.model, chain.dataset), "tells no units apart"),
+        ((chain.model, chain.dataset), "does not distinguish copies of its camera"),
         ((chain.model, copies, "--units", 3), "--units: is of a scene"),
         ((chain.model, "hand-held", "--units", 3), "--units: 3 copies are too few"),
         ((chain.model, copies, "--split", "unit"), "are too few"),

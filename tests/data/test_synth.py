@@ -23,7 +23,7 @@ from tapetum.data.write import CHUNK, Rules
 from tapetum.durable import sole_writer
 from tapetum.errors import InputError
 from tapetum.record import film, label_recording
-from tapetum.record.spot import NoLaserError
+from tapetum.record.labels import NoLaserError
 
 
 class Stop:

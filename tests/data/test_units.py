@@ -43,7 +43,7 @@ def test_units_that_test_never_train():
 
 
 def test_a_split_by_units_needs_units():
-    with pytest.raises(InputError, match="tells no units apart; film units"):
+    with pytest.raises(InputError, match="does not distinguish copies of its camera; film units"):
         split_by(units_of([10]).drop_vars("unit"), "unit")
     with pytest.raises(InputError, match=r"has 1 unit of b, and a split by units needs 2"):
         split_by(units_of([10, 10, 10], ["a", "a", "b"]), "unit")

@@ -20,8 +20,8 @@ import tapetum as tp
 import train_second
 from drawn_scenes import KINDS, draw
 from tapetum.detection import find_each
+from tapetum.detection.features import beside_rivals
 from tapetum.detection.find import candidates_with_looks, clutter_by, scored, second_look
-from tapetum.detection.looks import beside_rivals
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.detection.second import Second

@@ -136,6 +136,6 @@ def test_results_are_added_never_replaced(
 def test_a_model_of_something_else_is_refused(tmp_path: Path, ridge: ZernikeRidge) -> None:
     other = load_model(save_model(ridge, tmp_path / "m"))
     other.quantities = ("focal_length",)
-    with pytest.raises(InputError, match="does not tell the gaze"):
+    with pytest.raises(InputError, match="does not show the gaze"):
         score_sealed({"m": other}, tmp_path / "w", plan=tiny_plan())
     assert not (tmp_path / "w").exists()

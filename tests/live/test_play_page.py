@@ -1,4 +1,4 @@
-"""The page of the bench to play with, in a real Chromium, behind the server's doors."""
+"""The page of the playground, in a real Chromium, behind the server's doors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The requests of the bench to play with: good ones, bad ones, and many at once."""
+"""The requests of the playground: good ones, bad ones, and many at once."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The bench to play with, without a server: its settings, its pictures against the simulator's, its rays."""
+"""The playground, without a server: its settings, its pictures against the simulator's, its rays."""
 
 from __future__ import annotations
 

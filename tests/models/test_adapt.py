@@ -13,7 +13,7 @@ from tests.models.conftest import pictures
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
-from tapetum.models.adaptation import ALL, LAST
+from tapetum.models.fine_tuning import ALL, LAST
 
 pytestmark = pytest.mark.usefixtures("narrow")
 
@@ -182,7 +182,7 @@ def test_what_cannot_be_adapted_is_said(base: NetworkEstimator, small: xr.Datase
     with pytest.raises(InputError, match=r"no trainable network \(zernike\)"):
         adapt(ridge, data)  # type: ignore[arg-type]
     devices = NetworkEstimator("device", **TINY)
-    with pytest.raises(InputError, match="tells devices apart"):
+    with pytest.raises(InputError, match="recognises devices"):
         adapt(devices, data)
     with pytest.raises(InputError, match="not fitted"):
         adapt(NetworkEstimator(**TINY), data)

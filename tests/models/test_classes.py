@@ -109,7 +109,7 @@ def test_only_devices_that_are_there_count(phones):
 def test_devices_need_their_label_and_their_model(small):
     with pytest.raises(InputError, match="no label 'device'"):
         ResNet18("device", **TINY).fit(small)
-    with pytest.raises(InputError, match="does not tell devices"):
+    with pytest.raises(InputError, match="does not recognise devices"):
         ZernikeRidge("device")
     value = np.zeros((2, 1))
     plain = Prediction(("gaze_x",), value, value, value)

@@ -118,7 +118,7 @@ def test_a_copy_of_the_training_calibrates_nothing(small: xr.Dataset) -> None:
     model = ZernikeRidge(scales=(40,), order=2, calibration_fraction=0.2).fit(named)
     with pytest.raises(InputError, match="trained on: copy-03"):
         calibrate_units(model, copies())
-    with pytest.raises(InputError, match="tells no units apart"):
+    with pytest.raises(InputError, match="does not distinguish copies"):
         calibrate_units(model, small)
     with pytest.raises(InputError, match="no intervals for another copy"):
         model.predict(small, unit="other")

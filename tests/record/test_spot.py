@@ -13,8 +13,9 @@ from spot_scenes import SCENES, H, Laser, W, expose
 
 from tapetum.errors import InputError
 from tapetum.record.images import read_image
+from tapetum.record.labels import label_recording
 from tapetum.record.recording import Recording, RecordingWriter, StreamInfo, open_recording
-from tapetum.record.spot import find_spot, label_recording
+from tapetum.record.spot import find_spot
 
 START = 1_800_000_000_000_000_000
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"

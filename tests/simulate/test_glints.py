@@ -13,8 +13,8 @@ from scipy.interpolate import CubicSpline
 from traced_cases import along_y
 
 from tapetum.bench import PrescriptionLens, Scene, Target, load_scene, with_values
+from tapetum.bench.layers import Layer
 from tapetum.bench.sensors import TargetSensor
-from tapetum.bench.surfaces import Layer
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid

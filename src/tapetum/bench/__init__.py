@@ -1,5 +1,7 @@
 """Scenes, lenses, sensors and phones, as frozen dataclasses read from YAML."""
 
+from tapetum.bench.copies import draw_unit
+from tapetum.bench.layers import Diffuse, Layer, Microlens, PixelArray, SensorMask, at_wavelength
 from tapetum.bench.load import (
     as_scene,
     field_path,
@@ -27,9 +29,7 @@ from tapetum.bench.scene import (
     ThinLens,
     outside_of_model,
 )
-from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask, at_wavelength
 from tapetum.bench.tolerances import Tolerances, load_tolerances, tolerance_names
-from tapetum.bench.units import draw_unit
 
 __all__ = [
     "CameraUnit",

@@ -37,7 +37,7 @@ def sensor_values(given: object) -> object:
     Raises
     ------
     InputError
-        When the file is missing or none of a calibrated sensor, or states no pixel pitch: no frame tells it.
+        When the file is missing or none of a calibrated sensor, or states no pixel pitch: no frame shows it.
     """
     if not isinstance(given, str):
         return given

@@ -12,11 +12,11 @@ from pydantic.dataclasses import dataclass
 
 from tapetum.bench.catalogue import Catalogue
 from tapetum.bench.faults import build
+from tapetum.bench.layers import SmallTilt
 from tapetum.bench.prescription import PrescriptionLens, check_layers
 from tapetum.bench.quantity import Angle, Length, Power, Time
 from tapetum.bench.sensors import TargetSensor
 from tapetum.bench.strict import STRICT
-from tapetum.bench.surfaces import SmallTilt
 
 __all__ = ["PHONE_SCHEMA", "CameraUnit", "Dots", "Phone", "load_phone", "phone_names"]
 

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 from pydantic import Field, SerializerFunctionWrapHandler, WrapValidator, model_serializer, model_validator
 from pydantic.dataclasses import dataclass
 
+from tapetum.bench.layers import Layer, Spectrum
 from tapetum.bench.lens_data import LensState, Prescription, Surface, build_lens, clearance
 from tapetum.bench.lens_file import lens_names, load_lens
 from tapetum.bench.quantity import Length
 from tapetum.bench.strict import STRICT, Positive
-from tapetum.bench.surfaces import Layer, Spectrum
 from tapetum.bench.zoom import focal_range, surfaces_at
 from tapetum.errors import InputError
 

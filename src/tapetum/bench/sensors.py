@@ -7,9 +7,9 @@ from typing import Annotated
 from pydantic import AfterValidator, Field, model_validator
 from pydantic.dataclasses import dataclass
 
+from tapetum.bench.layers import Diffuse, Layer, Microlens, PixelArray, SensorMask, SmallTilt
 from tapetum.bench.quantity import Current, Length, Time
 from tapetum.bench.strict import STRICT, Positive, Share
-from tapetum.bench.surfaces import Diffuse, Layer, Microlens, PixelArray, SensorMask, SmallTilt
 
 __all__ = ["ProbeSensor", "TargetSensor"]
 

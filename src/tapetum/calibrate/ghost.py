@@ -71,7 +71,7 @@ class GhostCalibration:
 
     @property
     def verdict(self) -> str:
-        """`good`, or what to mend."""
+        """`good`, or which checks failed."""
         return verdict(self.checks())
 
     def checks(self) -> list[Check]:

@@ -38,7 +38,7 @@ class Tiles:
 
     def __post_init__(self) -> None:
         if min(self.height, self.width) < 4 * _LEAST_TILE:
-            what = f"{self.width} x {self.height} px are too few to tell noise from pattern"
+            what = f"{self.width} x {self.height} px are too few to separate noise from pattern"
             raise InputError(what, remedy=f"give frames of {4 * _LEAST_TILE} x {4 * _LEAST_TILE} px or more")
 
     @property
@@ -60,7 +60,7 @@ class Tiles:
 
 @dataclass(frozen=True, eq=False)
 class Level:
-    """What frames under one light and exposure say, in digital numbers; T tiles.
+    """Statistics of frames under one light and exposure, in digital numbers; T tiles.
 
     Attributes
     ----------

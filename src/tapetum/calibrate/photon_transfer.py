@@ -36,7 +36,7 @@ _DEFECT = 6.0  # deviations from the neighbourhood from which a pixel of the dar
 
 @dataclass(frozen=True, eq=False)
 class PhotonTransfer:
-    """What dark and flat frames say of a sensor.
+    """Numbers of a sensor from dark and flat frames.
 
     Attributes
     ----------

@@ -56,7 +56,7 @@ class SensorCalibration:
 
     @property
     def verdict(self) -> str:
-        """`good`, or what to mend."""
+        """`good`, or which checks failed."""
         return verdict(self.checks())
 
     def numbers(self) -> list[tuple[str, str]]:
@@ -86,7 +86,7 @@ class SensorCalibration:
         return float(np.nanmax(np.abs(self.measured.linearity)))
 
     def scene_values(self, pitch: str | None = None) -> dict[str, Any]:
-        """Return the values that a scene's probe sensor takes; the pixel pitch, which no frame tells, as text."""
+        """Return the values that a scene's probe sensor takes; the pixel pitch, which no frame shows, as text."""
         one = self.measured
         rows, columns = one.dark.image.shape
         values: dict[str, Any] = {"pixels": [columns, rows]}

@@ -1,4 +1,4 @@
-"""What is asked of the frames that a sensor is calibrated with, and how its numbers answer."""
+"""Requirements on the frames that a sensor is calibrated with, and checks of the numbers that follow from them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tapetum.calibrate.verdict import Check
 
 __all__ = ["percent", "sensor_checks"]
 
-# Limits of the checks: what is asked of the frames, not of the camera.
+# Limits of the checks: requirements on the frames, not on the camera.
 _LEVELS, _REACH, _UNEVEN, _FLICKER, _ROWS = 5, 0.3, 0.3, 0.01, 0.003
 _SHARED, _STRAIGHT, _DEFECTS, _KEPT, _DARK, _TILT, _LINEAR = 0.03, 0.05, 0.01, 0.8, 0.15, 0.01, 0.01
 _RESOLVED, _ZEROS = 0.7, 1e-3

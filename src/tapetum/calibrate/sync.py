@@ -1,10 +1,10 @@
 """Calibration of two cameras' clocks by the laser's blink code: lag, drift and what is left of both.
 
-The words of the code are placed in each stream alone: frames show the laser on or off, by their brightness within its
-running extremes, and a word may begin wherever all of them agree with it, but for a few and for the jitter of their
-stamps. The posterior of the words' common beginning and period, over a grid, gives both with their deviations. Where
-every flank of the code falls at one phase of the frames, as with bits of whole frames, more flanks tell no more: the
-common posterior says so, where a mean over words would not.
+The words of the code are located in each stream separately. A frame shows the laser on or off by its brightness,
+compared with the recent largest and smallest one; a word may begin at every time for which all frames but a few agree
+with it, within the jitter of their time stamps. The posterior of the words' common beginning and period, computed over
+a grid, gives both with their deviations. Where every flank falls at the same phase of the frames, as with bits that
+last whole frames, further flanks add no information: the posterior stays wide, where a mean over words would not.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ _FOUND = 0.6  # correlation from which a word is one
 _JITTER = 2e-3  # s, of a frame's time stamp
 _FINE = 5e-4  # s
 _SPAN = 1.0  # bits about a word's rough place in which it is sought
-_WRONG = 0.02  # chance that a frame shows the contrary: a hand before the lens
+_WRONG = 0.02  # probability that a frame shows the opposite: a hand before the lens
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class Word:
     Attributes
     ----------
     start, correlation
-        Its beginning by the stream's clock, and the correlation of what is seen with what was sent.
+        Its beginning by the stream's clock, and the correlation of the light that is seen with the code that was sent.
     times, seen, sent
         [N] frames about the word: their times, what share of the light they show, and what the code says.
     places, misfit
@@ -95,7 +95,7 @@ class SyncCalibration:
 
     @property
     def verdict(self) -> str:
-        """`good`, or what to mend."""
+        """`good`, or which checks failed."""
         return verdict(self.checks())
 
     def checks(self) -> list[Check]:
@@ -329,7 +329,7 @@ def _refined(
     """Place a word: the middle and deviation of the posterior of its beginning."""
     here = (times > start - margin) & (times < start + length + margin)
     grid = np.arange(start - _SPAN * code.bit, start + _SPAN * code.bit, _FINE)
-    # On or off at the middle of the exposure: brightness in between tells more of a hand and a turning camera than of
+    # On or off at the middle of the exposure: brightness in between depends more on a hand and a turning camera than on
     # the flanks.
     lit = _sent(code, times[here], grid, 0.0)
     agrees = np.where(seen[here] > 0.5, lit, 1 - lit)
@@ -351,7 +351,7 @@ def _paired(
 ) -> tuple[tuple[Word, ...], tuple[Word, ...], list[int], float]:
     """Return the words that both streams show, their numbers in the beat of the code, and its period in seconds.
 
-    A target's word belongs to the probe's that is nearest; lags beyond half a period cannot be told.
+    A target's word belongs to the probe's that is nearest; lags beyond half a period are ambiguous.
     """
     length = code.bit * len(code.sent)
     if not probe or not target:
@@ -386,7 +386,7 @@ def _together(words: tuple[Word, ...], numbers: NDArray[np.int64], period: float
     chance /= chance.sum()
     jitter = _JITTER / math.sqrt(len(words))
     place = _moments(places, chance.sum(axis=0), jitter)
-    # All periods count the same here; the true one may be that which leaves the widest range: no error below its own.
+    # All periods have equal weight here; the true one may have the widest range: the error is no smaller than that.
     widest = chance[int(np.argmax(chance.sum(axis=1)))]
     place = Measured(place.value, max(place.error, _moments(places, widest / widest.sum(), jitter).error))
     rate = _moments(rates, chance.sum(axis=1), jitter / span)

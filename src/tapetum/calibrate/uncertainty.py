@@ -1,4 +1,4 @@
-"""Values with standard uncertainties, from the scatter of what they are made of."""
+"""Values with standard uncertainties, from the scatter of the parts they are computed from."""
 
 from __future__ import annotations
 

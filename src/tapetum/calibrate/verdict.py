@@ -1,4 +1,4 @@
-"""What a calibration found amiss: checks of its numbers, and the verdict that they add up to."""
+"""The checks of a calibration's numbers, and the verdict that follows from them."""
 
 from __future__ import annotations
 
@@ -38,9 +38,9 @@ def to_mend(checks: Sequence[Check]) -> list[Check]:
 
 
 def verdict(checks: Sequence[Check]) -> str:
-    """Return "good", or what to mend, in a few words."""
+    """Return "good", or which checks failed."""
     failed = to_mend(checks)
-    return "to mend: " + ", ".join(check.what for check in failed) if failed else "good"
+    return "to correct: " + ", ".join(check.what for check in failed) if failed else "good"
 
 
 def rows(checks: Sequence[Check]) -> list[tuple[str, str, str, str]]:

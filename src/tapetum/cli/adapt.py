@@ -35,16 +35,16 @@ def adapt(
     film: Annotated[Path, typer.Argument(metavar="SET_OR_REC", help=_FROM)],
     out: Annotated[Path, option("MODEL", "The adapted model's folder.", "-o", "--out")],
     seconds: Annotated[
-        float | None, option("S", "Seconds of labelled film to use, of the training part; all where left out.")
+        float | None, option("S", "Seconds of labelled film to use, of the training part; all by default.")
     ] = None,
     spread: Annotated[
         bool,
         typer.Option("--spread/--in-a-row", help="Which frames --seconds takes: spread over the field, or the first."),
     ] = True,
     unit: Annotated[str | None, option("NAME", "Of a set of several copies of a camera: the one to adapt to.")] = None,
-    label: Annotated[str | None, option("NAME", "What it learns; only what MODEL estimates already.")] = None,
+    label: Annotated[str | None, option("NAME", "What it learns: what MODEL estimates already.")] = None,
     epochs: Annotated[
-        int | None, option("N", "Passes over the frames; as many as take a minute or two.", min=1)
+        int | None, option("N", "Passes over the frames; by default as many as take a minute or two.", min=1)
     ] = None,
     precision: Annotated[str, option("HOW", "float32, or bf16: twice as fast on processors that have it.")] = "float32",
     seed: SeedIfGiven = None,
@@ -56,8 +56,8 @@ def adapt(
 ) -> None:
     """Fine-tune a network on a few labelled frames of another copy, lens or distance; print its error on the test part.
 
-    Its intervals and where it applies are learned of the same frames; test frames are never used. It keeps what it has
-    done beside the model, MODEL.checkpoint, until the model is saved.
+    Its intervals, and where it applies, are learned from the same frames; test frames are never used. Finished steps
+    are kept beside the model, in MODEL.checkpoint, until the model is saved.
     """
     check_output(out, force, "tapetum-model")
     one_of(precision, ("float32", "bf16"), "--precision")
@@ -65,7 +65,7 @@ def adapt(
     if checkpoint.exists() and not (resume or force):
         remedy = "go on with --resume, or start over with --overwrite"
         raise InputError("an unfinished adaptation is kept here", where=checkpoint, remedy=remedy)
-    from tapetum.data.shares import of_unit
+    from tapetum.data.film_parts import of_unit
     from tapetum.models import NetworkEstimator, save_model
     from tapetum.models import adapt as adapt_network
     from tapetum.models.kept_folds import remove_kept

@@ -45,14 +45,14 @@ _INTERRUPTED = 130
 
 # By command: the function, its line in the list of commands, and an example for its help.
 _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
-    "demo": (demo, "The main job end to end, with a report.", "--out demo-out"),
+    "demo": (demo, "From film to trained model and tracks, with a report.", "--out demo-out"),
     "simulate": (
         simulate,
         "Retro-reflections of a scene, and sweeps.",
         "thin-lens --sweep rotation=0,0.5,1 -o sweep.png",
     ),
-    "plan": (plan, "What a scene would give: budget, limits, eye safety.", "thin-lens --set object_distance=2.5"),
-    "cameras": (cameras, "What cameras are plugged in, and their modes.", "--json"),
+    "plan": (plan, "What to expect of a scene: budget, limits, eye safety.", "thin-lens --set object_distance=2.5"),
+    "cameras": (cameras, "List the cameras that are plugged in, and their modes.", "--json"),
     "record": (record, "Film a scene, or record real cameras.", "hand-held -o hand.rec --seconds 20 --seed 7"),
     "calibrate probe": (
         probe,
@@ -61,7 +61,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
     ),
     "calibrate ghost": (
         ghost,
-        "Where the beam splitter's ghost stands.",
+        "Offset and brightness of the beam splitter's ghost.",
         "alone.rec -o my-ghost.yaml --focal-length '200 mm' --pitch '2.2 um'",
     ),
     "calibrate sync": (sync, "Lag and drift between the two cameras.", "walk.rec -o my-sync.yaml"),
@@ -82,7 +82,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
     "train": (train, "Fit a model to a dataset.", "hand.zarr --kind zernike --label gaze -o my-model"),
     "adapt": (
         adapt,
-        "Fit a trained network to one camera, by seconds of film.",
+        "Fit a trained network to one camera, on seconds of film.",
         "thin-lens-gaze mine.rec -o mine --seconds 10",
     ),
     "evaluate": (evaluate, "A model's errors on a dataset.", "my-model hand.zarr -o report"),
@@ -96,7 +96,7 @@ _COMMANDS: dict[str, tuple[Callable[..., None], str, str]] = {
     "serve": (serve, "Watch a source live, on a page.", "demo"),
     "fuse": (
         fuse,
-        "One track of what several probes say.",
+        "Fuse the tracks of several probes into one.",
         "left.parquet right.parquet --place 0.24,0 --distance 5.5 --field 3.3,2.4 -o both.parquet",
     ),
     "paper": (paper, "The paper's figures and tables, reproduced.", "fig4 fig5 -o figures"),

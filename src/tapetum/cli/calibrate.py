@@ -17,9 +17,7 @@ from tapetum.progress import bar
 
 _DARKS = ("dark", "bias", "black")
 
-PageOut = Annotated[
-    Path | None, option("FILE", "The page of it; NAME.html beside the result where left out.", "--page")
-]
+PageOut = Annotated[Path | None, option("FILE", "The page to write; by default NAME.html beside the result.", "--page")]
 
 
 def probe(
@@ -33,10 +31,10 @@ def probe(
     page: PageOut = None,
     more_darks: Annotated[list[str] | None, option("DARK", "Further dark frames; repeatable.", "--dark")] = None,
     pitch: Annotated[
-        str | None, option("LENGTH", "Pitch of the pixels, '3.45 um', which no frame tells; scenes ask for it.")
+        str | None, option("LENGTH", "Pitch of the pixels, '3.45 um', which no frame shows; scenes need it.")
     ] = None,
     bits: Annotated[
-        int | None, option("N", "Bit depth of the frames; else the least that holds all numbers.", min=1, max=16)
+        int | None, option("N", "Bit depth of the frames; by default the least that holds all numbers.", min=1, max=16)
     ] = None,
     exposures: Annotated[
         str | None,
@@ -47,10 +45,9 @@ def probe(
 ) -> None:
     """Measure the probe's sensor: gain, read noise, full well, linearity, fixed pattern, by photon transfer.
 
-    The first source holds the dark frames, and so does every other whose name begins with dark, bias or black. The
-    others hold flat ones: even light on the bare sensor, two frames or more at each of five or more brightnesses, one
-    of which saturates. Writes a sensor for scenes (probe.sensor: NAME.yaml) and a page; the exit code is 1 where
-    something is to be mended.
+    The first source has the dark frames, and so has every other whose name begins with dark, bias or black. The others
+    have flat ones: even light on the bare sensor, two frames or more at each of five or more brightnesses, one of which
+    saturates. Writes a sensor for scenes (probe.sensor: NAME.yaml) and a page; the exit code is 1 where a check fails.
     """
     _named(out, ".yaml", ".yml")
     page = page or out.with_suffix(".html")
@@ -87,11 +84,11 @@ def ghost(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Measure the ghost of the beam splitter: where every RR's dim companion stands, and how bright it is.
+    """Measure the ghost of the beam splitter: the offset of every RR's dim companion, and how bright it is.
 
     Film one camera that moves, alone in view and not saturated. Writes a file for `track --ghost` and a page; with
     --focal-length and --pitch it is also a scene's second beam (illumination.second_beam: NAME.yaml). The exit code is
-    1 where something is to be mended.
+    1 where a check fails.
     """
     _named(out, ".yaml", ".yml")
     page = page or out.with_suffix(".html")
@@ -133,7 +130,7 @@ def sync(
     """Measure lag and drift between the two cameras of a recording by the laser's blink code.
 
     Blink the code once or several times (`record --blink`) while both cameras see the laser. Drift needs two words, its
-    residual three. The exit code is 1 where something is to be mended.
+    residual three. The exit code is 1 where a check fails.
     """
     _named(out, ".yaml", ".yml")
     page = page or out.with_suffix(".html")
@@ -159,7 +156,7 @@ def _positive(text: str, unit: str, where: str) -> float:
 
 
 def _tell(found: Any, out: Path, page: Path, as_json: bool, values: dict[str, Any]) -> None:
-    """Print numbers and verdict; end with exit code 1 where something is to be mended."""
+    """Print numbers and verdict; end with exit code 1 where a check fails."""
     from tapetum.calibrate.verdict import to_mend
 
     failed = to_mend(found.checks())
@@ -169,7 +166,7 @@ def _tell(found: Any, out: Path, page: Path, as_json: bool, values: dict[str, An
     else:
         for name, value in found.numbers():
             typer.echo(f"  {name:<36} {value}")
-        typer.echo(f"{out}, {page}: {'good' if not failed else 'to mend'}")
+        typer.echo(f"{out}, {page}: {'good' if not failed else 'to correct'}")
         for one in failed:
             typer.echo(f"  {one.line}")
     if failed:

@@ -42,8 +42,8 @@ def units(
 ) -> None:
     """Calibrate a model's intervals for copies of its camera that it has not seen, on several such copies.
 
-    Everything else of the model stays. track, serve and evaluate use these intervals wherever it is not known that the
-    copy is the one the model was trained on. Copies of a scene are kept in MODEL.copies until the model is saved.
+    Nothing else of the model changes. track, serve and evaluate use these intervals unless the copy is known to be the
+    one the model was trained on. Copies of a scene are kept in MODEL.copies until the model is saved.
     """
     check_output(out, force, "tapetum-model")
     from tapetum.models import Estimator, NetworkEstimator, ZernikeRidge, calibrate_units, model_card, save_model

@@ -33,7 +33,9 @@ def build(
     recordings: Annotated[list[Path], typer.Argument(metavar="RECORDING...", help="Recordings, NAME.rec.")],
     out: SetOut,
     side: Annotated[int, option("PX", "Pixels along an edge of a crop.", min=8, max=4000)] = 400,
-    test_fraction: Annotated[float, option("SHARE", "Of every video, at its end, that tests.", min=0, max=1)] = 0.2,
+    test_fraction: Annotated[
+        float, option("SHARE", "Share of every video, at its end, for the test part.", min=0, max=1)
+    ] = 0.2,
     embargo: Annotated[
         float,
         option(
@@ -44,10 +46,11 @@ def build(
     ] = 0.0,
     force: Force = False,
 ) -> None:
-    """Cut a centred square out of every labelled frame; the end of every video tests.
+    """Cut a centred square out of every labelled frame; the end of every video is the test part.
 
     Recordings without labels are labelled first, by the laser in the target's video. Frames whose labels share a
-    measurement with a training frame's do not test: they are left out, as an embargo between the two parts.
+    measurement with a training frame's are not in the test part: they are left out, as an embargo between the two
+    parts.
     """
     check_output(out, force, "tapetum-dataset")
     from tapetum.data import build_dataset

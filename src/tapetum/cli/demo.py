@@ -1,4 +1,4 @@
-"""`tapetum demo`: the main job end to end, on the virtual bench."""
+"""`tapetum demo`: from film to trained model and tracks, on the virtual bench."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ def demo(
 ) -> None:
     """Film a target, label it, train, track a held-out part, and write report.html.
 
-    After an interruption the same command goes on. With --overwrite it is made again, from the recording that is there
-    where its seed and length are the same.
+    After an interruption the same command goes on. With --overwrite everything is made again, except a recording of the
+    same seed and length.
     """
     # Torch, scikit-learn and Matplotlib take seconds to import; print a line first.
     typer.echo(

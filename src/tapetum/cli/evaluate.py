@@ -37,7 +37,7 @@ def evaluate(
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:
-    """Judge a model by a dataset's test part, beside a guess that looks at no image: predicting the training mean."""
+    """Evaluate a model on a dataset's test part, compared with a guess without images: the training mean."""
     numbers_alone = out is not None and out.suffix.lower() == ".json"
     if out is not None and out.suffix.lower() in _FILES:
         remedy = "name a folder for the whole report, or NAME.json for the numbers alone"

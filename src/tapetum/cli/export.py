@@ -20,7 +20,7 @@ def export(
 ) -> None:
     """Write a network to one ONNX file, preparation included: counts in, estimates out.
 
-    Needs the extra `fast`. The file's metadata, under "tapetum", tells its inputs, outputs, units and intervals.
+    Needs the extra `fast`. The file's metadata, under "tapetum", describe its inputs, outputs, units and intervals.
     """
     if out.suffix.lower() != ".onnx":
         raise InputError(f"unknown kind of export {out.suffix!r}", where=out, remedy="name it NAME.onnx")

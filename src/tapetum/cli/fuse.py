@@ -19,9 +19,13 @@ def fuse(
     out: TracksOut,
     places: Annotated[
         list[str] | None,
-        option("X,Y", "Of each further probe from the first, in metres as the target sees it: right, down.", "--place"),
+        option(
+            "X,Y",
+            "Place of each further probe relative to the first, in metres as the target sees it: right, down.",
+            "--place",
+        ),
     ] = None,
-    distance: Annotated[float | None, option("METRES", "Of the target from the probes.")] = None,
+    distance: Annotated[float | None, option("METRES", "Distance of the target from the probes.")] = None,
     field: Annotated[str | None, option("W,H", "The target's whole field of view, in degrees.")] = None,
     roll_spread: Annotated[float, option("DEGREES", "How far the target rolls about its axis (RMS).", min=0.0)] = 0.0,
     offsets: Annotated[
@@ -34,17 +38,19 @@ def fuse(
     ] = None,
     starts: Annotated[
         list[float] | None,
-        option("SECONDS", "How much later each further table's time 0 is; by UTC where left out.", "--start"),
+        option("SECONDS", "How much later each further table's time 0 is; by default from UTC.", "--start"),
     ] = None,
     numbers: Annotated[
         list[int] | None, option("N", "The target's track in each table, where there are several.", "--track")
     ] = None,
     correlation: Annotated[
-        float, option("R", "Of two probes' errors; 1 is safe whatever it is.", min=0.0, max=1.0)
+        float, option("R", "Correlation of two probes' errors; 1 is always safe.", min=0.0, max=1.0)
     ] = 0.5,
     smooth: Smooth = None,
     systematic: Systematic = 1.0,
-    max_gap: Annotated[float | None, option("SECONDS", "Longer gaps are not bridged; three frames.", min=0.0)] = None,
+    max_gap: Annotated[
+        float | None, option("SECONDS", "Longest gap that is bridged; three frames by default.", min=0.0)
+    ] = None,
     as_json: AsJson = False,
     force: Force = False,
 ) -> None:

@@ -1,4 +1,4 @@
-"""Which model a person means by a name."""
+"""Finding the model that a name on the command line means."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ WAYS = ("live", "whole")
 """What `--smooth` takes."""
 _SCENES = f"A bundled scene ({', '.join(scene_names())}) or a YAML file."
 _MODELS = "A model's folder, a network exported to NAME.onnx, or the bundled thin-lens-gaze"
-_SEED = option("N", f"Of everything random; {SEED} where left out.", "--seed", min=0)
+_SEED = option("N", f"Seed of everything random; {SEED} by default.", "--seed", min=0)
 
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENES)]
 SetPath = Annotated[Path, typer.Argument(metavar="SET", help="A dataset, NAME.zarr.")]
@@ -33,26 +33,28 @@ Split = Annotated[
     str,
     option(
         "HOW",
-        "What tests: the end of every video (time), the units that train nothing (unit), or the end of the others' "
-        "videos (seen-unit). The last fifth of each camera's units trains nothing, at least one.",
+        "Frames to test on: the end of every video (time), the units kept out of training (unit), or the end of the "
+        "other units' videos (seen-unit). The last fifth of each camera's units is kept out, at least one.",
     ),
 ]
 TracksOut = Annotated[Path, option("TRACKS", "The table to write: .parquet, .csv or .jsonl.", "-o", "--out")]
 Changes = Annotated[list[str] | None, option("KEY=VALUE", "Change any field of the scene; repeatable.", "--set")]
 Models = Annotated[list[str] | None, option("MODEL", f"{_MODELS}; repeatable.", "--model")]
 Smooth = Annotated[str | None, option("WAY", "Smooth estimates over time: live (by earlier frames alone) or whole.")]
-Systematic = Annotated[float, option("SHARE", "Of the intervals, what smoothing may not take away.", min=0.0)]
+Systematic = Annotated[float, option("SHARE", "Share of the intervals' width that smoothing cannot reduce.", min=0.0)]
 Seed = Annotated[int, _SEED]
 SeedIfGiven = Annotated[int | None, _SEED]
 Device = Annotated[str, option("NAME", "Where to compute: auto, cpu, cuda or cuda:1.")]
-Processes = Annotated[str | None, option("N", "On this machine; auto: to film one a core, to train one a GPU.")]
+Processes = Annotated[
+    str | None, option("N", "Processes on this machine; auto: one a core to film, one a GPU to train.")
+]
 Cluster = Annotated[str | None, option("ADDRESS", "A Dask scheduler, tcp://HOST:8786 (extra: cluster).")]
 WhoseIntervals = Annotated[
     str | None,
     option(
         "WHOSE",
         "Intervals of the copy of the camera that the model was trained on (own), or of one that it has not seen "
-        "(other), where it has these. Left out: own where the input is known to show that copy.",
+        "(other), where it has these. By default own if the input is known to show that copy.",
         "--unit",
     ),
 ]

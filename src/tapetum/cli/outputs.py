@@ -1,4 +1,5 @@
-"""What may stand at an output's name, and what interrupted work leaves there: one rule for all commands."""
+"""Checks of output paths: what --overwrite may replace, and what interrupted work keeps there; one rule for all
+commands."""
 
 from __future__ import annotations
 

@@ -50,7 +50,7 @@ def paper(
             "SIZE", "laptop; paper: sets as long as the paper's; small: a smoke test, whose networks learn nothing."
         ),
     ] = "laptop",
-    work: Annotated[Path | None, option("DIR", "Where sets and models are kept; OUT/work where left out.")] = None,
+    work: Annotated[Path | None, option("DIR", "Where sets and models are kept; OUT/work by default.")] = None,
     processes: Processes = None,
     cluster: Cluster = None,
     device: Device = "auto",

@@ -20,16 +20,16 @@ def plan(
         str | None,
         option(
             "NAMES",
-            "What one frame shall tell, all of it together: gaze_x, gaze_y, object_distance, focal_length, "
+            "What is to be estimated from one frame, all together: gaze_x, gaze_y, object_distance, focal_length, "
             "distance, power where left out; place_x and place_y, where on the probe's sensor the RR lies, besides.",
             "--target-parameters",
         ),
     ] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Plan a bench: its geometry, link budget, sampling, limits of what a frame can tell, and eye safety.
+    """Plan a bench: its geometry, link budget, sampling, Cramér-Rao limits of one frame, and eye safety.
 
-    Nothing is written. The limits are Cramér-Rao's: no unbiased estimate from one frame spreads less.
+    Nothing is written. No unbiased estimate from one frame has a smaller standard deviation than the limits.
 
     JSON, in SI units: "scene"; "geometry"; "link_budget", a list, one entry a wavelength; "sampling" with "plan",
     "expected_error", "memory_bytes", "propagation" and "reason"; "limit" with "parameters", "units", "bounds" (all

@@ -35,7 +35,7 @@ def record(
         str | None, option("SOURCE", "The target's camera:1, video file or folder of images.", "--target-source")
     ] = None,
     seconds: Annotated[
-        float | None, option("S", "Length; a scene's is 60, real sources run to their end or Ctrl-C.", min=0.1)
+        float | None, option("S", "Length; 60 for a scene, real sources run to their end or Ctrl-C.", min=0.1)
     ] = None,
     rate: Annotated[
         float | None, option("HZ", "Frames a second: of a scene or of images (15), or asked of cameras.", min=0.1)

@@ -65,10 +65,14 @@ def serve(
     ] = None,
     outputs: Annotated[
         list[str] | None,
-        option("TEXT", "Tell a receiver: osc://…, mqtt://…, https://…, lsl:NAME, FILE.parquet; several times.", "--to"),
+        option(
+            "TEXT",
+            "Send events and states to a receiver: osc://…, mqtt://…, https://…, lsl:NAME, FILE.parquet; repeatable.",
+            "--to",
+        ),
     ] = None,
     rules: Annotated[
-        Path | None, option("FILE", "Rules of a guard, YAML: when an alert is raised, and who is told.")
+        Path | None, option("FILE", "Rules of a guard, YAML: when an alert is raised, and who gets it.")
     ] = None,
     every: Annotated[
         bool, typer.Option("--every-frame", help="Leave none of a stored source's frames out; else real time.")
@@ -123,7 +127,7 @@ def serve(
         from tapetum.live.doors import Doors
         from tapetum.live.playground.router import make_play_app
 
-        _run(Doors(make_play_app(), _hosts(address, names), token), bound, token, "the bench to play with", browse)
+        _run(Doors(make_play_app(), _hosts(address, names), token), bound, token, "the playground", browse)
         return
     # Two watches would give the events of one log the same numbers. Without its folder the log itself is refused.
     with sole_writer(log) if log is not None and log.parent.is_dir() else contextlib.nullcontext():

@@ -35,7 +35,9 @@ def twin(
     starts: Annotated[int, option("N", "Places at which searches begin, at most.", min=1, max=50)] = 4,
     accuracy: Annotated[
         float | None,
-        option("SHARE", "Of the simulation, in fractions of the peak, for the scene's.", min=1e-5, max=0.5),
+        option(
+            "SHARE", "Accuracy of the simulation, in fractions of the peak; by default the scene's.", min=1e-5, max=0.5
+        ),
     ] = None,
     roll: Annotated[bool, typer.Option("--roll", help="The camera turns about its axis, as in a hand.")] = False,
     unevenness: Annotated[float, option("SHARE", "RMS of the pixels' relative sensitivities.", min=0, max=0.9)] = 0.0,
@@ -46,9 +48,9 @@ def twin(
 ) -> None:
     """Fit a scene to a labelled recording of one real camera: focus, aperture, tilt, light and more.
 
-    Writes the twin, a scene for every other command; a page with pictures; and NAME.json with the numbers. What the
-    recording does not tell keeps the scene's value and is named. After Ctrl-C the same command goes on from NAME.part.
-    The exit code is 1 where the scene cannot explain the recording.
+    Writes the twin, a scene for every other command; a page with pictures; and NAME.json with the numbers. A parameter
+    that the recording does not determine keeps the scene's value and is named. After Ctrl-C the same command goes on
+    from NAME.part. The exit code is 1 where the scene cannot explain the recording.
     """
     if out.suffix.lower() not in (".yaml", ".yml"):
         raise InputError("is no name for a scene", where=out, remedy="name it NAME.yaml")
@@ -86,7 +88,7 @@ def twin(
         typer.echo(json.dumps({**found.as_dict(), **files}, allow_nan=False))
     else:
         for one in found.parameters:
-            known_to = f"± {shown(one, one.deviation)}" if one.told else "not told by this recording"
+            known_to = f"± {shown(one, one.deviation)}" if one.told else "not determined by this recording"
             typer.echo(f"  {one.name:<24} {shown(one, one.value):>18}  {known_to}")
         typer.echo(f"{out}, {numbers}, {page}: {verdict(found)}")
     if not found.explains:

@@ -1,6 +1,6 @@
-"""Labels under chance: they are moved to other frames, where they are as smooth in time as before.
+"""Chance level of a score: labels moved to other frames in such a way that they stay as smooth in time.
 
-Shifts and permutations are [rounds, N]: the number of the frame whose label stands for frame n's in a round.
+Shifts and permutations are [rounds, N]: the number of the frame whose label frame n gets in a round.
 """
 
 from __future__ import annotations

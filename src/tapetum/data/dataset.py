@@ -63,7 +63,7 @@ DEVICE = "device"
 """The only label that is a class: integers, named by the variable's attribute ``classes``."""
 
 UNIT = "unit"
-"""Variable that tells the copies of a camera apart, where they are known: integers, named as those of `DEVICE`."""
+"""Variable that numbers the copies of a camera, where they are known: integers, named as those of `DEVICE`."""
 
 _NEEDED = ("image", "split", "recording")
 _AGAIN = "build the dataset again"
@@ -367,7 +367,7 @@ class DatasetAccessor:
 
     @property
     def units(self) -> tuple[str, ...]:
-        """Names of the units that occur, copies of cameras; empty where the set does not tell them apart."""
+        """Names of the units (copies of cameras) that occur; empty where the set does not distinguish them."""
         if UNIT not in self._dataset:
             return ()
         names = self._dataset[UNIT].attrs["classes"]

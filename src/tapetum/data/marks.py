@@ -1,4 +1,4 @@
-"""Marks of the films that a dataset's frames are from: whether they show what a model was trained on."""
+"""Marks of the films that a dataset's frames are from, by which a model recognises the camera it was trained on."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Division of a dataset by units: copies of a camera that are tested on are in no training."""
+"""Split of a dataset by units: copies of a camera that serve the test are not in the training part."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def held_out_units(dataset: xr.Dataset, share: float = HELD_OUT) -> NDArray[np.i
     where = dataset.tp.source
     if UNIT not in dataset:
         remedy = "film units with `tapetum dataset synth KIND --units N`, or leave --split out"
-        raise InputError("tells no units apart", where=where, remedy=remedy)
+        raise InputError("does not distinguish copies of its camera", where=where, remedy=remedy)
     unit = np.asarray(dataset[UNIT].values)
     camera = np.asarray(dataset[DEVICE].values) if DEVICE in dataset else np.zeros(len(unit), np.int64)
     found = []

@@ -82,8 +82,8 @@ class Rules:
 class DatasetWriter:
     """Appends crops and their values to a store in whole chunks. Made by `dataset_writer`.
 
-    `told` becomes the store's attribute ``recordings``: the fate of each recording's frames. `attributes` are further
-    JSON attributes of the store; `units` are the names of the numbers in the column `unit`, if it is added.
+    `told` becomes the store's attribute ``recordings``: what became of each recording's frames. `attributes` are
+    further JSON attributes of the store; `units` are the names of the numbers in the column `unit`, if it is added.
     """
 
     def __init__(
@@ -249,7 +249,7 @@ def _add_array(
         attributes=about,
         # Blosc does not detect a flipped bit, the checksum does.
         compressors=[BloscCodec(cname="zstd", clevel=3, shuffle=shuffle), Crc32cCodec()],
-        # Chunks of zeros are written too, to tell them from missing ones.
+        # Chunks of zeros are written too, to distinguish them from missing ones.
         config={"write_empty_chunks": True},
     )
     if values.size:
@@ -270,4 +270,4 @@ _COLUMNS: dict[str, tuple[type, dict[str, str]]] = {
 }
 _UNIT = {"long_name": "copy of the camera"}
 # Of synthesised sets only.
-_TRUE = (np.float32, {"units": QUANTITIES["gaze_x"], "long_name": "where it really looked, which no label tells"})
+_TRUE = (np.float32, {"units": QUANTITIES["gaze_x"], "long_name": "where it really looked, which no label shows"})

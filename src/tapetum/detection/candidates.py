@@ -1,10 +1,10 @@
 """Small bright places of a frame or of a difference of frames, at every size that a retro-reflection can have.
 
-A screen first, in the frame's own type: at every octave a difference of box means; for the smallest spots the highest
-of each four pixels takes the octave's place, so that nothing is filtered at full size. The highest answer of each block
-of pixels is compared with those of the blocks around it and, in a difference, with what an error of the registration
-would make of the dark frame's own edges there. It is cheap, and only the highest places are cut out of the frames. On
-these patches a difference of Gaussians answers a spot of its own size and neither slopes nor wide steps.
+First comes a fast screen in the frame's own type: a difference of box means at every octave. The smallest spots are
+screened on the highest of each four pixels, so that nothing is filtered at full size. The highest response of each
+block of pixels is compared with those of the blocks around it and, in a difference, with the response that an error of
+the registration would cause at the dark frame's own edges there. Only the highest places are cut out of the frames as
+patches. On these a difference of Gaussians responds to a spot of its own size, and neither to slopes nor to wide steps.
 
 Over 400 lines, as the screen and the patches share the octaves' geometry.
 """
@@ -49,12 +49,12 @@ HALF = 20
 _RATIO = 1.6
 # Beyond the patches, so that filters need not guess what lies there; half the side of the wide Gaussian's kernel.
 _MARGIN = 8
-# How far from a place the answers to the lit and to the dark frame are looked at.
+# How far from a place the responses to the lit and to the dark frame are used.
 LIT_REACH, DARK_REACH = 12, 4
 _QUANTUM = 0.3
 # What a registration leaves of an edge, as a share of its height: as much as it left of those around, twice over for
-# what is worst, and within these bounds. Where all is well registered a camera beside a window is seen; where people
-# walk an edge is expected to leave a quarter of itself.
+# what is worst, and within these bounds. Where the registration is good, a camera beside a window is found; where
+# people walk, an edge is expected to leave a quarter of its height.
 _LEFT_OF_EDGES = (0.04, 0.25)
 _WORST_OF_EDGES = 2.0
 _FLAT = 1.0
@@ -62,11 +62,11 @@ _FLAT = 1.0
 _NEAR_EDGES = 9
 _BLOCK = 8
 _ALONE = 3.0
-# Blocks around one with whose answers its own is compared: 7 x 7 of them, 56 pixels.
+# Blocks around one with whose responses its own is compared: 7 x 7 of them, 56 pixels.
 _AROUND = 7
-# The highest of 64 answers to white noise stands 2.3 standard deviations high, of 16 highest of four 1.9.
+# The highest of 64 responses to white noise is 2.3 standard deviations high, of 16 highest of four each 1.9.
 _HIGHEST_OF_NOISE = {1: 2.3, 2: 1.9}
-# The difference of box means that screens answers a glint by about so much of what a difference of Gaussians does.
+# Response of the screen's difference of box means to a glint, over that of a difference of Gaussians.
 _SCREENED = 2
 # The last octave of bytes: in the means of 64 pixels and more, rounding would be most of the noise.
 _WHOLE = 4
@@ -116,10 +116,10 @@ class Layer:
 
 @dataclass(frozen=True)
 class Place:
-    """Places of an octave, [N] each: whole pixels of it, and the height over what the screen answers around.
+    """Places of an octave, [N] each: whole pixels of it, and the height over the screen's response around.
 
-    `height` counts what the registration may leave of edges at worst, `clear` what it left of those around; `level` is
-    the answer itself, in grey levels.
+    `height` allows for the worst that the registration may leave of edges, `clear` for what it left of those around;
+    `level` is the response itself, in grey levels.
     """
 
     x: Whole
@@ -155,16 +155,16 @@ class Cut:
         [N] height over the spread of its surroundings and what a registration may leave of edges, at worst and, as
         `clear`, by what it left of edges around.
     spread
-        [N] standard deviation of what the difference of Gaussians answers around, in levels.
+        [N] standard deviation of the response of the difference of Gaussians around, in levels.
     size
         [N] which of `SIGMAS`, in rising order.
     number
-        [N] of the places that were cut out, in the order in which they came, which one each is.
+        [N] which of the places that were cut out, in their order, each one is.
     difference, lit, dark
         [N, 2 HALF + 1, 2 HALF + 1] what is searched, the lit frame, and the dark frame where there is one.
     answer, lit_answer, dark_answer
-        What the difference of Gaussians of each candidate's size makes of them, to HALF, `LIT_REACH` and `DARK_REACH`
-        pixels from the place.
+        Responses of the difference of Gaussians of each candidate's size to them, up to HALF, `LIT_REACH` and
+        `DARK_REACH` pixels from the place.
     """
 
     step: Whole
@@ -259,10 +259,11 @@ def layers(lit: NDArray, registered: Registered | None, largest: float) -> list[
 
 
 def screened(layer: Layer, most: int) -> tuple[Place, Place]:
-    """Screen an octave for about so many places as are wanted; the highest are kept. And, in a pair, for rivals.
+    """Screen an octave for about as many places as are wanted, and in a pair for rivals; the highest are kept.
 
-    Rivals are places that only the dark frame shows bright, found in the same way: no camera makes them. What moved and
-    what the registration left of edges shows as often so as the other way round. A few are kept.
+    Rivals are places that are bright in the dark frame alone, found in the same way. No camera makes them; things that
+    moved, and edges that the registration left, are as often brighter in the dark frame as in the lit one. A few are
+    kept.
     """
     image = layer.bright
     if layer.base is not None:
@@ -277,7 +278,7 @@ def screened(layer: Layer, most: int) -> tuple[Place, Place]:
 
 
 def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int) -> Place:
-    """The highest places of what an octave's screen answers; `other` is the frame that should not show them."""
+    """The highest places of an octave's screen; `other` is the frame that should not show them."""
     block = _BLOCK // layer.cell
     peaks = _block_maxima(answer, block)
     highest = peaks.astype(np.float32)
@@ -308,7 +309,8 @@ def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int) ->
 
 
 def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:
-    """Cut the patches about places of octaves, and find which size answers each place best; None where there is none.
+    """Cut the patches about places of octaves, and find the size with the largest response at each; None where there is
+    none.
 
     Of an octave that was screened at half size the places move to the highest pixel near.
     """
@@ -441,7 +443,7 @@ def _above(one: NDArray, other: NDArray, into: NDArray | None = None) -> NDArray
 def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> tuple[Array, Array]:
     """The dark frame's highest edges within two pixels of places, and which share of them may be left, [N].
 
-    `answer` is what the screen answers to the difference; what it leaves of edges around a place is looked up there.
+    `answer` is the screen's response to the difference, which shows what is left of edges around a place.
     """
     near = patches(dark, x, y, _NEAR_EDGES + 3)
     shape = near.shape
@@ -455,10 +457,10 @@ def _edges(answer: NDArray, dark: NDArray, x: Whole, y: Whole, sharp: bool) -> t
 
 
 def _share_left(left: NDArray[Any], edges: NDArray[Any], inner: float | NDArray[Any]) -> Array:
-    """Which share of edges [N, side, side] may be left at the middle of patches, by what is left around it, [N].
+    """The share of edges [N, side, side] that may be left at the middle of patches, from what is left around it, [N].
 
-    Pixels nearer to the middle than `inner` are not asked: a camera may lie there. A few pixels that stand far out,
-    another camera, count little.
+    Pixels nearer to the middle than `inner` are left out: a camera may lie there. A few outlying pixels, as of another
+    camera, count little.
     """
     around = _around(edges.shape[1] // 2, tuple(np.unique(inner).tolist()))
     which = 0 if np.ndim(inner) == 0 else np.searchsorted(np.unique(inner), inner)

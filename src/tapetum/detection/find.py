@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from tapetum.detection.candidates import HALF, SIGMAS, Cut, Layer, Place, cut_out, layers, patches, screened
+from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR, beside_rivals, looks
 from tapetum.detection.found import Found
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR, beside_rivals, looks
 from tapetum.detection.registration import MATCHED, Registered, local_mean, register
 from tapetum.detection.score import Score, load_score
 from tapetum.detection.second import load_second, views
@@ -37,8 +37,7 @@ _SATURATED = OF_A_FRAME.index("saturated")
 _ELONGATION = OF_A_FRAME.index("elongation")
 _FULL = 255.0
 _MOST_OF_A_PAIR, _MOST_ALONE = 100, 200
-# How many of the first candidates the second stage looks at, and the largest log odds that are believed of it: what it
-# does not see is as little of a camera as it can say.
+# How many of the first candidates the second stage judges, and the limit of its log odds; others get the lowest.
 _LOOKED_AGAIN, _SUREST = 40, 9.0
 # Of an octave's places that only the dark frame shows bright, how many candidates are compared with.
 _RIVALS = 24
@@ -78,10 +77,10 @@ def find_cameras(
     largest
         Largest diameter of a spot in pixels.
     most
-        Most candidates that are looked at closely; default: 100, of one frame alone at more than one false alarm 200.
+        Most candidates that are searched closely; default: 100, of one frame alone at more than one false alarm 200.
     channel
-        Of a colour frame: mean, red, green or blue. The mean holds the glint of a white flash and, in all three,
-        of a near-infrared lamp; for a red laser "red" has less of the room's own light in it.
+        Of a colour frame: mean, red, green or blue. The mean shows the glint of a white flash, and that of a
+        near-infrared lamp, which is in all three; for a red laser "red" has less of the room's own light in it.
     swaps
         Whether to look, where nothing is likely in a pair, if the two are swapped. It takes half the time again.
 
@@ -152,7 +151,7 @@ def find_cameras(
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidates of a frame: columns of `NAMES` [N], looks [N, features], and which rows of a cut show them, [N]."""
+    """Candidates of a frame: columns of `NAMES` [N], features `looks` [N, features], and their rows in a cut, [N]."""
 
     NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak", "clear")
     columns: dict[str, Array]
@@ -162,7 +161,7 @@ class Candidates:
 
     @classmethod
     def none(cls, width: int) -> Candidates:
-        """No candidates, of so many looks."""
+        """No candidates, with so many features."""
         return cls({name: np.empty(0) for name in cls.NAMES}, np.empty((0, width)), None, np.empty(0, np.int64))
 
 
@@ -188,7 +187,7 @@ def candidates_with_looks(
 
 
 def scored(candidates: Candidates, score: Score, again: int = _LOOKED_AGAIN) -> Array:
-    """Log odds of candidates, [N]: of all by their looks and, in a pair, by the second stage of those put first."""
+    """Log odds of candidates, [N]: by their features, and in a pair by the second stage for the highest ones."""
     odds = score.log_odds(candidates.looks)
     return score.joined(odds, second_look(candidates, odds, again)) if score.second else odds
 
@@ -205,7 +204,8 @@ def clutter_by(odds: Array) -> float:
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
-    """What the second stage says of a pair's candidates, [N]: of so many with the highest odds, of others the least."""
+    """Log odds by the second stage of a pair's candidates, [N]: of those with the highest odds; others get the
+    lowest."""
     again = np.full(len(odds), -_SUREST)
     if candidates.cut is not None:
         best = np.sort(np.argsort(-odds, kind="stable")[:most])

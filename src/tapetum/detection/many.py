@@ -1,7 +1,7 @@
 """Many frames, several at once: by threads, or by processes that see frames in shared memory.
 
-Half of what a search costs is Python's own work, which threads of one interpreter take in turns; processes do not. On
-a machine busy with other work processes were slower all the same; on an idle one they were not measured yet.
+Half of a search is Python code, which only one thread of an interpreter runs at a time; processes run it at once. On a
+machine busy with other work processes were slower all the same; on an idle one they have not been measured.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The dark frame, brought onto the lit one: where each pixel went, and what its brightness became.
+"""Registration of the dark frame to the lit one: displacement and brightness change of each pixel.
 
 A probe in the hand moves between two exposures: everything shifts by tens of pixels, near things more than far ones,
 and people walk. A common shift comes first (phase correlation), then a dense optical flow (DIS: Kroeger et al., ECCV
@@ -110,7 +110,7 @@ class Registered:
     def patches(self, image: NDArray, x: NDArray[np.int64], y: NDArray[np.int64], half: int) -> Array:
         """Squares of what `moved` makes of an image about places of the lit one, [N, 2·half + 1, 2·half + 1].
 
-        The image's edges go on outside.
+        Outside, the image's edges are continued.
         """
         (height, width), (rows, columns) = image.shape, self.grid.shape[:2]
         # The flow is smooth: every few pixels it is looked up, and straight lines are drawn between.
@@ -254,7 +254,7 @@ def _refined(flow: Array, lit: Array, moved: Array) -> Array:
 
 
 def _roughness(flow: Array) -> float:
-    """What a tenth of the flow's gradients along x exceeds, in pixels a pixel."""
+    """90th percentile of the flow's gradient along x, in pixels a pixel."""
     slopes = [cv2.Sobel(np.ascontiguousarray(flow[..., n]), cv2.CV_32F, 1, 0, scale=1 / 8) for n in (0, 1)]
     return float(np.quantile(np.hypot(*(slope[::2, ::2] for slope in slopes)), 0.9))
 
@@ -322,7 +322,7 @@ def _details(image: Array) -> Array:
 
 
 def _blank(image: Array) -> bool:
-    """Whether a frame shows nothing but noise, as a bare wall or a dark room: it is taken away as it is."""
+    """Whether a frame shows nothing but noise, as a bare wall or a dark room: it is subtracted without registration."""
     band = np.median(np.abs(_blurred(image, 2) - _far_blurred(image, 8)))
     return bool(band <= _BLANK * np.median(np.abs(image - _blurred(image, 1))))
 

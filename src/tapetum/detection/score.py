@@ -1,13 +1,13 @@
-"""How likely a candidate is a camera: a weighted sum of its looks, and how many false alarms a score costs.
+"""How likely a candidate is a camera: a weighted sum of its features, and how many false alarms a score costs.
 
 The weights for a pair are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of
 real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what
-cross-validation by scene found. To their sum comes a share of the second stage's log odds (second.py); beyond a limit
-the looks say no more, for the real frames hold little that moves, of which the second stage learned. Probabilities are
-scaled so that they hold on those frames, each scene left out once. For one frame alone six scenes are too few
-to fit weights: three looks count the same, and only the scale of their sum is fitted; a second stage that was trained
-for it found fewer of the real cameras and is left out. What a score costs in false alarms was counted on the same
-frames and on drawn scenes without cameras.
+cross-validation by scene found. A share of the second stage's log odds (second.py) is added to their sum, which is
+limited first: the real frames show little that moves, which the second stage was trained on. Probabilities are
+calibrated on those frames, each scene left out once. For one frame alone six scenes are too few to fit weights: three
+features have the same weight, and only the scale of their sum is fitted; a second stage that was trained for it found
+fewer of the real cameras and is left out. What a score costs in false alarms was counted on the same frames and on
+drawn scenes without cameras.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from importlib import resources
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from tapetum.detection.looks import OF_A_FRAME, OF_A_PAIR
+from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
 
 __all__ = ["Score", "load_score"]
 
@@ -35,16 +35,16 @@ class Score:
     Parameters
     ----------
     weights
-        Of each look, in the order of `looks`.
+        Of each feature, in the order of `looks`.
     offset
-        Log odds of a candidate whose looks are all zero.
+        Log odds of a candidate whose features are all zero.
     alarms
         Log odds, rising, and how many false alarms a frame of the usual clutter has above each. The logarithm of these
         is joined by straight lines, which go on beyond both ends.
     second
         How much the second stage's log odds count; 0 where there is none.
     most
-        Most log odds that the looks alone may give where there is a second stage.
+        Largest log odds that the features alone may give where there is a second stage.
     clutter
         The usual clutter, and by how much the logarithm of the false alarms at each of those log odds rises with it.
     calibration
@@ -60,15 +60,15 @@ class Score:
     calibration: tuple[float, float] = (1.0, 0.0)
 
     def log_odds(self, looks: Array) -> Array:
-        """Log odds of candidates whose looks are [N, features], without the second stage: [N]."""
+        """Log odds of candidates from their features (`looks`, [N, features]), without the second stage: [N]."""
         return looks @ np.array(self.weights) + self.offset
 
     def joined(self, log_odds: Array, second: Array) -> Array:
-        """Log odds by the looks and by the second stage together, [N]."""
+        """Log odds from the features and the second stage together, [N]."""
         return np.minimum(log_odds, self.most) + self.second * second
 
     def probability(self, log_odds: ArrayLike, clutter: float | None = None) -> Array:
-        """Probability of being a camera, [N], among candidates as often cameras as in the frames of the fit.
+        """Probability of being a camera, [N], where the share of cameras among candidates is as in the fit.
 
         In a pair of other than the usual clutter the odds fall as the false alarms rise.
         """

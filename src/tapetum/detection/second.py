@@ -1,8 +1,9 @@
-"""The second stage: a small network looks again at the few candidates that a weighted sum of looks puts first.
+"""The second stage: a small network judges the few candidates with the largest weighted sum of features.
 
-It is for pairs only. It sees each candidate in the pixels of its octave, near and far: the difference and the dark
-frame in units of the candidate's own height, the difference in units of the noise around; and the looks. It was trained
-on drawn scenes only (scripts/train_second.py). Products of numpy matrices do for a few dozen candidates.
+It is for pairs only. Its input is each candidate at the scale of its octave, in a near and a far view: the difference
+and the dark frame in units of the candidate's own height, the difference in units of the noise around; and the
+features. It was trained on drawn scenes only (scripts/train_second.py). For a few dozen candidates, products of NumPy
+matrices are fast enough.
 """
 
 from __future__ import annotations
@@ -23,29 +24,29 @@ __all__ = ["STRIDES", "Second", "load_second", "views"]
 Array = NDArray[np.float32]
 
 STRIDES = (2, 1, 2)
-"""Every how many pixels the convolutions of a view look, in order."""
+"""Strides of a view's convolutions, in pixels, in order."""
 _NEAR = 10
-# How many standard deviations of the scenes that it learned from a look may lie off their mean.
+# Features are limited to so many standard deviations of the training scenes about their mean.
 _FARTHEST = 3.0
-# What of the noise is drawn in to a half.
+# Multiple of the noise that is compressed to a half.
 _NOISY = 6.0
 
 
 @dataclass(frozen=True)
 class Second:
-    """A network of three convolutions of every view, and a hidden layer that joins them with the looks.
+    """A network of three convolutions of every view, and a hidden layer that joins them with the features.
 
     Parameters
     ----------
     weights
         By name: `near.1` to `near.3`, `far.1` to `far.3` [side, side, in, out] and `hidden`, `out` [in, out], each with
-        its `.bias` [out]; `mean` and `spread` [features] of the looks.
+        its `.bias` [out]; `mean` and `spread` [features] of the features.
     """
 
     weights: dict[str, Array]
 
     def log_odds(self, near: Array, far: Array, looks: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Log odds of being a camera, [N], of views [N, side, side, channels] and looks [N, features]."""
+        """Log odds of being a camera, [N], from views [N, side, side, channels] and `looks` [N, features]."""
         own = np.clip((looks - self.weights["mean"]) / self.weights["spread"], -_FARTHEST, _FARTHEST)
         seen = [own.astype(np.float32)]
         for name, view in (("near", near), ("far", far)):
@@ -73,10 +74,10 @@ def load_second() -> Second:
 
 
 def views(cut: Cut, rows: NDArray[np.int64]) -> tuple[Array, Array]:
-    """What the network sees of a pair's candidates: [N, 21, 21, 3] near, and [N, 20, 20, 3] at half the scale.
+    """The network's input for a pair's candidates: [N, 21, 21, 3] near, and [N, 20, 20, 3] at half the scale.
 
-    Channels are the difference and the dark frame, each about its surroundings' median, over the height that the
-    difference of Gaussians answers; and the difference over the noise; drawn in to lie between -1 and 1.
+    Channels are the difference and the dark frame, each about its surroundings' median, over the response of the
+    difference of Gaussians; and the difference over the noise; compressed to lie between -1 and 1.
     """
     assert cut.dark is not None
     height = np.maximum(cut.answer[rows, HALF, HALF], 0.5)[:, None, None]

@@ -33,8 +33,8 @@ def film_copies(
 ) -> xr.Dataset:
     """Film copies of a scene's camera at gazes that are spread over its field, and return them as one dataset.
 
-    The gaze of every frame is drawn anew, alike over the field, with the sway and tremor of a hand; so few frames of a
-    copy say more than seconds of film. Labels are the truth.
+    The gaze of every frame is drawn independently, evenly over the field, with the sway and tremor of a hand; so few
+    frames of a copy say more than seconds of film. Labels are the truth.
 
     Parameters
     ----------

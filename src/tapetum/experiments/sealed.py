@@ -117,7 +117,7 @@ def score_sealed(
     """
     for name, model in models.items():
         if not {"gaze_x", "gaze_y"} <= set(model.quantities):
-            raise InputError("does not tell the gaze", where=name, remedy="the sealed test has no other labels")
+            raise InputError("does not show the gaze", where=name, remedy="the sealed test has no other labels")
     plan = sealed_plan(size) if plan is None else plan
     folder.mkdir(parents=True, exist_ok=True)
     place = folder / f"sealed-{plan.digest[:12]}.zarr"

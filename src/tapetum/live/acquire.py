@@ -1,6 +1,6 @@
-"""Reading of a source for a watch: in a thread of its own that never waits for what follows, and that goes on.
+"""Reading of a source for a watch, in a thread of its own that never waits for the steps after it.
 
-Frames get the watch's clock. A camera that went is opened again until it returns; both are told.
+Frames get times on the watch's clock. A camera that was lost is opened again until it returns; both are reported.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ class Acquisition:
     Parameters
     ----------
     opens
-        Opens the source; called again when a camera went.
+        Opens the source; called again when a camera was lost.
     mode
-        "newest": of the frames that wait, only the newest lit and the newest dark one are kept, as a dark one is
-        compared with a lit one; stored frames come at their own pace. "all": none is dropped while stored frames are
-        read, which wait; of a camera's, a few wait and the rest are lost.
+        "newest": of the frames that wait, only the newest lit and the newest dark one are kept (a lit frame is compared
+        with a dark one); stored frames come at the rate they were recorded. "all": no stored frame is dropped, reading
+        waits instead; of a camera's frames a few wait and the rest are lost.
     told
         Called with "lost", "returned" or "ended", and a reason, from the thread that reads.
     repeat
@@ -47,9 +47,10 @@ class Acquisition:
     Attributes
     ----------
     arrived, lost, refused
-        Frames read; frames lost by the source or for want of time; frames whose time was not after the one before's.
+        Frames read; frames lost by the source or because there was no time for them; frames whose time was not after
+        that of the frame before.
     taps
-        Who is handed every frame that is not refused, from the thread that reads: none of these may wait.
+        Functions that get every frame that is not refused, called from the thread that reads: none of them may wait.
     marks
         Of what the source shows (`tapetum.record.marks`), once it is open.
     connected, ended
@@ -81,7 +82,7 @@ class Acquisition:
         self._thread.start()
 
     def close(self) -> None:
-        """End; a read under way is waited for a little."""
+        """End; wait a little for a read under way."""
         self._over.set()
         with self._change:
             self._change.notify_all()

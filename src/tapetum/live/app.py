@@ -35,7 +35,7 @@ _NUMBER = Annotated[int, Query(ge=0, le=2**62)]
 
 
 class Strict(BaseModel):
-    """What a request may hold: no more than it names, and nothing that is not finite."""
+    """Base of requests: no further fields, and no numbers that are not finite."""
 
     model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
@@ -188,12 +188,12 @@ def make_app(
 
     @app.websocket("/ws")
     async def push(socket: WebSocket, after: _NUMBER = 0, pictures: bool = True) -> None:
-        """Push states, pictures of frames and events; whoever reads slowly gets fewer states, and every event."""
+        """Push states, pictures of frames and events; a slow client gets fewer states, and every event."""
         await socket.accept()
         sender = asyncio.create_task(_push(socket, watch, after, pictures, pushed))
         with suppress(WebSocketDisconnect, RuntimeError):
             while True:
-                # What a client says means nothing, but its going does.
+                # Messages of a client are ignored; only its disconnection matters.
                 await socket.receive_text()
         sender.cancel()
         with suppress(asyncio.CancelledError, WebSocketDisconnect, RuntimeError, OSError):

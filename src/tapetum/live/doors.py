@@ -1,7 +1,7 @@
-"""What a watch's server lets in: an ASGI layer in front of the application that every request and socket passes.
+"""Access checks of a watch's server: an ASGI layer in front of the application that every request and socket passes.
 
-Names that a browser was fooled into (DNS rebinding) fall to the check of Host, pages of other sites to that of Origin,
-strangers to the token, floods to the limits.
+The check of Host stops DNS rebinding, the check of Origin stops pages of other sites, the token stops strangers, and
+the limits stop floods of requests.
 """
 
 from __future__ import annotations
@@ -172,7 +172,7 @@ class Doors:
             message = await receive()
             held += len(message.get("body", b""))
             if held > limit:
-                # A body without a length that does not end: the application is told that the client went.
+                # A body without a length that does not end: the application hears that the client disconnected.
                 over = True
                 return {"type": "http.disconnect"}
             return message
@@ -180,7 +180,7 @@ class Doors:
         async def guarded(message: MutableMapping[str, Any]) -> None:
             nonlocal begun
             if over and not begun:
-                # The application's answer to a client that went.
+                # The application's answer to a client that has disconnected.
                 return
             if message["type"] == "http.response.start":
                 begun = True

@@ -1,7 +1,8 @@
-"""From tracks to events: what begins, changes and ends with each camera, told once and only when it holds.
+"""From tracks to events: what begins, changes and ends with each camera, reported once, and only when it lasts.
 
-As Frigate tells them: `new`, `update` and `end` share an id and carry the camera before and after. A camera is told of
-when it has been seen for a while; a change when it has held for a while, and no sooner than a while after the last.
+The form is Frigate's: `new`, `update` and `end` share an id and carry the camera before and after. A camera is reported
+once it was seen for some time (`confirm`); a change once it has lasted (`hold`), and not within `cooldown` of the last
+change.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ KINDS = (
     *("seen", "gone", "imaging", "not imaging", "looks", "looks away", "device", "shutter opened", "alert"),
     *("source lost", "source returned", "source ended"),
 )
-"""What events tell."""
+"""Kinds of events."""
 _NONE_OF_THESE = "none of these"
 _LOOKS = 120  # that are kept of a camera: a minute
 _LOOK_NOW, _LOOK_LATER = 0.1, 0.5  # s between two looks while they decide, and else
@@ -86,9 +87,9 @@ class Region:
 
 
 class _Held(Generic[T]):
-    """A value that changes only when a new one has held for some seconds, and some seconds after the last change.
+    """A value that changes only when a new one has lasted for some seconds, and some seconds after the last change.
 
-    A new value holds while it is said in most frames: one estimate in `_WRONG` may be far off without ending that.
+    A new value lasts while most frames give it: one estimate in `_WRONG` may be far off without ending that.
     """
 
     def __init__(self, value: T, hold: float, cooldown: float) -> None:
@@ -103,7 +104,7 @@ class _Held(Generic[T]):
             self._for += 1
         else:
             self._against += 1
-            # What was told of before needs no share: whatever differs may be the beginning of a change.
+            # A reported value needs no share of frames: any other value may be the beginning of a change.
             if self._other == self.value or self._against * _WRONG > self._for + self._against:
                 self._other, self._since, self._for, self._against = value, time, 1, 0
         if value != self._other or value == self.value:
@@ -138,13 +139,13 @@ class Events:
     Parameters
     ----------
     regions
-        Parts of the cameras' fields that are told of.
+        Parts of the cameras' fields that events report on.
     confirm, hold, cooldown, gone
-        Seconds for which a camera must have been followed, and seen in most of its frames, before it is told of; for
-        which a change must have held, one frame in four aside; between two changes of a kind; and unseen before it is
-        gone.
+        Seconds for which a camera must have been followed, and seen in most of its frames, before it is reported; for
+        which a change must last, where one frame in four may differ; between two changes of a kind; and unseen before
+        it is gone.
     ignored
-        Cameras that are ours: nothing is told of them, and nothing begins with them.
+        Cameras that are ours: nothing about them is reported, and no event begins with them.
     """
 
     def __init__(
@@ -166,7 +167,7 @@ class Events:
 
     @property
     def cameras(self) -> tuple[CameraState, ...]:
-        """The cameras that were told of."""
+        """The cameras that were reported."""
         return tuple(stay.camera for stay in self._stays.values() if stay.told)
 
     def wants_look(self, row: TrackRow, offset: int = 0) -> bool:
@@ -178,7 +179,7 @@ class Events:
         return not stay.looks or row.time - stay.looks[-1][0] >= (_LOOK_NOW if decides else _LOOK_LATER)
 
     def looks_of(self, camera: str) -> tuple[tuple[float, ...], ...]:
-        """Return the looks of the last minute of a camera that was told of; empty where there are none."""
+        """Return the looks of the last minute of a camera that was reported; empty where there are none."""
         # Copies, for another thread asks.
         stay = next((one for one in list(self._stays.values()) if one.camera.id == camera and one.told), None)
         return () if stay is None else tuple(look for _, look in stay.looks.copy())
@@ -220,7 +221,7 @@ class Events:
         stay = self._stays.get(number)
         camera = _camera(row, number, utc_ns, None if stay is None else stay.camera, dark)
         if any(one.holds(camera) for one in self.ignored):
-            # Neither told nor the beginning of a cooldown; one that was told of ends.
+            # Not reported, and no cooldown begins; a stay that was reported ends.
             return [] if stay is None else self._end(number, utc_ns)
         if stay is None:
             if row.seen:
@@ -270,12 +271,12 @@ class Events:
         return True
 
     def _silenced(self, stay: _Stay, utc_ns: int) -> list[Event]:
-        """End what was told of a camera that is taken for ours from now on; it is followed in silence."""
+        """End the reported stay of a camera that is taken for ours from now on; it is followed without reports."""
         if not stay.told:
             return []
         stay.told = False
         ended = Event(stay.camera.id, "end", "gone", utc_ns, "", stay.camera, None)
-        # Should it be told of again, that is another stay.
+        # If it is reported again, that is another stay.
         stay.camera = replace(stay.camera, id=uuid.uuid4().hex)
         stay.published = stay.camera
         return [ended]
@@ -314,7 +315,7 @@ class Events:
 
 
 def _camera(row: TrackRow, number: int, utc_ns: int, before: CameraState | None, dark: bool) -> CameraState:
-    """The camera of a row; what this frame does not tell stays as it was."""
+    """The camera of a row; what this frame does not show stays as it was."""
     if before is None:
         before = CameraState(uuid.uuid4().hex, number, row.x, row.y, row.diameter or 0.0, row.seen, utc_ns, utc_ns)
     said: dict[str, Any] = {"x": row.x, "y": row.y, "seen": row.seen or (dark and before.seen), "active": row.active}

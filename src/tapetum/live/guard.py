@@ -26,7 +26,7 @@ class Alert:
     camera
         The camera.
     tell
-        Names of the outputs that are told; empty: all.
+        Names of the outputs that get the alert; empty: all.
     """
 
     utc_ns: int
@@ -67,7 +67,8 @@ class Guard:
     """Applies rules.
 
     An alert is raised once when a rule's conditions have held of a camera for its hold, and again only after they
-    ceased. What comes true in quiet hours or within the cooldown, and still holds at their end, is told then.
+    ceased. If they come true in quiet hours or within the cooldown, and still hold at their end, the alert is raised
+    then.
 
     Parameters
     ----------

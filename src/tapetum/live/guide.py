@@ -47,7 +47,7 @@ class Step:
     progress
         Of the present mark, 0 to 1.
     say
-        What to tell the person: "look", "hold still", "no camera", "no gaze", "next", "done".
+        What to say to the person: "look", "hold still", "no camera", "no gaze", "next", "done".
     """
 
     mark: tuple[float, float] | None

@@ -1,4 +1,4 @@
-"""Cameras that are ours, of which nothing is told."""
+"""Cameras that are ours, about which nothing is reported."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ class Ignored:
     device
         Every camera of this device is.
     looks, tolerance
-        Looks that were seen of it (see `tapetum.live.look`), and how far others may lie from them. One camera at a time
-        is taken for it.
+        Looks of it that were seen (see `tapetum.live.look`), and how far another look may lie from them. One camera at
+        a time is taken for it.
     """
 
     x: float = 0.0

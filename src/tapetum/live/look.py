@@ -1,8 +1,9 @@
-"""How a return looks, so that a camera of ours is known again at another place.
+"""The look of a return: numbers by which a camera of ours is recognised at another place.
 
-A look is a row of numbers that a turn about the line of sight leaves as they are: size, light, and how the light
-lies in rings and around. They change with where the camera looks, so one camera has many looks; it is known by those
-that were seen of it. Which cameras differ by them was measured on the virtual bench (`scripts/measure_looks.py`).
+A look consists of numbers that do not change when the camera turns about the line of sight: size, light, the light in
+each ring, and how uneven it is along the rings. They change with the camera's gaze, so one camera has many looks; it is
+recognised by those that were seen. Which cameras they distinguish was measured on the virtual bench
+(`scripts/measure_looks.py`).
 """
 
 from __future__ import annotations
@@ -21,9 +22,10 @@ __all__ = ["LEAST", "NAMES", "TOLERANCE", "distance", "look", "resembles"]
 Array = npt.NDArray[np.float64]
 
 LEAST = 20.0
-"""Diameter in pixels from which a return has a look: smaller ones all look alike."""
+"""Least diameter, in pixels, of a return with a look: smaller ones all look alike."""
 TOLERANCE = 0.5
-"""How far a look of ours may lie from those that were seen; rather too near: what is taken for ours is not told of."""
+"""How far a look of ours may lie from those that were seen. Rather too small, because a camera taken for ours is not
+reported."""
 _RINGS = 6
 NAMES = ("size", "light", "uneven", *(f"ring {k + 1}" for k in range(_RINGS)))
 """What the numbers of a look are."""

@@ -1,4 +1,4 @@
-"""The watch's loop: frames, cameras in them, what happens with these, and whoever is told of it."""
+"""The watch's loop: from frames to cameras, their events, and the listeners that get both."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _PAUSE = 0.2  # s after a frame that could not be searched
 
 
 class Listener(Protocol):
-    """Who is told of events and states, from the loop's thread: none of these may wait."""
+    """A receiver of events and states, called from the loop's thread: none of its functions may wait."""
 
     def event(self, event: Event) -> None:
         """Take an event."""
@@ -64,7 +64,7 @@ class Watch:
     Parameters
     ----------
     opens
-        Opens the source; called again when a camera went.
+        Opens the source; called again when a camera was lost.
     name
         Of the source, for messages and the page.
     detector
@@ -79,14 +79,14 @@ class Watch:
     regions
         Parts of the cameras' fields to report on.
     listeners
-        Who is told of events and states.
+        Receivers of events and states.
     guard
         Rules whose alerts are published as events of the kind "alert"; its regions are reported on too.
     activity
         Whether to say of each camera if it images (see `tapetum.track.activity`).
     budget
-        Seconds that models may take of a frame; cameras are estimated by turns where they are too many for it, and
-        none waits for another. None: all in every frame.
+        Seconds that models may take for each frame; where cameras are too many for that, they are estimated by turns.
+        None: all in every frame.
     timing
         Seconds `confirm`, `hold`, `cooldown` and `gone` of `Events`.
 
@@ -270,8 +270,8 @@ class Watch:
             yield frame
 
     def _publish(self, event: Event, tell: Collection[str] = ()) -> None:
-        """Log an event, and tell the listeners of these names of it, or all."""
-        # Written before it is told, so that who is told can read it.
+        """Log an event, and send it to the listeners with these names, or to all."""
+        # Written before it is sent, so that receivers can read it.
         try:
             self.log.add(event, self._evidence(event))
         except sqlite3.Error as error:
@@ -294,7 +294,7 @@ class Watch:
         return _jpeg(frame.image[top : top + side, left : left + side], frame.full_scale, _WIDTH)
 
     def _told_of_source(self, what: str, why: str) -> None:
-        """Publish that the source went or returned; from the thread that reads."""
+        """Publish that the source was lost or returned; from the thread that reads."""
         now = time.time_ns()
         self._publish(Event("source", "update", f"source {what}", now, why))
 

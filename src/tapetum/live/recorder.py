@@ -1,4 +1,4 @@
-"""Recording of what a watch reads, by a button on its page: a thread writes, and never holds up the watch."""
+"""Recording of what a watch reads, by a button on its page; the thread that writes never delays the watch."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ class Recorder:
         scale = int(first.full_scale or 255)
         info = StreamInfo(height, width, scale.bit_length(), scale)
         begun = checked = time.monotonic()
-        # The source's frames that were lost before are told with the next one.
+        # Frames that the source lost before are stated with the next one.
         dropped = 0
         with RecordingWriter(path, streams={"probe": info}, start_utc_ns=first.utc_ns or time.time_ns()) as writer:
             frame: Frame | None = first

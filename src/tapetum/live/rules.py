@@ -1,4 +1,4 @@
-"""Rules of a guard: what raises an alert, when, and who is told. A YAML file, checked before a watch begins."""
+"""Rules of a guard: what raises an alert, when, and who gets it. A YAML file, checked before a watch begins."""
 
 from __future__ import annotations
 
@@ -126,13 +126,13 @@ class Conditions:
         if self.device and self.not_device:
             raise ValueError("has device and not_device; leave one of them out")
         if self.shutter is not None and self.imaging is not None:
-            raise ValueError("has shutter and imaging; leave imaging out: it is told half a second later")
+            raise ValueError("has shutter and imaging; leave imaging out: it is known half a second later")
         return self
 
 
 @dataclass(frozen=True, config=STRICT)
 class Rule:
-    """When an alert is raised, and who is told."""
+    """When an alert is raised, and who gets it."""
 
     name: Name
     when: Conditions = Field(default_factory=Conditions)
@@ -225,7 +225,7 @@ class Rules:
                     raise InputError(what, where=f"{where}: rules.{k}.when", remedy=remedy)
 
     def check_outputs(self, names: Collection[str], where: str = "rules") -> None:
-        """Raise an InputError where a rule tells an output that there is not."""
+        """Raise an InputError where a rule names an output that does not exist."""
         for k, rule in enumerate(self.rules):
             for name in rule.tell:
                 if name not in names:

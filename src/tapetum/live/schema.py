@@ -17,7 +17,7 @@ __all__ = ["event_schema"]
 def event_schema() -> dict[str, Any]:
     """Return the JSON Schema of `Event.as_json`, which webhooks, MQTT and the page's socket send.
 
-    Version 1 may gain fields and kinds, and loses none: whoever reads events must pass over what it does not know.
+    Version 1 may gain fields and kinds, and loses none: readers of events must ignore what they do not know.
     """
     made = TypeAdapter(Event).json_schema(mode="serialization")
     camera = made["$defs"]["CameraState"]

@@ -27,7 +27,7 @@ class CameraState:
     snr
         Signal-to-noise ratio of its return when it was last seen.
     active
-        Whether it images; None where it cannot be told.
+        Whether it images; None where that is unknown.
     device, device_probability
         What it is taken for, and how likely that is; None without a model of devices.
     gaze_x, gaze_y
@@ -67,9 +67,9 @@ class CameraState:
 
 @dataclass(frozen=True)
 class Health:
-    """How the watch does: frames a second, seconds from a frame to its result, counts, and what is wrong.
+    """The state of the watch: frames a second, seconds from a frame to its result, counts, and faults.
 
-    `receivers` names those whom messages did not reach: how many were lost, and why.
+    `receivers` has an entry for each receiver that lost messages: how many, and why.
     """
 
     rate: float = 0.0
@@ -94,7 +94,7 @@ class State:
     size
         Width and height of the frame, in pixels.
     cameras, health
-        The cameras that were told of, and how the watch does.
+        The cameras that were reported, and the state of the watch.
     monotonic_ns, camera_time
         When the frame was taken by this machine's monotonic clock, in nanoseconds, and by the source's own, in seconds
         since it was opened; None where that is not known.

@@ -1,4 +1,4 @@
-"""A vote by pointing cameras: zones, one voice a camera, a tally, and its replay."""
+"""A vote by pointing cameras: zones, one vote a camera, a tally, and its replay."""
 
 from __future__ import annotations
 

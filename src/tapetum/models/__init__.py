@@ -1,6 +1,6 @@
 """Estimators: images of retro-reflections in; gaze, focus and device out, with intervals and probabilities."""
 
-from tapetum.models.adapting import adapt
+from tapetum.models.adaptation import adapt
 from tapetum.models.architectures import ResNet18Network
 from tapetum.models.base import Data, Estimator, Predictor
 from tapetum.models.fast import load_predictor

@@ -25,13 +25,13 @@ _AGAIN = "remove the folder and adapt from the start"
 
 @dataclass(frozen=True)
 class KeptFolds:
-    """A folder with the errors of finished folds, or None; and whether to go on from there."""
+    """A folder with the errors of finished folds, or None; and whether to go on from it."""
 
     folder: Path | None
     resume: bool
 
     def begin(self, identity: dict[str, Any]) -> None:
-        """Begin the folder anew, or refuse to go on with that of another adaptation."""
+        """Start with an empty folder, or go on with this one; refuse one of another adaptation."""
         if self.folder is None:
             return
         file = self.folder / _STATE

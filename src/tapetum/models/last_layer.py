@@ -41,9 +41,9 @@ class LastLayer:
 
 
 def corrected(before: LastLayer, features: Array, targets: Array, weights: Array | None, penalty: float) -> LastLayer:
-    """Return a last layer corrected by ridge regression of what it leaves of some frames.
+    """Return a last layer corrected by ridge regression on its residuals for some frames.
 
-    So a strong penalty leaves its estimates, moved; a weak one reads the features anew.
+    A strong penalty keeps its weights and changes only the offset; a weak one fits the weights to these frames.
 
     Parameters
     ----------
@@ -71,7 +71,7 @@ def single_folds(frames: int, count: int, seed: int) -> NDArray[np.int64]:
 def folds_of(dataset: xr.Dataset, count: int) -> NDArray[np.int64]:
     """Return the fold of each frame: every recording is cut into stretches of time, which the folds take in turn.
 
-    Stretches are long beside what a label reaches: else the embargo between folds would leave no frame to fit.
+    Stretches are long compared with a label's reach; otherwise the embargo between folds would leave no frame to fit.
     """
     recording, span = np.asarray(dataset["recording"].values), reach_of(dataset)
     folds = np.empty(len(recording), np.int64)

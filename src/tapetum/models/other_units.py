@@ -30,11 +30,11 @@ _GAIN = 0.02
 def grouped_half_width(residuals: Array, unit: NDArray[np.integer], coverage: float = COVERAGE) -> Array:
     """Return the half-width of intervals for a frame of a copy that is none of these.
 
-    Frames of one copy err alike, so that copies are counted and not frames: every copy weighs the same, its frames
-    share its weight, and one copy more, the new one, weighs as much at infinity. The interval is the `coverage`
-    quantile of the absolute residuals so weighted: hierarchical conformal prediction (Y. Lee, R. F. Barber, R. Willett,
-    arXiv:2306.06342 (2023)). A frame of a new copy, exchangeable with these, falls inside with at least that
-    probability.
+    The errors of frames of one copy are alike, so copies are counted and not frames: every copy has the same weight,
+    which its frames share, and the new copy has the same weight, with an infinite residual. The interval is the
+    `coverage` quantile of the absolute residuals with these weights: hierarchical conformal prediction (Y. Lee, R. F.
+    Barber, R. Willett, arXiv:2306.06342 (2023)). A frame of a new copy, exchangeable with these, falls inside with at
+    least that probability.
 
     Parameters
     ----------
@@ -101,7 +101,7 @@ def fit_unit_intervals(
         if score < least * (1 - _GAIN):
             best, least = edges, score
     edges = np.append(best, 1.0) if (~answered).any() else best
-    # A distance of just 1 is answered.
+    # At a distance of exactly 1 the model still answers.
     return _divided(residuals, distance, unit, np.nextafter(edges, np.inf), coverage)
 
 
@@ -144,8 +144,8 @@ def calibrate_units(model: Estimator, dataset: xr.Dataset, *, progress: Progress
     Raises
     ------
     InputError
-        For a set that tells no units apart, lacks a label, shows a copy that the model was trained on or has too few,
-        and a model that estimates no quantity.
+        For a set that does not distinguish copies, lacks a label, shows a copy that the model was trained on, or has
+        too few copies; and for a model that estimates no quantity.
 
     Examples
     --------
@@ -159,7 +159,7 @@ def calibrate_units(model: Estimator, dataset: xr.Dataset, *, progress: Progress
         raise InputError("estimates no quantity", where="model", remedy="only quantities have intervals")
     if UNIT not in dataset:
         remedy = "film copies with `tapetum dataset synth KIND --units N`, or name a scene"
-        raise InputError("tells no units apart", where=where, remedy=remedy)
+        raise InputError("does not distinguish copies of its camera", where=where, remedy=remedy)
     data = dataset.tp.train if dataset.tp.train.sizes["frame"] else dataset
     trained = set((model.training_ or {}).get("units") or ()) & set(data.tp.units)
     if trained or any(marks & model.marks for marks in marks_of(data)):

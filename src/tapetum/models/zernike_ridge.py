@@ -100,7 +100,7 @@ class ZernikeRidge(Estimator):
         self.target = target if isinstance(target, str) else self.target_names
         if DEVICE in self.target_names:
             remedy = "use a network (--kind resnet18), or name quantities"
-            raise InputError("a linear model of quantities does not tell devices", where="label", remedy=remedy)
+            raise InputError("a linear model of quantities does not recognise devices", where="label", remedy=remedy)
         self.scales = tuple(int(s) for s in scales)
         self.order = int(order)
         self.powers = tuple(int(p) for p in powers)

@@ -165,7 +165,7 @@ def index_from_abbe(nd: float, vd: float, wavelength: float) -> float:
         what = f"n_d = {nd:g} with an Abbe number of {vd:g} is no glass"
         raise InputError(what, where="nd, vd", remedy="give for example nd: 1.5168, vd: 64.2")
     if not _SHORTEST <= wavelength <= _LONGEST:
-        what = f"{wavelength * 1e9:.6g} nm is outside of what n_d and the Abbe number tell"
+        what = f"{wavelength * 1e9:.6g} nm is outside the range that n_d and the Abbe number describe"
         raise InputError(what, where="wavelength", remedy="stay within 405 to 1013 nm")
     mean = (nd - 1) / vd
     steps = [_terms(_F_LINE) - _terms(_C_LINE), _terms(_G_LINE) - _terms(_F_LINE), _terms(_C_LINE) - _terms(_S_LINE)]

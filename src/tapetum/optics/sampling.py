@@ -43,7 +43,7 @@ __all__ = [
 
 @dataclass(frozen=True)
 class DoublePassGeometry:
-    """The lengths that decide the sampling of a retro-reflection. All in metres but for `sine`.
+    """The lengths that decide the sampling of a retro-reflection. All in metres except `sine`.
 
     Parameters
     ----------

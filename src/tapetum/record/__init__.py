@@ -5,13 +5,14 @@ from tapetum.record.clutter import Glint, Lamp, Tape, draw_clutter
 from tapetum.record.film import Session, film
 from tapetum.record.frames import open_frames
 from tapetum.record.imaging import Imaging
+from tapetum.record.labels import label_recording
 from tapetum.record.laser import BlinkCode, Exposure
 from tapetum.record.motion import HandMotion, ProbeShake
 from tapetum.record.recording import Recording, open_recording
 from tapetum.record.session import Placed
 from tapetum.record.shot import Shot
 from tapetum.record.source import Frame, FrameSource, Source
-from tapetum.record.spot import find_spot, label_recording
+from tapetum.record.spot import find_spot
 from tapetum.record.stray import DimRoom, FixedPattern, Gradient, draw_stray
 from tapetum.record.writer import RecordingWriter
 

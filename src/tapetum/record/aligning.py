@@ -1,4 +1,4 @@
-"""Putting the clocks of a recording right afterwards: a stream's UTC, shifted by what was measured."""
+"""Correction of a recording's clocks: the UTC of one stream is shifted by a lag that was measured."""
 
 from __future__ import annotations
 

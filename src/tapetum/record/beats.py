@@ -1,4 +1,4 @@
-"""Times of camera frames: clocks with lag, jitter, drift and lost frames, and shutters that roll."""
+"""Frame times of the virtual bench's cameras: clocks with lag, jitter, drift and lost frames, and rolling shutters."""
 
 from __future__ import annotations
 

@@ -22,7 +22,7 @@ from tapetum.record.laser import BlinkCode
 __all__ = ["BAUD", "Blinker", "Line"]
 
 BAUD = 115200
-_PATIENCE = 3.0  # s; an Arduino starts anew when its port is opened, and takes two
+_PATIENCE = 3.0  # s; an Arduino restarts when its port is opened, and takes two
 _MOST_BITS = 64
 
 

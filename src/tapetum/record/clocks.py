@@ -1,4 +1,5 @@
-"""Alignment of two streams in time: the frames of one around each frame of the other."""
+"""Joining two streams by UTC: which frames of one lie around each frame of the other. (`calibrate.sync` measures
+lags.)"""
 
 from __future__ import annotations
 

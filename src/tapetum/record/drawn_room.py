@@ -1,4 +1,5 @@
-"""A drawn room with cameras, as a source that needs no hardware and no time to render: what `tapetum serve demo` shows.
+"""A drawn room with cameras, as a source that needs no hardware and little time to render: what `tapetum serve demo`
+shows.
 
 The room is that of the virtual bench's target camera; the returns are Gaussian spots, not computed ones, and show
 neither gaze nor device. Every other frame is lit by the probe.

@@ -70,7 +70,7 @@ SOURCES: dict[str, SourceKind] = {
     "camera": SourceKind(is_camera, lambda name, asked: Camera(name, asked.rate), device=True),
     "v4l2": SourceKind(is_v4l2, lambda name, asked: V4l2Camera(name, asked.rate), device=True),
     "genicam": SourceKind(is_genicam, lambda name, asked: GenicamCamera(name, asked.rate), device=True),
-    # Only where a person names it: no file, scene or page leads there.
+    # Opened only if it is named on the command line: no file, scene or page can name it.
     "network": SourceKind(is_network, lambda name, asked: NetworkCamera(name), device=True),
     # A file or folder of that name comes first.
     "demo": SourceKind(

@@ -1,4 +1,4 @@
-"""Cameras of the virtual bench that point where they are told, in real time: a visitor's hand before an exhibit.
+"""Cameras of the virtual bench that point to a requested place, in real time: a visitor's hand before an exhibit.
 
 The probe stands above a screen 5.5 m away. Each hand holds a thin-lens camera, is turned a little about the
 camera's axis, takes a moment to reach a new place, and trembles. What the probe sees of it is computed, with its noise.
@@ -79,7 +79,7 @@ class Aim:
             self._told[hand] = x, y, time.monotonic()
 
     def at(self, hand: int) -> tuple[float, float] | None:
-        """Return where a hand is told to point; None where it was left alone."""
+        """Return where a hand is asked to point; None where nobody asked."""
         with self._lock:
             told = self._told.get(hand)
         if told is None or time.monotonic() - told[2] > self.patience:
@@ -109,7 +109,7 @@ class _Hand:
         kept = math.exp(-step / _TREMBLE_TIME)
         self.tremble = kept * self.tremble + math.sqrt(1 - kept**2) * _TREMBLE * self.rng.standard_normal(2)
         c, s = math.cos(_ROLL[self.number]), math.sin(_ROLL[self.number])
-        # Whoever points to the right sees the probe on the left.
+        # A camera that points to the right sees the probe on the left.
         away = -_REACH * (self.at - _PROBE) * [1.0, 0.75]
         self.latest = np.array([c * away[0] - s * away[1], s * away[0] + c * away[1]]) + self.tremble
         return self.latest

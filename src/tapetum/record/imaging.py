@@ -49,7 +49,7 @@ class Imaging:
         return np.clip(np.round((last - first) / long, 6), 0, 1)
 
     def _imaged(self, times: Array) -> Array:
-        """Seconds of imaging up to times, but for a constant."""
+        """Seconds of imaging up to times, up to a constant."""
         ends = np.array([times.min() - 1, *self.switches, times.max() + 1])
         images = (np.arange(len(ends) - 1) + int(not self.at_first)) % 2 == 0
         ends[0], ends[-1] = min(ends[0], *ends[1:]), max(ends[-1], *ends[:-1])

@@ -1,7 +1,7 @@
-"""Marks of what a film shows: its recording, and on the virtual bench the copy of the camera before its probe.
+"""Marks by which films of one camera are recognised: the recording, and on the virtual bench the copy of the camera.
 
-A model keeps the marks of the films that it was trained on, and so knows whether further frames show the same copy. Of
-a real camera only its own recordings tell that; the person says the rest.
+A model keeps the marks of the films that it was trained on, and so knows whether further frames show the same copy. For
+a real camera the marks show only whether it is the same recording; the rest a person has to say (`--unit`).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Pieces of a frame."""
+"""Patches of a frame: where each lies, and adding them up."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What cameras are plugged into this machine, with their modes."""
+"""Cameras that are plugged into this machine, with their modes."""
 
 from __future__ import annotations
 

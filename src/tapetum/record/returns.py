@@ -89,7 +89,8 @@ class Returns:
         """Return the window that holds the RR at every distance, and whether the probe's aperture cuts it at any."""
         ends = {float(self._distance.min()), float(self._distance.max())}
         cameras = [_camera(replace(self.scene, distance=one), self._steepest) for one in ends]
-        # Light outside the window is some electron at most, fringes of the probe's aperture (phone-01: 1.1 of 1985).
+        # Light outside the window is about one electron at most, fringes of the probe's aperture (phone-01: 1.1 of
+        # 1985).
         windows = [camera.window() for camera in cameras]
         finite = any(camera.finite for camera in cameras)
         return max(windows, key=lambda grid: grid.rows), finite

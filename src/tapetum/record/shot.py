@@ -1,4 +1,4 @@
-"""One take of a scene by two cameras; any frame can be made alone.
+"""One take of a scene by two cameras; any frame can be computed by itself.
 
 A little over 400 lines, as both cameras, their clocks and the truth share one motion.
 """

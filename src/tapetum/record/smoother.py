@@ -1,9 +1,9 @@
 """A hand's path between the frames of a camera: a Gaussian process whose spectrum is fitted to the frames themselves.
 
 The path is a sum of cosines and sines on a fine grid of frequencies, with normal coefficients whose variances are equal
-within a bin of frequencies. The variances maximise the likelihood of the measured places, which also tells aliases
-apart: frames that are not exactly periodic, because of jitter or of a rolling shutter, show a frequency and its alias
-differently. Where nothing tells them apart, the power stays shared between them, and the deviation is wide.
+within a bin of frequencies. The variances maximise the likelihood of the measured places, which also distinguishes
+aliases: frames that are not exactly periodic, because of jitter or of a rolling shutter, show a frequency and its alias
+differently. Where they do not differ, the power stays shared between them, and the deviation is wide.
 
 The maximum is found by multiplying each variance by the ratio of the power that the data show to the power that they
 would show on average (the fixed point of the likelihood's derivative; compare MacKay, Neural Computation 4, 415
@@ -35,9 +35,9 @@ STEPS, ENOUGH = 40, 0.05  # most steps, and the gain of log-likelihood that ends
 LEVEL = 10.0  # variance of the constant part, in squared fractions of the field: any
 NOISE = (1.0, 25.0)  # range of the noise's variance over the stated one, which is the least possible
 SURE = 0.5
-"""Factor of the part of a deviation that comes from the path, where the frames leave almost nothing of it open. Each
-power is 0 or more, so that a fit leaves some at aliases where the hand has none, and the deviation is too wide by about
-this factor; where an alias cannot be told, it is right. Measured on simulated hands (scripts/measure_labels.py, seeds
+"""Factor on the path's part of a deviation, where the frames determine the path almost completely. Fitted powers cannot
+be negative, so that a fit leaves some at aliases where the hand has none, and the deviation is too wide by about this
+factor; where an alias cannot be excluded, it is right. Measured on simulated hands (scripts/measure_labels.py, seeds
 100 to 105, bands of the bench and random ones): the 90 % intervals hold 89 to 94 % with the factor, 91 to 99 % without.
 """
 BLUR = 0.006  # deviation of a streak's middle in lengths of the streak (measured: a ghost within its reach moves it)
@@ -131,7 +131,7 @@ class Path:
         among[np.diag_indices(len(samples))] += error
         between = (asked * self.power) @ own.T + LEVEL
         alone = float(self.power.sum() / 2) + LEVEL
-        # Power that frames of this rate leave open if nothing tells its alias.
+        # Power whose alias frames of this rate cannot exclude.
         interval = float(np.median(np.diff(samples.times)))
         quick = float(self.power[: len(self.frequencies)][self.frequencies > 0.25 / interval].sum())
         used = np.searchsorted(samples.times, times[:, None] + np.array([-reach, reach]))
@@ -256,7 +256,7 @@ def block_seconds(rate: float) -> tuple[float, float, float]:
     Blocks begin at multiples of their length from the first frame, so that any part of a recording that holds the
     samples of a block gives the same path.
     """
-    # 180 frames or more, to tell an alias by; no more than 300, for speed.
+    # 180 frames or more, to recognise an alias; no more than 300, for speed.
     whole = min(max(4.0, 180 / rate), 300 / rate)
     return whole / 2, whole / 2, whole / 4
 

@@ -70,7 +70,7 @@ class Source(Protocol):
     live
         Whether frames arrive at their own pace, and are lost unless they are taken.
     count
-        Number of frames, or None where only reading to the end would tell; `len(source)` then raises TypeError.
+        Number of frames, or None where only reading to the end would show it; `len(source)` then raises TypeError.
     full_scale
         Digital number at which the first frame saturates (`Frame.full_scale` is right for each).
     rate

@@ -22,7 +22,7 @@ from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.models.prediction import NONE_OF_THESE
 from tapetum.report.figures import figure_png
-from tapetum.report.looks import look
+from tapetum.report.formatting import look
 from tapetum.report.verdicts import MEAN, NARROW, warnings
 
 __all__ = [

@@ -1,7 +1,7 @@
 """Errors of estimates: MAE and RMSE in fractions of the field of view, as in the paper (§5.1.1).
 
-Beside them: the error of a guess that looks at no image (the training mean), the share of correct signs of the gaze,
-and the error by distance from the field's centre.
+Also the error of a guess without images (the training mean), the share of correct signs of the gaze, and the error by
+distance from the field's centre. Probabilities of classes are scored in `tapetum.report.evaluation.classes`.
 """
 
 from __future__ import annotations

@@ -27,14 +27,15 @@ __all__ = ["ALL_UNKNOWN", "FRAME", "FocusBounds", "GazeBound", "GazeInformation"
 __all__ += ["gaze_information", "gaze_prior", "rings_of_gazes"]
 
 FRAME = ("power", "place_x", "place_y")
-"""What no estimate knows of a hand-held target: how bright its RR is, and where it lies."""
+"""Nuisances of every hand-held target: brightness and place of its RR."""
 
 ALL_UNKNOWN = (*FRAME, "photosite_x", "photosite_y", "roll")
-"""With it the turn of the hand, and where among the photosites the spot falls.
+"""Those, the roll of the hand, and the spot's phase on the photosites.
 
-The photosites turn the picture over each time that the spot moves by one of them, some 4e-4 of the field: they tell the
-gaze a hundred times better than all else, to an estimate that knows beforehand which photosite it is. Without that they
-tell nothing, and the limit is that of the smooth change from one photosite to the next.
+The picture repeats each time that the spot moves by one photosite, some 4e-4 of the field. An estimate that knows on
+which photosite the spot lies would read the gaze from this a hundred times better than from all else. Without that
+knowledge the phase carries no information about the gaze, and the limit is that of the slow change from one photosite
+to the next.
 """
 
 Array = NDArray[np.float64]

@@ -56,8 +56,8 @@ from tapetum.simulate.round_pass import RoundPass
 from tapetum.simulate.sensor_edge import EdgeRule, SensorEdge, SpotLight, Spots
 from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
-from tapetum.simulate.stated_error import of_narrow_beam, of_tilted_planes
 from tapetum.simulate.surfaces import Mask, Surface
+from tapetum.simulate.thin_errors import of_narrow_beam, of_tilted_planes
 from tapetum.simulate.traced_lens import TracedLens
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.true_paths import check_squash

@@ -1,4 +1,4 @@
-"""A thin lens's planes where the spot lies beside the sensor's edge, or across it."""
+"""A thin lens's planes where the spot lies across or beyond the sensor's edge, sampled up to the edge."""
 
 from __future__ import annotations
 

@@ -78,7 +78,7 @@ def waist_at(distance: float, divergence: float = DIVERGENCE) -> float:
 
 
 def dot_window(distance: float, radius: float, focal_length: float, wavelength: float, pitch: float) -> Grid:
-    """Pixels that hold the image of a point at a distance, but for its faintest rings; lengths in metres."""
+    """Pixels that hold the image of a point at a distance, without its faintest rings; lengths in metres."""
     reach = focal_length * (radius / distance + _RINGS * wavelength / (2 * radius))
     side = 2 * math.ceil(reach / pitch) + 1
     return Grid(side, side, pitch)

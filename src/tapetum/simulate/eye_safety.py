@@ -19,7 +19,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from tapetum.errors import InputError
-from tapetum.simulate.beam import NEAREST, PUPIL_AREA, Beam, beam_of, irradiance_at
+from tapetum.simulate.eye_beam import NEAREST, PUPIL_AREA, Beam, beam_of, irradiance_at
 from tapetum.simulate.eye_limits import PUPIL, SMALL_SOURCE, ael, checked_exposure, mpe, nanometres, visible
 
 __all__ = ["NOT_A_CERTIFICATE", "AtDistance", "Beam", "EyeSafety", "beam_of", "eye_safety", "irradiance_at"]

@@ -1,4 +1,5 @@
-"""Pictures of sampled planes that are far fainter than a mirror's, from a spot beside the sensor or beside its mask.
+"""Errors of pictures of sampled planes that are far fainter than a mirror's, as from a spot beside the sensor or its
+mask.
 
 The planned errors are fractions of a mirror's return. A far fainter picture is computed again with finer sampling; the
 difference of the two is its error.

@@ -21,7 +21,7 @@ class _Plan(Protocol):
 
 
 class Tilted(Protocol):
-    """What a pass reports here of itself."""
+    """What foreshortening needs to know of a pass."""
 
     @property
     def geometry(self) -> DoublePassGeometry: ...
@@ -83,7 +83,7 @@ def foreshortening(sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
 
 @dataclass(frozen=True)
 class Tilts:
-    """A batch of tilts [B, 2] with what every part of a pass asks of them.
+    """A batch of tilts [B, 2] with the numbers that every part of a pass needs.
 
     Parameters
     ----------

@@ -8,7 +8,7 @@ the pupil. From the probe, metres away, all glints differ only in place and brig
 probe's aperture, with its rings. As the lens turns, the glint of each surface moves at its own rate, like the Purkinje
 images of an eye.
 
-This is geometrical optics but for the probe's aperture: an edge of the lens cuts a glint at once, where waves would
+This is geometrical optics, except at the probe's aperture: an edge of the lens cuts a glint at once, where waves would
 fade within a Fresnel zone √(λL). Glints add to each other and to the light of mirrors as intensities: their paths
 differ by millimetres times the gaze, and hand motion averages fringes within an exposure. Left out are double
 reflections, and the coatings' loss in the light that passes.

@@ -1,4 +1,4 @@
-"""Whether one frame tells a gaze from its opposite: two-hypothesis tests on mean electrons."""
+"""Whether one frame distinguishes a gaze from its opposite: two-hypothesis tests on mean electrons."""
 
 # Torch types lstsq in part only.
 # pyright: reportUnknownMemberType=false, reportUnknownVariableType=false
@@ -37,7 +37,7 @@ def point_of_symmetry(scene: Scene) -> torch.Tensor:
 def sign_dprime(
     scene: Scene, gaze: torch.Tensor, *, accuracy: float = 1e-3, centre: torch.Tensor | None = None
 ) -> torch.Tensor:
-    """d' [N], float64, of telling a gaze from its opposite in one frame, by the best detector, the RR's place unknown.
+    """Discriminability d' [N], float64, of a gaze and its opposite in one frame, the RR's place unknown, best detector.
 
     With equal odds the sign is right with probability Φ(d'/2): 1 means 69 %, 3 means 93 %.
 

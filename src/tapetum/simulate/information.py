@@ -50,7 +50,7 @@ class FisherInformation:
                 f"{list(other.parameters)} at {list(other.values)} are not {list(self.parameters)} at "
                 f"{list(self.values)}",
                 where="parameters",
-                remedy="add what frames of one target tell of the same parameters in the same order",
+                remedy="add information of one target about the same parameters in the same order",
             )
         return replace(self, information=self.information + other.information)
 

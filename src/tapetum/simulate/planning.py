@@ -120,7 +120,8 @@ class Plan:
 
 
 def label_lines() -> list[str]:
-    """What a faster target camera, or one whose frames a trigger takes together with the probe's, buys for labels."""
+    """How labels improve with a faster target camera, or with one whose frames a trigger takes together with the
+    probe's."""
     said = ", ".join(f"{how} {error:.1e}" for how, error in LABEL_ERRORS.items())
     return [
         "Gaze labels of a hand-held target, by its own camera's frame rate",
@@ -142,8 +143,8 @@ def plan_bench(
         A scene, its name or its path; its own rotation counts.
     parameters
         Whose Cramér-Rao limits are wanted, as [`fisher`][tapetum.simulate.information.fisher] names them, all estimated
-        from one frame. Default: those of `PARAMETERS` that have a limit in this scene, but for the focus of a traced
-        lens, which takes four more of it; the plan says why the others have none.
+        from one frame. Default: those of `PARAMETERS` that have a limit in this scene, except the focus of a traced
+        lens, which takes four more traced lenses; the plan says why the others have none.
     progress
         Shown over the two steps that may take long: sampling and limits.
 

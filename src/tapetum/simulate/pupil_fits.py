@@ -187,7 +187,7 @@ def fit_pupils(
 def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature: float = 0.0) -> PupilFits:
     """The same pupils for the tilts of other nodes within `fits.nodes`, with the errors of their own rays.
 
-    A polynomial of the tilt stays one on a part of its range, so nothing is fitted anew. `misfit` is that of the light
+    A polynomial of the tilt stays one on a part of its range, so nothing is fitted again. `misfit` is that of the light
     that enters alone.
     """
     tilt = fits.nodes.terms(nodes.sines)
@@ -429,7 +429,7 @@ def edge_weights(share: torch.Tensor) -> torch.Tensor:
     """Weights of samples [B, n, m] near an edge for the shares of their squares inside it.
 
     A share is the mean over a square: light that the edge diffracts is damped by sin(q/2)/(q/2), q being the change of
-    phase from sample to sample. A 24th of the second differences makes up for it, but for terms in q⁴.
+    phase from sample to sample. A 24th of the second differences corrects it up to terms in q⁴.
     """
     # What lies beyond the first and the last sample is as they are: dark, or a mirror image.
     wide = torch.nn.functional.pad(share[:, None], (1, 1, 1, 1), mode="replicate")[:, 0]

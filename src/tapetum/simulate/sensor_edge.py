@@ -1,4 +1,4 @@
-"""The edge of the target's sensor: nothing returns from beside it."""
+"""The edge of the target's sensor, beyond which nothing returns: which spots it cuts, and by how much."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Returns of planes whose sensor does not hold the whole spot."""
+"""Returns of planes where the spot lies across or beyond the sensor's edge (`sensor_edge` says where)."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 A periodic plane is a grating. Its Fourier coefficients c_m, Arr(u) = Σ c_m exp(2πi m·u/P), are the amplitudes of the
 diffraction orders of directions m λ/P (docs/conventions.md, "The sensor plane"); a mask from a file is sampled within
-the spot. Both forms of an array are here, so that one can check the other: hence more than 400 lines.
+the spot. Both forms of an array are here, so that one can check the other; so the file has more than 400 lines.
 
 Microlenses whose offset from their photosites grows towards the field's edge make the coefficients depend on the place
 w on the sensor. Over the spot they are constant: with the photosites' coefficients s and the lenses' l, c_m(w) = Σ

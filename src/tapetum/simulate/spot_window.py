@@ -1,4 +1,4 @@
-"""The samples of the target's sensor about the spot, and how the light ends at their edge."""
+"""The samples of the target's sensor about the spot, and how the field is brought to zero at their edge."""
 
 # SciPy and NumPy type these functions in part only.
 # pyright: reportMissingTypeStubs=false, reportUnknownMemberType=false, reportUnknownVariableType=false

@@ -1,6 +1,6 @@
-"""Passes of a lens that differs by little from one that was planned, on the same samples.
+"""Passes of a traced lens on the samples that were planned for another one, which differs by little from it.
 
-Errors of sampling nearly cancel in a difference of two pictures on the same samples, and nothing is planned again.
+So errors of sampling nearly cancel in the difference of the two pictures, and planning is saved.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ def group_again(
     same_lens: bool,
     **way: Unpack[Way],
 ) -> TracedGroup:
-    """The passes of another lens or of other planes on the samples of `group`, which has as many planes.
+    """The passes of another lens, or of as many other planes, on the samples of `group`.
 
     Arguments are those of `traced_group`; `fits` have the tilts of those that `group` was planned with. `same_lens`
     says that lens, focus and wavelength are those of `group`. Raises as `traced_scene`, and an InputError where too
@@ -76,6 +76,6 @@ def _fits(scene: TracedScene, one: TracedPass) -> PupilFits:
         fits = fit_pupils(scene.focused, before.steepest, curvature=scene.curvature, nodes=before)
     found = corrected(scene.focused, fits, curvature=scene.curvature, accepted=one.accepted, nodes=one.fits.nodes)
     if found is None:
-        what = "too little light comes back to tell how it changes with the focus"
+        what = "too little light comes back to compute how it changes with the focus"
         raise InputError(what, where="target", remedy="focus nearer to the probe, or stop down with f_number")
     return found

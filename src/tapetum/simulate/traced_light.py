@@ -1,7 +1,7 @@
-"""What rays say of a traced lens before a plane: how far the light's way back is known, and what is refused for it.
+"""Rays through a traced lens before a plane: how accurately the light's way back is known, and when it is refused.
 
-The wave's way out is the reverse of its way in. Real rays tell by how much it is not, and correct it where each place
-of the pupil has one leaving ray (traced_return).
+The waves take the way out as the reverse of the way in. Real rays measure the error of that, and correct it where each
+place of the pupil has one leaving ray (traced_return).
 """
 
 from __future__ import annotations
@@ -206,7 +206,7 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     focused, fits, wavelength, accepted = scene.focused, scene.fits, scene.wavelength, scene.accepted
     blurred = is_blurred(fits, wavelength)
     if not blurred:
-        # Out of focus light is told by its rays, in focus by the pupil's rim.
+        # Out of focus the light follows its rays; in focus the pupil's rim decides.
         fits = with_rim(fits, rim_curvature(focused))
     sines = torch.linspace(0, 0.95 * fits.nodes.steepest, 6, dtype=torch.float64)
     told = check_return(focused, fits, sines, curvature=scene.curvature)

@@ -4,7 +4,7 @@ The filter before a phone's sensor returns a beam wider than the probe's apertur
 a round disc with concentric rings, at any gaze. A sensor that images adds light of many diffraction orders, which
 breaks that symmetry. So a departure from the mean over circles shows that the sensor is in use. Without one, the camera
 is idle only if its filter lets the sensor's light pass, which it has shown once it was seen imaging. Until then the
-answer is that this cannot be told.
+answer is that it is unknown.
 
 This holds for cameras whose filter overfills the probe's aperture, as those of phones do. A large lens near the probe
 returns a narrower beam, whose shape it cuts itself: there the answer would be wrong.
@@ -204,7 +204,7 @@ class Activity:
     def update(self, asymmetry: float | None, time: float) -> bool | None:
         """Take the asymmetry of a return at a time in seconds; None or NaN where none was seen.
 
-        Returns True for imaging, False for idle, and None where it cannot be told.
+        Returns True for imaging, False for idle, and None where it is unknown.
         """
         stays = 1.0 if self.time is None else 0.5 + 0.5 * math.exp(-2 * max(0.0, time - self.time) / _STAYS)
         self._joint = stays * self._joint + (1 - stays) * self._joint[::-1]

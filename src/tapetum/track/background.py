@@ -16,7 +16,7 @@ __all__ = ["Ground", "fit_ground", "without_hot_pixels"]
 # Blocks along the short side of the frame: enough for a surface of the fourth order, few enough to fit in 1 ms.
 _BLOCKS = 30
 _ORDER = 4
-# Rows of a block whose differences tell its noise: with more the variance is hardly better known.
+# Rows of a block whose differences give its noise: with more the variance is hardly better known.
 _ROWS = 8
 # Ratio of the standard deviation to the median absolute deviation of a normal distribution.
 _MAD = 1.4826

@@ -83,8 +83,8 @@ class CameraDetector:
     def tracker(self) -> Tracker:
         """Return a tracker for a room, where there are false alarms.
 
-        A track gets its number when it was seen in three of five frames, and its end is told. The tracker's own guard
-        against ghosts is for those that are dropped by their brightness alone, on a bench.
+        A track gets its number when it was seen in three of five frames, and its end is an event. The tracker's own
+        guard against ghosts is not used: it is for detectors that drop ghosts by their brightness alone, on a bench.
         """
         return Tracker(ghost_ratio=0.0, persist=(3, 5), endings=True)
 

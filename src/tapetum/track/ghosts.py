@@ -1,6 +1,6 @@
 """The ghost of the probe's beam splitter: every retro-reflection has a dim companion at one offset and ratio.
 
-Calibrated with one camera alone in view, it is told from a second camera near a brighter one, which is kept.
+Once it is calibrated, with one camera alone in view, a second camera near a brighter one is not taken for it.
 """
 
 from __future__ import annotations

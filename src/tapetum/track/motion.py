@@ -1,7 +1,8 @@
-"""The motion that all spots of a frame share: a probe in the hand shakes by far more than its targets move.
+"""The motion that all spots of a frame share, because a hand-held probe shakes by far more than its targets move.
 
 Every pair of a track's expected place and a spot like it votes for a shift; the shift with most votes is refined by a
-rotation and scale where enough pairs agree. Taken out before spots are assigned, it leaves each track its own motion.
+rotation and scale where enough pairs agree. It is removed before spots are assigned, so that each track keeps only its
+own motion.
 """
 
 from __future__ import annotations

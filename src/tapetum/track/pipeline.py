@@ -81,7 +81,7 @@ def _loaded(models: Models) -> list[Predictor]:
 
 
 def seeing(estimators: Sequence[Predictor], source: object) -> list[Predictor]:
-    """Return the models with the intervals that a source asks for, unless they were told whose to use.
+    """Return the models with the intervals that suit a source, unless a person chose them.
 
     A source that knows what it shows (`tapetum.record.marks`) may show what a model was trained on.
     """

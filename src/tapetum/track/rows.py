@@ -51,7 +51,7 @@ class TrackRow:
     event
         What happened to the track in this frame (see `TrackPoint`).
     active
-        Whether the camera images now (see `tapetum.track.activity`); None where it cannot be told or was not asked.
+        Whether the camera images now (see `tapetum.track.activity`); None where it is unknown or was not asked for.
     opened
         In the frame in which it was noticed that a shutter opened on the camera's sensor: when that was, seconds. In
         tables it is part of `event`.

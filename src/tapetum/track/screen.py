@@ -1,8 +1,8 @@
-"""A quick look at a whole frame: the few parts of it in which light may rise above the background.
+"""A quick search of a whole frame for the few parts in which light may rise above the background.
 
 A frame of five megapixels holds some tens of spots; to smooth all of it takes ten times as long as to measure them. So
-the frame is reduced to half and a quarter of its size in integers, which keeps what spots of any size are worth within
-a third, and only blocks that may hold one are looked at closely.
+the frame is reduced to half and a quarter of its size in integers, which keeps the SNR of spots of any size within a
+third, and only blocks that may hold one are searched closely.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ _BITS = 6
 # The mean of 4 x 4 pixels, at every second pixel, has at least so much of the SNR of the matched smoothing: least for a
 # spot of two pixels that lies a pixel off the mean's middle.
 _WORTH = 0.65
-# Pixels around a block on which its smoothed values depend: smoothing, and a neighbour that tells hot pixels.
+# Pixels around a block on which its smoothed values depend: smoothing, and a neighbour by which hot pixels are
+# recognised.
 _HALO = math.ceil(3 * FINE) + 1
 # Most blocks that are looked at again before the whole frame is.
 _MOST = 0.25
@@ -47,7 +48,7 @@ class Reduced:
 
 @dataclass(frozen=True)
 class Part:
-    """A rectangle of a frame [H, W]: rows from `top`, columns from `left`; whole blocks but for the frame's edge."""
+    """A rectangle of a frame [H, W]: rows from `top`, columns from `left`; whole blocks except at the frame's edge."""
 
     top: int
     bottom: int

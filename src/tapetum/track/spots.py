@@ -109,7 +109,7 @@ def _sampled(image: NDArray[Any], ground: Ground, gain: float) -> float:
     places = [np.linspace(0, size - side, min(_SAMPLES, max(1, size // side))).astype(np.intp) for size in image.shape]
     top, left = (one.ravel() for one in np.meshgrid(*places, indexing="ij"))
     smooth, noise = fine_in_windows(image, ground, top, left, side)
-    # Neighbours are smoothed alike: every second pixel tells as much.
+    # Neighbours are smoothed alike: every second pixel gives as much.
     thin = slice(halo, side - halo, 2)
     return _spread(smooth[:, thin, thin], noise[:, thin, thin], gain)
 
@@ -234,7 +234,7 @@ class _Place:
         return np.asarray((form if xy == 0 else form - dy * (2 * xy * dx)) <= 0)
 
     def ends(self, lit: NDArray[np.bool_], window: Window, stride: int = 1) -> tuple[bool, bool]:
-        """Tell whether light reaches a window's border inside the part, and whether it reaches the frame's own."""
+        """Return whether light reaches a window's border inside the part, and whether it reaches the frame's own."""
         rows, columns = window
         height, width = self.lit.shape
         part, (whole_height, whole_width) = self.maps.part, self.maps.shape
@@ -369,7 +369,8 @@ def search(
 
 
 def _shade(place: _Place, spot: Spot) -> bool:
-    """Tell whether a broad spot varies so slowly that it may be the background, which no surface fits to the last."""
+    """Return whether a broad spot varies so slowly that it may be the rest of the background, which no surface fits
+    exactly."""
     maps, part = place.maps, place.maps.part
     reach = (_CLAIM * math.sqrt(spot.covariance[n]) for n in (0, 2))
     window = place.window(spot.x, spot.y, *reach)
@@ -439,7 +440,7 @@ def _joined(spots: list[Spot]) -> list[Spot]:
 
 
 def _any_belong(spots: list[Spot]) -> bool:
-    """Tell whether any of the spots belongs to one before it."""
+    """Return whether any of the spots belongs to one before it."""
     x, y, peak, diameter = np.array([(one.x, one.y, one.peak, one.diameter) for one in spots]).T
     near = np.hypot(x[:, None] - x, y[:, None] - y) < 0.5 * (diameter[:, None] + diameter)
     return bool((np.tril(near, -1) & (peak[:, None] > _LIKE * peak)).any())

@@ -27,7 +27,7 @@ _MEMORY = 4.0
 _ALIKE, _SAME = 1.0, 0.7
 # Pixels within which tracks that jump together agree.
 _SHARED = 12.0
-# Frames unseen after which a track's place no longer tells where all went.
+# Frames unseen after which a track's place is no evidence of the common motion.
 _LOST_FOR = 5
 # Frames for which a jump of few tracks can be taken back.
 _HOMING = 4

@@ -1,4 +1,5 @@
-"""Models by turns: with many cameras before the probe, each frame asks about as many as a time allows, oldest first."""
+"""Inference by turns: of many spots the models see, in each frame, as many as a time budget allows, oldest estimate
+first."""
 
 from __future__ import annotations
 

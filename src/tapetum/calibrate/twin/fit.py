@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, as_scene, scene_dict
-from tapetum.calibrate.twin.climb import LIMIT, climb, settle, two_groups, untold
 from tapetum.calibrate.twin.frames import frames_of
-from tapetum.calibrate.twin.normal import Linear, Normal, State
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, State
 from tapetum.calibrate.twin.parameters import chosen
 from tapetum.calibrate.twin.result import Before, Twin, twin_of
+from tapetum.calibrate.twin.search import LIMIT, climb, settle, two_groups, untold
 from tapetum.calibrate.twin.starts import placed_in, shifts, starting
 from tapetum.calibrate.twin.state import Kept
 from tapetum.errors import InputError
@@ -31,11 +31,11 @@ Array = NDArray[np.float64]
 _FEW, _COARSER, _COARSEST, _STEPS = 14, 3.0, 0.1, 30
 # Expected fall of the squared residuals that ends them, and how far derivatives are kept, in spreads.
 _ROUGHLY, _FAR = 2.0, 0.15
-# How many times labels count before anything shared is fitted: a wrong scene would draw the gazes far off.
+# Weight of the labels before anything shared is fitted: a wrong scene would pull the gazes far off.
 _TIED = 1e4
-# A search from another start is not worth it where this one explains the frames.
+# No search from another start where this one explains the frames.
 _EXPLAINED = 1.05
-# Least scatter of the frames' brightness: pictures are not known better.
+# Least scatter of the frames' brightness: pictures are not more accurate.
 _STEADY, _LOOSE = 3e-3, 0.3
 # Fall of the squared residuals, for each pixel, that two cameras must bring over one.
 _TWO = 0.5
@@ -99,10 +99,9 @@ def fit_twin(
     Notes
     -----
     Each frame's gaze is a nuisance with its label for a prior; place, brightness and, where photosites show, their
-    phase are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher
-    information with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames know
-    no better than the usual spread between copies keeps the scene's value; what that leaves open enters the
-    deviations of the others.
+    phase are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher information
+    with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames determine no better
+    than the usual spread between copies keeps the scene's value; its uncertainty enters the deviations of the others.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -172,7 +171,7 @@ def _drawn(normal: Normal, at: Array, starts: int, seed: int) -> list[Array]:
 
 
 def _whole(normal: Normal, kept: Kept, best: Array, progress: Progress) -> tuple[Linear, bool, list[int]]:
-    """Return the maximum for all frames, and what they do not tell, which stays at the scene's own values."""
+    """Return the maximum for all frames, and the parameters they do not determine, which keep the scene's values."""
     own = np.array([one.read(normal.scene) for one in normal.parameters])
     state = kept.whole or settle(normal, placed_in(normal, best), 2, progress).state
     if kept.scatter is None:
@@ -204,7 +203,7 @@ def _scatter(state: State) -> float:
 
 
 def _refuse_two(normal: Normal, linear: Linear, where: Path, progress: Progress) -> None:
-    """Raise an InputError where two cameras explain the frames that one does not."""
+    """Raise an InputError where two cameras explain the frames and one does not."""
     second, gain = two_groups(normal, linear)
     pixels = sum(one.lit for one in linear.frames)
     if min(second.sum(), (~second).sum()) < 4 or gain < _TWO * pixels * (linear.misfit(lit=True) - 1):

@@ -143,7 +143,7 @@ def _labels(recording: Recording) -> tuple[dict[int, Array], dict[int, Array]]:
 
 
 def _spread(frames: NDArray[np.int64], gazes: Array, count: int) -> list[int]:
-    """Return `count` frames, each as far in gaze from those before as can be: the first is nearest to the middle."""
+    """Return `count` frames, each as far as possible in gaze from those before; the first is nearest to the middle."""
     first = int(np.argmin(np.hypot(*gazes.T)))
     order, far = [first], np.hypot(*(gazes - gazes[first]).T)
     while len(order) < min(count, len(frames)):

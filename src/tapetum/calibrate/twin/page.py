@@ -1,4 +1,4 @@
-"""The page of a twin: verdict, parameters, what is not told, and pictures of frames, fits and residuals."""
+"""The page of a twin: verdict, parameters, those not determined, and pictures of frames, fits and residuals."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import os
 import numpy as np
 from matplotlib.figure import Figure
 
-from tapetum.calibrate.twin.climb import LIMIT
 from tapetum.calibrate.twin.result import Fitted, Twin
+from tapetum.calibrate.twin.search import LIMIT
 from tapetum.report.figures._style import LABEL, MODELS, QUIET, dress, new_figure
 from tapetum.report.html import bullets, facts, figure, note, page, section, table, write_page
 
@@ -94,7 +94,7 @@ def write_twin(twin: Twin, path: str | os.PathLike[str]) -> None:
             one.name,
             shown(one, one.before),
             shown(one, one.value),
-            shown(one, one.deviation) if one.told else "not told by this recording",
+            shown(one, one.deviation) if one.told else "not determined by this recording",
         )
         for one in twin.parameters
     ]
@@ -131,6 +131,6 @@ def write_twin(twin: Twin, path: str | os.PathLike[str]) -> None:
         ),
     ]
     if lost:
-        pieces.insert(3, section("Not told by this recording", bullets(lost)))
+        pieces.insert(3, section("Not determined by this recording", bullets(lost)))
     foot = f"Tapetum {importlib.metadata.version('tapetum')}; recording {twin.recording['name']}"
     write_page(path, page("Twin of a camera", *pieces, footer=foot))

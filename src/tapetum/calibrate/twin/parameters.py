@@ -1,8 +1,8 @@
 """What a twin may fit of a scene: names, units, how each is read and replaced, and how far copies usually differ.
 
-Every parameter has a *coordinate*, in which frames change evenly: the inverse of a distance or an F-number, the value
-itself otherwise. Its *spread* is how far cameras of one model usually lie apart, by the bundled tolerances where these
-have it. What a recording does not know better than that counts as not told.
+Every parameter has a *coordinate*, in which frames change about linearly: the inverse of a distance or an F-number, the
+value itself otherwise. Its *spread* is the usual standard deviation between cameras of one model, from the bundled
+tolerances where these have it. A parameter whose deviation is not smaller than that is not determined by the recording.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from tapetum.bench import PhoneTarget, PrescriptionLens, Scene
-from tapetum.bench.units import usual_tolerances
+from tapetum.bench.copies import usual_tolerances
 from tapetum.errors import InputError
 
 __all__ = ["GROUPS", "Parameter", "chosen", "parameters_of", "placed"]

@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, scene_yaml
-from tapetum.calibrate.twin.climb import LIMIT, covariance, untold
-from tapetum.calibrate.twin.normal import Linear, Normal
+from tapetum.calibrate.twin.normal_equations import Linear, Normal
+from tapetum.calibrate.twin.search import LIMIT, covariance, untold
 from tapetum.files import atomic_file
 from tapetum.record.recording import Recording
 
@@ -44,10 +44,10 @@ class Fitted:
     name, unit
         Of the parameter.
     before, value, deviation
-        The scene's value, the twin's, and its standard deviation; None where the recording does not tell it, and the
-        value is the scene's.
+        The scene's value, the twin's, and its standard deviation; None where the recording does not determine it, and
+        the value is the scene's.
     like
-        Of one that is not told: other parameters whose changes look like its own.
+        Of one that is not determined: other parameters whose changes look like its own.
     spread
         Usual difference between copies of a camera, in the value's unit.
     """
@@ -62,7 +62,7 @@ class Fitted:
 
     @property
     def told(self) -> bool:
-        """Whether the recording tells it."""
+        """Whether the recording determines it."""
         return self.deviation is not None
 
 
@@ -98,8 +98,8 @@ class Twin:
     converged
         Whether the search did.
     covariance
-        [P, P] of the parameters' coordinates (inverse distance and F-number, else the value), those not told with their
-        usual spread.
+        [P, P] of the parameters' coordinates (inverse distance and F-number, else the value), those not determined with
+        their usual spread.
     frames
         The frames used; some with pictures.
     recording, options
@@ -130,7 +130,7 @@ class Twin:
 
     @property
     def untold(self) -> tuple[Fitted, ...]:
-        """Parameters that the recording does not tell."""
+        """Parameters that the recording does not determine."""
         return tuple(one for one in self.parameters if not one.told)
 
     @property
@@ -169,7 +169,7 @@ class Twin:
             f"# Misfit {self.misfit_lit:.3f} of the lit pixels, {self.before.misfit_lit:.3g} as the scene was.",
         ]
         for one in self.parameters:
-            known = "not told by this recording" if one.deviation is None else f"± {one.deviation:.2g}"
+            known = "not determined by this recording" if one.deviation is None else f"± {one.deviation:.2g}"
             lines.append(f"# {one.name}: {one.value:.6g} {known} ({one.unit})")
         with atomic_file(path) as part:
             part.write_text("\n".join(lines) + "\n" + scene_yaml(self.scene), encoding="utf-8")

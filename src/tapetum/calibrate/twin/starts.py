@@ -1,8 +1,8 @@
-"""Where the searches for a twin begin: places of the retro-reflections, and the gaze by which the unit is off.
+"""Where the searches for a twin begin: places of the retro-reflections, and a gaze offset common to all frames.
 
-A tilted sensor and a decentred lens change a picture nearly as another gaze would, by up to a tenth of the field. That
-common shift is found by comparing a few frames with pictures at gazes around their labels; the fit itself would not
-find it from far.
+A tilted sensor and a decentred lens change a picture nearly as another gaze would, by up to a tenth of the field. This
+common offset is found by comparing a few frames with pictures at gazes around their labels, because the fit itself
+converges only from near by.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from tapetum.bench import Target
 from tapetum.calibrate.twin.frames import TwinFrame
-from tapetum.calibrate.twin.normal import Normal, State
+from tapetum.calibrate.twin.normal_equations import Normal, State
 from tapetum.models.simulation.pictures import Pictures, Pose
 from tapetum.models.simulation.starts import Templates
 from tapetum.progress import Progress, quiet

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.calibrate.twin.normal import State
+from tapetum.calibrate.twin.normal_equations import State
 from tapetum.calibrate.twin.result import Before
 from tapetum.checked import read_json
 from tapetum.errors import InputError

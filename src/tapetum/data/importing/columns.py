@@ -219,7 +219,7 @@ def _gaze(values: NDArray[np.float64], column: Column, where: str) -> NDArray[np
     """Return gaze in fractions of the field from its centre; pixels count from the first pixel's centre."""
     unit = column.unit or "fraction"
     if unit not in ("fraction", "px"):
-        raise InputError(f"unit {unit!r} is none of gaze", where=where, remedy="use fraction or px")
+        raise InputError(f"unit {unit!r} is no unit of gaze", where=where, remedy="use fraction or px")
     if unit == "px":
         if column.size is None:
             raise InputError("pixels need the size of the target's frame", where=where, remedy="add 'size: 1936'")

@@ -19,8 +19,8 @@ from tapetum.data.synth.plan import Part, Video
 from tapetum.data.synth.store import Made, Staging
 from tapetum.data.write import Rules
 from tapetum.record import Session, label_recording
+from tapetum.record.labels import NoLaserError
 from tapetum.record.shot import Shot
-from tapetum.record.spot import NoLaserError
 
 __all__ = ["MALLOC", "keep_part", "make_part", "one_thread", "shot_of"]
 

@@ -1,4 +1,4 @@
-"""All modes of a page together: they hear what a watch publishes, and say how they stand."""
+"""All modes of a page together: they get what a watch publishes, and give their states."""
 
 from __future__ import annotations
 

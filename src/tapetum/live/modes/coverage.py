@@ -1,8 +1,9 @@
-"""Where a probe that is carried through a room has looked: its turns are summed, and what it saw is marked on a map.
+"""Where a probe that is carried through a room has looked: its turns are summed, and the directions that it saw are
+marked on a map.
 
 Consecutive pictures are compared by phase correlation on a small copy; the map counts seconds in cells of a fraction of
-the picture. It is a map of directions from one place: whoever walks sees near and far things move differently, so that
-the map drifts. It says where nobody has looked yet, not where a camera stands.
+the picture. It is a map of directions from one place: for a person who walks, near and far things move differently, so
+that the map drifts. It shows where nobody has looked yet, not where a camera stands.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ class Sighting:
 
 @dataclass(frozen=True)
 class CoverageState:
-    """How far a scan has come.
+    """The progress of a scan.
 
     Parameters
     ----------
@@ -166,7 +167,7 @@ class Coverage:
         rows, columns = (np.flatnonzero(seen.any(axis)) for axis in (1, 0))
         part = self.map[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
         cells = np.rint(np.clip(part / _ENOUGH, 0, 1) * 255).astype(np.uint8)
-        # A cell that was seen for a moment is not one that was not seen.
+        # A cell that was seen for a moment differs from one that was never seen.
         cells = np.where((part > 0) & (cells == 0), 1, cells)
         return CoverageState(
             running,

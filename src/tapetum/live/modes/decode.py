@@ -4,8 +4,8 @@
 
 It reads the upload from its standard input (of a pair FIRST is the length of the first picture), gives itself limits of
 memory, time and files, decodes, and writes grey frames: a line of JSON {"width", "height", "time"}, then the pixels; at
-the end, or in place of a frame, {"end": true} or {"fault": "..."}. It imports nothing of Tapetum, so that little stands
-where crafted bytes are read.
+the end, or in place of a frame, {"end": true} or {"fault": "..."}. It imports nothing of Tapetum, so that little code
+runs in the process that reads crafted bytes.
 """
 
 from __future__ import annotations

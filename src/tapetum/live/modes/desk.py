@@ -22,7 +22,7 @@ _LOOK_NS = 10**9  # between two looks at the quiet hours
 
 @dataclass(frozen=True)
 class RuleSeen:
-    """A rule: its name, its conditions and quiet hours in words, whether it is quiet now, and who is told."""
+    """A rule: its name, its conditions and quiet hours in words, whether it is quiet now, and who gets its alerts."""
 
     name: str
     when: str

@@ -177,7 +177,7 @@ class Exhibit:
     def _lead(self, guide: Guide, state: State, now: float) -> None:
         camera = next((one for one in state.cameras if one.id == self._camera), None)
         if camera is None:
-            # Without one that was chosen, or once it has gone, whoever shows a gaze calibrates.
+            # Where no camera was chosen, or it has gone, the first one that shows its gaze calibrates.
             camera = next((one for one in state.cameras if _gazes(one)), None)
             self._camera = self._camera if camera is None else camera.id
         self._step = guide.update(camera, now)

@@ -30,7 +30,7 @@ _CONFLICT: dict[int | str, dict[str, Any]] = {
 _FULL: dict[int | str, dict[str, Any]] = {413: {"model": Problem}, 429: {"model": Problem}}
 _JPEG: dict[int | str, dict[str, Any]] = {200: {"content": {"image/jpeg": {}}}, 404: {"model": Problem}}
 
-# JSON knows no whole numbers: 3.0 is one.
+# JSON has no type for whole numbers: 3.0 is one.
 _Whole = BeforeValidator(lambda value: int(value) if isinstance(value, float) and value.is_integer() else value)
 Share = Annotated[float, Field(ge=-0.5, le=1.5)]
 Side = Annotated[float, Field(ge=-10, le=10)]
@@ -194,7 +194,7 @@ def modes_router(modes: Modes, aim: Aim | None = None) -> APIRouter:
 
     @router.post("/api/scan/coverage", status_code=204)
     async def start() -> None:
-        """Begin the map of a live scan anew."""
+        """Begin the map of a live scan again."""
         await asyncio.to_thread(modes.scan.start)
 
     @router.delete("/api/scan/coverage", status_code=204)

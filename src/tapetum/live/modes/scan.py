@@ -45,7 +45,7 @@ class Candidate:
     x, y, diameter
         In pixels of the picture.
     probability, false_alarms
-        That it is a camera; and how many things that are none score as high in a picture. None of a film.
+        Probability that it is a camera; and how many things that are none score as high in a picture. None for a film.
     snr
         Its height over the spread of its surroundings.
     frames
@@ -147,7 +147,7 @@ class Scan:
             return found.whole or None if candidate == 0 else found.crops.get((candidate, which))
 
     def start(self) -> None:
-        """Begin the map of a live scan anew."""
+        """Begin the map of a live scan again."""
         with self._lock:
             self._coverage, self._running = None, True
 
@@ -270,7 +270,7 @@ class _Seen:
 
 def _of_film(frames: Iterator[Frame]) -> _Result:
     """Candidates of a film: what the tracker follows through several frames, in its best one."""
-    # Much is let through in a frame, for what is none rarely lasts.
+    # A frame may have many false alarms, because few of them last over several frames.
     find = make_detector("cameras", {"false_alarms": _LIKELY})
     now: list[Frame] = []
 

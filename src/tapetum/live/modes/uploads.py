@@ -83,7 +83,8 @@ def _feed(pipe: IO[bytes] | None, content: bytes) -> None:
 
 
 def _frames(pipe: IO[bytes], kind: str) -> Iterator[Frame]:
-    """Read the child's frames; what it says is checked as a stranger's, for crafted bytes may have taken it over."""
+    """Read the child's frames; its answers are checked like any untrusted input, because crafted bytes may have taken
+    it over."""
     most = decode.FILM_FRAMES if kind == "film" else 2
     number, before = 0, -1.0
     while True:

@@ -1,4 +1,4 @@
-"""Whom a watch tells: receivers of its events and states, one file a kind, opened by `open_output`."""
+"""Receivers of a watch's events and states, one file a kind, opened by `open_output`."""
 
 from tapetum.live.outputs.base import Counts, Output, Queued
 from tapetum.live.outputs.registry import OUTPUTS, open_output

@@ -1,6 +1,6 @@
 """What every receiver of a watch's messages has: a bounded queue and a thread of its own.
 
-Whoever hands a message over returns at once. A slow or dead receiver loses its own messages, which are counted.
+Handing over a message never waits. A slow or dead receiver loses its own messages, which are counted.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ class Queued(ABC):
         self._fault, self._patience = "", patience
         self._change = threading.Condition()
         self._until: float | None = None
-        # Set once `close` waits: whoever pauses between two trials pauses no more.
+        # Set once `close` waits: a pause between two trials then ends.
         self.closing = threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"to {name}", daemon=True)
 

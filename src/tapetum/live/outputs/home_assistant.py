@@ -18,7 +18,7 @@ SLOTS = 8
 """Cameras that have an entity of their own; all of them count in `cameras`."""
 
 BIRTH = "homeassistant/status"
-"""Where Home Assistant says that it has started, and wants to be told of devices."""
+"""Topic on which Home Assistant says that it has started, and that devices are to announce themselves."""
 
 
 class Slots:

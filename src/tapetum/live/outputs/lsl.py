@@ -38,7 +38,7 @@ ACTIVITY = (
     ("frame", "", "Frame"),
     ("camera_time", "seconds", "Clock"),
 )
-"""The same of its stream of activity; `active` is 1, 0, or NaN where it cannot be told."""
+"""The same of its stream of activity; `active` is 1, 0, or NaN where it is unknown."""
 
 _WAITING = 10_000  # states: minutes, should the library ever be slow
 
@@ -97,7 +97,7 @@ class Lsl(Queued):
         self._gaze = self._activity = self._events_outlet = None
 
     def _outlet(self, name: str, kind: str, channels: tuple[tuple[str, str, str], ...]) -> Any:
-        # With a name of its own a stream that ends is found again by whoever records it.
+        # With a source id of its own a stream that ends is found again by a recorder.
         info = self._lsl.StreamInfo(name, kind, len(channels), 0.0, "double64", f"tapetum-{name}")
         info.set_channel_labels([label for label, _, _ in channels])
         info.set_channel_units([unit for _, unit, _ in channels])

@@ -32,7 +32,7 @@ class Tracks(Queued):
 
     def __init__(self, text: str) -> None:
         path = Path(text)
-        # What cannot be written is told now, not at the end of a day's watch.
+        # An error of writing shows now, not at the end of a day's watch.
         if path.is_dir() or path.exists():
             raise InputError("exists already", where=path, remedy="name another file, or move this one away")
         if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
@@ -116,7 +116,7 @@ def _with_note(error: Exception) -> str:
 
 
 def _row(camera: CameraState, utc_ns: int) -> dict[str, Any]:
-    """A camera as a row; what an earlier frame told of its gaze is none of this one."""
+    """A camera as a row; a gaze estimated in an earlier frame is left out."""
     row: dict[str, Any] = {name: getattr(camera, name) for name in ("id", "track", "x", "y", "active", "seen")}
     if camera.seen_utc_ns == utc_ns:
         row |= {name: getattr(camera, name) for name in ("snr", "diameter")}

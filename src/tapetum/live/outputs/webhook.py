@@ -25,7 +25,7 @@ _PAUSES = (0.5, 60.0)  # s between two trials: at first, and at most
 
 
 class _Stay(urllib.request.HTTPRedirectHandler):
-    """Follows no redirection: a POST would become a GET, and go to where nobody said."""
+    """Follows no redirection: a POST would become a GET, to an address that nobody named."""
 
     def redirect_request(self, req: Any, fp: Any, code: int, msg: str, headers: Any, newurl: str) -> None:
         return None
@@ -78,7 +78,7 @@ class Webhook(Queued):
             wait = min(max(wait, pause), self._pauses[1])
             pause = min(2 * pause, self._pauses[1])
             if self.closing.is_set():
-                # At the end no long pause: whoever closes waits for it.
+                # At the end no long pause: `close` waits for it.
                 time.sleep(min(wait, 0.1))
             else:
                 self.closing.wait(wait)

@@ -1,4 +1,4 @@
-"""The bench to play with: settings of a scene in, pictures and figures out."""
+"""The playground: settings of a scene in, pictures and numbers out."""
 
 from tapetum.live.playground.core import Limit, Playground, Result
 from tapetum.live.playground.settings import SETTINGS, Setting, apply, settings_of

@@ -1,4 +1,4 @@
-"""From a scene to what the bench to play with shows: pictures, budget, limit, eye safety and rays. No server here."""
+"""What the playground shows of a scene: pictures, budget, limit, eye safety and rays. No server here."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tapetum.simulate.unknowns import not_told
 __all__ = ["LIMITS", "Limit", "Playground", "Result"]
 
 LIMITS = ("gaze_x", "gaze_y", "object_distance")
-"""What one frame's limit is told of, all of it unknown together."""
+"""Parameters whose limits are stated, all unknown together."""
 
 _DRAFT = 0.3
 """Accuracy of a first picture, in fractions of the peak: the fewest samples that the engine tries."""
@@ -115,7 +115,7 @@ class Playground:
         unturned = apply(base, {name: value for name, value in values.items() if not name.startswith("gaze_")})
         alone = isinstance(unturned.target.lens, PrescriptionLens) and not isinstance(unturned.target, PhoneTarget)
         if alone and _trace_of(unturned) not in self._traced:
-            # What a thin lens is refused for, the traced one may do.
+            # The traced lens may be possible where the thin one is refused.
             with contextlib.suppress(InputError):
                 scene = apply(base, values, thin=True)
                 return scene, replace(self.result(scene, seed=seed), draft="thin lens")
@@ -218,7 +218,7 @@ def _is_traced(scene: Scene) -> bool:
 
 
 def _trace_of(scene: Scene) -> tuple[Any, ...]:
-    """What the rays through a lens depend on, but for their tilt."""
+    """What the rays through a lens depend on, except for their tilt."""
     target, light = scene.target, scene.illumination
     return target.lens, target.object_distance, light.wavelength, light.curvature(scene.distance)
 

@@ -1,4 +1,4 @@
-"""The requests of the bench to play with, and a small application of its own."""
+"""The requests of the playground, and a small application with it alone."""
 
 from __future__ import annotations
 

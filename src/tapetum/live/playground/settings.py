@@ -1,6 +1,6 @@
-"""What can be set in the bench to play with: one table, with where each value lives in a scene.
+"""What can be set in the playground: one table, with the field of the scene that each value sets.
 
-To add a slider, write a line in `SETTINGS`; one that is more than a number at a path needs a word in `apply` too.
+To add a slider, write a line in `SETTINGS`; one that sets more than the number at a path needs code in `apply` too.
 """
 
 from __future__ import annotations
@@ -274,7 +274,7 @@ def _sensor(base: Scene, given: Mapping[str, Any], all_of: Mapping[str, Any]) ->
     if {"filter", "filter_depth"} & set(given):
         rest = base.target.sensor.layers[1:]
         if rest:
-            what = f"this scene has {len(rest) + 1} layers, which one slider cannot tell apart"
+            what = f"this scene has {len(rest) + 1} layers, which one slider cannot set separately"
             raise InputError(what, where="filter", remedy="change them in a scene file")
         depth, share = all_of["filter_depth"] * 1e-3, all_of["filter"]
         changes["target.sensor.layers"] = [{"depth": depth, "reflectance": share}] if share > 0 else []

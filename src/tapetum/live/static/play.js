@@ -1,4 +1,5 @@
-// The bench to play with: sliders change a scene, the server computes it, this page draws what comes back.
+// The playground: sliders change a scene, the server computes it, this page draws what comes back.
+// Over 400 lines: controls, requests and drawings share one state, and a page without a build step loads it at once.
 "use strict";
 
 const PAGE = Math.random().toString(36).slice(2);

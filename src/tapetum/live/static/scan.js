@@ -86,7 +86,7 @@ function whole(search) {
 const ADVICE = { "hold still": "Hold still for a moment", "go slower": "Go slower, or go back to where you were", "go on": "Turn on to the next part", "": "Stand in the middle, begin, and turn slowly." };
 
 function map(coverage) {
-  say("walk", coverage.running ? "End" : coverage.columns ? "Begin anew" : "Begin");
+  say("walk", coverage.running ? "End" : coverage.columns ? "Begin again" : "Begin");
   say("advice", coverage.running ? ADVICE[coverage.advice] ?? coverage.advice : coverage.columns ? "Ended." : ADVICE[""]);
   say("walk-say", coverage.columns ? `${percent(coverage.share)} of what was passed was seen for long enough, in ${Math.round(coverage.seconds)} s` : "");
   const { pen, width, height } = fitted($("map")), cells = atob(coverage.cells);

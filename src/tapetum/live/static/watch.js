@@ -97,9 +97,9 @@ function drawCameras() {
 }
 
 const WAYS = [
-  ["place", "this place", "Nothing is told of any camera near this place"],
-  ["device", "this device", "Nothing is told of any camera that is taken for this device"],
-  ["look", "this look", "Nothing is told of a camera that looks as this one did in the last minute, wherever it is"],
+  ["place", "this place", "No camera near this place is reported"],
+  ["device", "this device", "No camera that is taken for this device is reported"],
+  ["look", "this look", "A camera that looks as this one did in the last minute is not reported, wherever it is"],
 ];
 
 function card(id, list) {

@@ -18,7 +18,7 @@ from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_
 from tapetum.report.figures.gaze import fig_gaze_over_time
 from tapetum.report.figures.maps import fig_error_map
 from tapetum.report.figures.path import fig_path
-from tapetum.report.looks import look
+from tapetum.report.formatting import look
 from tapetum.report.verdicts import MEAN
 
 __all__ = ["MEAN", "Picture", "path_section", "pictures"]

@@ -7,8 +7,8 @@ import numpy as np
 from tapetum.report import html
 from tapetum.report.evaluation.outcome import Outcome
 from tapetum.report.evaluation.scores import Group, by_device, by_recording, by_snr, score_classes
+from tapetum.report.formatting import look
 from tapetum.report.html import Html
-from tapetum.report.looks import look
 
 __all__ = ["devices", "parts"]
 

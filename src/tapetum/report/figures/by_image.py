@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from tapetum.errors import InputError
 from tapetum.report.figures._style import INK, LABEL, NOTE, QUIET, colour, draw_dots, dress, marker, new_figure
-from tapetum.report.looks import look
+from tapetum.report.formatting import look
 
 __all__ = ["fig_by_image"]
 

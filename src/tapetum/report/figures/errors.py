@@ -25,7 +25,7 @@ from tapetum.report.figures._style import (
     marker,
     new_figure,
 )
-from tapetum.report.looks import look
+from tapetum.report.formatting import look
 
 if TYPE_CHECKING:
     from tapetum.report.binned import Binned

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapetum.errors import InputError
 from tapetum.report.figures._style import INK, LABEL, NOTE, dress, dress_bar, new_figure, part_of
-from tapetum.report.looks import look
+from tapetum.report.formatting import look
 
 if TYPE_CHECKING:
     from tapetum.report.evaluation.scores import ErrorMap

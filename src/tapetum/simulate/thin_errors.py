@@ -1,4 +1,4 @@
-"""Errors of a thin lens's passes that no sampling removes; they are added to the stated error."""
+"""Errors of a thin lens's approximations, which no finer sampling removes; `camera` adds them to the stated error."""
 
 from __future__ import annotations
 

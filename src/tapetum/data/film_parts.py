@@ -24,7 +24,9 @@ _AXES = 2
 def of_unit(dataset: xr.Dataset, name: str) -> xr.Dataset:
     """Return the frames of one unit; raise an InputError for a name that the set does not have."""
     if UNIT not in dataset:
-        raise InputError("tells no units apart", where=dataset.tp.source, remedy="leave --unit out")
+        raise InputError(
+            "does not distinguish copies of its camera", where=dataset.tp.source, remedy="leave --unit out"
+        )
     one_of(name, dataset.tp.units, "--unit")
     names = dataset[UNIT].attrs["classes"]
     part = dataset.isel(frame=np.flatnonzero(np.asarray(dataset[UNIT].values) == names.index(name)))

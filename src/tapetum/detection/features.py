@@ -1,4 +1,4 @@
-"""How a candidate looks: numbers that tell a camera from edges, foliage, lettering and people.
+"""Features of a candidate: numbers that separate a camera from edges, foliage, lettering and people.
 
 Each is a logarithm or a share, so that a weighted sum of them can be the logarithm of odds (score.py).
 """
@@ -34,10 +34,10 @@ OF_A_FRAME = (
 )
 """Of every candidate, in this order.
 
-height: over the spread of the surroundings; outlier: that beside the other candidates of the frame; contrast: over the
-local brightness; isolation and alone: beside what the same filter finds within 12 and 20 pixels; elongation and fill:
-of the pixels over 40 % of its peak; inside: 0 at the edge of the frame,
-or of the dark one; size; saturated: 1 where a pixel is at full scale.
+height: over the spread of the surroundings; outlier: the same, relative to the other candidates of the frame; contrast:
+over the local brightness; isolation and alone: over the largest responses of the same filter within 12 and 20 pixels;
+elongation and fill: of the pixels over 40 % of its peak; inside: 0 at the edge of the frame, or of the dark one; size;
+saturated: 1 where a pixel is at full scale.
 """
 OF_A_PAIR = ("vanishes", "fresh", "motion", "partner", "clear", "level", "above", "apart", "twin")
 """Besides, where there is a dark frame.
@@ -45,9 +45,9 @@ OF_A_PAIR = ("vanishes", "fresh", "motion", "partner", "clear", "level", "above"
 vanishes: the share of the lit frame's answer that the dark one lacks nearby; fresh: what is left after the surroundings
 alone are registered once more; motion: how unequal the flow is nearby; partner: how strongly the dark frame alone shows
 something of the same size nearby, as where a thing moved; clear: the height over the spread and what the registration
-left of edges around; level: the height in grey levels. By rivals, places that only the dark frame shows bright
-(`candidates.screened`), of which none is a camera: above, how much higher it stands than the third highest; apart, than
-any, the less the farther off it is; twin, how alike one nearby is in size and level, as where a small thing moved.
+left of edges around; level: the height in grey levels. From rivals, places that are bright in the dark frame alone
+(`candidates.screened`) and so no cameras: above, how much higher it stands than the third highest; apart, than any,
+where distant ones count less; twin, how similar one nearby is in size and level, as where a small thing moved.
 """
 _SHAPE = 10
 # Of the frame's longer side: how far a rival matters to a factor of e, and how far a thing may move.
@@ -78,7 +78,7 @@ def looks(cut: Cut, bright: Array, full_scale: float, flow: NDArray[np.float32] 
     elongation, fill = shape(cut)
     edge = _inside(x, y, cut.shape)
     if flow is not None:
-        # What the dark frame does not show is no surroundings either.
+        # Pixels outside the dark frame do not count as surroundings either.
         moved = _at(flow, cut, np.zeros(1))[:, 0, 0] / cut.step[:, None]
         edge = np.minimum(edge, _inside(x + moved[:, 0], y + moved[:, 1], cut.shape))
     middle = slice(HALF - 1, HALF + 2)
@@ -111,7 +111,7 @@ def looks(cut: Cut, bright: Array, full_scale: float, flow: NDArray[np.float32] 
 
 
 def beside_rivals(own: Array, rivals: Array, side: int) -> Array:
-    """The looks "above", "apart" and "twin" of places, [N, 3].
+    """The features "above", "apart" and "twin" of places, [N, 3].
 
     Parameters
     ----------
@@ -188,7 +188,7 @@ def _fresh(cut: Cut) -> Array:
     dark = _smoothed(cut.dark[:, wider, wider], 0.8)
     radius = np.hypot(*np.mgrid[-_AGAIN : _AGAIN + 1, -_AGAIN : _AGAIN + 1])
     around = (radius > (2.5 * np.array(SIGMAS) + 1.5)[:, None, None]).astype(np.float32)
-    # Every other pixel says which shift is the best: smoothed ones say hardly more.
+    # Every other pixel is enough to find the best shift: the pixels are smoothed.
     thin_lit = np.ascontiguousarray(lit[:, ::2, ::2])
     thin = [[np.ascontiguousarray(dark[:, row::2, column::2]) for column in (0, 1)] for row in (0, 1)]
     chosen = np.ascontiguousarray(around[:, ::2, ::2].reshape(len(SIGMAS), -1).T)

@@ -1,7 +1,8 @@
-"""The search for a twin's maximum of likelihood, and which of its parameters a recording tells.
+"""The search for a twin's maximum likelihood, and which of its parameters a recording determines.
 
 Damped Gauss-Newton steps (Levenberg and Marquardt) on the information that is left once each frame's nuisances are
-eliminated. A step counts as better by the weights it was made with: a larger variance must not count as a better fit.
+eliminated. A step is judged with the weights it was computed with, so that a larger variance does not pass for a better
+fit.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.calibrate.twin.normal import Linear, Normal, State
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, State
 from tapetum.progress import Progress, quiet
 
 __all__ = ["LIMIT", "Untold", "climb", "covariance", "settle", "two_groups", "untold"]
@@ -23,7 +24,7 @@ LIMIT = 1.2
 # Expected fall of the squared residuals from which a search has converged: a seventh of a standard deviation.
 _CONVERGED = 0.02
 _STEPS, _HARDEST, _FARTHEST = 25, 1e8, 1.5
-# Information, in inverse squared spreads, added to every step: it only slows what the data hardly tell.
+# Information, in inverse squared spreads, added to every step: it only slows parameters that the data hardly determine.
 _SLOW = 0.1
 # Component of a flat direction from which a parameter is named.
 _NAMED = 0.2
@@ -92,7 +93,7 @@ def climb(
 
 
 def _doubted(linear: Linear, most: float) -> Linear:
-    """Let what is known beforehand count as many times as the residuals exceed the noise, up to `most`."""
+    """Multiply the weight of the priors by the ratio of residuals to noise, up to `most`."""
     misfit = linear.misfit(lit=True)
     return linear.doubted(min(most, misfit) if misfit > LIMIT else 1.0)
 
@@ -122,14 +123,15 @@ def _sure(matrix: Array) -> Array:
 
 @dataclass(frozen=True)
 class Untold:
-    """A parameter that a recording does not tell: its number, and those of others whose changes look like its own."""
+    """A parameter that a recording does not determine: its number, and those of others whose changes look like its
+    own."""
 
     number: int
     like: tuple[int, ...]
 
 
 def untold(information: Array) -> list[Untold]:
-    """Return the parameters that information [P, P], per squared spread, knows no better than their spread."""
+    """Return the parameters that information [P, P], per squared spread, determines no better than their spread."""
     found: list[Untold] = []
     rest = list(range(len(information)))
     while rest:

@@ -6,9 +6,9 @@ are eliminated by Schur's complement, so that the information on the shared para
 nuisances unknown.
 
 Derivatives by nuisances are those of the fit by simulation (`models.simulation.search`); those by shared parameters are
-differences of pictures, for thin and for traced lenses alike. A thin lens could be differentiated automatically
-by focus, focal length, gaze and power; a backward pass costs more than a picture, and the differences agree with
-it to 1 % (tests/calibrate/test_twin.py), which is what a step of a least-squares search needs.
+differences of pictures, for thin and for traced lenses alike. A thin lens could be differentiated automatically by
+focus, focal length, gaze and power; but a backward pass costs more than a picture, and the differences agree with it to
+1 % (tests/calibrate/test_twin.py), which is enough for a step of a least-squares search.
 
 A little over 400 lines, as linearising, eliminating and stepping share the layout of the equations.
 """
@@ -61,8 +61,8 @@ class State:
 class _Frame:
     """One frame linearised: information [P + n, P + n] and score [P + n] of its pixels and of the priors; weights.
 
-    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters; `squares` are the weighted ones of
-    the residuals, `priors` those of what is known beforehand, which counts `doubt` times.
+    `rows` [P, N] are the derivatives of the mean electrons by the shared parameters; `squares` are the weighted squares
+    of the residuals, `priors` those of the deviations from the priors, whose weight is `doubt`.
     """
 
     rows: NDArray[np.float32]
@@ -98,8 +98,8 @@ class Linear:
     at
         [P] coordinates at which the derivatives by the shared parameters were taken.
     doubt
-        How many times what is known beforehand counts. Where the scene does not explain the frames yet, its residuals
-        are no noise, and the pixels tell the gaze by as much less well: the labels must hold it.
+        Factor by which the priors weigh more. While the scene does not explain the frames yet, its residuals are more
+        than noise and the pixels determine the gaze less well, so that the labels must determine it.
     """
 
     state: State
@@ -115,7 +115,7 @@ class Linear:
         return sum(one.squares + one.doubt * one.priors for one in self.frames)
 
     def doubted(self, doubt: float) -> Linear:
-        """Return the same with another doubt."""
+        """Return the same with another weight of the priors."""
         return _reduced(self.state, [replace(one, doubt=doubt) for one in self.frames], len(self.score), self.at, doubt)
 
     @property

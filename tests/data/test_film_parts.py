@@ -6,7 +6,7 @@ import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tapetum.data.shares import spread_over
+from tapetum.data.film_parts import spread_over
 
 
 def walk(count: int, seed: int = 0) -> np.ndarray:

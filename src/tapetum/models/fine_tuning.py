@@ -1,0 +1,379 @@
+"""The steps of an adaptation: which layers are fitted again, on which frames, and how wide the intervals become."""
+
+from __future__ import annotations
+
+import copy
+import json
+import time
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from tapetum.data.dataset import STD
+from tapetum.data.embargo import meeting, reach_of
+from tapetum.errors import InputError
+from tapetum.models.architectures import Network
+from tapetum.models.base import TrainingPart
+from tapetum.models.domain import fit_domain, picture_features
+from tapetum.models.intervals import fit_intervals
+from tapetum.models.kept_folds import WHOLE, KeptFolds
+from tapetum.models.last_layer import PENALTIES, LastLayer, corrected, folds_of, single_folds
+from tapetum.models.losses import MixedLoss
+from tapetum.models.network import NetworkEstimator
+from tapetum.models.processes import training_device
+from tapetum.models.training import (
+    EpochReport,
+    TrainingSettings,
+    augment,
+    kept_epoch,
+    train,
+)
+from tapetum.progress import Progress
+
+__all__ = ["ALL", "LAST", "Adaptation"]
+
+Array = NDArray[np.float64]
+T = TypeVar("T")
+
+LAST, ALL = "the last layer", "all layers"
+"""What may be fitted again."""
+
+# Up to so many frames every frame fits and calibrates, by cross-validation; of more, a part is kept aside.
+_FEW = 250
+_FOLDS = 4
+# Forward and backward passes of one image in total, at 96 x 96 pixels: a minute or two on two cores.
+_PASSES, _AT_SIZE = 6000, 96
+_MOST_EPOCHS = 40
+_FEWEST_EPOCHS = 3
+_BATCH, _RATE = 16, 5e-4
+# Shares of the frames kept aside, where they are many: to choose and to calibrate.
+_CHOOSE, _CALIBRATE = 0.08, 0.17
+
+
+@dataclass
+class Adaptation:
+    """One adaptation: the frames as the network takes them (`looks`), in the order of `part`."""
+
+    base: NetworkEstimator
+    part: TrainingPart
+    looks: Tensor
+    snr: Array
+    features: Array
+    targets: Array
+    settings: TrainingSettings
+    folds: NDArray[np.int64]
+    few: bool
+    single: bool
+    device: str
+    progress: Progress
+    kept: KeptFolds
+    identity: dict[str, Any]
+    on_epoch: Callable[[EpochReport], None] | None = None
+    started: float = 0.0
+
+    @classmethod
+    def begin(
+        cls,
+        base: NetworkEstimator,
+        part: TrainingPart,
+        sparse: bool,
+        epochs: int | None,
+        seed: int,
+        precision: str,
+        device: str,
+        progress: Progress,
+        checkpoint: str | Path | None,
+        resume: bool,
+    ) -> Adaptation:
+        started = time.monotonic()
+        found = base.read(part.dataset, progress=progress)
+        looks, snr = found[0], found[1]
+        n = len(looks)
+        few = n <= _FEW
+        if epochs is None:
+            passes = _PASSES * (_AT_SIZE / base.size) ** 2
+            each = n * _FOLDS if few else n * (1 - _CHOOSE - _CALIBRATE)
+            epochs = int(np.clip(passes / each, _FEWEST_EPOCHS, _MOST_EPOCHS))
+        settings = replace(
+            base.settings,
+            epochs=int(epochs),
+            batch=min(_BATCH, n // 2),
+            learning_rate=_RATE,
+            seed=seed,
+            patience=None if few else int(epochs),
+            precision=precision,
+        )
+        count = _FOLDS if few else round(1 / (_CHOOSE + _CALIBRATE))
+        single = few and sparse and _deviations(part) is not None
+        folds = single_folds(n, count, seed) if single else folds_of(part.dataset, count)
+        centre, size = part.targets.mean(axis=0), part.targets.std(axis=0)
+        identity = {
+            "base": base.data_hash_,
+            "data": part.data_hash,
+            "frames": n,
+            "settings": asdict(settings),
+            "single": single,
+        }
+        work = cls(
+            base,
+            part,
+            looks,
+            snr,
+            np.empty((0, 0)),
+            (part.targets - centre) / size,
+            settings,
+            folds,
+            few,
+            single,
+            device,
+            progress,
+            KeptFolds(None if checkpoint is None else Path(checkpoint), resume),
+            json.loads(json.dumps(identity)),
+            started=started,
+        )
+        work.features = work.outputs(base.network_, features=True)
+        return work
+
+    def outputs(self, network: Network, places: NDArray[np.intp] | None = None, *, features: bool = False) -> Array:
+        """Return a network's outputs or features for some frames."""
+        looks = self.looks if places is None else self.looks[torch.from_numpy(places)]
+        device = training_device(self.device)
+        network.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        network.eval()
+        return self.base.run(network.features if features else network, looks, device)
+
+    @property
+    def spread_of(self) -> Array:
+        """Standard deviations [K] of the quantities, in which `targets` are counted."""
+        return self.part.targets.std(axis=0)
+
+    def head(self, places: NDArray[np.intp], penalty: float) -> LastLayer:
+        """Correct the base's last layer by some frames."""
+        weights = self.part.weights
+        sure = None if weights is None else weights[places].mean(axis=1)
+        return corrected(self.before, self.features[places], self.targets[places], sure, penalty)
+
+    @property
+    def before(self) -> LastLayer:
+        """The base's own last layer, for the quantities as counted here."""
+        weight, bias = (one.detach().double().cpu().numpy() for one in self.base.network_.head.parameters())
+        centre, size = self.base.scaling
+        moved = (centre - self.part.targets.mean(axis=0)) / self.spread_of
+        factor = size / self.spread_of
+        return LastLayer(weight * factor[:, None], bias * factor + moved)
+
+    def apart(self, aside: NDArray[np.bool_]) -> NDArray[np.intp]:
+        """Return the frames to fit: without those whose labels share a measurement with the labels of frames aside."""
+        fits = ~aside
+        span = reach_of(self.part.dataset)
+        if span is not None and not self.single:
+            fits &= ~meeting(span, np.asarray(self.part.dataset["recording"].values), fits, aside)
+        places = np.flatnonzero(fits)
+        if len(places) < 4:
+            what = "the labels share all measurements: no frame is left to fit beside those that calibrate"
+            raise InputError(what, where="dataset", remedy="film longer, or choose frames spread over the field")
+        return places
+
+    def trained(
+        self, places: NDArray[np.intp], head: LastLayer, what: str, choose: NDArray[np.intp] | None = None
+    ) -> tuple[Network, list[EpochReport]]:
+        """Train all layers on some frames, from a fitted last layer."""
+        network = copy.deepcopy(self.base.network_)
+        _with_outputs(network, self.targets.shape[1])
+        head.put(network)
+        columns = [self.targets]
+        if self.part.weights is not None:
+            columns.append(self.part.weights)
+        wanted = torch.from_numpy(np.concatenate(columns, axis=1)[places].astype(np.float32))
+        last = choose is not None or not self.few or what == WHOLE
+        folder = self.kept.folder / WHOLE if self.kept.folder is not None and last else None
+        # A fold takes as many steps as the whole, else its errors would be those of a shorter training.
+        epochs = round(self.settings.epochs * len(self.targets) / len(places)) if self.few else self.settings.epochs
+        batch = min(self.settings.batch, max(2, len(places) // 2))
+        settings = replace(self.settings, batch=batch, epochs=epochs)
+
+        def validate(one: torch.nn.Module) -> float:
+            assert choose is not None
+            return float(np.abs(self.outputs(one, choose) - self.targets[choose]).mean())  # type: ignore[arg-type]
+
+        part_of = what
+
+        def shown(items: Iterable[T], what: str, *, total: int | None = None) -> Iterator[T]:
+            return self.progress(items, f"{part_of}: {what}", total=total)
+
+        history = train(
+            network,
+            self.looks[torch.from_numpy(places)],
+            wanted,
+            settings if choose is not None else replace(settings, patience=None),
+            loss=MixedLoss(self.targets.shape[1], self.part.weights is not None),
+            validate=validate if choose is not None else None,
+            device=self.device,
+            checkpoint=folder,
+            resume=self.kept.resume and folder is not None,
+            identity={**self.identity, "part": what},
+            progress=shown,
+            on_epoch=self.on_epoch if last else None,
+        )
+        return network, history
+
+    def adapted(self, told: dict[str, Any]) -> NetworkEstimator:
+        """Adapt, by folds or by parts."""
+        self.kept.begin(self.identity)
+        return self._by_folds(told) if self.few else self._by_parts(told)
+
+    def _by_folds(self, told: dict[str, Any]) -> NetworkEstimator:
+        names = np.unique(self.folds)
+        asides = [self.folds == k for k in names]
+        fits = [self.apart(aside) for aside in asides]
+        last, penalty = self._last_layer(asides, fits)
+        residuals = np.full_like(self.targets, np.nan)
+        for k, (aside, fit) in enumerate(zip(asides, fits, strict=True)):
+            at = np.flatnonzero(aside)
+            kept = self.kept.fold(k)
+            if kept is None:
+                network, _ = self.trained(fit, self.head(fit, penalty), f"fold {k + 1} of {len(asides)}")
+                kept = self.targets[at] - self.outputs(network, at)
+                self.kept.keep(k, kept)
+            residuals[at] = kept
+        everything = np.arange(len(self.targets))
+        errors = {LAST: float(np.abs(last).mean()), ALL: float(np.abs(residuals).mean())}
+        best = min(errors, key=lambda one: errors[one])
+        head = self.head(everything, penalty)
+        network = self._finished(best, everything, head)
+        why = f"{self._said(errors)} on frames left out in turn, in {len(asides)} folds"
+        intervals = f"from the errors on the frames left out in turn, in {len(asides)} folds (cross-conformal)"
+        own = np.abs(residuals if best == ALL else last)
+        wide = _deviations(self.part)
+        if self.single and wide is not None:
+            # Neighbouring frames may share the error of their labels, which a network can learn from one and repeat for
+            # the other.
+            own = own + wide / self.spread_of
+        chosen = {"fitted": f"{best}: {why}", "penalty": f"{penalty:.3g}: least error on the same frames"}
+        summary = {"fitted": len(everything), "calibrated_on": len(everything), "embargo": 0, "chosen": chosen}
+        return self._estimator(network, own * self.spread_of, self.snr, {**summary, "intervals": intervals}, told)
+
+    def _by_parts(self, told: dict[str, Any]) -> NetworkEstimator:
+        aside = self.folds == np.unique(self.folds)[-1]
+        places = np.flatnonzero(aside)
+        fit = self.apart(aside)
+        # Stretches of the part kept aside choose and calibrate by turns; all frames of one stretch do the same.
+        edges = np.flatnonzero(np.diff(places) > 1) + 1
+        stretches = np.split(places, edges)
+        every = max(2, round((_CHOOSE + _CALIBRATE) / _CHOOSE))
+        if len(stretches) < every:
+            cut = round(len(places) * _CHOOSE / (_CHOOSE + _CALIBRATE))
+            choose, calibrate = places[:cut], places[cut:]
+        else:
+            choose = np.concatenate(stretches[::every])
+            calibrate = np.setdiff1d(places, choose)
+        choose = self._away(choose, calibrate)
+        chosen_mask = np.zeros(len(self.targets), bool)
+        chosen_mask[choose] = True
+        _, penalty = self._last_layer([chosen_mask], [fit])
+        head = self.head(fit, penalty)
+        network, history = self.trained(fit, head, WHOLE, choose)
+        errors = {
+            LAST: float(np.abs(head(self.features[choose]) - self.targets[choose]).mean()),
+            ALL: float(np.abs(self.outputs(network, choose) - self.targets[choose]).mean()),
+        }
+        best = min(errors, key=lambda one: errors[one])
+        if best == LAST:
+            network = self._finished(LAST, fit, head)
+        residuals = (self.targets[calibrate] - self.outputs(network, calibrate)) * self.spread_of
+        n = len(choose)
+        chosen = {
+            "fitted": f"{best}: {self._said(errors)} on {n} frames that neither fit nor calibrate",
+            "penalty": f"{penalty:.3g}: least error on the same frames",
+        }
+        if best == ALL:
+            kept = f"{kept_epoch(history, self.settings.patience)} of {len(history)}"
+            chosen["epochs"] = f"{kept}: least error on the same frames"
+        left = len(self.targets) - len(fit) - len(calibrate) - n
+        summary = {"fitted": len(fit), "calibrated_on": len(calibrate), "embargo": left, "chosen": chosen}
+        intervals = "from stretches of the film that neither fitted nor chose"
+        return self._estimator(network, residuals, self.snr[calibrate], {**summary, "intervals": intervals}, told)
+
+    def _away(self, these: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.intp]:
+        """Return those of the frames whose labels share no measurement with the others'."""
+        span = reach_of(self.part.dataset)
+        if span is None:
+            return these
+        one, other = (np.isin(np.arange(len(span)), places) for places in (these, others))
+        kept = one & ~meeting(span, np.asarray(self.part.dataset["recording"].values), one, other)
+        return np.flatnonzero(kept) if kept.any() else these
+
+    def _last_layer(self, asides: list[NDArray[np.bool_]], fits: list[NDArray[np.intp]]) -> tuple[Array, float]:
+        """Return the last layer's errors [N, K] on the frames left out, and the penalty with the smallest ones."""
+        best, least, penalty = np.empty(0), np.inf, 1.0
+        for one in PENALTIES:
+            errors = np.full_like(self.targets, np.nan)
+            for aside, fit in zip(asides, fits, strict=True):
+                errors[aside] = self.targets[aside] - self.head(fit, float(one))(self.features[aside])
+            error = float(np.nanmean(np.abs(errors)))
+            if error < least:
+                best, least, penalty = errors, error, float(one)
+        return best, penalty
+
+    def _finished(self, what: str, places: NDArray[np.intp], head: LastLayer) -> Network:
+        """Return the network that is kept: all layers trained on some frames, or only the last layer."""
+        if what == ALL:
+            return self.trained(places, head, WHOLE)[0]
+        network = copy.deepcopy(self.base.network_)
+        _with_outputs(network, self.targets.shape[1])
+        head.put(network)
+        return network
+
+    def _said(self, errors: dict[str, float]) -> str:
+        # The mean of the quantities, each over its spread: quantities may differ in units.
+        said = ", ".join(f"{error:.3g} with {what}" for what, error in errors.items())
+        return f"mean error over the labels' spread {said}"
+
+    def _estimator(
+        self, network: Network, residuals: Array, snr: Array, summary: dict[str, Any], told: dict[str, Any]
+    ) -> NetworkEstimator:
+        base, part, settings = self.base, self.part, self.settings
+        state = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
+        scaling = {"centre": part.targets.mean(axis=0), "spread": self.spread_of, "unit": np.array([base.unit])}
+        state |= {f"scaling.{name}": torch.from_numpy(np.asarray(one, float)) for name, one in scaling.items()}
+        state |= fit_intervals(residuals, snr).state("scaling.")
+        generator = torch.Generator().manual_seed(settings.seed)
+        seen = [picture_features(augment(some, settings.augmentation, generator)) for some in self.looks.split(64)]
+        domain = fit_domain(np.concatenate(seen), np.asarray(part.dataset["recording"].values))
+        state |= {} if domain is None else domain.state()
+        own = {
+            "epochs": settings.epochs,
+            "batch": settings.batch,
+            "learning_rate": settings.learning_rate,
+            "seed": settings.seed,
+            "patience": settings.patience,
+            "precision": settings.precision,
+            "calibration_fraction": _CALIBRATE,
+        }
+        model = type(base).from_state({**base.parameters(), **own}, state, architecture=base.kind)
+        model.device = self.device
+        model.data_hash_ = part.data_hash
+        took = {"took_seconds": round(time.monotonic() - self.started, 1)}
+        model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
+        return model
+
+
+def _deviations(part: TrainingPart) -> Array | None:
+    """Return the standard deviations [N, K] of the labels; 0 where labels reach no other frame, None where unknown."""
+    names = [f"{name}{STD}" for name in part.quantities]
+    if all(name in part.dataset for name in names):
+        return np.stack([np.asarray(part.dataset[name].values, float) for name in names], axis=1)
+    return None if reach_of(part.dataset) is not None else np.zeros(part.targets.shape)
+
+
+def _with_outputs(network: Network, outputs: int) -> None:
+    """Check that the last layer has one output for each quantity."""
+    if network.head.out_features != outputs:
+        what = f"the last layer has {network.head.out_features} outputs for {outputs} quantities"
+        raise InputError(what, where="model", remedy="give a model of quantities alone")
