@@ -6,9 +6,9 @@ The folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, 
 `unsure` (x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are
 near copies: scenes weigh the same, and what is printed is cross-validated by scene. Each dark frame is also shaken, as
 by a hand: turned, shifted and bent at random. To the weighted looks of a pair comes a share of what the second stage
-says, which learned from drawn scenes alone (train_second.py). How many false alarms a score costs, and how much more in
-a cluttered pair, is what these frames have, each scene left out once, and drawn scenes without cameras: the geometric
-mean of both where both are known.
+says, which learned from drawn scenes alone (train_second.py). How many false alarms a score costs, and how this rises
+with a pair's clutter, is counted on these frames, each scene left out once, and on drawn scenes without cameras; the
+geometric mean of both where both are known.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from __future__ import annotations
 import json
 import sys
 from collections import defaultdict
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -69,7 +69,7 @@ class Case:
     glints: int
     second: np.ndarray
     shaken: bool = False
-    decoys: tuple[np.ndarray, np.ndarray] | None = field(default=None)
+    decoys: tuple[np.ndarray, np.ndarray] | None = None
 
 
 def read(path: Path) -> np.ndarray:
@@ -131,14 +131,10 @@ def fixed(cases: list[Case]) -> tuple[np.ndarray, float]:
     return signs * model.coef_[0, 0], float(model.intercept_[0])
 
 
-def joined(by_looks: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """Log odds of a pair's candidates by looks and second stage, as `Score.joined`."""
-    return np.minimum(by_looks, MOST) + SECOND * second
-
-
 def by(model: LogisticRegression, looks: np.ndarray, second: np.ndarray) -> np.ndarray:
     """Log odds of a pair's candidates by fitted weights."""
-    return joined(model.decision_function(_fitted(looks)), second) if len(looks) else np.empty(0)
+    by_looks = model.decision_function(_fitted(looks)) if len(looks) else np.empty(0)
+    return Score((), 0.0, ((), ()), SECOND, MOST).joined(by_looks, second)
 
 
 def crossed(cases: list[Case]) -> tuple[list[np.ndarray], list[float]]:
@@ -155,7 +151,7 @@ def recalled(cases: list[Case], scores: list[np.ndarray]) -> dict[float, float]:
     scenes = sorted({one.scene for one in cases})
     false = np.unique(np.concatenate([s[one.counted & ~one.camera] for one, s in zip(cases, scores, strict=True)]))
     levels = false[::-1]
-    rates = alarm_rates(cases, scores, levels)[0]
+    rates = alarm_rates(cases, scores, levels)
     recall = {}
     for rate in RATES:
         over = np.flatnonzero(rates > rate)
@@ -168,16 +164,14 @@ def recalled(cases: list[Case], scores: list[np.ndarray]) -> dict[float, float]:
     return recall
 
 
-def alarm_rates(cases: list[Case], scores: list[np.ndarray], levels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """False alarms a frame of at least so high a score, averaged over scenes, and how many there were, [levels]."""
-    rates, count = [], np.zeros(len(levels), int)
+def alarm_rates(cases: list[Case], scores: list[np.ndarray], levels: np.ndarray) -> np.ndarray:
+    """False alarms a frame of at least so high a score, averaged over scenes, [levels]."""
+    rates = []
     for scene in sorted({one.scene for one in cases}):
         own = [s[one.counted & ~one.camera] for one, s in zip(cases, scores, strict=True) if one.scene == scene]
         false = np.sort(np.concatenate(own))
-        above = len(false) - np.searchsorted(false, levels)
-        rates.append(above / len(own))
-        count += above
-    return np.mean(rates, 0), count
+        rates.append((len(false) - np.searchsorted(false, levels)) / len(own))
+    return np.mean(rates, 0)
 
 
 def scaled(cases: list[Case], scores: list[np.ndarray]) -> tuple[float, float]:
@@ -207,8 +201,9 @@ def costs(real: list[Alarms], drawn: list[Alarms], pair: bool) -> tuple[list[flo
     """Log odds, how many false alarms a frame has above each, the usual clutter, and how they rise with it.
 
     Poisson regressions, one a level: on clutter, in a pair, and on whether frames are real or drawn, half-way between
-    which the rates are. Scenes of each weigh the same, and so do both together. Few false alarms tell of real and drawn
-    frames together only, and not how they rise with clutter: there as at the last level that has enough.
+    which the rates are. Real scenes weigh the same as each other, so do kinds of drawn ones, and so do both groups.
+    Where false alarms are few, real and drawn frames share one rate, and the rise with clutter is that of the last
+    level with enough of them.
     """
     weights, is_real = [], np.repeat([1.0, 0.0], [len(real), len(drawn)])
     for part in (real, drawn):
@@ -322,15 +317,17 @@ def main() -> None:
             of_empty = [by(model, one.looks, one.second) for one in empty]
             empty_clutter = [clutter_by(by(model, *one.decoys)) for one in empty if one.decoys is not None]
         real, drawn = alarms_of(cases, scores, clutter), alarms_of(empty, of_empty, empty_clutter)
-        apart = costs_by_others(cases, real, scores, drawn, kind == "pair")
-        # The first and the last of a ranking by cost are those of one by log odds, frame by frame.
-        ranks = [-np.log(one) for one in apart]
+        levels, rates, usual, rises = costs(real, drawn, kind == "pair")
+        cost = Score((), 0.0, (tuple(levels), tuple(rates)), clutter=(usual, tuple(rises)))
+        # Frames differ in clutter, so candidates of several frames are ranked by what they cost. One table ranks all:
+        # with one of the others for each scene, a scene that alarms more would be ranked by a table that alarms less.
+        # Where the table is level, log odds decide.
+        ranks = [1e-3 * s - np.log(cost.false_alarms(s, level)) for s, level in zip(scores, clutter, strict=True)]
         still = [n for n, one in enumerate(cases) if not one.shaken]
         recall = recalled([cases[n] for n in still], [ranks[n] for n in still])
         print(kind, "standing", recall)
         print(kind, "all", recalled(cases, ranks))
-        told(kind, cases, apart)
-        levels, rates, usual, rises = costs(real, drawn, kind == "pair")
+        told(kind, cases, costs_by_others(cases, real, scores, drawn, kind == "pair"))
         names = OF_A_FRAME + (OF_A_PAIR if kind == "pair" else ())
         known[kind] = {
             "weights": dict(zip(names, np.round(weights, 4).tolist(), strict=True)),

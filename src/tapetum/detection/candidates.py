@@ -274,7 +274,7 @@ def screened(layer: Layer, most: int) -> tuple[Place, Place]:
     if layer.base is None:
         return _highest(_above(narrow, wide, wide), layer, None, most), Place.none()
     found = _highest(_above(narrow, wide), layer, layer.base, most)
-    return found, _highest(_above(wide, narrow, wide), layer, layer.bright, min(most, _RIVALS))
+    return found, _highest(_above(wide, narrow, wide), layer, layer.bright, _RIVALS)
 
 
 def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int) -> Place:

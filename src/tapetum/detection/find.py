@@ -170,8 +170,8 @@ def candidates_with_looks(
 ) -> tuple[Candidates, Candidates | None]:
     """Return the candidates of a frame or a pair, before any is scored; and, of a pair, its decoys.
 
-    Decoys are what would be the first candidates if the frames were swapped: only the dark frame shows them bright, so
-    none is a camera. What moves, and what the registration leaves of edges, shows as often so as the other way round.
+    Decoys are the first candidates of the swapped pair: they are bright in the dark frame alone, so none is a camera.
+    Things that moved, and edges that the registration left, are as often brighter in the dark frame as in the lit one.
 
     Parameters
     ----------
@@ -193,10 +193,10 @@ def scored(candidates: Candidates, score: Score, again: int = _LOOKED_AGAIN) -> 
 
 
 def clutter_by(odds: Array) -> float:
-    """How much in a pair passes for a camera: the mean log odds of its three likeliest decoys.
+    """How likely a pair's clutter is to pass for cameras: the mean log odds of its three likeliest decoys.
 
-    As in a search of spectra against reversed sequences (Elias and Gygi 2007), what cannot be true says how often
-    chance does as well.
+    As in searches of mass spectra against reversed sequences (Elias and Gygi 2007), the scores of matches that cannot
+    be true show how high chance scores.
     """
     best = np.full(_CLUTTER, -_SUREST)
     best[: len(odds)] = np.sort(odds)[::-1][:_CLUTTER]
@@ -223,6 +223,7 @@ def _with_decoys(
         return found, None
     turned = [(rivals, places.first(len(rivals.x))) for places, rivals in screens]
     swapped = [one.swapped() for one in octaves]
+    # A few decoys do not show what is usual in the frame: the candidates' heights do.
     return found, _candidates(swapped, turned, registered, _DECOYS, lit, swapped=True, among=found.columns["snr"])
 
 

@@ -11,7 +11,11 @@ from tapetum.errors import InputError
 from tapetum.record.layout import iso
 from tapetum.record.recording import Recording
 
-__all__ = ["Joined", "join"]
+__all__ = ["Joined", "NoOverlapError", "join"]
+
+
+class NoOverlapError(InputError):
+    """Two streams have no moment in common."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +144,7 @@ def join(
     Raises
     ------
     InputError
-        When a stream is missing or empty, its UTC does not rise, or the two do not overlap.
+        When a stream is missing or empty, or its UTC does not rise; when the two do not overlap, `NoOverlapError`.
     """
     wanted = rising(recording, onto)
     there = rising(recording, other) + round(offset * 1e9)
@@ -148,7 +152,7 @@ def join(
         first, last, begin, end = (iso(int(one), "milliseconds") for one in (*wanted[[0, -1]], *there[[0, -1]]))
         what = f"the clocks of {onto} and {other} do not overlap: {first} to {last} and {begin} to {end}"
         remedy = "set both cameras by one clock and record again, or give the offset between them"
-        raise InputError(what, where=recording.path, remedy=remedy)
+        raise NoOverlapError(what, where=recording.path, remedy=remedy)
     period = float(np.median(np.diff(there))) if len(there) > 1 else 1e9 / float(recording.streams[other].rate or 15)
     limit = 0.75 * period if tolerance is None else tolerance * 1e9
     after = np.searchsorted(there, wanted, side="right")

@@ -19,6 +19,7 @@ from tapetum.data.synth.plan import Part, Video
 from tapetum.data.synth.store import Made, Staging
 from tapetum.data.write import Rules
 from tapetum.record import Session, label_recording
+from tapetum.record.clocks import NoOverlapError
 from tapetum.record.labels import NoLaserError
 from tapetum.record.shot import Shot
 
@@ -83,13 +84,10 @@ def _labelled(clip: Clip) -> bool:
     """Label a clip; return False where the laser is not seen, or the clip is empty."""
     if any(first == last for first, last in clip.ranges.values()):
         return False
-    probe, target = (clip.utc_ns(stream) for stream in ("probe", "target"))
-    if probe[0] > target[-1] or target[0] > probe[-1]:
-        # The last frames of a video may come after the target's last one: nothing labels them.
-        return False
     try:
         label_recording(clip)
-    except NoLaserError:
-        # Only in a whole recording is a missing laser an error.
+    except (NoLaserError, NoOverlapError):
+        # Only in a whole recording is a missing laser an error; and a video's last probe frames may be a part of their
+        # own and come after the target's last one.
         return False
     return True
