@@ -56,10 +56,14 @@ function words() {
     item.children[2].value = count;
   });
   say("pending", vote.pending.map((one) => `${name(one.camera)} points at ${one.zone}`).join("; ") + (vote.fault ? ` ${vote.fault}` : ""));
-  $("replay").hidden = !ballot || vote.is_open || !vote.changes;
-  if (!$("replay").hidden && known !== vote.begun_utc_ns) {
+  const ended = ballot && !vote.is_open && vote.changes > 0;
+  // Hidden until the replay of this vote is here: the slider still stands where the last one left it.
+  $("replay").hidden = !ended || !replay.length;
+  if (ended && known !== vote.begun_utc_ns) {
     known = vote.begun_utc_ns;
+    replay = [];
     ask("/api/vote/replay").then((told) => {
+      if (known !== vote.begun_utc_ns) return;
       replay = told ?? [];
       $("replay-at").max = Math.max(0, replay.length - 1);
       $("replay-at").value = $("replay-at").max;
