@@ -18,7 +18,7 @@ from tapetum.progress import Progress, quiet
 from tapetum.record import HandMotion
 from tapetum.record.film import probe_frames
 
-__all__ = ["film_copies"]
+__all__ = ["film_copies", "film_copy"]
 
 
 def film_copies(
@@ -61,7 +61,7 @@ def film_copies(
     model, hand, rules = as_scene(scene), motion or HandMotion(), Rules(side=side)
     work.mkdir(parents=True, exist_ok=True)
     found = [
-        _copy(draw_unit(model, None, seed), seed, frames, work / f"copy-{seed}-{frames}-{side}.npz", rules, hand)
+        film_copy(draw_unit(model, None, seed), seed, frames, work / f"copy-{seed}-{frames}-{side}.npz", rules, hand)
         for seed in progress(seeds, "filming copies", total=len(seeds))
     ]
     images, gazes = (np.concatenate([one[k] for one in found]) for k in (0, 1))
@@ -72,10 +72,34 @@ def film_copies(
     return data.assign({UNIT: class_variable([f"copy-{seeds[k]}" for k in number.tolist()])})
 
 
-def _copy(
+def film_copy(
     scene: Scene, seed: int, frames: int, path: Path, rules: Rules, hand: HandMotion
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return one copy's crops [n, side, side] and gazes [n, 2], from its file where it was filmed before."""
+    """Film one copy, as `film_copies` films each; take it from its file where that was done before.
+
+    Parameters
+    ----------
+    scene
+        The copy.
+    seed, frames
+        Of the gazes, places and noise, and their number.
+    path
+        The file to keep, `.npz`.
+    rules
+        By which frames are kept and cut.
+    hand
+        Extent of the gazes, tremor and sway.
+
+    Returns
+    -------
+    tuple of numpy.ndarray
+        Crops [n, side, side] and gazes [n, 2] of the frames that show an RR.
+
+    Raises
+    ------
+    InputError
+        For a scene that cannot be filmed, or a file that is no such file.
+    """
     if path.exists():
         try:
             with np.load(path) as file:
