@@ -66,7 +66,7 @@ def filmed(seeds: Sequence[int], frames: int, work: Path) -> xr.Dataset:
 def trained(data: xr.Dataset, path: Path) -> Any:
     """Return the network of a training set, from its folder where it was trained before."""
     if not path.exists():
-        model = ResNet18("phone", crop=CROP, size=SIZE, epochs=EPOCHS, batch=BATCH, precision="bf16", seed=1)
+        model = ResNet18("phone", crop=CROP, size=SIZE, epochs=EPOCHS, batch=BATCH, seed=1)
         model.fit(data.tp.train, progress=bar)
         save_model(model, path)
     return load_model(path)
