@@ -5,6 +5,7 @@ from __future__ import annotations
 import gc
 import json
 import math
+import os
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -71,6 +72,8 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[_KEPT] = []
     # As in every command: a tenth of the simulator's time otherwise.
     keep_big_blocks()
+    # No test cuts the power, so none can tell whether the disk has it; what is flushed, and when, is tested all the same.
+    os.fsync = lambda handle, /: None
 
 
 @pytest.fixture
