@@ -5,8 +5,10 @@ from __future__ import annotations
 import gc
 import json
 import math
+import multiprocessing
 import os
 from collections.abc import Callable, Iterator
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
@@ -72,7 +74,7 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[_KEPT] = []
     # As in every command: a tenth of the simulator's time otherwise.
     keep_big_blocks()
-    # No test cuts the power, so none can tell whether the disk has it; what is flushed, and when, is tested all the same.
+    # No test cuts the power, so none can tell what the disk has; when files are flushed is tested all the same.
     os.fsync = lambda handle, /: None
 
 
@@ -96,6 +98,14 @@ def validated(request: pytest.FixtureRequest) -> Validated:
         assert error <= tolerance, f"{what}: {error:.3g} {measure}, allowed {tolerance:.3g}, against {against}"
 
     return check
+
+
+@pytest.fixture(scope="session")
+def processes() -> ForkServerContext:
+    """For processes that a test kills or limits: they fork from one that has loaded the libraries for all tests."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tapetum.live.recorder", "tapetum.live.log", "tapetum.track.pipeline"])
+    return context
 
 
 @pytest.fixture(scope="module")

@@ -180,9 +180,7 @@ rules:
 """
 
 
-def test_the_desk_shows_rules_and_alerts_until_they_are_acknowledged(
-    some_seconds: list[Frame], tmp_path: Path
-) -> None:
+def test_the_desk_shows_rules_and_alerts_until_they_are_acknowledged(some_seconds: list[Frame], tmp_path: Path) -> None:
     guard = Guard(rules_from_text(RULES))
     log = Log(tmp_path / "log.db")
     desks: list[Desk] = []
