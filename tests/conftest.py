@@ -12,6 +12,7 @@ from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tapetum.cli.memory import keep_big_blocks
 
@@ -106,6 +107,15 @@ def processes() -> ForkServerContext:
     context = multiprocessing.get_context("forkserver")
     context.set_forkserver_preload(["tapetum.live.recorder", "tapetum.live.log", "tapetum.track.pipeline"])
     return context
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rough_figures(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Draw figures without arranging them, which takes longer than all the rest; where they are the test, with it."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name != "report":
+            patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, fig: None)
+        yield
 
 
 @pytest.fixture(scope="module")
