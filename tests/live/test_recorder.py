@@ -96,6 +96,8 @@ def limited(folder: Path, count: int, told: Connection) -> None:
         image = rng.integers(0, 255, (96, 128)).astype(np.uint8)
         recorder.offer(Frame(k, k / 20, image, monotonic_ns=k * 10**7 + 1, utc_ns=k))
         time.sleep(0.003)
+    while recorder.state.running and recorder.state.frames < count:
+        time.sleep(0.01)
     told.send("ready")
     told.recv()
     recorder.stop()
@@ -131,7 +133,6 @@ def test_kill_9_keeps_what_was_recorded(tmp_path: Path, processes: ForkServerCon
     with started(processes, tmp_path, 12) as (process, told):
         name = told.recv()
         assert told.recv() == "ready"
-        time.sleep(0.3)
         process.kill()
         process.join(20)
         assert process.exitcode == -signal.SIGKILL
