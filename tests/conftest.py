@@ -5,61 +5,90 @@ from __future__ import annotations
 import gc
 import json
 import math
+import multiprocessing
+import os
 from collections.abc import Callable, Iterator
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
+from matplotlib.layout_engine import ConstrainedLayoutEngine
 
 from tapetum.cli.memory import keep_big_blocks
 
 Validated = Callable[..., None]
 _KEPT = pytest.StashKey[list[dict[str, object]]]()
 _LONGEST = (
-    "test_compare.py",
-    "test_documents.py",
-    "test_sensor_plane.py",
-    "test_phone_camera.py",
-    "test_round_pass.py",
-    "test_paper.py",
     "test_traced_mask.py",
-    "test_traced_pass.py",
-    "test_demo.py",
-    "test_synth_cluster.py",
-    "test_camera.py",
-    "test_information.py",
-    "test_smoother.py",
+    "test_documents.py",
     "test_twin.py",
+    "test_compare.py",
+    "test_synth_cluster.py",
+    "test_traced_pass.py",
+    "test_paper.py",
     "test_modes_page.py",
     "test_simulation_fit.py",
+    "test_camera.py",
+    "test_sensor_plane.py",
+    "test_information.py",
+    "test_demo.py",
     "test_traced_return.py",
-    "test_tolerances.py",
-    "test_traced_plan.py",
-    "test_following.py",
-    "test_resnet.py",
     "test_loop.py",
-    "test_planning.py",
-    "test_probe_path.py",
-    "test_units.py",
-    "test_export.py",
-    "test_any_scene.py",
-    "test_domain.py",
-    "test_sampling.py",
-    "test_synth.py",
-    "test_cli_serve.py",
-    "test_progress.py",
+    "test_following.py",
+    "test_round_pass.py",
+    "test_phone_camera.py",
+    "test_resnet.py",
     "test_find_cameras.py",
-    "test_sealed.py",
-    "test_constellation.py",
-    "test_cli_record.py",
-    "test_double_pass.py",
-    "test_playground.py",
+    "test_traced_plan.py",
+    "test_synth.py",
     "test_cli_bad_input.py",
-    "test_sync.py",
-    "test_glints.py",
-    "test_traced_judge.py",
-    "test_diffuse.py",
-    "test_training.py",
+    "test_import_videos.py",
+    "test_smoother.py",
+    "test_cli_record.py",
     "test_pretrain.py",
+    "test_sensor.py",
+    "test_cameras.py",
+    "test_guard.py",
+    "test_other_units.py",
+    "test_look.py",
+    "test_any_scene.py",
+    "test_tolerances.py",
+    "test_export.py",
+    "test_sealed.py",
+    "test_sampling.py",
+    "test_constellation.py",
+    "test_glints.py",
+    "test_playground.py",
+    "test_training.py",
+    "test_planning.py",
+    "test_tutorials.py",
+    "test_cli_import.py",
+    "test_ghost.py",
+    "test_double_pass.py",
+    "test_app.py",
+    "test_traced_judge.py",
+    "test_domain.py",
+    "test_sync.py",
+    "test_faults.py",
+    "test_grid_sampling.py",
+    "test_paper_learning.py",
+    "test_cli_chain.py",
+    "test_spot.py",
+    "test_field_map.py",
+    "test_modes.py",
+    "test_cli_serve.py",
+    "test_cli_synth.py",
+    "test_diffuse.py",
+    "test_adapt.py",
+    "test_cli_help.py",
+    "test_sensor_edge.py",
+    "test_modes_router.py",
+    "test_rtsp.py",
+    "test_leaks.py",
+    "test_cli_export.py",
+    "test_examples.py",
+    "test_play_router.py",
+    "test_cli_full_disk.py",
 )
 
 
@@ -71,6 +100,8 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[_KEPT] = []
     # As in every command: a tenth of the simulator's time otherwise.
     keep_big_blocks()
+    # No test cuts the power, so none can tell what the disk has; when files are flushed is tested all the same.
+    os.fsync = lambda handle, /: None
 
 
 @pytest.fixture
@@ -93,6 +124,23 @@ def validated(request: pytest.FixtureRequest) -> Validated:
         assert error <= tolerance, f"{what}: {error:.3g} {measure}, allowed {tolerance:.3g}, against {against}"
 
     return check
+
+
+@pytest.fixture(scope="session")
+def processes() -> ForkServerContext:
+    """For processes that a test kills or limits: they fork from one that has loaded the libraries for all tests."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["tapetum.live.recorder", "tapetum.live.log", "tapetum.track.pipeline"])
+    return context
+
+
+@pytest.fixture(scope="module", autouse=True)
+def rough_figures(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Draw figures without arranging them, which takes longer than all the rest; where they are the test, with it."""
+    with pytest.MonkeyPatch.context() as patch:
+        if request.path.parent.name != "report":
+            patch.setattr(ConstrainedLayoutEngine, "execute", lambda self, fig: None)
+        yield
 
 
 @pytest.fixture(scope="module")

@@ -11,7 +11,6 @@ from typing import Any
 
 import click
 import pytest
-import typer
 
 ROOT = Path(__file__).parents[1]
 GUIDE = ROOT / "docs" / "guide.md"
@@ -154,9 +153,9 @@ def test_there_are_commands_to_check():
 
 @pytest.mark.parametrize(("where", "line"), list(commands()))
 def test_a_documented_command_parses(where: str, line: str):
-    from tapetum.cli.app import app
+    from tapetum.cli.app import root_command
 
-    command: Any = typer.main.get_command(app)
+    command: Any = root_command()
     arguments = shlex.split(line)[1:]
     context = click.Context(command, info_name="tapetum")
     while isinstance(command, click.Group):

@@ -333,7 +333,7 @@ def test_a_file_where_a_folder_belongs_and_the_reverse(run, tmp_path: Path) -> N
 def test_an_output_that_cannot_be_written() -> None:
     with Path("/dev/full").open("w") as full:
         ran = subprocess.run(
-            [sys.executable, "-m", "tapetum", "cameras", "--json"], stdout=full, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-m", "tapetum", "--help"], stdout=full, stderr=subprocess.PIPE, text=True
         )
     assert ran.returncode == 2, ran.stderr
     assert ran.stderr.startswith("error: standard output: cannot be written (No space left")

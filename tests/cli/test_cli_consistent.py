@@ -8,9 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import typer
 
-from tapetum.cli.app import app
+from tapetum.cli.app import root_command
 from tapetum.models import load_model
 from tapetum.track import read_tracks
 
@@ -20,7 +19,7 @@ LITTLE = ("--set", "probe.sensor.pixels=[32, 32]", "--set", "sampling.accuracy=0
 def leaves() -> list[tuple[str, Any]]:
     """Every command that does something, by its words."""
     found = []
-    for name, one in typer.main.get_command(app).commands.items():  # type: ignore[attr-defined]
+    for name, one in root_command().commands.items():  # type: ignore[attr-defined]
         inner = getattr(one, "commands", None)
         found += [(name, one)] if inner is None else [(f"{name} {word}", leaf) for word, leaf in inner.items()]
     return found
@@ -131,7 +130,7 @@ def test_a_folder_that_was_being_filled_is_filled_on(run, tmp_path: Path, monkey
 
 
 def test_old_spellings_mean_what_they_meant(run, chain, tmp_path: Path) -> None:
-    command = typer.main.get_command(app)
+    command = root_command()
     for words, old, new in (
         ("train x -o y", "--model resnet18 --target=focus", "--kind resnet18 --label=focus"),
         ("record a -o y", "--target b", "--target-source b"),

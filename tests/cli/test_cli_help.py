@@ -9,9 +9,8 @@ import sys
 from typing import Any
 
 import pytest
-import typer
 
-from tapetum.cli.app import app
+from tapetum.cli.app import root_command
 
 COMMANDS = ("demo", "simulate", "plan", "cameras", "record", "calibrate", "twin", "dataset", "train", "adapt")
 COMMANDS += ("evaluate", "export", "detect", "track", "serve", "fuse", "paper")
@@ -36,7 +35,7 @@ def test_every_command_explains_itself(run, command: str) -> None:
 
 def leaves() -> list[tuple[str, Any]]:
     """Every command that does something, by its words."""
-    command: Any = typer.main.get_command(app)
+    command: Any = root_command()
     found = []
     for name, one in command.commands.items():
         inner = getattr(one, "commands", None)

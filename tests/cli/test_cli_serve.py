@@ -21,8 +21,8 @@ from tapetum.cli.serve import _bound, _hosts
 from tapetum.durable import sole_writer
 
 
-@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGTERM])
-def test_the_demo_is_served_until_it_is_stopped(tmp_path: Path, end: signal.Signals) -> None:
+def test_the_demo_is_served_until_it_is_stopped(tmp_path: Path) -> None:
+    """By the signal that services are stopped by; `live/test_rtsp.py` stops a watch by Ctrl-C's."""
     command = [sys.executable, "-m", "tapetum", "serve", "demo", "--port", "0", "--log", str(tmp_path / "log.db")]
     said = {**os.environ, "PYTHONUNBUFFERED": "1"}
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=said)
@@ -35,7 +35,7 @@ def test_the_demo_is_served_until_it_is_stopped(tmp_path: Path, end: signal.Sign
         opener = urllib.request.build_opener(urllib.request.ProxyHandler({}))
         with opener.open(f"{found[1]}api/state", timeout=30) as answer:
             assert json.load(answer)["source"] == "demo"
-        process.send_signal(end)
+        process.send_signal(signal.SIGTERM)
         assert process.wait(30) == 0
         assert process.stderr.read() == ""
     finally:

@@ -355,7 +355,10 @@ def test_a_video_that_states_more_frames_than_it_holds_is_refused(tmp_path: Path
     stack = {"images": {"file": "a.avi"}, "labels": {"object_distance": 3}}
     import_dataset(mapping(stack), tmp_path, tmp_path / "whole.zarr")
     assert open_dataset(tmp_path / "whole.zarr").sizes["frame"] == N
-    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+    whole = file.read_bytes()
+    # Between the frames' beginning and the index after them: how large the header is beside them depends on the
+    # encoder's threads.
+    file.write_bytes(whole[: (whole.index(b"movi") + whole.rindex(b"idx1")) // 2])
     assert "a.avi: the video is truncated or damaged" in refused(tmp_path, stack)
 
 

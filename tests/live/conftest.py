@@ -66,8 +66,8 @@ def watched(opens: Callable[[], Source], **options: Any) -> Watch:
 
 
 @pytest.fixture(scope="session")
-def three_seconds() -> list[Frame]:
-    return room_frames(3)
+def some_seconds() -> list[Frame]:
+    return room_frames(2.4)
 
 
 @pytest.fixture(scope="session")

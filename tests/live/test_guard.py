@@ -63,7 +63,7 @@ def row(k: int, time: float, track: int, seen: bool, gaze: float) -> TrackRow:
     return TrackRow(k, time, "", track, *place, seen, estimates=told)
 
 
-def test_alerts_of_a_watch_are_events_and_go_to_whom_the_rule_names(three_seconds: list[Frame]) -> None:
+def test_alerts_of_a_watch_are_events_and_go_to_whom_the_rule_names(some_seconds: list[Frame]) -> None:
     class Hears:
         def __init__(self, name: str) -> None:
             self.name, self.kinds = name, []
@@ -77,7 +77,7 @@ def test_alerts_of_a_watch_are_events_and_go_to_whom_the_rule_names(three_second
 
     one, other = Hears("one"), Hears("other")
     rules = rules_from_text(HEAD + "rules: [{name: here, tell: [one]}]")
-    watch = watched(lambda: Scripted(three_seconds), guard=Guard(rules), listeners=[one, other])
+    watch = watched(lambda: Scripted(some_seconds), guard=Guard(rules), listeners=[one, other])
     alerts = [event for event in watch.log.events() if event["kind"] == "alert"]
     assert [(event["detail"], event["picture"]) for event in alerts] == [("here", True)] * 2
     assert one.kinds.count("alert") == 2 and "alert" not in other.kinds and "seen" in other.kinds

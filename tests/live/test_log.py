@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import os
+import contextlib
 import signal
-import subprocess
-import sys
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import pytest
@@ -54,20 +54,26 @@ def test_ignored_cameras_are_kept(tmp_path: Path) -> None:
     assert log.ignored() == ()
 
 
-def test_a_killed_process_loses_nothing_that_it_wrote(tmp_path: Path) -> None:
-    code = (
-        "import sys; from tapetum.live.log import Log; from tapetum.live.events import Event\n"
-        "log = Log(sys.argv[1])\n"
-        "n = 0\n"
-        "while True: print(log.add(Event('a', 'new', 'seen', 1), b'x' * 5000), flush=True)\n"
-    )
-    process = subprocess.Popen([sys.executable, "-c", code, str(tmp_path / "log.db")], stdout=subprocess.PIPE)
-    assert process.stdout is not None
-    written = [int(process.stdout.readline()) for _ in range(50)][-1]
-    os.kill(process.pid, signal.SIGKILL)
-    rest = process.stdout.read().split()
-    process.wait()
-    written = max([written, *(int(one) for one in rest[:-1])])
+def endless(path: Path, told: Connection) -> None:
+    log = Log(path)
+    while True:
+        told.send(log.add(Event("a", "new", "seen", 1), b"x" * 5000))
+
+
+def test_a_killed_process_loses_nothing_that_it_wrote(tmp_path: Path, processes: ForkServerContext) -> None:
+    told, sent = processes.Pipe(duplex=False)
+    process = processes.Process(target=endless, args=(tmp_path / "log.db", sent))
+    process.start()
+    sent.close()
+    written = 0
+    for _ in range(50):
+        written = told.recv()
+    process.kill()
+    with contextlib.suppress(EOFError, OSError):
+        while True:
+            written = told.recv()
+    process.join()
+    assert process.exitcode == -signal.SIGKILL
     log = Log(tmp_path / "log.db")
     assert log.newest >= written
     assert written in {one["number"] for one in log.events(after=written - 10)}

@@ -180,9 +180,7 @@ rules:
 """
 
 
-def test_the_desk_shows_rules_and_alerts_until_they_are_acknowledged(
-    three_seconds: list[Frame], tmp_path: Path
-) -> None:
+def test_the_desk_shows_rules_and_alerts_until_they_are_acknowledged(some_seconds: list[Frame], tmp_path: Path) -> None:
     guard = Guard(rules_from_text(RULES))
     log = Log(tmp_path / "log.db")
     desks: list[Desk] = []
@@ -199,7 +197,7 @@ def test_the_desk_shows_rules_and_alerts_until_they_are_acknowledged(
         def close(self) -> None: ...
 
     desks.append(Desk(guard, log))
-    watched(lambda: Scripted(three_seconds), log=log, guard=guard, listeners=[Hears()])
+    watched(lambda: Scripted(some_seconds), log=log, guard=guard, listeners=[Hears()])
     now = desks[0].state()
     assert now.waiting == 2 and [one.rule for one in now.alerts] == ["a camera is here"] * 2
     assert not now.alerts[0].holds and now.alerts[0].picture
@@ -220,10 +218,10 @@ def test_the_desk_shows_rules_and_alerts_until_they_are_acknowledged(
     assert {one.acknowledged_utc_ns for one in again.state().alerts} == {5, 7}
 
 
-def test_the_page_hears_alerts_that_rules_tell_to_others_only(three_seconds: list[Frame], tmp_path: Path) -> None:
+def test_the_page_hears_alerts_that_rules_tell_to_others_only(some_seconds: list[Frame], tmp_path: Path) -> None:
     from tapetum.live.loop import Watch
 
-    watch = Watch(lambda: Scripted(three_seconds), mode="all", guard=Guard(rules_from_text(RULES)))
+    watch = Watch(lambda: Scripted(some_seconds), mode="all", guard=Guard(rules_from_text(RULES)))
     modes = Modes(watch, tmp_path)
     watch.start()
     assert watch.join(60)

@@ -36,8 +36,8 @@ ZONES = [
 
 
 @pytest.fixture(scope="module")
-def served(three_seconds: list[Frame], tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Doors, Modes, Aim]]:
-    watch = Watch(lambda: Scripted(three_seconds), mode="all", guard=Guard(rules_from_text(RULES)))
+def served(some_seconds: list[Frame], tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Doors, Modes, Aim]]:
+    watch = Watch(lambda: Scripted(some_seconds), mode="all", guard=Guard(rules_from_text(RULES)))
     modes, aim = Modes(watch, tmp_path_factory.mktemp("folder"), 1), Aim()
     watch.start()
     assert watch.join(60)

@@ -68,8 +68,15 @@ def test_bad_requests_are_refused_in_one_line(client, body, status, says):
 
 
 def test_of_requests_that_wait_the_newest_of_a_page_is_computed(monkeypatch):
-    begun, go, computed = threading.Event(), threading.Event(), []
+    begun, go, computed, handed_over = threading.Event(), threading.Event(), [], []
     usual = Playground.result
+
+    class Counting(ThreadPoolExecutor):
+        def submit(self, *work: Any, **options: Any) -> Any:
+            try:
+                return super().submit(*work, **options)
+            finally:
+                handed_over.append(work)
 
     def held(self, scene, **options):
         computed.append(options["seed"])
@@ -78,6 +85,7 @@ def test_of_requests_that_wait_the_newest_of_a_page_is_computed(monkeypatch):
         return usual(self, scene, **options)
 
     monkeypatch.setattr(Playground, "result", held)
+    monkeypatch.setattr("tapetum.live.playground.router.ThreadPoolExecutor", Counting)
     with TestClient(make_play_app()) as client, ThreadPoolExecutor(4) as pool:
 
         def ask(seed: int, page: str = "one") -> int:
@@ -88,9 +96,11 @@ def test_of_requests_that_wait_the_newest_of_a_page_is_computed(monkeypatch):
         other = pool.submit(ask, 2, "two")
         older = pool.submit(ask, 3)
         newest = pool.submit(ask, 4)
-        # Both have arrived once the page's two waiting requests are counted; whichever came last wins.
-        client.get("/openapi.json")
-        time.sleep(0.2)
+        # Of the page's two requests that wait, whichever came last wins.
+        end = time.monotonic() + 20
+        while len(handed_over) < 4:
+            assert time.monotonic() < end, "the requests did not arrive"
+            time.sleep(0.01)
         go.set()
         statuses = [one.result() for one in (first, other, older, newest)]
     assert statuses[:2] == [200, 200]

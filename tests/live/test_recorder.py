@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import contextlib
+import resource
 import signal
-import subprocess
-import sys
 import time
+from collections.abc import Iterator
 from dataclasses import replace
+from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 
 import numpy as np
@@ -82,54 +85,57 @@ def test_a_disk_that_fills_up_ends_the_recording_which_stays(tmp_path: Path, mon
     assert len(list(open_recording(tmp_path / name).source("probe"))) >= 10
 
 
-LIMITED = """
-import resource, signal, sys, time
-from pathlib import Path
-sys.path.insert(0, {tests!r})
-from tapetum.live.recorder import Recorder
-import numpy as np
-from tapetum.record.source import Frame
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
-recorder = Recorder(Path(sys.argv[1]), least_free=0)
-print(recorder.start(), flush=True)
-rng = np.random.default_rng(0)
-for k in range(int(sys.argv[2])):
-    image = rng.integers(0, 255, (96, 128)).astype(np.uint8)
-    recorder.offer(Frame(k, k / 20, image, monotonic_ns=k * 10**7 + 1, utc_ns=k))
-    time.sleep(0.003)
-if len(sys.argv) > 3:
-    print("ready", flush=True)
-    time.sleep(60)
-recorder.stop()
-print(recorder.state.fault)
-"""
+def limited(folder: Path, count: int, told: Connection) -> None:
+    """Record where no file may grow beyond 200 kB; say the recording's name, that all is written, and the fault."""
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (200_000, 200_000))
+    recorder = Recorder(folder, least_free=0)
+    told.send(recorder.start())
+    rng = np.random.default_rng(0)
+    for k in range(count):
+        image = rng.integers(0, 255, (96, 128)).astype(np.uint8)
+        recorder.offer(Frame(k, k / 20, image, monotonic_ns=k * 10**7 + 1, utc_ns=k))
+        time.sleep(0.003)
+    while recorder.state.running and recorder.state.frames < count:
+        time.sleep(0.01)
+    told.send("ready")
+    told.recv()
+    recorder.stop()
+    told.send(recorder.state.fault)
 
 
-def _run(folder: Path, count: int, *more: str) -> subprocess.Popen[str]:
-    program = LIMITED.format(tests=str(Path(__file__).parents[2]))
-    return subprocess.Popen(
-        [sys.executable, "-c", program, str(folder), str(count), *more], stdout=subprocess.PIPE, text=True
-    )
+@contextlib.contextmanager
+def started(processes: ForkServerContext, folder: Path, count: int) -> Iterator[tuple[BaseProcess, Connection]]:
+    here, there = processes.Pipe()
+    process = processes.Process(target=limited, args=(folder, count, there))
+    process.start()
+    there.close()
+    try:
+        yield process, here
+    finally:
+        process.kill()
+        process.join()
 
 
-def test_a_limit_of_the_files_size_keeps_every_frame_before_it(tmp_path: Path) -> None:
-    process = _run(tmp_path, 60)
-    said = process.communicate(timeout=60)[0].splitlines()
-    assert process.returncode == 0 and "kept in" in said[1]
-    frames = _readable(tmp_path / said[0])
+def test_a_limit_of_the_files_size_keeps_every_frame_before_it(tmp_path: Path, processes: ForkServerContext) -> None:
+    with started(processes, tmp_path, 60) as (process, told):
+        name = told.recv()
+        assert told.recv() == "ready"
+        told.send("stop")
+        assert "kept in" in told.recv()
+        process.join(60)
+        assert process.exitcode == 0
+    frames = _readable(tmp_path / name)
     assert len(frames) >= 10
 
 
-def test_kill_9_keeps_what_was_recorded(tmp_path: Path) -> None:
-    process = _run(tmp_path, 12, "wait")
-    assert process.stdout is not None
-    name = process.stdout.readline().strip()
-    assert process.stdout.readline().strip() == "ready"
-    time.sleep(0.3)
-    process.send_signal(signal.SIGKILL)
-    process.wait(20)
-    process.stdout.close()
+def test_kill_9_keeps_what_was_recorded(tmp_path: Path, processes: ForkServerContext) -> None:
+    with started(processes, tmp_path, 12) as (process, told):
+        name = told.recv()
+        assert told.recv() == "ready"
+        process.kill()
+        process.join(20)
+        assert process.exitcode == -signal.SIGKILL
     # At most the newest frame is lost.
     assert len(_readable(tmp_path / name)) >= 11
 

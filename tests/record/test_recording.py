@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import json
-import multiprocessing
 import os
 import re
+import resource
 import signal
 import subprocess
-import sys
 import threading
 import time
 from multiprocessing.connection import Connection
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import numpy as np
@@ -150,11 +150,8 @@ def endless(path: Path, sent: Connection) -> None:
 
 
 @pytest.mark.parametrize("after", [1, 40])
-def test_kill_9_in_the_middle_of_filming(tmp_path: Path, after: int) -> None:
+def test_kill_9_in_the_middle_of_filming(tmp_path: Path, after: int, processes: ForkServerContext) -> None:
     path = tmp_path / "a.rec"
-    # Both fork from one process, which has loaded the libraries.
-    processes = multiprocessing.get_context("forkserver")
-    processes.set_forkserver_preload(["tapetum.record.recording"])
     told, sent = processes.Pipe(duplex=False)
     process = processes.Process(target=endless, args=(path, sent))
     process.start()
@@ -208,26 +205,25 @@ def test_a_finished_recording_with_a_truncated_video_is_refused(tmp_path: Path) 
         open_frames(tmp_path / "a.rec")
 
 
-LIMITED = """
-import resource, signal, sys
-sys.path.insert(0, sys.argv[1])
-from test_recording import fill, writer
-from tapetum.errors import InputError
-signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
-try:
-    with writer(sys.argv[2]) as recorder:
-        fill(recorder, 200)
-except InputError as error:
-    print(error)
-"""
+def limited(path: Path, told: Connection) -> None:
+    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000))
+    try:
+        with writer(path) as recorder:
+            fill(recorder, 200)
+    except InputError as error:
+        told.send(str(error))
 
 
-def test_a_file_that_may_grow_no_more(tmp_path: Path) -> None:
+def test_a_file_that_may_grow_no_more(tmp_path: Path, processes: ForkServerContext) -> None:
     path = tmp_path / "a.rec"
-    command = [sys.executable, "-c", LIMITED, str(Path(__file__).parent), str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "a.rec" in done.stdout and done.stdout.count("\n") == 1 and "rror" not in done.stderr
+    told, sent = processes.Pipe(duplex=False)
+    process = processes.Process(target=limited, args=(path, sent))
+    process.start()
+    sent.close()
+    complaint = told.recv()
+    process.join()
+    assert process.exitcode == 0 and "a.rec" in complaint and "\n" not in complaint
     recording = open_recording(path)
     assert not recording.finished
     assert check(recording, "probe") > 10

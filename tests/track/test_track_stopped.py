@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import multiprocessing
 import os
 import signal
 import time
@@ -93,10 +92,7 @@ def test_a_signal_waits_for_the_frame_under_way(tmp_path: Path) -> None:
     assert tracks["frame"].to_pylist() == list(range(7)) and set(tracks["gaze_x"].to_pylist()) == {0.25}
 
 
-def test_a_kill_costs_a_second_at_most(tmp_path: Path) -> None:
-    # The three fork from one process, which has loaded the libraries for all.
-    processes = multiprocessing.get_context("forkserver")
-    processes.set_forkserver_preload(["tapetum.track"])
+def test_a_kill_costs_a_second_at_most(tmp_path: Path, processes: ForkServerContext) -> None:
     folders = [tmp_path / kind for kind in KINDS]
     for folder in folders:
         folder.mkdir()

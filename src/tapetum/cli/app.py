@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import errno
+import functools
 import importlib.metadata
 import os
 import sys
 from collections.abc import Callable, Sequence
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -35,7 +36,7 @@ from tapetum.cli.train import train
 from tapetum.cli.twin import twin
 from tapetum.errors import InputError, StoppedError, TapetumError
 
-__all__ = ["app", "main"]
+__all__ = ["app", "main", "root_command"]
 
 # Typer raises Click's errors, from its own copy of Click in newer versions: take the classes from its public error.
 _UsageError: type[Exception] = typer.BadParameter.__bases__[0]
@@ -157,6 +158,12 @@ def _root(
     del version
 
 
+@functools.cache
+def root_command() -> Any:
+    """Return all commands as Click knows them; Typer would put them together again for each call."""
+    return typer.main.get_command(app)
+
+
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return 0 for success, 1 for a failed check, 2 for bad input, 130 when interrupted."""
     keep_big_blocks()
@@ -170,7 +177,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(arguments: Sequence[str] | None) -> tuple[int, str]:
     """Run a command; return its exit code and what to say of an error."""
     try:
-        result = app(
+        result = root_command()(
             args=list(arguments) if arguments is not None else None, prog_name="tapetum", standalone_mode=False
         )
         code = result if isinstance(result, int) else 0

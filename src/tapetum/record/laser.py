@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +48,7 @@ class BlinkCode:
             what = f"words of {self.bit * len(self.sent):g} s do not fit into {self.every:g} s"
             raise InputError(what, where="code.every", remedy="send them less often, or shorten the bits")
 
-    @property
+    @cached_property
     def sent(self) -> tuple[int, ...]:
         """The word: 0 off, 1 on."""
         if self.word is not None:
