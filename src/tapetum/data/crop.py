@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak", "vertex"]
+__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "crops_of", "find_centre", "find_peak", "vertex"]
 
 SIGMA = 20.0
 """Standard deviation in pixels of the smoothing Gaussian.
@@ -331,22 +331,32 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
     InputError
         When the centre is not finite or the side not positive.
     """
-    array = _grey(image)
+    return crops_of(image, np.array([centre], dtype=np.float64), side)[0]
+
+
+def crops_of(image: NDArray[np.generic], centres: NDArray[np.floating], side: int) -> NDArray[np.generic]:
+    """Cut squares [N, side, side] out of one image [H, W] around centres (x, y) [N, 2]; each is that of `crop`.
+
+    The image's median, which costs more than many squares, is taken at most once.
+    """
+    array, places = _grey(image), np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     if side < 1:
         raise InputError(f"must be positive, is {side}", where="side", remedy="give a number of pixels")
-    if not (math.isfinite(centre[0]) and math.isfinite(centre[1])):
-        raise InputError(f"must be finite, is {centre}", where="centre", remedy="give (x, y) in pixels")
     height, width = array.shape
-    left = math.floor(centre[0] - (side - 1) / 2 + 0.5)
-    top = math.floor(centre[1] - (side - 1) / 2 + 0.5)
-    x0, x1 = np.clip((left, left + side), 0, width)
-    y0, y1 = np.clip((top, top + side), 0, height)
-    inner = array[y0:y1, x0:x1]
-    if inner.shape == (side, side):
-        return inner.copy()
-    fill = _median(array)
-    cut = np.full((side, side), np.rint(fill) if array.dtype.kind in "iu" else fill, dtype=array.dtype)
-    cut[y0 - top : y1 - top, x0 - left : x1 - left] = inner
+    cut = np.empty((len(places), side, side), array.dtype)
+    fill: float | None = None
+    for one, (x, y) in zip(cut, places.tolist(), strict=True):
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"must be finite, is {(x, y)}", where="centre", remedy="give (x, y) in pixels")
+        left, top = (math.floor(at - (side - 1) / 2 + 0.5) for at in (x, y))
+        x0, x1 = (min(max(at, 0), width) for at in (left, left + side))
+        y0, y1 = (min(max(at, 0), height) for at in (top, top + side))
+        if x1 - x0 < side or y1 - y0 < side:
+            if fill is None:
+                middle = _median(array)
+                fill = float(np.rint(middle)) if array.dtype.kind in "iu" else middle
+            one[:] = fill
+        one[y0 - top : y1 - top, x0 - left : x1 - left] = array[y0:y1, x0:x1]
     return cut
 
 
