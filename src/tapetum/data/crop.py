@@ -138,8 +138,8 @@ def _background(image: NDArray[np.float32]) -> float:
     # From values near zero, whose means are the most accurate.
     means = cv2.resize(image - np.float32(base), size, interpolation=cv2.INTER_AREA).ravel()
     # The median, several times faster than numpy's for as few values.
-    middle = (means.size - 1) // 2, means.size // 2
-    return base + float(np.partition(means, middle)[list(middle)].mean())
+    means.sort()
+    return base + float((means[(means.size - 1) // 2] + means[means.size // 2]) / np.float32(2))
 
 
 def _blurred(image: NDArray[np.float32], background: float, sigma: float, step: int) -> NDArray[np.float32]:
@@ -175,11 +175,12 @@ def _refine(smooth: NDArray[np.float32], row: int, column: int, span: float) -> 
     """Return the sub-pixel (x, y) of the maximum at (row, column), or the middle of its plateau."""
     height, width = smooth.shape
     # A saturated RR has a flat top, whose middle is the centre.
-    flat = (smooth >= smooth[row, column] - 1e-4 * span).astype(np.uint8)
-    _, labels = cv2.connectedComponents(flat, connectivity=8)
-    rows, columns = np.nonzero(labels == labels[row, column])
-    if rows.size > 4:
-        return float(columns.mean()), float(rows.mean())
+    flat = (smooth >= smooth[row, column] - 1e-4 * span).view(np.uint8)
+    if cv2.countNonZero(flat) > 4:
+        _, labels = cv2.connectedComponents(flat, connectivity=8)
+        rows, columns = np.nonzero(labels == labels[row, column])
+        if rows.size > 4:
+            return float(columns.mean()), float(rows.mean())
     x, y = float(column), float(row)
     if 0 < column < width - 1:
         x += vertex(*(float(v) for v in smooth[row, column - 1 : column + 2]))
@@ -243,8 +244,8 @@ def _brightest(
     # Pixel n of a reduced image is centred on pixel n step + (step - 1)/2 of the whole one.
     shift = (step - 1) / 2
     if near is not None:
-        rows, columns = np.ogrid[: smooth.shape[0], : smooth.shape[1]]
-        away = (columns * step + shift + left - near[0]) ** 2 + (rows * step + shift + top - near[1]) ** 2
+        rows, columns = (np.arange(size) for size in smooth.shape)
+        away = (columns * step + shift + left - near[0]) ** 2 + ((rows * step + shift + top - near[1]) ** 2)[:, None]
         # A circle smaller than a pixel may lie between pixels.
         searched = np.where(away <= max(near[2] ** 2, float(away.min())), smooth, -np.inf)
     row, column = np.unravel_index(int(np.argmax(searched)), smooth.shape)

@@ -1,4 +1,7 @@
-"""From frames to tracks with estimates: detect, follow, crop, apply the models."""
+"""From frames to tracks with estimates: detect, follow, crop, apply the models.
+
+A little over 400 lines: tracking in memory and into files are one way, and have the same options.
+"""
 
 from __future__ import annotations
 
@@ -316,7 +319,8 @@ def _track(
         for (frame, found), answers in zip(waiting, _estimates(waiting, estimators, side, turns), strict=True):
             if activity:
                 _add_asymmetries(frame, found, answers)
-            tracked = TrackedFrame.of(about(frame), found, answers, tracker, activities)
+            height, width = frame.image.shape
+            tracked = TrackedFrame.of(about(frame), found, answers, tracker, activities, (width, height))
             if turns is not None:
                 turns.followed(tracked.rows, frame.time)
             yield tracked

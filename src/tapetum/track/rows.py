@@ -16,6 +16,7 @@ from tapetum.track.activity import Activity
 from tapetum.track.detections import Detections
 from tapetum.track.tables import (
     MOMENT,
+    SIZE,
     check_columns,
     detections_schema,
     estimate_columns,
@@ -107,6 +108,8 @@ class TrackedFrame:
         Of the models for each spot; empty for ghosts.
     moment
         As of `TrackRow`.
+    size
+        (width, height) of the frame in pixels; None where it is unknown.
     """
 
     frame: int
@@ -116,6 +119,7 @@ class TrackedFrame:
     detections: Detections
     estimates: tuple[Mapping[str, Any], ...]
     moment: Mapping[str, Any] = field(default_factory=dict)
+    size: tuple[int, int] | None = None
 
     @classmethod
     def of(
@@ -125,11 +129,12 @@ class TrackedFrame:
         answers: Sequence[Mapping[str, Any]],
         tracker: Tracker,
         activities: dict[int, Activity] | None = None,
+        size: tuple[int, int] | None = None,
     ) -> TrackedFrame:
         """Follow the spots of a frame; `about` holds its frame, time, name and moment, `activities` those by track."""
         rows: list[TrackRow] = []
         dark = about["moment"].get("lit") is False and not len(found)
-        for point in tracker.update(found, about["time"], dark=dark, devices=_devices(answers)):
+        for point in tracker.update(found, about["time"], dark=dark, devices=_devices(answers), size=size):
             n = point.detection
             spot: dict[str, Any] = {
                 name: None if n is None else float(getattr(found, name)[n])
@@ -143,11 +148,13 @@ class TrackedFrame:
                 place["active"] = known.update(None if n is None else answers[n].get("asymmetry"), about["time"])
                 place["opened"] = None if known.opened == before else known.opened
             rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
-        return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers))
+        return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers), size=size)
 
     def detection_records(self) -> Iterator[dict[str, Any]]:
         """Yield the rows of a table of detections; one without a spot where nothing was found."""
         where = {"frame": self.frame, "time": self.time, "name": self.name, **self.moment}
+        if self.size is not None:
+            where |= dict(zip(SIZE, self.size, strict=True))
         if not len(self.detections):
             yield where
         for n, answers in enumerate(self.estimates):
@@ -215,7 +222,9 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
         moment = {name: rows[0].get(name) for name in MOMENT}
         frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}
-        followed = TrackedFrame.of(frame, found, answers, follower, activities)
+        width, height = (rows[0].get(name) for name in SIZE)
+        size = None if width is None or height is None else (width, height)
+        followed = TrackedFrame.of(frame, found, answers, follower, activities, size)
         records += [plain(row.record(), whole.names) for row in followed.rows]
         if len(records) >= _BATCH:
             keep()

@@ -1,4 +1,7 @@
-"""Following spots from frame to frame: a Kalman filter for each, the Hungarian method to match them."""
+"""Following spots from frame to frame: a Kalman filter for each, the Hungarian method to match them.
+
+A little over 400 lines: the steps of one update share the tracks' state and its options.
+"""
 
 from __future__ import annotations
 
@@ -47,14 +50,16 @@ class TrackPoint:
     track
         Number of the track, from 1, never used twice by a tracker.
     x, y
-        Pixels: the detection's centroid where there is one, else the predicted place.
+        Pixels: the detection's centroid where there is one, else the predicted place; where that is out of the picture,
+        the nearest one within.
     vx, vy
         Estimated velocity, pixels per second.
     detection
         Index of its detection in the frame; None while the track coasts.
     event
         What happened to the track in this frame: "begun", "found again", "unseen", "dark", "hidden by track N" where
-        another is seen at its place, or "ended: …" with the reason; else empty.
+        another is seen at its place, "out of the picture" where it should be beyond the frame's edge, or "ended: …"
+        with the reason; else empty.
     """
 
     track: int
@@ -97,19 +102,25 @@ class _Track:
         return name if count >= _TOLD and 2 * count > self.devices.total() else None
 
     def predict(self, dt: float, acceleration: float) -> None:
-        step, push = np.array([[1.0, dt], [0.0, 1.0]]), np.array([dt * dt / 2, dt])
-        self.state = step @ self.state
-        self.covariance = step @ self.covariance @ step.T + acceleration**2 * np.outer(push, push)
+        # Written out: for each of thirty tracks, products of matrices of 2 x 2 take several times as long.
+        (a, b), (_, c) = self.covariance.tolist()
+        push = (acceleration * dt) ** 2
+        a, b, c = a + dt * (2 * b + dt * c) + push * dt * dt / 4, b + dt * c + push * dt / 2, c + push
+        self.covariance = np.array([[a, b], [b, c]])
+        self.state = np.stack([self.state[0] + dt * self.state[1], self.state[1]])
         self.peak *= math.exp(-dt / _MEMORY)
         self.homing = max(0, self.homing - 1)
-        self.home = None if self.home is None or not self.homing else step @ self.home
+        self.home = (
+            None if self.home is None or not self.homing else np.stack([self.home[0] + dt * self.home[1], self.home[1]])
+        )
 
     def correct(self, place: Array, peak: float, diameter: float, noise: float, time: float) -> None:
-        gain = self.covariance[0] / (self.covariance[0, 0] + noise**2)
-        self.state = self.state + np.outer(gain, place - self.state[0])
-        # Joseph's form stays positive despite rounding.
-        rest = np.eye(2) - np.outer(gain, [1.0, 0.0])
-        self.covariance = rest @ self.covariance @ rest.T + noise**2 * np.outer(gain, gain)
+        (a, b), (_, c) = self.covariance.tolist()
+        rest = noise**2 / (a + noise**2)
+        off = (place - self.state[0]) / (a + noise**2)
+        self.state = np.stack([self.state[0] + a * off, self.state[1] + b * off])
+        # Of the forms of this update one that stays positive despite rounding.
+        self.covariance = np.array([[rest * a, rest * b], [rest * b, c - b * b / (a + noise**2)]])
         # Brightness of the last seconds: while a spot fades, its ghost must not take over the track.
         self.peak, self.now = max(self.peak, peak), peak
         self.diameter += 0.5 * (diameter - self.diameter)
@@ -216,7 +227,13 @@ class Tracker:
         return costs, dim & (distance <= self.ghost_radius)
 
     def update(
-        self, detections: Detections, time: float, *, dark: bool = False, devices: Sequence[str | None] | None = None
+        self,
+        detections: Detections,
+        time: float,
+        *,
+        dark: bool = False,
+        devices: Sequence[str | None] | None = None,
+        size: tuple[int, int] | None = None,
     ) -> list[TrackPoint]:
         """Take the spots of the next frame.
 
@@ -231,6 +248,9 @@ class Tracker:
         devices
             What models take each spot for, None where they do not know: where places leave it open, a track keeps to
             spots of its own device.
+        size
+            (width, height) of the frame in pixels, where it is known: no track is then said to be beyond. One that left
+            is remembered as long as any that is unseen, for a probe that shakes brings it back.
 
         Returns
         -------
@@ -297,11 +317,16 @@ class Tracker:
                 other = self._at_its_place(track, seen)
                 # Another where it was last seen is what it became one with, wherever it would be by now.
                 track.hidden = other if track.misses == 1 else track.hidden
+                left = _beyond(track.state[0], size)
                 events[track] = "dark" if dark else "unseen" if other is None else f"hidden by track {other}"
+                if left and not dark and other is None:
+                    events[track] = "out of the picture"
                 if track in ended:
                     why = "unseen" if track.hidden is None else f"merged with track {track.hidden}"
+                    why = "out of the picture" if left and track.hidden is None else why
                     events[track] = f"ended: {why} for {time - track.seen_at:.2f} s"
-            (x, y), (vx, vy) = track.state.tolist() if n is None else (place[n].tolist(), track.state[1].tolist())
+            x, y = _within(track.state[0], size) if n is None else place[n].tolist()
+            vx, vy = track.state[1].tolist()
             detection = None if n is None else int(numbers[n])
             points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, "")))
         return sorted(points, key=lambda point: point.track)
@@ -395,3 +420,14 @@ class Tracker:
             return track.misses <= self.persist[1] - self.persist[0]
         few = track.misses <= 2 or time - track.seen_at <= self.max_coast
         return track.misses == 0 or (track.hits >= self.confirm and few)
+
+
+def _beyond(place: Array, size: tuple[int, int] | None) -> bool:
+    """Return whether a place lies beyond the outermost pixels of a frame."""
+    return size is not None and not all(-0.5 <= at <= n - 0.5 for at, n in zip(place.tolist(), size, strict=True))
+
+
+def _within(place: Array, size: tuple[int, int] | None) -> tuple[float, float]:
+    """Return the place within a frame that is nearest to one that may lie beyond."""
+    x, y = place.tolist()
+    return (x, y) if size is None else (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
