@@ -56,6 +56,8 @@ class TrackRow:
     opened
         In the frame in which it was noticed that a shutter opened on the camera's sensor: when that was, seconds. In
         tables it is part of `event`.
+    since
+        When the first detection of the track was made, seconds; None where it is unknown. Not in tables.
     moment
         Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
@@ -78,6 +80,7 @@ class TrackRow:
     event: str = ""
     active: bool | None = None
     opened: float | None = None
+    since: float | None = None
     moment: Mapping[str, Any] = field(default_factory=dict)
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
@@ -86,7 +89,9 @@ class TrackRow:
 
         `device` and `device_probability` are absent where no model recognises devices.
         """
-        own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates", "opened")}
+        own = {
+            name: value for name, value in vars(self).items() if name not in ("moment", "estimates", "opened", "since")
+        }
         shutter = "" if self.opened is None else f"shutter opened at {self.opened:.3f} s"
         event = "; ".join(one for one in (self.event, shutter) if one)
         return {**own, "event": event or None, **self.moment, **self.estimates}
@@ -141,7 +146,7 @@ class TrackedFrame:
                 for name in ("snr", "peak_x", "peak_y", "diameter")
             }
             place: dict[str, Any] = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
-            place["event"] = point.event
+            place |= {"event": point.event, "since": point.since}
             if activities is not None:
                 known = activities.setdefault(point.track, Activity())
                 before = known.opened

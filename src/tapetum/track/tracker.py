@@ -6,7 +6,7 @@ A little over 400 lines: the steps of one update share the tracks' state and its
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -32,6 +32,9 @@ _ALIKE, _SAME = 1.0, 0.7
 _SHARED = 12.0
 # Frames unseen after which a track's place is no evidence of the common motion.
 _LOST_FOR = 5
+# Latest steps of the tracks that tell how far the probe shakes, the fewest that do, and how many times their median the
+# next may be. Pixels by which a spot that is not of a scene that stands moves from one frame to the next.
+_STEPS, _FEWEST_STEPS, _FOLLOW, _STILL = 15, 5, 6.0, 3.0
 # Frames for which a jump of few tracks can be taken back.
 _HOMING = 4
 # Cost of giving a spot to a track that models take for another device: it decides between places within the gate, but
@@ -60,6 +63,8 @@ class TrackPoint:
         What happened to the track in this frame: "begun", "found again", "unseen", "dark", "hidden by track N" where
         another is seen at its place, "out of the picture" where it should be beyond the frame's edge, or "ended: …"
         with the reason; else empty.
+    since
+        When the first of the detections was made that gave it its number, in seconds.
     """
 
     track: int
@@ -69,6 +74,7 @@ class TrackPoint:
     vy: float
     detection: int | None
     event: str = ""
+    since: float = math.nan
 
     @property
     def seen(self) -> bool:
@@ -79,16 +85,17 @@ class TrackPoint:
 class _Track:
     """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size.
 
-    `number` is None until the spot persisted; `lately` holds whether it was seen, by frame.
+    `number` is None until the spot persisted; `lately` holds when it was seen, by frame, None
+    where it was not.
     """
 
     def __init__(self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float) -> None:
         self.number: int | None = None
         self.state = np.stack([place, np.zeros(2)])
         self.covariance = np.diag([noise**2, speed**2])
-        self.peak, self.diameter, self.now = peak, diameter, peak
-        self.hits, self.misses, self.seen_at = 1, 0, time
-        self.lately = [True]
+        self.peak, self.diameter, self.now, self.last = peak, diameter, peak, place
+        self.hits, self.misses, self.since, self.seen_at = 1, 0, time, time
+        self.lately: list[float | None] = [time]
         self.hidden: int | None = None
         # Where it would be had it not followed a jump, and for how many frames that is remembered.
         self.home: Array | None = None
@@ -122,7 +129,7 @@ class _Track:
         # Of the forms of this update one that stays positive despite rounding.
         self.covariance = np.array([[rest * a, rest * b], [rest * b, c - b * b / (a + noise**2)]])
         # Brightness of the last seconds: while a spot fades, its ghost must not take over the track.
-        self.peak, self.now = max(self.peak, peak), peak
+        self.peak, self.now, self.last = max(self.peak, peak), peak, place
         self.diameter += 0.5 * (diameter - self.diameter)
         self.hits, self.misses, self.seen_at = self.hits + 1, 0, time
 
@@ -206,6 +213,10 @@ class Tracker:
         self._tracks: list[_Track] = []
         self._time: float | None = None
         self._next = 1
+        # How far tracks were from where they would have been without common motion, by frame.
+        self._steps: deque[float] = deque(maxlen=_STEPS)
+        # Places of the spots of the frame before that no well-known track took.
+        self._loose = np.empty((0, 2))
 
     def _fit(self, place: Array, peak: Array, diameter: Array, noise: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Compare tracks and spots [tracks, spots]: the cost of each pair, and whether the spot may be a ghost."""
@@ -272,6 +283,7 @@ class Tracker:
         noise = self.noise + 0.02 * diameter
         for track in self._tracks:
             track.predict(dt, self.acceleration)
+        alone = {track: track.state[0] for track in self._tracks if track.number is not None and not track.misses}
         if self.shake > 0 and self._tracks and len(place):
             self._move_together(place, peak, diameter)
 
@@ -296,7 +308,11 @@ class Tracker:
             elif not dark:
                 track.misses += 1
             if row in pairs or not dark:
-                track.lately = [*track.lately, row in pairs][-self.persist[1] :]
+                track.lately = [*track.lately, time if row in pairs else None][-self.persist[1] :]
+        steps = [math.dist(place[seen[track]], at) for track, at in alone.items() if track in seen]
+        self._steps += [float(np.median(steps))] if steps else []
+        taken = [n for track, n in seen.items() if self._well_known(track)]
+        self._loose = np.delete(place, taken, axis=0)
         ended = [track for track in self._tracks if not self._lives(track, time)]
         self._tracks = [track for track in self._tracks if self._lives(track, time)]
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
@@ -305,8 +321,9 @@ class Tracker:
                 self._tracks.append(_Track(*looks[n], time, self.speed))
                 seen[self._tracks[-1]] = n
         for track in self._tracks:
-            if track.number is None and sum(track.lately) >= self.persist[0]:
-                track.number, self._next = self._next, self._next + 1
+            times = [one for one in track.lately if one is not None]
+            if track.number is None and len(times) >= self.persist[0]:
+                track.number, track.since, self._next = self._next, times[0], self._next + 1
                 events[track] = "begun"
         points: list[TrackPoint] = []
         for track in [*self._tracks, *(ended if self.endings else ())]:
@@ -328,7 +345,7 @@ class Tracker:
             x, y = _within(track.state[0], size) if n is None else place[n].tolist()
             vx, vy = track.state[1].tolist()
             detection = None if n is None else int(numbers[n])
-            points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, "")))
+            points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, ""), track.since))
         return sorted(points, key=lambda point: point.track)
 
     def _move_together(self, place: Array, peak: Array, diameter: Array) -> None:
@@ -383,7 +400,7 @@ class Tracker:
 
         `looks` [tracks, spots] says how unlike they look, as a logarithm.
         """
-        known = np.array([track.number is not None and track.hits >= self.confirm for track in self._tracks])
+        known = np.array([self._well_known(track) for track in self._tracks])
         # Before anything has a number, a guess costs nothing.
         first = not any(track.number is not None for track in self._tracks)
         known = (known | first) & np.array([track.misses <= _LOST_FOR for track in self._tracks])
@@ -392,7 +409,11 @@ class Tracker:
         spread = np.array([math.sqrt(track.covariance[0, 0] + self.noise**2) for track in self._tracks])[known]
         wide = np.array([track.diameter for track in self._tracks])[known]
         near = np.minimum(np.maximum(self.gate * spread, 0.5 * wide), self.max_distance)
-        able = (looks[known] < _SAME) & (far <= self.shake)
+        # A wrong velocity is made good where the spot still stands.
+        last = np.array([track.last for track in self._tracks])[known]
+        there = np.linalg.norm(place[None] - last[:, None], axis=2)
+        close = np.minimum(far, there) <= self._farthest()
+        able = (looks[known] < _SAME) & (far <= self.shake) & (close | self._shaken(place))
         if not able.any() or (far <= near[:, None]).any():
             return None
         shifts = apart[able]
@@ -404,7 +425,27 @@ class Tracker:
         # Of shifts by which as many find their like, the one by which they look most like themselves.
         unlike = np.where(finds, looks[known][None], np.inf).min(2)
         unlike = np.where(np.isfinite(unlike), unlike, 0).sum(1)
-        return np.column_stack([np.eye(2), shifts[np.argmin(np.where(count == count.max(), unlike, np.inf))]])
+        best = shifts[np.argmin(np.where(count == count.max(), unlike, np.inf))]
+        if np.hypot(*best) > self._farthest():
+            self._steps.clear()
+        return np.column_stack([np.eye(2), best])
+
+    def _well_known(self, track: _Track) -> bool:
+        return track.number is not None and track.hits >= self.confirm
+
+    def _farthest(self) -> float:
+        """How far few tracks may jump together: little before a probe that stands, where a reflection begins elsewhere
+        as a camera is missed."""
+        if len(self._steps) < _FEWEST_STEPS:
+            return self.shake
+        return min(self.shake, 2 * _SHARED + _FOLLOW * float(np.median(self._steps)))
+
+    def _shaken(self, place: Array) -> NDArray[np.bool_]:
+        """Return which spots show that a probe which stood now shakes: they moved, while every camera was missed."""
+        missed = all(track.misses for track in self._tracks if self._well_known(track))
+        if not missed or not len(self._loose):
+            return np.zeros(len(place), dtype=bool)
+        return np.linalg.norm(place[:, None] - self._loose[None], axis=2).min(1) > _STILL
 
     @staticmethod
     def _at_its_place(track: _Track, seen: dict[_Track, int]) -> int | None:
