@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import importlib
+
 import numpy as np
+import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from tapetum.blas import one_blas_thread
 from tapetum.record.source import Frame
-from tapetum.track import Detections, track
+from tapetum.track import Detections, detect, track
 
 
 def threads() -> set[int]:
@@ -39,3 +42,13 @@ def test_tracking_leaves_cores_to_the_models() -> None:
             assert len(list(track(source, detector=find))) == 3
         assert threads() == {2}
     assert seen == [{1}] * 6
+
+
+def test_detection_alone_does_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen = []
+    monkeypatch.setattr(importlib.import_module("tapetum.track.detect"), "make_maps", lambda *_: seen.append(threads()))
+    monkeypatch.setattr(importlib.import_module("tapetum.track.detect"), "search", lambda *_: [])
+    with threadpool_limits(2, user_api="blas"):
+        assert len(detect(np.zeros((16, 16), np.uint8))) == 0
+        assert threads() == {2}
+    assert seen == [{1}]

@@ -6,18 +6,26 @@ them, then keeps all cores busy and takes them from inference beside it.
 
 from __future__ import annotations
 
+import functools
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
-from threadpoolctl import threadpool_limits
+import numpy as np  # noqa: F401, its BLAS is to be loaded before it is looked for
+from threadpoolctl import ThreadpoolController
 
 __all__ = ["one_blas_thread"]
 
 _lock = threading.Lock()
 _wanted = 0
 _limit: Any = None
+
+
+@functools.cache
+def _controller() -> ThreadpoolController:
+    """Find the libraries, which takes a millisecond, once."""
+    return ThreadpoolController()
 
 
 @contextmanager
@@ -34,7 +42,7 @@ def one_blas_thread() -> Iterator[None]:
     global _wanted, _limit
     with _lock:
         if _wanted == 0:
-            _limit = threadpool_limits(1, user_api="blas")
+            _limit = _controller().limit(limits=1, user_api="blas")
         _wanted += 1
     try:
         yield
