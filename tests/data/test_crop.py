@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tapetum.data import crop, crop_batch, find_centre, find_peak
+from tapetum.data.crop import crops_of
 from tapetum.errors import InputError
 
 
@@ -156,3 +158,18 @@ def test_what_lies_outside_gets_the_exact_median(shape: tuple[int, int]):
     for top in (2, 40, 256):
         image = rng.integers(0, top, shape).astype(np.uint8)
         assert crop(image, (-50, -50), 3).tolist() == [[int(np.rint(np.median(image)))] * 3] * 3
+
+
+def test_squares_of_one_image_share_its_median(monkeypatch: pytest.MonkeyPatch):
+    """A median of five megapixels takes longer than many squares."""
+    asked = []
+    monkeypatch.setattr(
+        importlib.import_module("tapetum.data.crop"), "_median", lambda image: asked.append(image.shape) or 7.0
+    )
+    image = np.random.default_rng(0).integers(0, 255, (40, 60), np.uint8)
+    places = np.array([[1.0, 1.0], [30.2, 19.7], [58.0, 39.0], [-100.0, 5.0]])
+    cut = crops_of(image, places, 9)
+    assert asked == [(40, 60)]
+    for one, (x, y) in zip(cut, places.tolist(), strict=True):
+        assert (one == crop(image, (x, y), 9)).all()
+    assert crops_of(image, np.empty((0, 2)), 9).shape == (0, 9, 9)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -37,6 +38,36 @@ def test_a_camera_is_told_of_once_it_was_followed_for_a_while_and_once_it_is_gon
 
 def test_what_is_seen_for_a_moment_is_never_told_of() -> None:
     assert told(Events(), [[row(k)] for k in range(4)] + [[] for _ in range(30)]) == []
+
+
+def moved(one: TrackRow, x: float) -> TrackRow:
+    return replace(one, x=x, peak_x=x)
+
+
+def test_two_reflections_that_a_track_joins_are_no_camera() -> None:
+    """One for four frames, another for three, after two frames without; only then it stays."""
+    rows = [[row(k, seen=k not in (4, 5))] for k in range(6)] + [[moved(row(k), 200.0)] for k in range(6, 12)]
+    assert told(Events(), rows[:9]) == []
+    assert told(Events(), rows) == [(10, "seen", "")]
+
+
+def test_a_camera_that_the_track_of_a_reflection_takes_is_told_of_as_soon_as_any() -> None:
+    rows = [[row(k, seen=k < 3 or k >= 9)] for k in range(16)]
+    assert told(Events(), rows) == [(13, "seen", "")]
+
+
+def test_a_camera_counts_from_when_it_was_first_detected() -> None:
+    """The tracker gives a number to what persisted only."""
+    rows = [[] for _ in range(2)] + [[replace(row(k), event="begun" if k == 2 else "", since=0.0)] for k in range(2, 9)]
+    assert told(Events(), rows) == [(4, "seen", "")]
+    # A track that goes on after its stay ended shows another camera.
+    assert told(Events(), [[replace(row(k), since=0.0)] for k in range(20, 30)], 20) == [(24, "seen", "")]
+
+
+def test_one_estimate_far_off_at_its_beginning_does_not_put_a_change_off() -> None:
+    events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)])
+    rows = [[row(k, **gaze(0.3 if k >= 10 and k != 12 else 0.0))] for k in range(20)]
+    assert told(events, rows) == [(4, "seen", ""), (14, "looks", "screen")]
 
 
 def test_an_event_of_a_change_has_the_camera_before_and_after() -> None:

@@ -151,6 +151,33 @@ def test_births_gaps_and_ends_have_a_reason() -> None:
     assert told[-1] == (16, "ended: unseen for 0.23 s")
 
 
+def test_a_track_that_left_is_not_said_to_be_beyond_the_picture() -> None:
+    """A camera that moves out of the frame at 10 px a frame; another stays."""
+    tracker = Tracker(max_coast=0.4, endings=True)
+    told = []
+    for n in range(40):
+        x, stays = 150.0 + 10.0 * n, (100.0, 80.0)
+        places = spots((x, 60.0), stays) if x < 200 else spots(stays)
+        told += [point for point in tracker.update(places, n / 30, size=(200, 120)) if point.track == 1]
+    assert all(0 <= point.x <= 199 and 0 <= point.y <= 119 for point in told)
+    unseen = [point for point in told if not point.seen]
+    assert len(unseen) > 10 and {point.event for point in unseen[:-1]} == {"out of the picture"}
+    assert unseen[-1].event == "ended: out of the picture for 0.43 s"
+
+
+def test_a_shake_brings_a_track_back_into_the_picture() -> None:
+    """Four cameras; one stands near the edge, and a shake of the probe moves it out for some frames."""
+    others = np.array([[300.0, 300.0], [500.0, 200.0], [400.0, 450.0]])
+    tracker, told = Tracker(), []
+    for n in range(30):
+        sway = np.array([-60.0 if n % 10 in (4, 5, 6) else 0.0, 0.0])
+        every = np.vstack([[40.0, 240.0], others]) + sway
+        there = [tuple(place) for place in every.tolist() if place[0] >= 0]
+        told.append(tracker.update(spots(*there), n / 30, size=(640, 480)))
+    assert {point.track for points in told for point in points} == {1, 2, 3, 4}
+    assert min(point.x for points in told for point in points) == 0.0
+
+
 def test_two_that_become_one_are_said_to_merge() -> None:
     tracker = Tracker(max_coast=0.3, endings=True)
     told = {}

@@ -230,3 +230,17 @@ def test_rows_hold_no_nan(frames):
         for row in one.rows:
             values = [v for v in row.record().values() if isinstance(v, float)]
             assert not any(math.isnan(v) for v in values)
+
+
+def test_tracks_of_kept_detections_know_the_picture_too(tmp_path) -> None:
+    """A spot moves out at the right: the place that is foretold of it stays in the frame."""
+    frames = []
+    for n in range(14):
+        image = np.full((120, 160), 6, np.uint8)
+        image[56:64, max(0, 72 + 10 * n) : 80 + 10 * n] = 200
+        frames.append(Frame(n, n / 30, image, f"made[{n}]"))
+    out, kept = tmp_path / "tracks.csv", tmp_path / "spots.csv"
+    track_to_file(frames, out, detections=kept)
+    rows = read_tracks(out).to_pylist()
+    assert max(row["x"] for row in rows) == 159 and "out of the picture" in {row["event"] for row in rows}
+    assert retrack(kept).to_pylist() == rows

@@ -237,3 +237,32 @@ def test_a_wrong_velocity_of_a_track_alone_does_not_last():
         tracker.update(spots((488.0, 125.0), diameter=6.0), n / 15)
     (point,) = tracker.update(spots(), 20 / 15)
     assert math.dist((point.x, point.y), (488, 125)) < 3
+
+
+def test_a_camera_alone_that_stands_does_not_become_a_reflection():
+    """It is missed in the frame in which one like it begins elsewhere, which a shaking probe would look like."""
+    tracker = Tracker(ghost_ratio=0.0)
+    for n in range(20):
+        tracker.update(spots((488.0, 125.0), diameter=6.0), n / 15)
+    points = tracker.update(spots((360.0, 240.0), diameter=6.0), 20 / 15)
+    assert [(point.track, point.seen) for point in points] == [(1, False), (2, True)]
+    points = tracker.update(spots((488.0, 125.0), (360.0, 240.0), diameter=6.0), 21 / 15)
+    assert [(point.track, round(point.x)) for point in points] == [(1, 488), (2, 360)]
+
+
+def test_a_probe_that_begins_to_shake_finds_a_camera_alone_again():
+    tracker = Tracker(ghost_ratio=0.0)
+    for n in range(20):
+        tracker.update(spots((488.0, 125.0), diameter=6.0), n / 15)
+    sway = 60.0 * np.sin(2 * np.pi * 9.0 * np.arange(40) / 15)
+    last = [tracker.update(spots((488.0 + by, 125.0 + by), diameter=6.0), (20 + n) / 15) for n, by in enumerate(sway)]
+    assert any(point.track == 1 and point.seen for point in last[-1])
+
+
+def test_a_track_knows_when_it_began_to_persist():
+    tracker = Tracker(persist=(3, 5))
+    # Two alone, and then every frame: the first two lie outside the five that gave the number.
+    there = [True, False, False, True, False, False, True, True, True]
+    points = [tracker.update(spots((50.0, 50.0)) if one else spots(), n / 10) for n, one in enumerate(there)]
+    assert [len(one) for one in points] == [0] * 7 + [1, 1]
+    assert {one[0].since for one in points[7:]} == {0.3}

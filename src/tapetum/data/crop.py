@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "find_centre", "find_peak", "vertex"]
+__all__ = ["CENTRING", "SIGMA", "Peak", "crop", "crop_batch", "crops_of", "find_centre", "find_peak", "vertex"]
 
 SIGMA = 20.0
 """Standard deviation in pixels of the smoothing Gaussian.
@@ -138,8 +138,8 @@ def _background(image: NDArray[np.float32]) -> float:
     # From values near zero, whose means are the most accurate.
     means = cv2.resize(image - np.float32(base), size, interpolation=cv2.INTER_AREA).ravel()
     # The median, several times faster than numpy's for as few values.
-    middle = (means.size - 1) // 2, means.size // 2
-    return base + float(np.partition(means, middle)[list(middle)].mean())
+    means.sort()
+    return base + float((means[(means.size - 1) // 2] + means[means.size // 2]) / np.float32(2))
 
 
 def _blurred(image: NDArray[np.float32], background: float, sigma: float, step: int) -> NDArray[np.float32]:
@@ -175,11 +175,12 @@ def _refine(smooth: NDArray[np.float32], row: int, column: int, span: float) -> 
     """Return the sub-pixel (x, y) of the maximum at (row, column), or the middle of its plateau."""
     height, width = smooth.shape
     # A saturated RR has a flat top, whose middle is the centre.
-    flat = (smooth >= smooth[row, column] - 1e-4 * span).astype(np.uint8)
-    _, labels = cv2.connectedComponents(flat, connectivity=8)
-    rows, columns = np.nonzero(labels == labels[row, column])
-    if rows.size > 4:
-        return float(columns.mean()), float(rows.mean())
+    flat = (smooth >= smooth[row, column] - 1e-4 * span).view(np.uint8)
+    if cv2.countNonZero(flat) > 4:
+        _, labels = cv2.connectedComponents(flat, connectivity=8)
+        rows, columns = np.nonzero(labels == labels[row, column])
+        if rows.size > 4:
+            return float(columns.mean()), float(rows.mean())
     x, y = float(column), float(row)
     if 0 < column < width - 1:
         x += vertex(*(float(v) for v in smooth[row, column - 1 : column + 2]))
@@ -243,8 +244,8 @@ def _brightest(
     # Pixel n of a reduced image is centred on pixel n step + (step - 1)/2 of the whole one.
     shift = (step - 1) / 2
     if near is not None:
-        rows, columns = np.ogrid[: smooth.shape[0], : smooth.shape[1]]
-        away = (columns * step + shift + left - near[0]) ** 2 + (rows * step + shift + top - near[1]) ** 2
+        rows, columns = (np.arange(size) for size in smooth.shape)
+        away = (columns * step + shift + left - near[0]) ** 2 + ((rows * step + shift + top - near[1]) ** 2)[:, None]
         # A circle smaller than a pixel may lie between pixels.
         searched = np.where(away <= max(near[2] ** 2, float(away.min())), smooth, -np.inf)
     row, column = np.unravel_index(int(np.argmax(searched)), smooth.shape)
@@ -331,22 +332,32 @@ def crop(image: NDArray[np.generic], centre: tuple[float, float], side: int) -> 
     InputError
         When the centre is not finite or the side not positive.
     """
-    array = _grey(image)
+    return crops_of(image, np.array([centre], dtype=np.float64), side)[0]
+
+
+def crops_of(image: NDArray[np.generic], centres: NDArray[np.floating], side: int) -> NDArray[np.generic]:
+    """Cut squares [N, side, side] out of one image [H, W] around centres (x, y) [N, 2]; each is that of `crop`.
+
+    The image's median, which costs more than many squares, is taken at most once.
+    """
+    array, places = _grey(image), np.asarray(centres, dtype=np.float64).reshape(-1, 2)
     if side < 1:
         raise InputError(f"must be positive, is {side}", where="side", remedy="give a number of pixels")
-    if not (math.isfinite(centre[0]) and math.isfinite(centre[1])):
-        raise InputError(f"must be finite, is {centre}", where="centre", remedy="give (x, y) in pixels")
     height, width = array.shape
-    left = math.floor(centre[0] - (side - 1) / 2 + 0.5)
-    top = math.floor(centre[1] - (side - 1) / 2 + 0.5)
-    x0, x1 = np.clip((left, left + side), 0, width)
-    y0, y1 = np.clip((top, top + side), 0, height)
-    inner = array[y0:y1, x0:x1]
-    if inner.shape == (side, side):
-        return inner.copy()
-    fill = _median(array)
-    cut = np.full((side, side), np.rint(fill) if array.dtype.kind in "iu" else fill, dtype=array.dtype)
-    cut[y0 - top : y1 - top, x0 - left : x1 - left] = inner
+    cut = np.empty((len(places), side, side), array.dtype)
+    fill: float | None = None
+    for one, (x, y) in zip(cut, places.tolist(), strict=True):
+        if not (math.isfinite(x) and math.isfinite(y)):
+            raise InputError(f"must be finite, is {(x, y)}", where="centre", remedy="give (x, y) in pixels")
+        left, top = (math.floor(at - (side - 1) / 2 + 0.5) for at in (x, y))
+        x0, x1 = (min(max(at, 0), width) for at in (left, left + side))
+        y0, y1 = (min(max(at, 0), height) for at in (top, top + side))
+        if x1 - x0 < side or y1 - y0 < side:
+            if fill is None:
+                middle = _median(array)
+                fill = float(np.rint(middle)) if array.dtype.kind in "iu" else middle
+            one[:] = fill
+        one[y0 - top : y1 - top, x0 - left : x1 - left] = array[y0:y1, x0:x1]
     return cut
 
 

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tapetum.blas import one_blas_thread
 from tapetum.detection.find import find_cameras
 from tapetum.detection.found import Found
 from tapetum.errors import InputError
@@ -89,7 +90,7 @@ def _in_order(frames: Iterable[Pair], submit: Submit, held: int) -> Generator[Fo
 
 
 def _by_threads(stack: contextlib.ExitStack, threads: int, options: dict[str, Any]) -> Submit:
-    stack.enter_context(threadpool_limits(1, user_api="blas"))
+    stack.enter_context(one_blas_thread())
     pool = stack.enter_context(ThreadPoolExecutor(threads))
     return lambda _, lit, dark: pool.submit(find_cameras, lit, dark, **options)
 

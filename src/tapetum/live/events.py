@@ -32,8 +32,13 @@ _LOOKS = 120  # that are kept of a camera: a minute
 _LOOK_NOW, _LOOK_LATER = 0.1, 0.5  # s between two looks while they decide, and else
 _LATEST, _FEWEST = 5, 3  # looks that decide, and the fewest that do
 _RECENT, _UNLIKE = 1.0, 1.0  # s for which a look counts, and for which a camera of ours may look different
-# Of so many estimates one may be far off; share of its frames that must show a new camera.
-_WRONG, _SHOWN = 4, 0.6
+# Of so many estimates one may be far off; share of the estimates against a change that ends it.
+_WRONG, _ENDS = 4, 0.4
+# Share of its frames that must show a new camera, of which most of the latest: a reflection that has gone does not come
+# to that by a spot here and there.
+_SHOWN, _LATEST_FRAMES = 0.6, 3
+# A new camera that was unseen for so many frames and is found so many pixels away is another one.
+_UNSEEN, _FAR = 2, 24.0
 T = TypeVar("T")
 
 
@@ -105,9 +110,9 @@ class _Held(Generic[T]):
         else:
             self._against += 1
             # A reported value needs no share of frames: any other value may be the beginning of a change.
-            if self._other == self.value or self._against * _WRONG > self._for + self._against:
+            if self._other == self.value or self._against > _ENDS * (self._for + self._against):
                 self._other, self._since, self._for, self._against = value, time, 1, 0
-        if value != self._other or value == self.value:
+        if value != self._other or value == self.value or self._against * _WRONG > self._for + self._against:
             return False
         if time - self._since < self.hold or time - self._changed < self.cooldown:
             return False
@@ -118,9 +123,9 @@ class _Held(Generic[T]):
 class _Stay:
     """A camera's stay before the probe."""
 
-    def __init__(self, camera: CameraState, time: float, hold: float, cooldown: float) -> None:
-        self.camera, self.told, self.first, self.last = camera, False, time, time
-        self.frames = self.shown = 0
+    def __init__(self, camera: CameraState, first: float, time: float, hold: float, cooldown: float) -> None:
+        self.camera, self.told = camera, False
+        self.begins(first, time)
         self.looks: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_LOOKS)
         # What it is taken for by its look, and since when it does not look so any more.
         self.ours: Ignored | None = None
@@ -132,6 +137,36 @@ class _Stay:
         self.regions: dict[str, _Held[bool]] = {}
         self.opened = -math.inf
 
+    def begins(self, first: float, time: float) -> None:
+        """Begin to count the frames that show it."""
+        self.first, self.last = first, time
+        self.frames = self.shown = self.unseen = 0
+        self.latest: deque[bool] = deque([True], maxlen=_LATEST_FRAMES)
+
+    def saw(self, row: TrackRow, before: CameraState, dark: bool, confirm: float) -> None:
+        """Take whether a frame shows it; one without the probe's light says nothing where it does not.
+
+        The track of something that went may have come upon another: one that is new begins anew then.
+        """
+        if row.seen and not self.told:
+            away = math.dist((row.x, row.y), (before.x, before.y)) > max(_FAR, 2 * before.diameter)
+            if (away and self.unseen >= _UNSEEN) or row.time - self.last > confirm:
+                self.begins(row.time, row.time)
+                return
+        if row.seen:
+            self.last = row.time
+        if row.seen or not dark:
+            self.unseen = 0 if row.seen else self.unseen + 1
+        if row.seen or not dark:
+            self.frames, self.shown = self.frames + 1, self.shown + row.seen
+            self.latest.append(row.seen)
+
+    @property
+    def stands(self) -> bool:
+        """Whether a camera that is new is there, by how many frames show it."""
+        now = sum(self.latest)
+        return 2 * now > len(self.latest) and self.shown >= _SHOWN * self.frames
+
 
 class Events:
     """Makes events of tracked frames.
@@ -141,7 +176,7 @@ class Events:
     regions
         Parts of the cameras' fields that events report on.
     confirm, hold, cooldown, gone
-        Seconds for which a camera must have been followed, and seen in most of its frames, before it is reported; for
+        Seconds since a camera was first detected after which it is reported, if most of its frames show it; for
         which a change must last, where one frame in four may differ; between two changes of a kind; and unseen before
         it is gone.
     ignored
@@ -225,16 +260,16 @@ class Events:
             return [] if stay is None else self._end(number, utc_ns)
         if stay is None:
             if row.seen:
-                self._stays[number] = _Stay(camera, row.time, self.hold, self.cooldown)
+                # A track that goes on after its stay ended shows another camera.
+                first = row.since if row.since is not None and row.event == "begun" else row.time
+                self._stays[number] = _Stay(camera, first, row.time, self.hold, self.cooldown)
             return []
+        stay.saw(row, stay.camera, dark, self.confirm)
         stay.camera = camera
-        stay.frames, stay.shown = stay.frames + (row.seen or not dark), stay.shown + row.seen
-        if row.seen:
-            stay.last = row.time
         if stay.ours is not None and self._still_ours(stay, row.time):
             return self._silenced(stay, utc_ns)
         if not stay.told:
-            if not row.seen or row.time - stay.first < self.confirm or stay.shown < _SHOWN * stay.frames:
+            if not row.seen or row.time - stay.first < self.confirm or not stay.stands:
                 return []
             if self._taken_for_ours(stay, row.time):
                 return []

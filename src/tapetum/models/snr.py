@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -49,8 +51,16 @@ def _strength(image: NDArray[np.generic], noise: float) -> float:
         middle = float(np.median(levels))
     else:
         # Integer counts take few values, so a histogram gives the median and the sum.
-        count = np.bincount(image.ravel())
+        count = _counts(image)
         levels = np.arange(len(count))
         middle = float(np.searchsorted(np.cumsum(count), image.size / 2))
     excess = levels - middle
     return math.sqrt(float((count * np.where(excess > _GATE * noise, excess, 0.0) ** 2).sum()))
+
+
+def _counts(image: NDArray[np.generic]) -> NDArray[Any]:
+    """Return how many pixels have each integer count; of bytes several times faster than numpy's."""
+    if image.dtype != np.uint8:
+        return np.bincount(image.ravel())
+    pixels = np.ascontiguousarray(image, dtype=np.uint8)
+    return cv2.calcHist([pixels], [0], None, [256], [0, 256]).ravel().astype(np.intp)

@@ -18,6 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tapetum.blas import one_blas_thread
 from tapetum.data.crop import find_centre
 from tapetum.errors import InputError
 from tapetum.record.source import Frame
@@ -147,9 +148,10 @@ def detect(
     whole = array.dtype.kind in "iu"
     if full_scale is None:
         full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
-    maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30), min_snr)
     limit = math.inf if largest is None else largest
-    found = [one for one in search(maps, array, full_scale, min_snr, max_count, limit) if one.diameter <= limit]
+    with one_blas_thread():
+        maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30), min_snr)
+        found = [one for one in search(maps, array, full_scale, min_snr, max_count, limit) if one.diameter <= limit]
     if not found:
         return Detections.empty()
 

@@ -1,4 +1,7 @@
-"""From frames to tracks with estimates: detect, follow, crop, apply the models."""
+"""From frames to tracks with estimates: detect, follow, crop, apply the models.
+
+A little over 400 lines: tracking in memory and into files are one way, and have the same options.
+"""
 
 from __future__ import annotations
 
@@ -10,12 +13,15 @@ import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
+from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
+from numpy.typing import NDArray
 
-from tapetum.data.crop import crop
+from tapetum.blas import one_blas_thread
+from tapetum.data.crop import crop, crops_of
 from tapetum.errors import InputError, of_type, one_of
 from tapetum.interrupts import interruptible
 from tapetum.progress import Progress, quiet
@@ -113,8 +119,7 @@ def _estimates(
     for (_, full_scale), places in sorted(alike.items()):
         if not places:
             continue
-        spots = [(frames[n][0].image, frames[n][1][k]) for n, k in places]
-        crops = np.stack([crop(image, (float(one.peak_x[0]), float(one.peak_y[0])), side) for image, one in spots])
+        crops = _crops(frames, places, side)
         for estimator in estimators:
             columns = estimator.predict(crops, full_scale=full_scale).columns()
             for row, (n, k) in enumerate(places):
@@ -123,6 +128,17 @@ def _estimates(
     if turns is not None:
         turns.spent(asked, time.perf_counter() - begun)
     return answers
+
+
+def _crops(
+    frames: Sequence[tuple[Frame, Detections]], places: Sequence[tuple[int, int]], side: int
+) -> NDArray[np.generic]:
+    """Cut out the spots (frame, spot), which come frame by frame."""
+    cut = []
+    for n, group in groupby(places, key=lambda place: place[0]):
+        (frame, found), spots = frames[n], [k for _, k in group]
+        cut.append(crops_of(frame.image, np.stack([found.peak_x[spots], found.peak_y[spots]], axis=1), side))
+    return cut[0] if len(cut) == 1 else np.concatenate(cut)
 
 
 def _add_asymmetries(frame: Frame, found: Detections, answers: Sequence[dict[str, Any]]) -> None:
@@ -277,10 +293,14 @@ def _found(
     source: Source | Iterable[Frame], frames: Iterator[Frame], find: Detector
 ) -> Iterator[tuple[Frame, Detections]]:
     """Yield the frames taken from a source with their spots, which are sought ahead where the source allows it."""
-    # Frames that somebody makes on demand are asked for when their turn comes, in the thread that asks.
-    if not isinstance(source, (Source, Sequence)):
-        return ((frame, find(frame)) for frame in frames)
-    return found_ahead(frames, find)
+    # Models, which follow in the other thread, need the cores that BLAS would occupy.
+    with one_blas_thread():
+        # Frames that somebody makes on demand are asked for when their turn comes, in the thread that asks.
+        if isinstance(source, (Source, Sequence)):
+            yield from found_ahead(frames, find)
+        else:
+            for frame in frames:
+                yield frame, find(frame)
 
 
 def _track(
@@ -299,7 +319,8 @@ def _track(
         for (frame, found), answers in zip(waiting, _estimates(waiting, estimators, side, turns), strict=True):
             if activity:
                 _add_asymmetries(frame, found, answers)
-            tracked = TrackedFrame.of(about(frame), found, answers, tracker, activities)
+            height, width = frame.image.shape
+            tracked = TrackedFrame.of(about(frame), found, answers, tracker, activities, (width, height))
             if turns is not None:
                 turns.followed(tracked.rows, frame.time)
             yield tracked

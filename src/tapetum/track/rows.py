@@ -16,6 +16,7 @@ from tapetum.track.activity import Activity
 from tapetum.track.detections import Detections
 from tapetum.track.tables import (
     MOMENT,
+    SIZE,
     check_columns,
     detections_schema,
     estimate_columns,
@@ -55,6 +56,8 @@ class TrackRow:
     opened
         In the frame in which it was noticed that a shutter opened on the camera's sensor: when that was, seconds. In
         tables it is part of `event`.
+    since
+        When the first detection of the track was made, seconds; None where it is unknown. Not in tables.
     moment
         Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
@@ -77,6 +80,7 @@ class TrackRow:
     event: str = ""
     active: bool | None = None
     opened: float | None = None
+    since: float | None = None
     moment: Mapping[str, Any] = field(default_factory=dict)
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
@@ -85,7 +89,9 @@ class TrackRow:
 
         `device` and `device_probability` are absent where no model recognises devices.
         """
-        own = {name: value for name, value in vars(self).items() if name not in ("moment", "estimates", "opened")}
+        own = {
+            name: value for name, value in vars(self).items() if name not in ("moment", "estimates", "opened", "since")
+        }
         shutter = "" if self.opened is None else f"shutter opened at {self.opened:.3f} s"
         event = "; ".join(one for one in (self.event, shutter) if one)
         return {**own, "event": event or None, **self.moment, **self.estimates}
@@ -107,6 +113,8 @@ class TrackedFrame:
         Of the models for each spot; empty for ghosts.
     moment
         As of `TrackRow`.
+    size
+        (width, height) of the frame in pixels; None where it is unknown.
     """
 
     frame: int
@@ -116,6 +124,7 @@ class TrackedFrame:
     detections: Detections
     estimates: tuple[Mapping[str, Any], ...]
     moment: Mapping[str, Any] = field(default_factory=dict)
+    size: tuple[int, int] | None = None
 
     @classmethod
     def of(
@@ -125,29 +134,32 @@ class TrackedFrame:
         answers: Sequence[Mapping[str, Any]],
         tracker: Tracker,
         activities: dict[int, Activity] | None = None,
+        size: tuple[int, int] | None = None,
     ) -> TrackedFrame:
         """Follow the spots of a frame; `about` holds its frame, time, name and moment, `activities` those by track."""
         rows: list[TrackRow] = []
         dark = about["moment"].get("lit") is False and not len(found)
-        for point in tracker.update(found, about["time"], dark=dark, devices=_devices(answers)):
+        for point in tracker.update(found, about["time"], dark=dark, devices=_devices(answers), size=size):
             n = point.detection
             spot: dict[str, Any] = {
                 name: None if n is None else float(getattr(found, name)[n])
                 for name in ("snr", "peak_x", "peak_y", "diameter")
             }
             place: dict[str, Any] = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
-            place["event"] = point.event
+            place |= {"event": point.event, "since": point.since}
             if activities is not None:
                 known = activities.setdefault(point.track, Activity())
                 before = known.opened
                 place["active"] = known.update(None if n is None else answers[n].get("asymmetry"), about["time"])
                 place["opened"] = None if known.opened == before else known.opened
             rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
-        return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers))
+        return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers), size=size)
 
     def detection_records(self) -> Iterator[dict[str, Any]]:
         """Yield the rows of a table of detections; one without a spot where nothing was found."""
         where = {"frame": self.frame, "time": self.time, "name": self.name, **self.moment}
+        if self.size is not None:
+            where |= dict(zip(SIZE, self.size, strict=True))
         if not len(self.detections):
             yield where
         for n, answers in enumerate(self.estimates):
@@ -215,7 +227,9 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
         answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
         moment = {name: rows[0].get(name) for name in MOMENT}
         frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}
-        followed = TrackedFrame.of(frame, found, answers, follower, activities)
+        width, height = (rows[0].get(name) for name in SIZE)
+        size = None if width is None or height is None else (width, height)
+        followed = TrackedFrame.of(frame, found, answers, follower, activities, size)
         records += [plain(row.record(), whole.names) for row in followed.rows]
         if len(records) >= _BATCH:
             keep()

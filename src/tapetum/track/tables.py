@@ -40,10 +40,12 @@ _FRAME = {"frame": pa.int64(), "time": pa.float64()}
 _NAME = {"name": pa.string()}
 # Further data of a frame. Tables of older versions lack them.
 MOMENT = {"utc_ns": pa.int64(), "exposure": pa.float64(), "lit": pa.bool_(), "lost": pa.int64()}
+# Of the frame in which a spot was found, pixels.
+SIZE = {"width": pa.int64(), "height": pa.int64()}
 _EVENT = {"event": pa.string()}
 # Of a detection: see `tapetum.track.activity`.
 _ASYMMETRY = {"asymmetry": pa.float64()}
-_LATER = {**MOMENT, **_EVENT, **_ASYMMETRY}
+_LATER = {**MOMENT, **SIZE, **_EVENT, **_ASYMMETRY}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 # Of a live watch's rows: the camera's stay, as its events name it.
 _STAY = {"id": pa.string()}
@@ -90,7 +92,7 @@ def track_schema(estimates: Sequence[str] = ()) -> pa.Schema:
 
 def detections_schema(estimates: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of detections, with three for each estimated quantity."""
-    return pa.schema({**_FRAME, **_NAME, **MOMENT, **_SPOT, **_ASYMMETRY, **estimate_columns(estimates)})
+    return pa.schema({**_FRAME, **_NAME, **MOMENT, **SIZE, **_SPOT, **_ASYMMETRY, **estimate_columns(estimates)})
 
 
 def checked_suffix(path: str | os.PathLike[str]) -> str:

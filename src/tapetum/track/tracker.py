@@ -1,9 +1,12 @@
-"""Following spots from frame to frame: a Kalman filter for each, the Hungarian method to match them."""
+"""Following spots from frame to frame: a Kalman filter for each, the Hungarian method to match them.
+
+A little over 400 lines: the steps of one update share the tracks' state and its options.
+"""
 
 from __future__ import annotations
 
 import math
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -29,6 +32,9 @@ _ALIKE, _SAME = 1.0, 0.7
 _SHARED = 12.0
 # Frames unseen after which a track's place is no evidence of the common motion.
 _LOST_FOR = 5
+# Latest steps of the tracks that tell how far the probe shakes, the fewest that do, and how many times their median the
+# next may be. Pixels by which a spot that is not of a scene that stands moves from one frame to the next.
+_STEPS, _FEWEST_STEPS, _FOLLOW, _STILL = 15, 5, 6.0, 3.0
 # Frames for which a jump of few tracks can be taken back.
 _HOMING = 4
 # Cost of giving a spot to a track that models take for another device: it decides between places within the gate, but
@@ -47,14 +53,18 @@ class TrackPoint:
     track
         Number of the track, from 1, never used twice by a tracker.
     x, y
-        Pixels: the detection's centroid where there is one, else the predicted place.
+        Pixels: the detection's centroid where there is one, else the predicted place; where that is out of the picture,
+        the nearest one within.
     vx, vy
         Estimated velocity, pixels per second.
     detection
         Index of its detection in the frame; None while the track coasts.
     event
         What happened to the track in this frame: "begun", "found again", "unseen", "dark", "hidden by track N" where
-        another is seen at its place, or "ended: …" with the reason; else empty.
+        another is seen at its place, "out of the picture" where it should be beyond the frame's edge, or "ended: …"
+        with the reason; else empty.
+    since
+        When the first of the detections was made that gave it its number, in seconds.
     """
 
     track: int
@@ -64,6 +74,7 @@ class TrackPoint:
     vy: float
     detection: int | None
     event: str = ""
+    since: float = math.nan
 
     @property
     def seen(self) -> bool:
@@ -74,16 +85,17 @@ class TrackPoint:
 class _Track:
     """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size.
 
-    `number` is None until the spot persisted; `lately` holds whether it was seen, by frame.
+    `number` is None until the spot persisted; `lately` holds when it was seen, by frame, None
+    where it was not.
     """
 
     def __init__(self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float) -> None:
         self.number: int | None = None
         self.state = np.stack([place, np.zeros(2)])
         self.covariance = np.diag([noise**2, speed**2])
-        self.peak, self.diameter, self.now = peak, diameter, peak
-        self.hits, self.misses, self.seen_at = 1, 0, time
-        self.lately = [True]
+        self.peak, self.diameter, self.now, self.last = peak, diameter, peak, place
+        self.hits, self.misses, self.since, self.seen_at = 1, 0, time, time
+        self.lately: list[float | None] = [time]
         self.hidden: int | None = None
         # Where it would be had it not followed a jump, and for how many frames that is remembered.
         self.home: Array | None = None
@@ -97,21 +109,27 @@ class _Track:
         return name if count >= _TOLD and 2 * count > self.devices.total() else None
 
     def predict(self, dt: float, acceleration: float) -> None:
-        step, push = np.array([[1.0, dt], [0.0, 1.0]]), np.array([dt * dt / 2, dt])
-        self.state = step @ self.state
-        self.covariance = step @ self.covariance @ step.T + acceleration**2 * np.outer(push, push)
+        # Written out: for each of thirty tracks, products of matrices of 2 x 2 take several times as long.
+        (a, b), (_, c) = self.covariance.tolist()
+        push = (acceleration * dt) ** 2
+        a, b, c = a + dt * (2 * b + dt * c) + push * dt * dt / 4, b + dt * c + push * dt / 2, c + push
+        self.covariance = np.array([[a, b], [b, c]])
+        self.state = np.stack([self.state[0] + dt * self.state[1], self.state[1]])
         self.peak *= math.exp(-dt / _MEMORY)
         self.homing = max(0, self.homing - 1)
-        self.home = None if self.home is None or not self.homing else step @ self.home
+        self.home = (
+            None if self.home is None or not self.homing else np.stack([self.home[0] + dt * self.home[1], self.home[1]])
+        )
 
     def correct(self, place: Array, peak: float, diameter: float, noise: float, time: float) -> None:
-        gain = self.covariance[0] / (self.covariance[0, 0] + noise**2)
-        self.state = self.state + np.outer(gain, place - self.state[0])
-        # Joseph's form stays positive despite rounding.
-        rest = np.eye(2) - np.outer(gain, [1.0, 0.0])
-        self.covariance = rest @ self.covariance @ rest.T + noise**2 * np.outer(gain, gain)
+        (a, b), (_, c) = self.covariance.tolist()
+        rest = noise**2 / (a + noise**2)
+        off = (place - self.state[0]) / (a + noise**2)
+        self.state = np.stack([self.state[0] + a * off, self.state[1] + b * off])
+        # Of the forms of this update one that stays positive despite rounding.
+        self.covariance = np.array([[rest * a, rest * b], [rest * b, c - b * b / (a + noise**2)]])
         # Brightness of the last seconds: while a spot fades, its ghost must not take over the track.
-        self.peak, self.now = max(self.peak, peak), peak
+        self.peak, self.now, self.last = max(self.peak, peak), peak, place
         self.diameter += 0.5 * (diameter - self.diameter)
         self.hits, self.misses, self.seen_at = self.hits + 1, 0, time
 
@@ -195,6 +213,10 @@ class Tracker:
         self._tracks: list[_Track] = []
         self._time: float | None = None
         self._next = 1
+        # How far tracks were from where they would have been without common motion, by frame.
+        self._steps: deque[float] = deque(maxlen=_STEPS)
+        # Places of the spots of the frame before that no well-known track took.
+        self._loose = np.empty((0, 2))
 
     def _fit(self, place: Array, peak: Array, diameter: Array, noise: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Compare tracks and spots [tracks, spots]: the cost of each pair, and whether the spot may be a ghost."""
@@ -216,7 +238,13 @@ class Tracker:
         return costs, dim & (distance <= self.ghost_radius)
 
     def update(
-        self, detections: Detections, time: float, *, dark: bool = False, devices: Sequence[str | None] | None = None
+        self,
+        detections: Detections,
+        time: float,
+        *,
+        dark: bool = False,
+        devices: Sequence[str | None] | None = None,
+        size: tuple[int, int] | None = None,
     ) -> list[TrackPoint]:
         """Take the spots of the next frame.
 
@@ -231,6 +259,9 @@ class Tracker:
         devices
             What models take each spot for, None where they do not know: where places leave it open, a track keeps to
             spots of its own device.
+        size
+            (width, height) of the frame in pixels, where it is known: no track is then said to be beyond. One that left
+            is remembered as long as any that is unseen, for a probe that shakes brings it back.
 
         Returns
         -------
@@ -252,6 +283,7 @@ class Tracker:
         noise = self.noise + 0.02 * diameter
         for track in self._tracks:
             track.predict(dt, self.acceleration)
+        alone = {track: track.state[0] for track in self._tracks if track.number is not None and not track.misses}
         if self.shake > 0 and self._tracks and len(place):
             self._move_together(place, peak, diameter)
 
@@ -276,7 +308,11 @@ class Tracker:
             elif not dark:
                 track.misses += 1
             if row in pairs or not dark:
-                track.lately = [*track.lately, row in pairs][-self.persist[1] :]
+                track.lately = [*track.lately, time if row in pairs else None][-self.persist[1] :]
+        steps = [math.dist(place[seen[track]], at) for track, at in alone.items() if track in seen]
+        self._steps += [float(np.median(steps))] if steps else []
+        taken = [n for track, n in seen.items() if self._well_known(track)]
+        self._loose = np.delete(place, taken, axis=0)
         ended = [track for track in self._tracks if not self._lives(track, time)]
         self._tracks = [track for track in self._tracks if self._lives(track, time)]
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
@@ -285,8 +321,9 @@ class Tracker:
                 self._tracks.append(_Track(*looks[n], time, self.speed))
                 seen[self._tracks[-1]] = n
         for track in self._tracks:
-            if track.number is None and sum(track.lately) >= self.persist[0]:
-                track.number, self._next = self._next, self._next + 1
+            times = [one for one in track.lately if one is not None]
+            if track.number is None and len(times) >= self.persist[0]:
+                track.number, track.since, self._next = self._next, times[0], self._next + 1
                 events[track] = "begun"
         points: list[TrackPoint] = []
         for track in [*self._tracks, *(ended if self.endings else ())]:
@@ -297,13 +334,18 @@ class Tracker:
                 other = self._at_its_place(track, seen)
                 # Another where it was last seen is what it became one with, wherever it would be by now.
                 track.hidden = other if track.misses == 1 else track.hidden
+                left = _beyond(track.state[0], size)
                 events[track] = "dark" if dark else "unseen" if other is None else f"hidden by track {other}"
+                if left and not dark and other is None:
+                    events[track] = "out of the picture"
                 if track in ended:
                     why = "unseen" if track.hidden is None else f"merged with track {track.hidden}"
+                    why = "out of the picture" if left and track.hidden is None else why
                     events[track] = f"ended: {why} for {time - track.seen_at:.2f} s"
-            (x, y), (vx, vy) = track.state.tolist() if n is None else (place[n].tolist(), track.state[1].tolist())
+            x, y = _within(track.state[0], size) if n is None else place[n].tolist()
+            vx, vy = track.state[1].tolist()
             detection = None if n is None else int(numbers[n])
-            points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, "")))
+            points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, ""), track.since))
         return sorted(points, key=lambda point: point.track)
 
     def _move_together(self, place: Array, peak: Array, diameter: Array) -> None:
@@ -358,7 +400,7 @@ class Tracker:
 
         `looks` [tracks, spots] says how unlike they look, as a logarithm.
         """
-        known = np.array([track.number is not None and track.hits >= self.confirm for track in self._tracks])
+        known = np.array([self._well_known(track) for track in self._tracks])
         # Before anything has a number, a guess costs nothing.
         first = not any(track.number is not None for track in self._tracks)
         known = (known | first) & np.array([track.misses <= _LOST_FOR for track in self._tracks])
@@ -367,7 +409,11 @@ class Tracker:
         spread = np.array([math.sqrt(track.covariance[0, 0] + self.noise**2) for track in self._tracks])[known]
         wide = np.array([track.diameter for track in self._tracks])[known]
         near = np.minimum(np.maximum(self.gate * spread, 0.5 * wide), self.max_distance)
-        able = (looks[known] < _SAME) & (far <= self.shake)
+        # A wrong velocity is made good where the spot still stands.
+        last = np.array([track.last for track in self._tracks])[known]
+        there = np.linalg.norm(place[None] - last[:, None], axis=2)
+        close = np.minimum(far, there) <= self._farthest()
+        able = (looks[known] < _SAME) & (far <= self.shake) & (close | self._shaken(place))
         if not able.any() or (far <= near[:, None]).any():
             return None
         shifts = apart[able]
@@ -379,7 +425,27 @@ class Tracker:
         # Of shifts by which as many find their like, the one by which they look most like themselves.
         unlike = np.where(finds, looks[known][None], np.inf).min(2)
         unlike = np.where(np.isfinite(unlike), unlike, 0).sum(1)
-        return np.column_stack([np.eye(2), shifts[np.argmin(np.where(count == count.max(), unlike, np.inf))]])
+        best = shifts[np.argmin(np.where(count == count.max(), unlike, np.inf))]
+        if np.hypot(*best) > self._farthest():
+            self._steps.clear()
+        return np.column_stack([np.eye(2), best])
+
+    def _well_known(self, track: _Track) -> bool:
+        return track.number is not None and track.hits >= self.confirm
+
+    def _farthest(self) -> float:
+        """How far few tracks may jump together: little before a probe that stands, where a reflection begins elsewhere
+        as a camera is missed."""
+        if len(self._steps) < _FEWEST_STEPS:
+            return self.shake
+        return min(self.shake, 2 * _SHARED + _FOLLOW * float(np.median(self._steps)))
+
+    def _shaken(self, place: Array) -> NDArray[np.bool_]:
+        """Return which spots show that a probe which stood now shakes: they moved, while every camera was missed."""
+        missed = all(track.misses for track in self._tracks if self._well_known(track))
+        if not missed or not len(self._loose):
+            return np.zeros(len(place), dtype=bool)
+        return np.linalg.norm(place[:, None] - self._loose[None], axis=2).min(1) > _STILL
 
     @staticmethod
     def _at_its_place(track: _Track, seen: dict[_Track, int]) -> int | None:
@@ -395,3 +461,14 @@ class Tracker:
             return track.misses <= self.persist[1] - self.persist[0]
         few = track.misses <= 2 or time - track.seen_at <= self.max_coast
         return track.misses == 0 or (track.hits >= self.confirm and few)
+
+
+def _beyond(place: Array, size: tuple[int, int] | None) -> bool:
+    """Return whether a place lies beyond the outermost pixels of a frame."""
+    return size is not None and not all(-0.5 <= at <= n - 0.5 for at, n in zip(place.tolist(), size, strict=True))
+
+
+def _within(place: Array, size: tuple[int, int] | None) -> tuple[float, float]:
+    """Return the place within a frame that is nearest to one that may lie beyond."""
+    x, y = place.tolist()
+    return (x, y) if size is None else (min(max(x, 0.0), size[0] - 1.0), min(max(y, 0.0), size[1] - 1.0))
