@@ -325,8 +325,9 @@ def _newton(surface: _Surface, start: _Three, way: _Three) -> torch.Tensor:
     with np.errstate(all="ignore"):
         for _ in range(_ITERATIONS):
             step = _plain_step(plain, along, t)
-            t = t - np.clip(step, -widest, widest)
-            far = ~(np.abs(step) < _LAST_STEP)
+            size = np.abs(step)
+            far = ~(size < _LAST_STEP)
+            t = t - (step if size.max(initial=0.0) <= widest else np.clip(step, -widest, widest))
             left = np.count_nonzero(far)
             if left == 0:
                 break

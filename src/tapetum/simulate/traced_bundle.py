@@ -29,8 +29,8 @@ from tapetum.optics.rays import Rays, to_plane, trace
 __all__ = ["BEYOND", "Bundle", "Passing", "length", "limiting_surfaces", "mirrored", "right_half", "spot_middles"]
 __all__ += ["rim_curvature", "trace_bundle"]
 
-# Rays a side of a bundle, and of the coarse one that finds the pupil.
-_COARSE = 49
+# Rays a side of the two bundles that find the pupil.
+_COARSEST, _COARSE = 29, 49
 # Tilts a sine at which the pupil's box is searched, four times as many where a range holds fewer than the second
 # number; and how many are searched together.
 _BOXES_A_SINE, _FEWEST_BOXES, _BOXES_AT_ONCE = 64, 4, 8
@@ -413,10 +413,11 @@ def _search(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tupl
     reach = 2.2 * focused.entrance_radius
     lower = torch.full((len(sines), 2), -reach, dtype=torch.float64)
     upper, lit = -lower, torch.ones(len(sines), 1, dtype=torch.bool)
-    line = torch.linspace(-1, 1, _COARSE, dtype=torch.float64)
-    # Left and right are symmetric: x from the middle on.
-    grid = torch.stack(torch.meshgrid(line[_COARSE // 2 :], line, indexing="xy"), -1).reshape(-1, 2)
-    for _ in range(2):
+    # Few rays find the pupil, more its edges.
+    for count in (_COARSEST, _COARSE):
+        line = torch.linspace(-1, 1, count, dtype=torch.float64)
+        # Left and right are symmetric: x from the middle on.
+        grid = torch.stack(torch.meshgrid(line[count // 2 :], line, indexing="xy"), -1).reshape(-1, 2)
         centre, half = (upper + lower) / 2, (upper - lower) / 2
         e = centre[:, None, :] + half[:, None, :] * grid
         start, way, _ = _incoming(focused, e, sines, curvature)
@@ -424,7 +425,7 @@ def _search(focused: FocusedLens, sines: torch.Tensor, curvature: float) -> tupl
         passing = (rays.good & (rays.height <= 1).all(-1))[..., None]
         lit = lit & passing.any(1)
         # One grid step more on either side: the edge lies between the last ray that passes and the next.
-        step = 2 * half / (_COARSE - 1)
+        step = 2 * half / (count - 1)
         lower = torch.where(lit, torch.where(passing, e, math.inf).amin(1) - step, lower)
         upper = torch.where(lit, torch.where(passing, e, -math.inf).amax(1) + step, upper)
         lower[:, 0] = -upper[:, 0]
