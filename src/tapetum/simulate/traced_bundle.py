@@ -220,7 +220,6 @@ def _followed(
     right, wide, step = right_half(e), 0, _BESIDE * focused.entrance_radius
     if sloped:
         # Rays beside each, whose places give the derivatives: three rays take less than one with its gradients.
-        step = _BESIDE * focused.entrance_radius
         right = right[:, None] + step * torch.tensor([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]], dtype=e.dtype)[:, None]
         wide = right.shape[2]
         right = right.flatten(1, 2)
