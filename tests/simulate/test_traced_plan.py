@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 import random
+from dataclasses import replace
 from typing import Any
 
 import pytest
 import torch
-from traced_cases import PROBE_FOCAL, WAVELENGTH, Case, finer, picture, planned, traced
+from traced_cases import PROBE_FOCAL, WAVELENGTH, Case, bare, finer, picture, planned, traced
 
 from tapetum.bench import load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate import retroreflect, traced_light, traced_plan
+from tapetum.simulate.probe_path import ProbeAperture
+from tapetum.simulate.surfaces import Order, Surface
+from tapetum.simulate.traced_pass import TracedGrids
 
 SECTION = "Traced lenses"
 # Lenses, the widest field asked of each in degrees, and the range of focal lengths or F-numbers.
@@ -27,6 +31,27 @@ LENSES: list[tuple[str, float, dict[str, tuple[float, float]]]] = [
     ("zoom-5-15mm", 5.0, {"focal_length": (5.2e-3, 9e-3)}),
     ("la1509", 1.0, {"f_number": (25.0, 50.0)}),
 ]
+
+
+@pytest.mark.parametrize("tilt", [(0.0, 0.0), (-4.5e-3, -2.4e-3)])
+def test_of_a_spot_only_what_reaches_the_picture_is_sampled(tilt: tuple[float, float]) -> None:
+    case, output = Case("phone-c", 5.0, 5.5, 7.5e-3), Grid(31, 31, 4e-6)
+    aperture = ProbeAperture.behind_traced(5.5, 5e-3, WAVELENGTH, 1e-3)
+    filter_ = Surface(0.0, (Order((2 * tilt[0], 2 * tilt[1])),), depth=0.72e-3, index=1.11, tilt=tilt)
+    one = planned(case, output, 0.02, filter_, aperture=aperture).passes[0]
+    blur = abs(one.fits.defocus) * one.fits.aperture[0]
+    assert one.fits.part is not None and one.grids.half_width < blur
+    # All of the spot, about its own middle.
+    whole = 1.5 * blur
+    grids = TracedGrids(400, 700, whole, 0.9 * whole, 1200, 160)
+    ours, all_of_it = (
+        bare(fits, of, output, one.surface, one.accepted)
+        for fits, of in ((one.fits, one.grids), (replace(one.fits, part=None), grids))
+    )
+    sines = torch.tensor([[0.0, 0.0], [0.05, 0.02], [-0.03, 0.07]], dtype=torch.float64)
+    wanted = all_of_it.field(sines)
+    apart = (ours.field(sines) - wanted).abs().amax((1, 2)) / wanted.abs().amax((1, 2))
+    assert float(apart.max()) < 0.01
 
 
 def drawn(seed: int) -> tuple[Case, float, tuple[float, float]]:

@@ -112,11 +112,24 @@ def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintT
     crossing, _ = to_plane(out.position, out.direction, focused.entrance_pupil)
     sine, e = -out.direction[:, 1], crossing[:, 1]
     inwards = -out.direction
+    passes = out.good & (out.height <= 1).all(-1)
+    # Only rays that leave are followed back.
+    some = passes.nonzero()[:, 0]
+    area = torch.full_like(sine, torch.nan)
+    area[some], passes[some] = _areas(focused, surface, e[some], inwards[some], wavelength)
+    return GlintTable(surface, sine, e, area, passes)
+
+
+def _areas(
+    focused: FocusedLens, surface: int, e: torch.Tensor, inwards: torch.Tensor, wavelength: float
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """dA/dΩ [N] of rays along a surface's normals, given by e [N] and their directions [N, 3]; and which come back."""
+    zero = torch.zeros_like(e)
     # Three rays of one direction: this one, and its neighbours across and along the tilt.
     step = _BESIDE * focused.entrance_radius
     beside = torch.tensor([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], dtype=torch.float64) * step
     start = torch.stack([zero, e, zero + focused.entrance_pupil], -1)[:, None] + beside
-    back, good = _there_and_back(lens, surface, start, inwards[:, None].expand_as(start))
+    back, good = _there_and_back(focused.lens, surface, start, inwards[:, None].expand_as(start))
     # In coordinates across the ray: its own, and those of the displacements.
     along = torch.stack([zero, inwards[:, 2], -inwards[:, 1]], -1)
     turned = (back[:, 1:] - back[:, :1]) / step
@@ -126,8 +139,7 @@ def glint_table(focused: FocusedLens, surface: int, wavelength: float) -> GlintT
     most = focused.entrance_radius**2 / wavelength
     spread = torch.linalg.svdvals(torch.nan_to_num(matrix)).clamp_min(1 / most)
     area = inwards[:, 2] / spread.prod(-1)
-    passes = out.good & (out.height <= 1).all(-1) & good.all(-1) & torch.isfinite(matrix).all(-1).all(-1)
-    return GlintTable(surface, sine, e, area, passes)
+    return area, good.all(-1) & torch.isfinite(matrix).all(-1).all(-1)
 
 
 class Glints:

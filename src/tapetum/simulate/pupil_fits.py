@@ -20,6 +20,7 @@ from tapetum.simulate.traced_bundle import Bundle, Passing, length, limiting_sur
 
 __all__ = [
     "Fit",
+    "Part",
     "PupilFits",
     "TiltNodes",
     "chebyshev",
@@ -31,6 +32,7 @@ __all__ = [
     "on_grid",
     "on_tilt_grid",
     "open_share",
+    "part_of",
     "rounded_up",
     "values_at",
     "with_rim",
@@ -110,6 +112,20 @@ class Fit:
 
 
 @dataclass(frozen=True)
+class Part:
+    """The part of a pupil whose light reaches the picture, where that is not all of it.
+
+    Its rays meet the plane within `landing` metres of y0 + `centre`, which is along the tilt, coefficients [T] in it.
+    `sine` is half the part's width in s, `apart` how far at most, in s, it lies from the chief ray mirrored.
+    """
+
+    centre: torch.Tensor
+    landing: float
+    sine: float
+    apart: float
+
+
+@dataclass(frozen=True)
 class PupilFits:
     """The pupils of a lens at one wavelength, for tilts on `nodes`. Lengths are in metres.
 
@@ -118,8 +134,8 @@ class PupilFits:
     R, `bend` [T, 2] those of C across and along the tilt. `spread` is the largest distance of a ray's landing from y0.
     Landings about y0 are linear in s, with slope `defocus` about the middle of s, and depart from it by at most
     `aberration`. `misfit` is the worst RMS of Ψ against the rays that pass; `aperture` the pupil's largest half width
-    in s and reach in e. `corrected_from`: where the light that leaves has the
-    paths of rays that a mirror returns, the tilts that were fitted before; else None.
+    in s and reach in e. `corrected_from`: where the light that leaves has the paths of rays that a mirror returns, the
+    tilts that were fitted before; else None. `part`: where `leaving` covers but a part of the pupil.
     """
 
     nodes: TiltNodes
@@ -134,6 +150,7 @@ class PupilFits:
     misfit: float
     aperture: tuple[float, float]
     corrected_from: TiltNodes | None = None
+    part: Part | None = None
 
     def to(self, device: torch.device) -> PupilFits:
         """The same on another device: lenses are traced on the CPU, fields computed anywhere."""
@@ -142,7 +159,8 @@ class PupilFits:
             return self
         entering, leaving, radius = self.entering.to(device), self.leaving.to(device), self.radius.to(device)
         bend = self.bend.to(device)
-        return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius, bend=bend)
+        part = self.part and replace(self.part, centre=self.part.centre.to(device))
+        return replace(self, entering=entering, leaving=leaving, middle=middle, radius=radius, bend=bend, part=part)
 
 
 def fit_pupils(
@@ -228,6 +246,25 @@ def with_rim(fits: PupilFits, curvature: float) -> PupilFits:
     shared = torch.stack([1 - apart**2, (1 - apart) ** 2], -1)
     inner = 1 / torch.sqrt(radius**2 - middle**2)[:, None]
     return replace(fits, bend=fits.nodes.coefficients(inner + (curvature - inner) * shared))
+
+
+def part_of(fits: PupilFits, leaving: Fit, nodes: TiltNodes, landings: torch.Tensor, some: torch.Tensor) -> Part:
+    """The part of a pupil that `leaving` covers; its rays, `some` [T, N], meet the plane at y0 + `landings` [T, N, 2].
+
+    `fits` are of all of the pupil, on their own nodes.
+    """
+    count, at = some.sum(1), chebyshev(nodes.places, nodes.count)
+    centre = nodes.coefficients(torch.where(some, landings[..., 1], 0.0).sum(1) / count)
+    centre[_BOX_DEGREE:] = 0
+    beside = torch.stack([landings[..., 0], landings[..., 1] - (at @ centre)[:, None]], -1)
+    landing = float(torch.where(some, length(beside), 0.0).max())
+    tilt, own = nodes.terms(nodes.sines), fits.nodes.terms(nodes.sines)
+    ends = torch.tensor([[1.0, 0.0], [0.0, 1.0], [0.0, -1.0]], dtype=torch.float64).expand(len(tilt), -1, -1)
+    along, across = _even(leaving, tilt, ends)[:, 1], _odd(leaving, tilt, ends)[:, 0]
+    sine = torch.maximum(across[:, 0].abs(), (along[:, 1] - along[:, 2]).abs() / 2)
+    chief = (own @ fits.middle) / (own @ fits.radius)
+    apart = (chief + (along[:, 1] + along[:, 2]) / 2).abs()
+    return Part(centre, landing, float(sine.max()), float(apart.max()))
 
 
 def _narrowed(fit: Fit, nodes: TiltNodes, tilt: torch.Tensor) -> Fit:

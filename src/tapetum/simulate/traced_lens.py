@@ -232,10 +232,8 @@ def _fitted(
 def _fitted_on(
     lens: PrescriptionLens, wavelength: float, object_distance: float, nodes: TiltNodes, curvature: float
 ) -> tuple[FocusedLens, PupilFits]:
-    # Tracing differentiates, and a camera is planned at its first use, maybe where gradients are off.
-    with torch.enable_grad():
-        focused = lens.focused(wavelength, object_distance)
-        return focused, fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
+    focused = lens.focused(wavelength, object_distance)
+    return focused, fit_pupils(focused, nodes.steepest, curvature=curvature, nodes=nodes)
 
 
 @functools.lru_cache(maxsize=16)

@@ -265,7 +265,8 @@ def _made(
     angle = _angle(light)
     if mask is not None:
         angle = max(angle, any_angle(light.fits))
-    grids = _grids(light.fits, surface, effort, scene.wavelength, angle + scene.seen, mask)
+    focal_length = abs(scene.focused.focal_length)
+    grids = _grids(light.fits, surface, effort, scene.wavelength, angle + scene.seen, scene.seen, focal_length, mask)
     return _on_grids(scene, light, surface, grids, mask)
 
 
@@ -408,9 +409,16 @@ def _each_apart(image: torch.Tensor, better: torch.Tensor, least: float = 0.0) -
 
 
 def _grids(
-    fits: PupilFits, surface: Surface, effort: _Effort, wavelength: float, angle: float, mask: Mask | None
+    fits: PupilFits,
+    surface: Surface,
+    effort: _Effort,
+    wavelength: float,
+    angle: float,
+    seen: float,
+    focal_length: float,
+    mask: Mask | None,
 ) -> TracedGrids:
-    """The samples of an effort for a lens and a plane."""
+    """The samples of an effort for a lens and a plane; light leaves at angles up to `angle`, the picture has `seen`."""
     nodes = fits.nodes
     sine, reach = fits.aperture
     at = chebyshev(nodes.places, nodes.count)
@@ -418,17 +426,25 @@ def _grids(
     chief = min(float(((at @ fits.middle) / (at @ fits.radius)).abs().max()), sine)
     ring = wavelength / (2 * sine)
     blur = abs(fits.defocus) * sine + fits.aberration
-    half = blur + effort.rings * ring
+    whole = half = blur + effort.rings * ring
+    read, least = sine, 2 * effort.pupil
+    if fits.part is not None:
+        # A place of the spot sends light to a place of the pupil under one angle: what reaches the picture comes from
+        # where its own rays meet the plane, and as much beside them as the angles seen make.
+        half = min(half, fits.part.landing + seen * focal_length + effort.rings * ring)
+        read = min(sine, fits.part.sine)
+        chief = min(2 * chief, fits.part.apart) / 2
+        least = math.ceil(least * read / sine)
     # The return lies about -s, or -s - τ, and is evaluated about s.
     apart = 2 * sine if len(surface.orders) > 1 else 2 * chief + 2 * math.hypot(*surface.tilt)
     if mask is not None:
         # Its details turn light too, at any tilt.
         apart = 2 * float(((at @ fits.middle) / (at @ fits.radius)).abs().max()) + wavelength / mask.finest
-    step = 0.8 * wavelength / (2 * sine + 2 * half / radius + apart)
+    step = 0.8 * wavelength / (sine + read + 2 * half / radius + apart)
     if mask is not None:
         step = min(step, mask.finest / (_DETAILS * effort.finer))
     sensor = math.ceil(2 * half / step)
-    turns = 2 * sine * 2 * half / wavelength
+    turns = 2 * sine * (whole + half) / wavelength
     # Faint light far from the spot comes from the pupil's edges: they need more samples than the rays.
     pupil = max(effort.pupil, math.ceil(effort.finer * (turns + 2 * effort.rings)))
     # Copies of the picture must lie beside it: the sum of the angles seen and sent.
@@ -443,7 +459,7 @@ def _grids(
         )
     # Removing the defocus leaves the light of rays smooth, but not what the rim diffracts: that comes from all of the
     # spot, as what a mask scatters does.
-    returning = max(2 * effort.pupil, math.ceil(3 * effort.finer * 2 * sine * 2 * half / wavelength))
+    returning = max(least, math.ceil(3 * effort.finer * 2 * read * 2 * half / wavelength))
     return TracedGrids(pupil, sensor, half, half - effort.rings * ring / 2, returning, leaving)
 
 

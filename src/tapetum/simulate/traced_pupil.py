@@ -76,7 +76,9 @@ class TracedPupil:
         self.real = dtype.to_real()
         # Only head on does a rim's light return to that rim.
         head_on = fits.nodes.terms(torch.zeros(1, dtype=torch.float64)).to(path.device)
-        self.reach, self.rim = fits.aperture[0], self.k * float((head_on @ fits.bend)[0, 1])
+        self.reach = fits.aperture[0]
+        # Nor does it where but a part of the pupil is read.
+        self.rim = None if fits.part is not None else self.k * float((head_on @ fits.bend)[0, 1])
 
     def returns(self, sines: torch.Tensor) -> torch.Tensor:
         """Whether anything returns from tilts [B, 2]: beyond the last node the polynomials are invalid."""
@@ -104,8 +106,10 @@ class _TracedGazes:
         # A plane tilted away is farther at the spot by this.
         self._nearer = -(self._toward @ plane) * middle
         self._shift = self._nearer * chief / torch.sqrt(1 - chief**2)
+        # The spot's samples lie about this place, along the tilt from y0.
+        self._centre = torch.zeros_like(middle) if fits.part is None else self._tilt @ fits.part.centre
         # Where the chief ray meets the plane.
-        self.place = (middle - self._shift)[:, None] * self._toward
+        self.place = (middle - self._shift + self._centre)[:, None] * self._toward
         if own:
             self.axes = torch.eye(2, dtype=torch.float64, device=sines.device).expand(len(sines), 2, 2)
         else:
@@ -117,6 +121,8 @@ class _TracedGazes:
         across, along = (self._tilt @ fits.bend).unbind(-1)
         x, y = self._x, self._y
         self.bend = across * y**2 + along * x**2, across * x**2 + along * y**2, (along - across) * x * y
+        # C turns light at the samples' middle, on each way by this.
+        self._bent = (self.bend[1] * self._centre)[:, None]
 
     def entering(self) -> Entering:
         """The light on its way in."""
@@ -138,6 +144,9 @@ class _TracedGazes:
             across, down = columns[:, None, :], rows[:, :, None]
             along = self._x[:, None, None] * across + self._y[:, None, None] * down
             path = path + self._taken(across**2 + down**2, along)
+        if one.fits.part is not None:
+            path = path + (rows * self._centre[:, None])[:, :, None]
+            rows = rows + self._bent
         return Entering(columns, rows, strength, path, (not self._own, False))
 
     def leaving(self) -> Leaving:
@@ -152,11 +161,18 @@ class _TracedGazes:
         else:
             out = out * edge_weights(open_share(even[:, 2:], inside))
         along, across = even[:, 0], odd[:, 0]
+        mx, my = self.middle.unbind(-1)
         if one.tilt != (0.0, 0.0):
             path = path + self._taken(along**2 + across**2, along)
         # Defocus adds a phase by the square of the direction: removed before the interpolation, restored after it. What
         # a mask scatters does not have it.
         defocus = 0.0 if self._own else fits.defocus
+        if fits.part is not None:
+            # What is sampled about another place has its phases, and light that is not turned lies elsewhere in s.
+            more = (self._bent[:, 0] + 2 * self.turn[:, 1]) * self._centre
+            path = path + along.double() * self._centre[:, None, None] + more[:, None, None]
+            my = my + self._centre / defocus
+            chief = chief + self._centre / defocus
         path = (path + one.phase / one.k) - defocus / 2 * ((along + chief[:, None, None].to(one.real)) ** 2 + across**2)
         wave = out * phasor(one.k * path, one.dtype)
         mirrored = one.straight and not self._own
@@ -167,8 +183,9 @@ class _TracedGazes:
             tx, ty = self._x[:, None, None].to(one.real), self._y[:, None, None].to(one.real)
             columns, read_x = self._line(along * tx - across * ty, inside)
             rows, read_y = self._line(along * ty + across * tx, inside)
-        mx, my = self.middle.unbind(-1)
         unbent = defocus / 2 * (columns + mx[:, None]) ** 2, defocus / 2 * (rows + my[:, None]) ** 2
+        if fits.part is not None:
+            rows = rows + self._bent
         return Leaving(columns, rows, wave, x, y, torch.stack([read_x, read_y], -1), unbent, mirrored)
 
     def to_probe(

@@ -25,6 +25,7 @@ from tapetum.simulate.pupil_fits import (
     fit_functions,
     fit_leaving,
     narrowed,
+    part_of,
     values_at,
 )
 from tapetum.simulate.traced_bundle import (
@@ -222,15 +223,18 @@ def corrected(
     inwards = narrowed(fits, focused, nodes, curvature)
     more = back.path - _model_path(fits, tilt, back)
     rays = _Rays(passing, near)
+    part = None
     if accepted is None:
         leaving, misfit = _whole_pupil(focused, nodes, middle, back, rays, more)
         aperture = fits.aperture[1]
     else:
         leaving, misfit = _part(fits, nodes, back, rays, more)
         aperture = float(torch.where(passing, length(back.e), torch.zeros_like(more)).max())
+        y0 = torch.stack([torch.zeros_like(middle), middle], -1)[:, None]
+        part = part_of(fits, leaving, nodes, back.mirror - y0, passing)
     misfit = max(misfit, inwards.misfit, _between(focused, fits, leaving, nodes, curvature, accepted))
     reach = (inwards.aperture[0], aperture)
-    return replace(inwards, leaving=leaving, misfit=misfit, aperture=reach, corrected_from=fits.nodes)
+    return replace(inwards, leaving=leaving, misfit=misfit, aperture=reach, corrected_from=fits.nodes, part=part)
 
 
 def _whole_pupil(
