@@ -171,6 +171,13 @@ def test_glints_drawn_at_once_are_those_drawn_one_by_one(grid: Grid, validated: 
     validated(SECTION, what, float(apart.max()), 1.5e-4, "each glint's profile", "of the peak")
 
 
+def test_glints_that_all_lie_beside_the_sensor_leave_it_dark() -> None:
+    """As those of a phone's camera beside the one that a small sensor looks at."""
+    one = glints(glint_tables(focused("phone-b"), WAVELENGTH), output=Grid(64, 64, 2.2e-6))
+    picture = one(along_y(0.0), torch.tensor([[0.05, 0.0]], dtype=torch.float64))
+    assert picture.shape == (1, 64, 64) and not picture.any()
+
+
 def mirror_scene(lens: PrescriptionLens, depth: float, **values: Any) -> Scene:
     """The bench of the phones with one camera, whose filter alone reflects, all of it."""
     scene = load_scene("phones")

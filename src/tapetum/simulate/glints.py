@@ -234,7 +234,9 @@ class Glints:
         low = torch.stack([torch.round(one) for one in middle], -1).long()
         first, last = low.clamp_min(0), torch.minimum(low + side, torch.tensor([grid.columns, grid.rows]))
         lit = lit[(last > first).all(-1)[lit]]
-        size = [int(one) for one in (last - first)[lit].amax(0)] if len(lit) else [0, 0]
+        if not len(lit):
+            return images
+        size = [int(one) for one in (last - first)[lit].amax(0)]
         for some in lit.split(max(1, _AT_ONCE // self._disc.samples(side))):
             start = first[some]
             at_x, at_y = x[some] - start[:, :1], y[some] - start[:, 1:]
