@@ -249,7 +249,13 @@ class RoundPass:
         if self.differentiable or sines.requires_grad or (centres is not None and centres.requires_grad):
             return self._some(gazes.some(slice(None), flat), squared)
         if self._aside_plan is not None and max(gazes.size, default=0.0) > self._aside_plan[1]:
-            return self._split(gazes, self._aside_plan[1], squared)
+            least = self._aside_plan[1]
+            return self._split(gazes, self._aside, [one > least for one in gazes.size], squared)
+        # Each gaze by itself, so that its image is the same whichever gazes are drawn with it: a fit compares them.
+        tests: tuple[Callable[[float], bool], ...] = (lambda size: size > flat, self._beyond_table)
+        for steep in tests:
+            if gazes.size and steep(max(gazes.size)) and not steep(min(gazes.size)):
+                return self._split(gazes, self, [steep(one) for one in gazes.size], squared)
         count = max(1, _SAMPLES_AT_ONCE // (self.plan.columns * self.plan.rows))
         dtype = self._real if squared else self.dtype
         images = torch.empty(len(sines), *self._path.shape, dtype=dtype, device=self.device)
@@ -257,16 +263,16 @@ class RoundPass:
             images[i : i + count] = self._some(gazes.some(slice(i, i + count), flat), squared)
         return images
 
-    def _split(self, gazes: Tilts, least: float, squared: bool) -> torch.Tensor:
-        """The same with gazes of squared sines above `least` by the plan for those."""
-        aside = torch.tensor([one > least for one in gazes.size], device=self.device)
-        if bool(aside.all()):
-            return self._aside._images(gazes.sines, gazes.centres, squared=squared)
+    def _split(self, gazes: Tilts, other: RoundPass, which: Sequence[bool], squared: bool) -> torch.Tensor:
+        """The same, some of the gazes apart by the other pass."""
+        some = torch.tensor(which, device=self.device)
+        if bool(some.all()):
+            return other._images(gazes.sines, gazes.centres, squared=squared)
         dtype = self._real if squared else self.dtype
         images = torch.empty(len(gazes.size), *self._path.shape, dtype=dtype, device=self.device)
-        for one, which in ((self._aside, aside), (self, ~aside)):
-            centres = None if gazes.centres is None else gazes.centres[which]
-            images[which] = one._images(gazes.sines[which], centres, squared=squared)
+        for one, part in ((other, some), (self, ~some)):
+            centres = None if gazes.centres is None else gazes.centres[part]
+            images[part] = one._images(gazes.sines[part], centres, squared=squared)
         return images
 
     def _gazes(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> Tilts:
@@ -381,9 +387,12 @@ class RoundPass:
             return True
         if gazes.sines.requires_grad:
             return bool(self.geometry.curvature) or self._distance is not None
-        steepest = math.sqrt(max(gazes.size, default=0.0))
+        return self._beyond_table(max(gazes.size, default=0.0))
+
+    def _beyond_table(self, size: float) -> bool:
+        """Whether a gaze with this square of its sines needs paths beyond the table."""
         missed = neglected_path(
-            self.geometry, steepest, distance=self._distance, probe_radius=self._probe_radius or 0.0
+            self.geometry, math.sqrt(size), distance=self._distance, probe_radius=self._probe_radius or 0.0
         )
         return self._wavenumber * missed > _SHARE_MISSED * min(self.plan.expected_error, 1e-2)
 
