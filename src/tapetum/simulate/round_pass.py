@@ -245,7 +245,7 @@ class RoundPass:
         return self._images(sines, centres, squared=False)
 
     def _images(self, sines: torch.Tensor, centres: torch.Tensor | None, *, squared: bool) -> torch.Tensor:
-        gazes, flat = self._gazes(sines, centres), flattest(self)
+        gazes, flat = self._gazes(sines, centres), 0.0 if self._precise else flattest(self)
         if self.differentiable or sines.requires_grad or (centres is not None and centres.requires_grad):
             return self._some(gazes.some(slice(None), flat), squared)
         if self._aside_plan is not None and max(gazes.size, default=0.0) > self._aside_plan[1]:
@@ -381,6 +381,14 @@ class RoundPass:
 
         return all_orders
 
+    @property
+    def _precise(self) -> bool:
+        """Whether nothing is left out for speed: fits compare pictures of double precision, and derivatives of them.
+
+        What is left out within the asked error changes by jumps with the gaze, and biases what the frames hardly show.
+        """
+        return self.dtype == torch.complex128
+
     def _follows(self, one: _Prepared, gazes: Tilts) -> bool:
         """Whether these gazes need paths beyond the table."""
         if one.tilted:
@@ -391,6 +399,8 @@ class RoundPass:
 
     def _beyond_table(self, size: float) -> bool:
         """Whether a gaze with this square of its sines needs paths beyond the table."""
+        if self._precise:
+            return True
         missed = neglected_path(
             self.geometry, math.sqrt(size), distance=self._distance, probe_radius=self._probe_radius or 0.0
         )
