@@ -1,13 +1,13 @@
-"""Measure how phones are told apart on copies that no training saw, by the number of copies that trained.
+"""Measure how well a network recognises phones of which it was trained on other copies, by their number.
 
     .venv/bin/python scripts/measure_phones.py --work phones-work
 
 Films copies of the phones of the Phones set at gazes drawn over the part of the field that returns light, and trains
-ResNet-18 on the first 1, 2, 4, ... of them without three phones (those that the paper page leaves out), and on all
-with all phones. Tested are other frames of the copies that trained ("same") and copies with seeds of their own
-("other"): the share of frames whose likeliest phone is true, the area under the ROC curve for the phones left out,
-and the gaze. Copies and models are kept in the folder, and the same command goes on. The numbers go to
-docs/numbers/phones-copies.json.
+ResNet-18 on the first 1, 2, 4, ... copies of eight phones, the paper page's three unknown ones left out, and on all
+copies of all eleven. Each network is scored on other frames of the copies that it was trained on ("same"), and on
+copies with other seeds ("other"): the share of frames in which the likeliest phone is the true one, the area under the
+ROC curve of recognising the phones left out as unknown, and the error of the gaze. Copies and models stay in the
+folder, so that the same command continues an interrupted run. The numbers go to docs/numbers/phones-copies.json.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from tapetum.progress import bar
 from tapetum.record import HandMotion
 from tapetum.report.evaluation import evaluate_model
 
-# Seeds of the copies that train, and of those that only test.
+# Seeds of the copies of the training sets, and of those that are only tested on.
 TRAIN, TEST = 4_100_000, 4_200_000
 CROP, SIZE, EPOCHS, BATCH = 400, 80, 20, 16
-# Every so many frames of a copy that trains, one tests.
+# Of so many frames of a copy in a training set, one is tested on.
 EVERY = 5
 _RECIPE = SETS["phones"]
 # Sideways motion of the hand in metres, as in the set.
@@ -97,8 +97,10 @@ def main() -> None:
     """Film, train, score, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, default=Path("phones-work"))
-    parser.add_argument("--copies", type=int, nargs="+", default=[1, 2, 4, 8], help="that train, rising")
-    parser.add_argument("--tested", type=int, default=4, help="copies that only test")
+    parser.add_argument(
+        "--copies", type=int, nargs="+", default=[1, 2, 4, 8], help="copies in the training sets, rising"
+    )
+    parser.add_argument("--tested", type=int, default=4, help="copies to test on")
     parser.add_argument("--frames", type=int, default=160, help="gazes of a copy of a phone")
     parser.add_argument("--films", action="store_true", help="only film")
     options = parser.parse_args()

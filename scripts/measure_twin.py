@@ -3,11 +3,12 @@
     .venv/bin/python scripts/measure_twin.py thin --seeds 101 102 -o docs/numbers/twin.json
 
 A unit of `thin` is a copy of the camera in the scene `hand-held`, one of `traced` of that in `rotation`; both are drawn
-by `draw_unit`. The fit gets the recording, with the labels that the target's own video gives, and the scene's nominal
-values. Printed and kept for each unit: by how many stated deviations each parameter is off, the misfit, and the RMS
-error of `SimulationFit` on the twin for fresh frames of the true unit, over the Cramér-Rao limit. Reflectance and
-power act alike, so that their product is compared. What is done is in the file, and the same command goes on. Seeds
-below 100 served development; report others.
+by `draw_unit`. The bench films at a tenth of the scene's error, so that its own does not pass for the camera. The fit
+gets the recording, with the labels that the target's own video gives, and the scene's nominal values. Printed and kept
+for each unit: by how many stated deviations each parameter is off, the misfit, and the RMS error of `SimulationFit` on
+the twin for fresh frames of the true unit, over the Cramér-Rao limit. Reflectance and power act alike, so that their
+product is compared. What is done is in the file, and the same command goes on. Seeds below 100 served development;
+report others.
 """
 
 from __future__ import annotations

@@ -124,7 +124,7 @@ def test_one_camera_and_a_phone_open_alike() -> None:
     assert isinstance(open_camera(load_scene("thin-lens"), 0.02, output=Grid(5, 5, 4e-5)), Camera)
 
 
-@pytest.mark.parametrize("accuracy", [pytest.param(0.1, marks=pytest.mark.slow), 1e-2])
+@pytest.mark.parametrize("accuracy", [0.1, 1e-2])
 def test_windows_hold_what_the_whole_sensor_sees(accuracy: float) -> None:
     """Each return on its own pixels, against all cameras on all pixels; off the middle, and partly off the sensor."""
     grid = Grid(420, 420, 4.4e-6)

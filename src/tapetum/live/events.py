@@ -157,7 +157,6 @@ class _Stay:
             self.last = row.time
         if row.seen or not dark:
             self.unseen = 0 if row.seen else self.unseen + 1
-        if row.seen or not dark:
             self.frames, self.shown = self.frames + 1, self.shown + row.seen
             self.latest.append(row.seen)
 

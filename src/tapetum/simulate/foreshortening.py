@@ -52,11 +52,11 @@ def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     return across + sines * (along - share)
 
 
-def foreshortens(one: Tilted, sines: torch.Tensor) -> bool:
-    """Whether the cosine of any tilt moves anything in the picture by more than the plan's error allows."""
+def foreshortens(one: Tilted, sines: torch.Tensor) -> torch.Tensor:
+    """Whether each tilt's cosine [B] moves anything in the picture by more than the plan's error allows."""
     if sines.requires_grad:
-        return True
-    return bool(len(sines)) and float((sines.detach() ** 2).sum(-1).max()) > flattest(one)
+        return torch.ones(len(sines), dtype=torch.bool, device=sines.device)
+    return (sines.detach() ** 2).sum(-1) > flattest(one)
 
 
 def flattest(one: Tilted) -> float:

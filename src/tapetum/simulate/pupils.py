@@ -147,6 +147,10 @@ class Pupil(Protocol):
         """Whether anything returns from tilts [B, 2]."""
         ...
 
+    def foreshortens(self, sines: torch.Tensor) -> torch.Tensor:
+        """Which tilts [B, 2] are drawn in another way than the others, and so not together with them."""
+        ...
+
     def gazes(self, sines: torch.Tensor, own: bool) -> Gazes:
         """Itself under tilts [B, 2], in the sensor's `own` columns and rows or in those that suit it."""
         ...

@@ -383,9 +383,10 @@ class RoundPass:
 
     @property
     def _precise(self) -> bool:
-        """Whether nothing is left out for speed: fits compare pictures of double precision, and derivatives of them.
+        """Whether nothing is left out for speed: in double precision, in which fits compare images and differentiate.
 
-        What is left out within the asked error changes by jumps with the gaze, and biases what the frames hardly show.
+        What is left out within the asked error changes by a jump where the tilt passes a threshold, and biases a fit of
+        what the images hardly show.
         """
         return self.dtype == torch.complex128
 

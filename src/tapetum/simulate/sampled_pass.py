@@ -114,11 +114,14 @@ class SampledPass(Generic[Lens]):
         lit = self.pupil.returns(sines).nonzero()[:, 0]
         dtype = self.dtype.to_real() if squared else self.dtype
         images = torch.zeros(len(sines), *self.pupil.path.shape, dtype=dtype, device=self.device)
-        for i in range(0, len(lit), self._at_once):
-            some = lit[i : i + self._at_once]
-            at = self.pupil.gazes(sines[some], self._own)
-            moved = None if centres is None else centres[some]
-            images[some] = at.to_probe(*self._left(at), moved, squared=squared)
+        apart = self.pupil.foreshortens(sines)[lit]
+        # Two groups, so that an image is the same whichever gazes are drawn with it.
+        for group in (lit[apart], lit[~apart]):
+            for i in range(0, len(group), self._at_once):
+                some = group[i : i + self._at_once]
+                at = self.pupil.gazes(sines[some], self._own)
+                moved = None if centres is None else centres[some]
+                images[some] = at.to_probe(*self._left(at), moved, squared=squared)
         return images
 
     def _left(self, at: Gazes) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

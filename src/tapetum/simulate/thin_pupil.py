@@ -75,6 +75,10 @@ class ThinPupil:
         """Whether anything returns from tilts [B, 2]: diffracted light from all."""
         return torch.ones(len(sines), dtype=torch.bool, device=sines.device)
 
+    def foreshortens(self, sines: torch.Tensor) -> torch.Tensor:
+        """Which tilts [B, 2] are drawn foreshortened."""
+        return foreshortens(self, sines)
+
     def gazes(self, sines: torch.Tensor, own: bool) -> _ThinGazes:
         """Itself under tilts [B, 2]."""
         return _ThinGazes(self, sines, own)
@@ -85,7 +89,7 @@ class _ThinGazes:
 
     def __init__(self, pupil: ThinPupil, sines: torch.Tensor, own: bool) -> None:
         self._pupil, self._sines, self._own = pupil, sines, own
-        self._shortened = foreshortens(pupil, sines)
+        self._shortened = bool(pupil.foreshortens(sines).any())
         if self._shortened and not own:
             self.axes = foreshortening(sines)[0].mT
         else:

@@ -84,6 +84,10 @@ class TracedPupil:
         """Whether anything returns from tilts [B, 2]: beyond the last node the polynomials are invalid."""
         return _tilt_and_azimuth(sines)[0] <= self.fits.nodes.steepest * (1 + 1e-9)
 
+    def foreshortens(self, sines: torch.Tensor) -> torch.Tensor:
+        """Which tilts [B, 2] are drawn foreshortened: all, by their rays."""
+        return torch.ones(len(sines), dtype=torch.bool, device=sines.device)
+
     def gazes(self, sines: torch.Tensor, own: bool) -> _TracedGazes:
         """Itself under tilts [B, 2]."""
         return _TracedGazes(self, sines, own)

@@ -85,8 +85,7 @@ class TrackPoint:
 class _Track:
     """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size.
 
-    `number` is None until the spot persisted; `lately` holds when it was seen, by frame, None
-    where it was not.
+    `number` is None until the spot persisted; `lately` holds when it was seen, by frame, None where it was not.
     """
 
     def __init__(self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float) -> None:
