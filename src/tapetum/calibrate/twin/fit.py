@@ -37,6 +37,8 @@ _TIED = 1e4
 _EXPLAINED = 1.05
 # Least scatter of the frames' brightness: pictures are not more accurate.
 _STEADY, _LOOSE = 3e-3, 0.3
+# Pictures are computed so much finer, so often, until that moves no parameter by more than so many deviations.
+_FINER, _LEVELS, _MOVED = 3.0, 3, 0.3
 # Fall of the squared residuals, for each pixel, that two cameras must bring over one.
 _TWO = 0.5
 
@@ -73,7 +75,7 @@ def fit_twin(
         Searches begin at this many places, drawn from the usual tolerances by the seed; at fewer where one explains the
         frames.
     accuracy
-        Of the simulation, in fractions of the peak; the scene's own for None.
+        Of the simulation to begin with, in fractions of the peak; the scene's own for None.
     roll
         Whether the target turns about its axis from frame to frame, as in a hand.
     window
@@ -102,6 +104,8 @@ def fit_twin(
     phase are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher information
     with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames determine no better
     than the usual spread between copies keeps the scene's value; its uncertainty enters the deviations of the others.
+    The simulation's own error must not move the result: pictures become three times finer until that moves no parameter
+    by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the deviations.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -117,11 +121,13 @@ def fit_twin(
     kept = Kept.open(None if state is None else Path(state), digest)
     normal = Normal(scene, parameters, used, scatter=_LOOSE, **options)
     before = kept.before or _as_it_was(normal, kept, progress)
-    best = _from_starts(normal, kept, starts, seed, accuracy, progress)
+    best = _from_starts(normal, kept, starts, seed, progress)
     linear, converged, held = _whole(normal, kept, best, progress)
     if linear.misfit(lit=True) > LIMIT:
         _refuse_two(normal, linear, opened.path, progress)
-    return twin_of(normal, linear, held, before, converged, opened, options | {"starts": starts, "seed": seed})
+    normal, linear, converged, unsure = _refined(normal, linear, converged, held, kept, progress)
+    options |= {"accuracy": _accuracy(normal), "starts": starts, "seed": seed}
+    return twin_of(normal, linear, held, before, converged, opened, options, unsure)
 
 
 def _as_it_was(normal: Normal, kept: Kept, progress: Progress) -> Before:
@@ -133,11 +139,9 @@ def _as_it_was(normal: Normal, kept: Kept, progress: Progress) -> Before:
     return kept.before
 
 
-def _from_starts(
-    normal: Normal, kept: Kept, starts: int, seed: int, accuracy: float | None, progress: Progress
-) -> Array:
+def _from_starts(normal: Normal, kept: Kept, starts: int, seed: int, progress: Progress) -> Array:
     """Return the coordinates of the best of several searches over a few frames, coarsely simulated."""
-    usual = normal.scene.sampling.accuracy if accuracy is None else accuracy
+    usual = _accuracy(normal)
     coarse = max(usual, min(_COARSEST, _COARSER * usual))
     few = _few(normal, coarse)
     at = np.array([one.read(normal.scene) for one in normal.parameters])
@@ -194,6 +198,41 @@ def _whole(normal: Normal, kept: Kept, best: Array, progress: Progress) -> tuple
         if len(held) == len(own):
             break
     return linear, converged, sorted(held)
+
+
+def _accuracy(normal: Normal) -> float:
+    return normal.scene.sampling.accuracy if normal.accuracy is None else normal.accuracy
+
+
+def _refined(
+    normal: Normal, linear: Linear, converged: bool, held: Sequence[int], kept: Kept, progress: Progress
+) -> tuple[Normal, Linear, bool, Array]:
+    """Return the maximum with pictures fine enough, and by how much [P] their error may still move it, in spreads."""
+    left = np.zeros(len(linear.score))
+    free = np.setdiff1d(np.arange(len(left)), held)
+    if linear.misfit(lit=True) > LIMIT or not len(free):
+        # What the scene does not explain is far more than the simulation's error.
+        return normal, linear, converged, left
+    for _ in range(_LEVELS):
+        finer = normal.over(normal.frames, accuracy=_accuracy(normal) / _FINER)
+        try:
+            # The derivatives by the shared parameters are those of the coarser pictures.
+            told = finer.linear(linear.state, near=linear, doubt=linear.doubt, progress=progress)
+        except InputError:
+            # The engine cannot compute finer ones: its error falls with what is asked, or faster.
+            left /= _FINER - 1
+            break
+        information = told.information[np.ix_(free, free)]
+        left = np.zeros(len(left))
+        left[free] = np.linalg.solve(information, told.score[free])
+        if (np.abs(left[free]) <= _MOVED * np.sqrt(np.linalg.inv(information).diagonal())).all():
+            break
+        normal, before = finer, linear.state.coordinates
+        linear, converged = climb(
+            normal, linear.state, held=held, after=kept.wholly, progress=progress, what="more finely", begin=told
+        )
+        left = (linear.state.coordinates - before) / normal.spread
+    return normal, linear, converged, left
 
 
 def _scatter(state: State) -> float:

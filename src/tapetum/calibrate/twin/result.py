@@ -207,10 +207,11 @@ def twin_of(
     converged: bool,
     recording: Recording,
     options: Mapping[str, Any],
+    unsure: Array,
 ) -> Twin:
-    """Return the twin of a search that has ended."""
+    """Return the twin of a search that has ended; `unsure` [P], in spreads, is what the simulation's error may move."""
     misfit, lit = linear.misfit(), linear.misfit(lit=True)
-    known = covariance(linear.information, held) * max(1.0, misfit, lit)
+    known = covariance(linear.information, held) * max(1.0, misfit, lit) + np.outer(unsure, unsure)
     deviations = np.sqrt(known.diagonal()) * normal.spread
     names = [one.name for one in normal.parameters]
     like = {one.number: tuple(names[k] for k in one.like) for one in untold(linear.information)}

@@ -50,6 +50,7 @@ def climb(
     after: Callable[[State], None] | None = None,
     progress: Progress = quiet,
     what: str = "fitting",
+    begin: Linear | None = None,
 ) -> tuple[Linear, bool]:
     """Return the maximum near a state, and whether the search converged.
 
@@ -65,8 +66,10 @@ def climb(
         Called with every better state.
     progress, what
         Shown over the steps.
+    begin
+        The frames linearised at the state, where that is done.
     """
-    linear = _doubted(normal.linear(state), np.inf)
+    linear = _doubted(normal.linear(state) if begin is None else begin, np.inf)
     hardness = 1e-3
     for _ in progress(range(steps), what):
         free = _movable(normal, linear, held)
