@@ -37,6 +37,7 @@ from tapetum.simulate.foreshortening import cosines, off_axis
 from tapetum.simulate.gaze import spot_places
 from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
+from tapetum.simulate.pupil_fits import PupilFits
 from tapetum.simulate.radiometry import (
     beam_radius,
     illumination_curvature,
@@ -58,6 +59,7 @@ from tapetum.simulate.sensor_end import SensorEnd, thin_end, traced_end
 from tapetum.simulate.sensor_plane import reflectance_at
 from tapetum.simulate.surfaces import Mask, Surface
 from tapetum.simulate.thin_errors import of_narrow_beam, of_tilted_planes
+from tapetum.simulate.traced_again import tilts_like
 from tapetum.simulate.traced_lens import TracedLens
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.true_paths import check_squash
@@ -188,6 +190,24 @@ class Camera:
         self.geometry = self._geometry(light.wavelength, steepest)
         self._plans: list[Plan] = []
         self._profiles: dict[tuple[float, Scatterer, int], DiffuseProfile] = {}
+
+    def tilts_like(self, other: Camera, sines: torch.Tensor) -> torch.Tensor:
+        """Tilts [B, 2] that put the spot on the photosites where another camera's tilts [B, 2] put it.
+
+        Both are those of traced lenses.
+        """
+        own, wanted = self._pupil, other._pupil
+        axes = [torch.tensor(one.scene.target.sensor.decentre, dtype=torch.float64) for one in (other, self)]
+        shift = (axes[0] - axes[1]).to(self._device)
+        if own is wanted and not bool(shift.any()):
+            return sines
+        return tilts_like(own, wanted, sines.to(self._device), shift)
+
+    @property
+    def _pupil(self) -> PupilFits:
+        group = self._lines[0].passes[0]
+        assert isinstance(group, TracedGroup)
+        return group.passes[0].fits
 
     @cached_property
     def _lines(self) -> list[_Line]:

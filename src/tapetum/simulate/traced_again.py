@@ -8,6 +8,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Unpack
 
+import torch
+
 from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
@@ -20,7 +22,10 @@ from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.traced_return import corrected
 
-__all__ = ["group_again", "pass_again"]
+__all__ = ["group_again", "pass_again", "tilts_like"]
+
+# Newton's steps, and the step of their slopes in sines.
+_STEPS, _SMALL = 5, 1e-6
 
 
 def group_again(
@@ -79,3 +84,24 @@ def _fits(scene: TracedScene, one: TracedPass) -> PupilFits:
         what = "too little light comes back to compute how it changes with the focus"
         raise InputError(what, where="target", remedy="focus nearer to the probe, or stop down with f_number")
     return found
+
+
+def tilts_like(own: PupilFits, wanted: PupilFits, sines: torch.Tensor, shift: torch.Tensor) -> torch.Tensor:
+    """Tilts [B, 2] whose spots lie where `wanted` has those of the tilts `sines` [B, 2], moved by `shift` [2] metres.
+
+    The map from gazes to tilts does not serve here: it is fitted anew for every lens, and what its fits differ by is
+    much for photosites, of which a hundredth is seen.
+    """
+    size = torch.sqrt((sines**2).sum(-1, keepdim=True))
+    place = sines / size.clamp_min(1e-300) * _middle(wanted, size) + shift
+    to = torch.sqrt((place**2).sum(-1, keepdim=True))
+    found = size
+    for _ in range(_STEPS):
+        slope = (_middle(own, found + _SMALL) - _middle(own, found - _SMALL)) / (2 * _SMALL)
+        found = found + (to - _middle(own, found)) / slope
+    return place / to.clamp_min(1e-300) * found
+
+
+def _middle(fits: PupilFits, size: torch.Tensor) -> torch.Tensor:
+    """Distance [B, 1] of the spots of tilts with these sines [B, 1] from the axis."""
+    return (fits.nodes.terms(size[:, 0]) * fits.middle.to(size.device)).sum(-1, keepdim=True)

@@ -27,7 +27,6 @@ from tapetum.simulate.gaze import field_size, largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import dark_electrons, illumination_curvature, photoelectrons
 from tapetum.simulate.round_pass import Surface
 from tapetum.simulate.traced_again import pass_again
-from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.unknowns import NUISANCES, PHOTOSITES, TRACED, checked_parameters, has_photosites
 
@@ -44,7 +43,6 @@ _IN_FOCUS = 60.0
 _LONGEST = 0.03
 # Extra tilt that a step may need, as a share of the steepest one asked for.
 _MARGIN = 0.01
-_SECANTS = 3
 
 
 class TracedSlopes:
@@ -253,24 +251,6 @@ class _Camera(Camera):
             lines[i] = replace(line, passes=tuple(made))
         other._lines = lines
         return other
-
-    def tilts_like(self, other: _Camera, sines: torch.Tensor) -> torch.Tensor:
-        """Tilts [B, 2] that put the spot where the other one's tilts put it."""
-        own, wanted = self._first.fits, other._first.fits
-        if own is wanted:
-            return sines
-        sines = sines.to(self.device)
-        size = torch.sqrt((sines**2).sum(-1))
-        to = (wanted.nodes.terms(size) * wanted.middle).sum(-1)
-        slope = self.scene.target.lens.focal_length
-        found = size
-        for _ in range(_SECANTS):
-            found = found + (to - (own.nodes.terms(found) * own.middle).sum(-1)) / slope
-        return sines * torch.where(size > 0, found / size.clamp_min(1e-300), torch.ones_like(size))[:, None]
-
-    @property
-    def _first(self) -> TracedPass:
-        return _group(self._lines[0].passes[0]).passes[0]
 
 
 def _period(scene: Scene) -> float:

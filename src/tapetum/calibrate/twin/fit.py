@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tapetum.bench import Scene, as_scene, scene_dict
+from tapetum.bench import PrescriptionLens, Scene, as_scene, scene_dict
 from tapetum.calibrate.twin.frames import frames_of
 from tapetum.calibrate.twin.normal_equations import Linear, Normal, State
 from tapetum.calibrate.twin.parameters import chosen
@@ -39,6 +39,8 @@ _EXPLAINED = 1.05
 _STEADY, _LOOSE = 3e-3, 0.3
 # Pictures are computed so much finer, so often, until that moves no parameter by more than so many deviations.
 _FINER, _LEVELS, _MOVED = 3.0, 3, 0.3
+# Spreads by which the aperture is moved to see what the choice of rays does.
+_APERTURES = (-0.2, -0.1, 0.1, 0.2)
 # Fall of the squared residuals, for each pixel, that two cameras must bring over one.
 _TWO = 0.5
 
@@ -105,7 +107,8 @@ def fit_twin(
     with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames determine no better
     than the usual spread between copies keeps the scene's value; its uncertainty enters the deviations of the others.
     The simulation's own error must not move the result: pictures become three times finer until that moves no parameter
-    by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the deviations.
+    by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the deviations, and behind
+    a traced lens what the choice of rays does.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -125,7 +128,8 @@ def fit_twin(
     linear, converged, held = _whole(normal, kept, best, progress)
     if linear.misfit(lit=True) > LIMIT:
         _refuse_two(normal, linear, opened.path, progress)
-    normal, linear, converged, unsure = _refined(normal, linear, converged, held, kept, progress)
+    normal, linear, converged, left = _refined(normal, linear, converged, held, kept, progress)
+    unsure = np.outer(left, left) + _grain(normal, linear, held, progress)
     options |= {"accuracy": _accuracy(normal), "starts": starts, "seed": seed}
     return twin_of(normal, linear, held, before, converged, opened, options, unsure)
 
@@ -233,6 +237,35 @@ def _refined(
         )
         left = (linear.state.coordinates - before) / normal.spread
     return normal, linear, converged, left
+
+
+def _grain(normal: Normal, linear: Linear, held: Sequence[int], progress: Progress) -> Array:
+    """Return the covariance [P, P], in squared spreads, that the choice of rays behind a traced lens adds.
+
+    Functions are fitted to the rays that pass; these change one by one with the aperture, and with them the pictures by
+    less than their asked error but by more than many frames' noise. Moved apertures should be found back: how far they
+    are not shows it twice, once at either end.
+    """
+    found = np.zeros((len(linear.score), len(linear.score)))
+    names = [one.name for one in normal.parameters]
+    n = names.index("aperture") if "aperture" in names else -1
+    free = np.setdiff1d(np.arange(len(names)), held)
+    if n not in free or not isinstance(normal.scene.target.lens, PrescriptionLens):
+        return found
+    if linear.misfit(lit=True) > LIMIT:
+        return found
+    # The derivatives serve over all of these.
+    wide = normal.over(normal.frames, near=2 * max(_APERTURES))
+    inverse = np.linalg.inv(linear.information[np.ix_(free, free)])
+    for by in progress(_APERTURES, "varying the rays"):
+        coordinates = linear.state.coordinates.copy()
+        coordinates[n] = normal.parameters[n].clipped(coordinates[n] + by * normal.spread[n])
+        state = wide.moved(linear.state, coordinates)
+        state = wide.stepped(wide.linear(state, shared=False), np.zeros(0))
+        missed = (coordinates - linear.state.coordinates) / normal.spread
+        missed[free] += inverse @ wide.linear(state, near=linear).score[free]
+        found += np.outer(missed, missed) / (2 * len(_APERTURES))
+    return found
 
 
 def _scatter(state: State) -> float:

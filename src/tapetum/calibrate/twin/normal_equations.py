@@ -22,21 +22,18 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from tapetum.bench import Scene
+from tapetum.bench import PrescriptionLens, Scene
 from tapetum.calibrate.twin.frames import TwinFrame
 from tapetum.calibrate.twin.parameters import Parameter, placed
 from tapetum.models.simulation.counts import CountModel
 from tapetum.models.simulation.noise import Noise
-from tapetum.models.simulation.pictures import Pictures, Pose
+from tapetum.models.simulation.pictures import Pictures, Pose, period_of
 from tapetum.models.simulation.search import PHASE, SLOW, Search
 from tapetum.progress import Progress, quiet
 
 __all__ = ["Linear", "Normal", "State"]
 
 Array = NDArray[np.float64]
-# Step of a difference, in spreads. Over a tenth of a spread of the tilt derivatives change by a tenth, and pictures are
-# computed in double precision, a traced lens's on the same samples: so small a step leaves 1e-3 of nonlinearity.
-_STEP = 3e-4
 # Frames whose pictures are held at once.
 _CHUNK = 8
 # A hand's roll, in radians: the width of its prior.
@@ -215,6 +212,15 @@ class Normal:
         """Return one frame's likelihood."""
         return Search(pictures, frame.counts, self.model, self._free, self._offsets)
 
+    @property
+    def sites_wander(self) -> bool:
+        """Whether another scene's photosites lie elsewhere under a gaze than a step foresees.
+
+        The map from gazes to the tilts of a traced lens is fitted anew for each scene; what these fits differ by, some
+        hundredths of a micrometre, changes the photosites' phase by more than its deviation.
+        """
+        return isinstance(self.scene.target.lens, PrescriptionLens) and period_of(self.scene) is not None
+
     def names(self, pictures: Pictures) -> tuple[str, ...]:
         """Return a frame's nuisances."""
         return (*SLOW, *(PHASE if pictures.period is not None else ()), *self._free)
@@ -287,7 +293,7 @@ class Normal:
         own = self.pictures(coordinates)
         for n in self._shown:
             one = self.parameters[n]
-            step = _STEP * one.spread
+            step = one.step * one.spread
             # Steps stay within the range.
             if coordinates[n] + step > one.most:
                 step = -step

@@ -209,9 +209,9 @@ def twin_of(
     options: Mapping[str, Any],
     unsure: Array,
 ) -> Twin:
-    """Return the twin of a search that has ended; `unsure` [P], in spreads, is what the simulation's error may move."""
+    """Return the twin of a search that has ended; `unsure` [P, P], in squared spreads, is the simulation's part."""
     misfit, lit = linear.misfit(), linear.misfit(lit=True)
-    known = covariance(linear.information, held) * max(1.0, misfit, lit) + np.outer(unsure, unsure)
+    known = covariance(linear.information, held) * max(1.0, misfit, lit) + unsure
     deviations = np.sqrt(known.diagonal()) * normal.spread
     names = [one.name for one in normal.parameters]
     like = {one.number: tuple(names[k] for k in one.like) for one in untold(linear.information)}

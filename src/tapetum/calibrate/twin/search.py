@@ -21,8 +21,9 @@ __all__ = ["LIMIT", "Untold", "climb", "covariance", "settle", "two_groups", "un
 Array = NDArray[np.float64]
 LIMIT = 1.2
 """Misfit of the lit pixels above which a scene does not explain a recording; a true one gives 1 to some hundredths."""
-# Expected fall of the squared residuals from which a search has converged: a seventh of a standard deviation.
-_CONVERGED = 0.02
+# Expected fall of the squared residuals from which a search has converged: a seventh of a standard deviation; and where
+# the likelihood is no smoother, behind a traced lens, whose rays pass or not one by one (`fit._grain` states that).
+_CONVERGED, _RAGGED = 0.02, 3.0
 _STEPS, _HARDEST, _FARTHEST = 25, 1e8, 1.5
 # Information, in inverse squared spreads, added to every step: it only slows parameters that the data hardly determine.
 _SLOW = 0.1
@@ -46,7 +47,7 @@ def climb(
     *,
     held: Sequence[int] = (),
     steps: int = _STEPS,
-    enough: float = _CONVERGED,
+    enough: float | None = None,
     after: Callable[[State], None] | None = None,
     progress: Progress = quiet,
     what: str = "fitting",
@@ -61,7 +62,7 @@ def climb(
     held
         Numbers of parameters that stay.
     steps, enough
-        The most, and the expected fall of the squared residuals that ends the search.
+        The most, and the expected fall of the squared residuals that ends the search; the usual one for None.
     after
         Called with every better state.
     progress, what
@@ -69,6 +70,8 @@ def climb(
     begin
         The frames linearised at the state, where that is done.
     """
+    if enough is None:
+        enough = _RAGGED if normal.sites_wander else _CONVERGED
     linear = _doubted(normal.linear(state) if begin is None else begin, np.inf)
     hardness = 1e-3
     for _ in progress(range(steps), what):
@@ -78,6 +81,8 @@ def climb(
         step = np.zeros(len(linear.score))
         step[free] = np.clip(np.linalg.solve(damped, score), -_FARTHEST, _FARTHEST)
         new = normal.stepped(linear, step)
+        if normal.sites_wander:
+            new = normal.stepped(normal.linear(new, shared=False, doubt=linear.doubt), np.zeros(0))
         gain = linear.objective - normal.left(linear, new)
         if gain < -1e-3:
             hardness *= 10

@@ -82,7 +82,7 @@ def _rounded(light: Array, sensor: ProbeSensor, top: float) -> tuple[Array, Arra
     gain = gain_of(sensor)
     middle = np.rint(gain * light + sensor.offset)
     numbers = middle[:, None] + np.arange(-_REACH, _REACH + 1)
-    edges: Array = (numbers[:, 1:] - 0.5 - sensor.offset) / gain
+    edges = np.asarray((numbers[:, 1:] - 0.5 - sensor.offset) / gain, np.float64)
     below = np.empty_like(edges)
     few = light <= _SUMMED
     below[few] = _summed(light[few], edges[few], sensor.read_noise)

@@ -108,7 +108,7 @@ class Pictures:
         side = self.side + 2 * _MARGIN if turned else self.side
         scene, camera = self._cameras(poses[0].object_distance, poses[0].focal_length, side)
         gazes = np.array([pose.gaze for pose in poses])
-        sines = tilt_of_gaze(scene, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)))
+        sines = self._tilts(scene, camera, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)), side)
         places = torch.tensor([pose.place for pose in poses], dtype=torch.float64)
         angles = torch.tensor([pose.roll for pose in poses], dtype=torch.float64)
         c, s = torch.cos(angles), torch.sin(angles)
@@ -126,6 +126,14 @@ class Pictures:
                 rolled = zip(made, poses, shifts, strict=True)
                 total += np.stack([self._turned(one, pose.roll, shift) for one, pose, shift in rolled])
         return total * self._electrons
+
+    def _tilts(self, scene: Scene, camera: Camera, gazes: torch.Tensor, side: int) -> torch.Tensor:
+        """Return the tilts [B, 2] of gazes; as the other pictures have them, so that photosites stay in place."""
+        if self._like is None or not isinstance(scene.target.lens, PrescriptionLens):
+            return tilt_of_gaze(scene, gazes)
+        own = self._like.scene.target
+        before, other = self._like._cameras(own.object_distance, own.lens.focal_length, side)
+        return camera.tilts_like(other, tilt_of_gaze(before, gazes)).cpu()
 
     def _turned(self, picture: Array, roll: float, shift: Array) -> Array:
         """Return an image turned from x to y about its middle and shifted by (x, y) pixels, without its margin."""

@@ -34,6 +34,8 @@ _FOCUS_STEP = 0.05
 # Largest change in one step: gaze (fractions of the field), place (pixels), roll (radians), factor of the power.
 _MOST_GAZE, _MOST_PLACE, _MOST_ROLL, _MOST_POWER = 0.05, 8.0, 0.02, 2.0
 _STEPS, _SETTLED, _HARDEST = 25, 0.03, 1e6
+# Periods from which the slow gaze moves the images that it is counted from.
+_HALFWAY = 0.75
 
 
 @dataclass(frozen=True)
@@ -196,7 +198,9 @@ class Search:
         if PHASE[0] in names:
             assert self.pictures.period is not None
             turned = np.array(pose.gaze) + [by[name] for name in PHASE]
-            gaze = turned + self.pictures.period * np.rint((wanted - turned) / self.pictures.period)
+            # Only a slow gaze that is clearly nearer to another period moves there: it would go to and fro halfway.
+            away = (wanted - turned) / self.pictures.period
+            gaze = turned + self.pictures.period * np.where(np.abs(away) > _HALFWAY, np.rint(away), 0.0)
         else:
             gaze = wanted
         gaze = np.clip(gaze, -0.499, 0.499)
