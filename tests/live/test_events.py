@@ -5,10 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tapetum.errors import InputError
 from tapetum.live.events import Event, Events, Ignored, Region
+from tapetum.track.cameras import CameraDetector
 from tapetum.track.detections import Detections
 from tapetum.track.rows import TrackedFrame, TrackRow
 
@@ -62,6 +64,51 @@ def test_a_camera_counts_from_when_it_was_first_detected() -> None:
     assert told(Events(), rows) == [(4, "seen", "")]
     # A track that goes on after its stay ended shows another camera.
     assert told(Events(), [[replace(row(k), since=0.0)] for k in range(20, 30)], 20) == [(24, "seen", "")]
+
+
+def test_the_detections_that_gave_a_track_its_number_count_for_a_new_camera() -> None:
+    """It is hidden right after them."""
+    lately = (False, False, True, True, True)
+    rows = [[] for _ in range(2)] + [[replace(row(2), event="begun", since=0.0, lately=lately)]]
+    rows += [[row(k, seen=k > 5)] for k in range(3, 12)]
+    assert told(Events(), rows) == [(7, "seen", "")]
+
+
+def test_a_camera_that_is_hidden_as_it_comes_is_told_of_once_most_frames_show_it() -> None:
+    lately = (True, False, False, True, True)
+    rows = [[] for _ in range(4)] + [[replace(row(4), event="begun", since=0.0, lately=lately)]]
+    rows += [[row(k, seen=k > 7)] for k in range(5, 14)]
+    assert told(Events(), rows) == [(10, "seen", "")]
+
+
+def test_a_camera_whose_track_a_reflection_took_goes_on_under_its_new_number() -> None:
+    """A reflection begins beside it while it is missed, lasts three frames, and its track then coasts."""
+    tracker, events, happened = CameraDetector().tracker(), Events(), []
+    for k in range(60):
+        spots = [(100.0, 300.0), *([] if k == 20 else [(300.0 + 0.4 * k, 200.0)])]
+        spots += [(313.0, 204.0)] if k in (20, 21, 22) else []
+        frame = TrackedFrame.of(about(k), detections(spots), [{} for _ in spots], tracker)
+        happened += [(k, one.kind) for one in events.update(frame, k)]
+    camera = next(one for one in events.cameras if one.y < 250)
+    assert happened == [(8, "seen"), (8, "seen")]
+    assert camera.track == 3 and camera.x == pytest.approx(323.6, abs=1)
+
+
+def test_a_second_camera_beside_one_that_is_seen_is_told_of() -> None:
+    events = Events()
+    rows = [[row(k), *([moved(row(k, 2), 60.0)] if k >= 10 else [])] for k in range(20)]
+    assert told(events, rows) == [(4, "seen", ""), (14, "seen", "")]
+    assert [one.track for one in events.cameras] == [1, 2]
+
+
+def about(k: int) -> dict[str, Any]:
+    return {"frame": k, "time": k / 15, "name": "", "moment": {}}
+
+
+def detections(spots: list[tuple[float, float]]) -> Detections:
+    x, y = np.array(spots).reshape(-1, 2).T
+    known = {"x": x, "y": y, "peak_x": x, "peak_y": y, "peak": 0 * x + 100, "snr": 0 * x + 12, "diameter": 0 * x + 6}
+    return Detections.of({**dict.fromkeys(Detections.names(), 0 * x), **known})
 
 
 def test_one_estimate_far_off_at_its_beginning_does_not_put_a_change_off() -> None:

@@ -266,3 +266,5 @@ def test_a_track_knows_when_it_began_to_persist():
     points = [tracker.update(spots((50.0, 50.0)) if one else spots(), n / 10) for n, one in enumerate(there)]
     assert [len(one) for one in points] == [0] * 7 + [1, 1]
     assert {one[0].since for one in points[7:]} == {0.3}
+    assert points[7][0].lately == (True, False, False, True, True)
+    assert points[8][0].lately == (False, False, True, True, True)

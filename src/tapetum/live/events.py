@@ -3,6 +3,8 @@
 The form is Frigate's: `new`, `update` and `end` share an id and carry the camera before and after. A camera is reported
 once it was seen for some time (`confirm`); a change once it has lasted (`hold`), and not within `cooldown` of the last
 change.
+
+A little over 400 lines: a stay's frames, its look and its changes are one state.
 """
 
 from __future__ import annotations
@@ -10,7 +12,7 @@ from __future__ import annotations
 import math
 import uuid
 from collections import deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Generic, TypeVar
 
@@ -34,9 +36,10 @@ _LATEST, _FEWEST = 5, 3  # looks that decide, and the fewest that do
 _RECENT, _UNLIKE = 1.0, 1.0  # s for which a look counts, and for which a camera of ours may look different
 # Of so many estimates one may be far off; share of the estimates against a change that ends it.
 _WRONG, _ENDS = 4, 0.4
-# Share of its frames that must show a new camera, of which most of the latest: a reflection that has gone does not come
-# to that by a spot here and there.
-_SHOWN, _LATEST_FRAMES = 0.6, 3
+# Most of its frames must show a new camera, and most of so many of the latest: a reflection that has gone does not come
+# to that by a spot here and there. Where a camera is missed as rarely as a spot comes where none is, a majority of all
+# frames since the first makes the camera the likelier; one that is hidden for a third of a second gets there soon.
+_LATEST_FRAMES = 3
 # A new camera that was unseen for so many frames and is found so many pixels away is another one.
 _UNSEEN, _FAR = 2, 24.0
 T = TypeVar("T")
@@ -123,9 +126,13 @@ class _Held(Generic[T]):
 class _Stay:
     """A camera's stay before the probe."""
 
-    def __init__(self, camera: CameraState, first: float, time: float, hold: float, cooldown: float) -> None:
+    def __init__(self, camera: CameraState, row: TrackRow, hold: float, cooldown: float) -> None:
         self.camera, self.told = camera, False
-        self.begins(first, time)
+        # A track that goes on after its stay ended shows another camera.
+        begun = row.since is not None and row.event == "begun"
+        # The detections that gave the track its number count.
+        lately = row.lately[row.lately.index(True) :] if begun and True in row.lately else (True,)
+        self.begins(row, row.since if begun and row.since is not None else row.time, lately)
         self.looks: deque[tuple[float, tuple[float, ...]]] = deque(maxlen=_LOOKS)
         # What it is taken for by its look, and since when it does not look so any more.
         self.ours: Ignored | None = None
@@ -137,11 +144,13 @@ class _Stay:
         self.regions: dict[str, _Held[bool]] = {}
         self.opened = -math.inf
 
-    def begins(self, first: float, time: float) -> None:
-        """Begin to count the frames that show it."""
-        self.first, self.last = first, time
-        self.frames = self.shown = self.unseen = 0
-        self.latest: deque[bool] = deque([True], maxlen=_LATEST_FRAMES)
+    def begins(self, row: TrackRow, first: float, lately: Sequence[bool] = (True,)) -> None:
+        """Begin to count the frames that show it; `lately` are those since the first."""
+        self.first, self.last = first, row.time
+        # Where it was first and last seen: the place of a track that coasts goes on.
+        self.began = self.place = row.x, row.y
+        self.frames, self.shown, self.unseen = len(lately), sum(lately), 0
+        self.latest: deque[bool] = deque(lately, maxlen=_LATEST_FRAMES)
 
     def saw(self, row: TrackRow, before: CameraState, dark: bool, confirm: float) -> None:
         """Take whether a frame shows it; one without the probe's light says nothing where it does not.
@@ -151,10 +160,10 @@ class _Stay:
         if row.seen and not self.told:
             away = math.dist((row.x, row.y), (before.x, before.y)) > max(_FAR, 2 * before.diameter)
             if (away and self.unseen >= _UNSEEN) or row.time - self.last > confirm:
-                self.begins(row.time, row.time)
+                self.begins(row, row.time)
                 return
         if row.seen:
-            self.last = row.time
+            self.last, self.place = row.time, (row.x, row.y)
         if row.seen or not dark:
             self.unseen = 0 if row.seen else self.unseen + 1
             self.frames, self.shown = self.frames + 1, self.shown + row.seen
@@ -164,7 +173,7 @@ class _Stay:
     def stands(self) -> bool:
         """Whether a camera that is new is there, by how many frames show it."""
         now = sum(self.latest)
-        return 2 * now > len(self.latest) and self.shown >= _SHOWN * self.frames
+        return 2 * now > len(self.latest) and 2 * self.shown > self.frames
 
 
 class Events:
@@ -198,6 +207,7 @@ class Events:
         self.regions, self.ignored = tuple(regions), tuple(ignored)
         self.confirm, self.hold, self.cooldown, self.gone = confirm, hold, cooldown, gone
         self._stays: dict[int, _Stay] = {}
+        self._live: set[int] = set()  # the numbers of the latest frame's tracks
 
     @property
     def cameras(self) -> tuple[CameraState, ...]:
@@ -240,6 +250,7 @@ class Events:
             if (stay := self._stays.get(number)) is not None:
                 stay.looks.append((tracked.time, one))
         dark = tracked.moment.get("lit") is False
+        self._live = {row.track + offset for row in tracked.rows}
         for row in tracked.rows:
             told += self._row(row, row.track + offset, utc_ns, dark)
         for number, stay in list(self._stays.items()):
@@ -259,9 +270,7 @@ class Events:
             return [] if stay is None else self._end(number, utc_ns)
         if stay is None:
             if row.seen:
-                # A track that goes on after its stay ended shows another camera.
-                first = row.since if row.since is not None and row.event == "begun" else row.time
-                self._stays[number] = _Stay(camera, first, row.time, self.hold, self.cooldown)
+                self._stays[number] = _Stay(camera, row, self.hold, self.cooldown)
             return []
         stay.saw(row, stay.camera, dark, self.confirm)
         stay.camera = camera
@@ -272,11 +281,41 @@ class Events:
                 return []
             if self._taken_for_ours(stay, row.time):
                 return []
-            stay.told = True
-            told = [self._event(stay, "new", "seen", utc_ns)]
+            former = self._former(stay)
+            if former is not None:
+                stay = self._goes_on(former, number, row, utc_ns, dark)
+                told = []
+            else:
+                stay.told = True
+                told = [self._event(stay, "new", "seen", utc_ns)]
         else:
             told = []
         return told + self._changes(stay, row, utc_ns)
+
+    def _former(self, stay: _Stay) -> int | None:
+        """Number of the track under which a new camera was reported before; None where it was not.
+
+        A reflection that begins beside a camera while that is missed may take its track, and the camera gets another.
+        One camera has then not gone, nor another come, at that place: the old track shows nothing any more.
+        """
+        near: list[tuple[float, int]] = []
+        for number, other in self._stays.items():
+            away = other.told and (other.unseen >= _UNSEEN or number not in self._live)
+            # Where the one was last seen and the other first; or now, where both moved with the probe meanwhile.
+            coasts = other.camera.x, other.camera.y
+            far = min(math.dist(stay.began, other.place), math.dist(stay.place, coasts))
+            if away and other is not stay and far <= max(_FAR, 2 * other.camera.diameter):
+                near.append((far, number))
+        return min(near)[1] if near else None
+
+    def _goes_on(self, former: int, number: int, row: TrackRow, utc_ns: int, dark: bool) -> _Stay:
+        """Let a reported stay go on under another track's number."""
+        stay, new = self._stays.pop(former), self._stays[number]
+        stay.begins(row, new.first)
+        stay.looks.extend(new.looks)
+        stay.camera = _camera(row, number, utc_ns, replace(stay.camera, track=number), dark)
+        self._stays[number] = stay
+        return stay
 
     def _taken_for_ours(self, stay: _Stay, time: float) -> bool:
         """Return whether a new camera is taken for one of ours by its look; one camera at a time is."""

@@ -31,6 +31,8 @@ from tapetum.track.tracker import Tracker
 __all__ = ["TrackRow", "TrackedFrame", "retrack"]
 
 _BATCH = 2000
+# Fields of a row that are no columns of a table, or columns of another name.
+_NOT_COLUMNS = ("moment", "estimates", "opened", "since", "lately")
 
 
 @dataclass(frozen=True)
@@ -58,6 +60,8 @@ class TrackRow:
         tables it is part of `event`.
     since
         When the first detection of the track was made, seconds; None where it is unknown. Not in tables.
+    lately
+        Whether each of the latest frames shows it (see `TrackPoint`); empty where it is unknown. Not in tables.
     moment
         Further data of the frame: `utc_ns`, `exposure`, `lit` and `lost`, as of `Frame`.
     estimates
@@ -81,6 +85,7 @@ class TrackRow:
     active: bool | None = None
     opened: float | None = None
     since: float | None = None
+    lately: tuple[bool, ...] = ()
     moment: Mapping[str, Any] = field(default_factory=dict)
     estimates: Mapping[str, Any] = field(default_factory=dict)
 
@@ -89,9 +94,7 @@ class TrackRow:
 
         `device` and `device_probability` are absent where no model recognises devices.
         """
-        own = {
-            name: value for name, value in vars(self).items() if name not in ("moment", "estimates", "opened", "since")
-        }
+        own = {name: value for name, value in vars(self).items() if name not in _NOT_COLUMNS}
         shutter = "" if self.opened is None else f"shutter opened at {self.opened:.3f} s"
         event = "; ".join(one for one in (self.event, shutter) if one)
         return {**own, "event": event or None, **self.moment, **self.estimates}
@@ -146,7 +149,7 @@ class TrackedFrame:
                 for name in ("snr", "peak_x", "peak_y", "diameter")
             }
             place: dict[str, Any] = {"track": point.track, "x": point.x, "y": point.y, "seen": point.seen}
-            place |= {"event": point.event, "since": point.since}
+            place |= {"event": point.event, "since": point.since, "lately": point.lately}
             if activities is not None:
                 known = activities.setdefault(point.track, Activity())
                 before = known.opened

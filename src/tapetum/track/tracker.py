@@ -65,6 +65,8 @@ class TrackPoint:
         with the reason; else empty.
     since
         When the first of the detections was made that gave it its number, in seconds.
+    lately
+        Whether each of the latest frames shows it, this one last: as many as `persist` looks at, dark ones left out.
     """
 
     track: int
@@ -75,6 +77,7 @@ class TrackPoint:
     detection: int | None
     event: str = ""
     since: float = math.nan
+    lately: tuple[bool, ...] = ()
 
     @property
     def seen(self) -> bool:
@@ -344,7 +347,8 @@ class Tracker:
             x, y = _within(track.state[0], size) if n is None else place[n].tolist()
             vx, vy = track.state[1].tolist()
             detection = None if n is None else int(numbers[n])
-            points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, ""), track.since))
+            lately = tuple(one is not None for one in track.lately)
+            points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, ""), track.since, lately))
         return sorted(points, key=lambda point: point.track)
 
     def _move_together(self, place: Array, peak: Array, diameter: Array) -> None:
