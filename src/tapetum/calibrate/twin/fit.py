@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from tapetum.bench import PrescriptionLens, Scene, as_scene, scene_dict
 from tapetum.calibrate.twin.frames import frames_of
-from tapetum.calibrate.twin.normal_equations import Linear, Normal, State
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels
 from tapetum.calibrate.twin.parameters import chosen
 from tapetum.calibrate.twin.result import Before, Twin, twin_of
 from tapetum.calibrate.twin.search import LIMIT, climb, settle, two_groups, untold
@@ -39,6 +39,8 @@ _EXPLAINED = 1.05
 _STEADY, _LOOSE = 3e-3, 0.3
 # Pictures are computed so much finer, so often, until that moves no parameter by more than so many deviations.
 _FINER, _LEVELS, _MOVED = 3.0, 3, 0.3
+# Usual offset that a recording's labels have in common, in pixels of the target's camera.
+_COMMON = 0.05
 # Spreads by which the aperture is moved to see what the choice of rays does.
 _APERTURES = (-0.2, -0.1, 0.1, 0.2)
 # Fall of the squared residuals, for each pixel, that two cameras must bring over one.
@@ -108,7 +110,7 @@ def fit_twin(
     than the usual spread between copies keeps the scene's value; its uncertainty enters the deviations of the others.
     The simulation's own error must not move the result: pictures become three times finer until that moves no parameter
     by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the deviations, and behind
-    a traced lens what the choice of rays does.
+    a traced lens what the choice of rays does; so does an offset of 0.05 pixels that all labels may have in common.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -129,7 +131,7 @@ def fit_twin(
     if linear.misfit(lit=True) > LIMIT:
         _refuse_two(normal, linear, opened.path, progress)
     normal, linear, converged, left = _refined(normal, linear, converged, held, kept, progress)
-    unsure = np.outer(left, left) + _grain(normal, linear, held, progress)
+    unsure = np.outer(left, left) + _grain(normal, linear, held, progress) + _of_labels(normal, linear, held)
     options |= {"accuracy": _accuracy(normal), "starts": starts, "seed": seed}
     return twin_of(normal, linear, held, before, converged, opened, options, unsure)
 
@@ -237,6 +239,22 @@ def _refined(
         )
         left = (linear.state.coordinates - before) / normal.spread
     return normal, linear, converged, left
+
+
+def _of_labels(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
+    """Return the covariance [P, P], in squared spreads, of an offset that all labels have in common.
+
+    The second beam's spot beside the first one's, and how colours lie in a video, put the laser's spot some hundredths
+    of a pixel to one side. No number of frames averages that out, and the tilt and the decentre show it.
+    """
+    free = np.setdiff1d(np.arange(len(linear.score)), held)
+    found = np.zeros((len(linear.score), len(linear.score)))
+    inverse = np.linalg.inv(linear.information[np.ix_(free, free)])
+    for push, pixels in zip(by_labels(normal, linear), normal.scene.target.sensor.pixels, strict=True):
+        moved = np.zeros(len(found))
+        moved[free] = inverse @ push[free] * (_COMMON / pixels)
+        found += np.outer(moved, moved)
+    return found
 
 
 def _grain(normal: Normal, linear: Linear, held: Sequence[int], progress: Progress) -> Array:

@@ -10,7 +10,7 @@ differences of pictures, for thin and for traced lenses alike. A thin lens could
 focus, focal length, gaze and power; but a backward pass costs more than a picture, and the differences agree with it to
 1 % (tests/calibrate/test_twin.py), which is enough for a step of a least-squares search.
 
-A little over 400 lines, as linearising, eliminating and stepping share the layout of the equations.
+More than 400 lines, as linearising, eliminating and stepping share the layout of the equations.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from tapetum.models.simulation.pictures import Pictures, Pose, period_of
 from tapetum.models.simulation.search import PHASE, SLOW, Search
 from tapetum.progress import Progress, quiet
 
-__all__ = ["Linear", "Normal", "State"]
+__all__ = ["Linear", "Normal", "State", "by_labels"]
 
 Array = NDArray[np.float64]
 # Frames whose pictures are held at once.
@@ -401,6 +401,18 @@ class Normal:
     def own_information(self, linear: Linear, n: int) -> tuple[Array, Array]:
         """Return one frame's information [P, P] and score [P] on the shared parameters, nuisances eliminated."""
         return _eliminated(linear.frames[n], len(linear.score))
+
+
+def by_labels(normal: Normal, linear: Linear) -> Array:
+    """Return the score [2, P] of an offset along x and along y, of 1 of the field, that all labels have in common."""
+    shared = len(linear.score)
+    found = np.zeros((2, shared))
+    for frame, one in zip(normal.frames, linear.frames, strict=True):
+        matrix = one.matrix
+        inverse, cross = _inverse(matrix[shared:, shared:]), matrix[:shared, shared:]
+        # The gaze comes first among a frame's nuisances.
+        found -= ((cross @ inverse)[:, :2] * (one.doubt / frame.deviation**2)).T
+    return found
 
 
 def _reduced(state: State, frames: list[_Frame], shared: int, at: Array, doubt: float) -> Linear:
