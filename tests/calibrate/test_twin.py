@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,14 +15,17 @@ import torch
 
 from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
+from tapetum.calibrate.twin.fit import _refined
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
-from tapetum.calibrate.twin.normal_equations import Normal, State
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels
 from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
-from tapetum.calibrate.twin.search import covariance, settle, two_groups, untold
+from tapetum.calibrate.twin.search import climb, covariance, settle, two_groups, untold
 from tapetum.calibrate.twin.starts import placed_in
+from tapetum.calibrate.twin.state import Kept
 from tapetum.cli.app import main
 from tapetum.errors import InputError
 from tapetum.models.simulation.pictures import Pictures
+from tapetum.progress import quiet
 from tapetum.record import Session, film, open_recording
 from tapetum.simulate.information import slopes_of
 
@@ -243,3 +247,52 @@ def test_labels_hold_the_gazes_while_the_scene_is_wrong(bench: Scene, filmed: Pa
     for first in (placed_in(normal, at), drawn):
         held = settle(normal, first, 3, doubt=1e4).state
         assert np.abs(held.gazes - labels).max() < 1e-4
+
+
+def test_an_offset_of_all_labels_moves_the_score_as_foreseen(bench: Scene, filmed: Path) -> None:
+    parameters = chosen(bench, FREE)
+    _, frames = frames_of(filmed, bench, 20)
+    normal, offset = Normal(bench, parameters, frames[:6]), np.array([2e-5, -3e-5])
+    moved = normal.over([replace(one, gaze=one.gaze + offset) for one in frames[:6]])
+    at = np.array([one.read(bench) for one in parameters])
+    linear = normal.linear(settle(normal, placed_in(normal, at), 2).state)
+    change = moved.linear(linear.state, near=linear).score - linear.score
+    assert np.abs(change).max() > 1
+    assert np.allclose(offset @ by_labels(normal, linear), change, rtol=1e-6, atol=1e-6 * np.abs(change).max())
+
+
+def test_pictures_become_finer_until_their_error_moves_nothing(
+    bench: Scene, filmed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    parameters = chosen(bench, FREE)
+    _, frames = frames_of(filmed, bench, 20)
+    coarse = Normal(bench, parameters, frames[:8], accuracy=0.3)
+    true = np.array([one.read(with_values(bench, UNIT)) for one in parameters])
+    first, converged = climb(coarse, settle(coarse, placed_in(coarse, true), 2).state)
+    deviations = np.sqrt(covariance(first.information, []).diagonal())
+
+    def refined() -> tuple[float | None, np.ndarray]:
+        normal, found, _, left = _refined(coarse, first, converged, [], Kept(None, ""), quiet)
+        assert (np.abs(found.state.coordinates - true) < 5 * deviations * normal.spread).all()
+        return normal.accuracy, left / deviations
+
+    # A thin lens's pictures are far better than asked for.
+    accuracy, left = refined()
+    assert accuracy == 0.3 and 0 < np.abs(left).max() < 0.3
+    monkeypatch.setattr("tapetum.calibrate.twin.fit._MOVED", 0.0)
+    accuracy, last = refined()
+    assert accuracy == pytest.approx(0.3 / 27) and np.abs(last).max() < 0.3
+    usual = Normal.linear
+
+    def refuses(self: Normal, *given: Any, **more: Any) -> Linear:
+        if self.accuracy is not None and self.accuracy < 0.05:
+            raise InputError("too fine")
+        return usual(self, *given, **more)
+
+    monkeypatch.setattr(Normal, "linear", refuses)
+    accuracy, unsure = refined()
+    assert accuracy == pytest.approx(0.1)
+    # Half of what the last step moved is left where each is three times finer.
+    monkeypatch.setattr(Normal, "linear", usual)
+    monkeypatch.setattr("tapetum.calibrate.twin.fit._LEVELS", 1)
+    assert unsure == pytest.approx(refined()[1] / 2, abs=1e-6)
