@@ -244,8 +244,9 @@ def _refined(
 def _of_labels(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
     """Return the covariance [P, P], in squared spreads, of an offset that all labels have in common.
 
-    The second beam's spot beside the first one's, and how colours lie in a video, put the laser's spot some hundredths
-    of a pixel to one side. No number of frames averages that out, and the tilt and the decentre show it.
+    What the target sees about the laser's place, which stays there in the room, and the second beam's spot beside it
+    draw labels some hundredths of a pixel to one side. No number of frames averages that out, and the tilt and the
+    decentre show it.
     """
     free = np.setdiff1d(np.arange(len(linear.score)), held)
     found = np.zeros((len(linear.score), len(linear.score)))
