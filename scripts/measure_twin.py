@@ -38,8 +38,8 @@ from tapetum.record import Session, film, label_recording
 from tapetum.simulate import expose, retroreflect, tilt_of_gaze
 
 SCENES = {"thin": "hand-held", "traced": "rotation"}
-# By how much finer than the scene asks its units are filmed. For a thin lens nothing is left out for speed then; traced
-# lenses are computed no finer.
+# By how much finer than the scene asks its units are filmed. For a thin lens nothing is left out for speed then; of
+# a traced one the engine refuses much finer pictures.
 FINER = {"thin": 50, "traced": 10}
 # Gazes of the frames that SimulationFit reads lie within this part of the field.
 _FIELD = 0.35

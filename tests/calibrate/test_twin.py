@@ -212,10 +212,11 @@ def test_the_command_writes_a_scene_or_says_that_it_does_not_explain(
     assert "exists already" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize(("seed", "name"), [(5, "decentre_x"), (11, "focal_length"), (11, "decentre_x")])
+@pytest.mark.parametrize(("seed", "name"), [(5, "decentre_x"), (11, "focal_length")])
 def test_a_traced_lens_is_differentiated_on_the_same_samples(seed: int, name: str):
-    # Units whose plan changes within a step of the derivative, or whose map from gazes to tilts does, which moves the
-    # photosites under the spot: planned afresh, slopes of 3e-4 and 3e-3 of a spread differ by more than their size.
+    # One's plan changes within a step of the derivative: planned afresh, slopes of 3e-4 and 1e-2 of a spread differ by
+    # more than their size. The other's map from gazes to tilts does, which moves the photosites under the spot: they
+    # differ by a third.
     scene = draw_unit(load_scene("rotation"), None, seed)
     parameters = parameters_of(scene)
     at = [one.read(scene) for one in parameters]
@@ -231,7 +232,7 @@ def test_a_traced_lens_is_differentiated_on_the_same_samples(seed: int, name: st
         focus = {"object_distance": target.object_distance, "focal_length": target.lens.focal_length}
         return (other.render_each([replace(pose, **focus) for pose in poses]) - base) / step
 
-    small, large = slope(3e-4), slope(3e-3)
+    small, large = slope(3e-4), slope(1e-2)
     assert np.abs(small - large).max() < 0.05 * np.abs(large).max()
 
 

@@ -108,9 +108,10 @@ def fit_twin(
     phase are nuisances too. The likelihood is that of `SimulationFit`. Deviations follow from the Fisher information
     with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames determine no better
     than the usual spread between copies keeps the scene's value; its uncertainty enters the deviations of the others.
-    The simulation's own error must not move the result: pictures become three times finer until that moves no parameter
-    by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the deviations, and behind
-    a traced lens what the choice of rays does; so does an offset of 0.05 pixels that all labels may have in common.
+    The simulation's own error must not move the result: pictures become three times finer, at most three times, until
+    that moves no parameter by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the
+    deviations, and behind a traced lens what the choice of rays does; so does an offset of 0.05 pixels that all labels
+    may have in common.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -273,17 +274,19 @@ def _grain(normal: Normal, linear: Linear, held: Sequence[int], progress: Progre
         return found
     if linear.misfit(lit=True) > LIMIT:
         return found
+    own = linear.state.coordinates
+    apertures = {normal.parameters[n].clipped(float(own[n] + by * normal.spread[n])) for by in _APERTURES} - {own[n]}
     # The derivatives serve over all of these.
     wide = normal.over(normal.frames, near=2 * max(_APERTURES))
     inverse = np.linalg.inv(linear.information[np.ix_(free, free)])
-    for by in progress(_APERTURES, "varying the rays"):
-        coordinates = linear.state.coordinates.copy()
-        coordinates[n] = normal.parameters[n].clipped(coordinates[n] + by * normal.spread[n])
+    for at in progress(sorted(apertures), "varying the rays"):
+        coordinates = own.copy()
+        coordinates[n] = at
         state = wide.moved(linear.state, coordinates)
         state = wide.stepped(wide.linear(state, shared=False), np.zeros(0))
-        missed = (coordinates - linear.state.coordinates) / normal.spread
+        missed = (coordinates - own) / normal.spread
         missed[free] += inverse @ wide.linear(state, near=linear).score[free]
-        found += np.outer(missed, missed) / (2 * len(_APERTURES))
+        found += np.outer(missed, missed) / (2 * len(apertures))
     return found
 
 
