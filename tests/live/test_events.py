@@ -24,10 +24,10 @@ def row(k: int, track: int = 1, *, seen: bool = True, active: bool | None = None
     )  # fmt: skip
 
 
-def told(events: Events, rows: list[list[TrackRow]], start: int = 0) -> list[tuple[int, str, str]]:
+def told(events: Events, rows: list[list[TrackRow]], start: int = 0, step: float = STEP) -> list[tuple[int, str, str]]:
     said = []
     for k, one in enumerate(rows, start):
-        frame = TrackedFrame(k, k * STEP, "", tuple(one), Detections.empty(), ())
+        frame = TrackedFrame(k, k * step, "", tuple(one), Detections.empty(), ())
         said += [(k, event.kind, event.detail) for event in events.update(frame, k)]
     return said
 
@@ -78,7 +78,35 @@ def test_a_camera_that_is_hidden_as_it_comes_is_told_of_once_most_frames_show_it
     lately = (True, False, False, True, True)
     rows = [[] for _ in range(4)] + [[replace(row(4), event="begun", since=0.0, lately=lately)]]
     rows += [[row(k, seen=k > 7)] for k in range(5, 14)]
-    assert told(Events(), rows) == [(10, "seen", "")]
+    assert told(Events(), rows) == [(9, "seen", "")]
+
+
+def test_a_camera_that_is_hidden_once_is_judged_by_the_other_frames() -> None:
+    """Three frames show it, six hide it, and it is found at its place."""
+
+    def said(seen: list[bool]) -> list[tuple[int, str, str]]:
+        return told(Events(), [[replace(row(k, seen=one), time=k / 15)] for k, one in enumerate(seen)], step=1 / 15)
+
+    assert said([k not in (*range(3, 9), 12) for k in range(20)]) == [(10, "seen", "")]
+    # Not where no more than a reflection was seen that came back for a frame.
+    assert said([k not in range(4, 9) for k in range(10)] + [False] * 20) == []
+
+
+def test_a_camera_is_not_told_of_in_the_frame_in_which_it_seems_to_have_jumped() -> None:
+    rows = [[moved(row(k), 200.0 if k == 4 else 50.0)] for k in range(8)]
+    assert told(Events(), rows) == [(5, "seen", "")]
+    # Where the probe turns every frame shows it somewhere else.
+    assert told(Events(), [[moved(row(k), 40.0 * k)] for k in range(8)]) == [(4, "seen", "")]
+
+
+def test_a_spot_before_a_reflection_elsewhere_makes_no_camera_of_it() -> None:
+    """Before anything has a number, its track is taken to have jumped there."""
+    tracker, events, happened = CameraDetector().tracker(), Events(), []
+    for k in range(30):
+        spots = [(27.0, 132.0)] if k == 5 else [(138.0, 405.0)] if 8 <= k < 13 else []
+        frame = TrackedFrame.of(about(k), detections(spots), [{} for _ in spots], tracker)
+        happened += [(k, one.kind) for one in events.update(frame, k)]
+    assert happened == []
 
 
 def test_a_camera_whose_track_a_reflection_took_goes_on_under_its_new_number() -> None:
@@ -90,7 +118,7 @@ def test_a_camera_whose_track_a_reflection_took_goes_on_under_its_new_number() -
         frame = TrackedFrame.of(about(k), detections(spots), [{} for _ in spots], tracker)
         happened += [(k, one.kind) for one in events.update(frame, k)]
     camera = next(one for one in events.cameras if one.y < 250)
-    assert happened == [(8, "seen"), (8, "seen")]
+    assert happened == [(7, "seen"), (7, "seen")]
     assert camera.track == 3 and camera.x == pytest.approx(323.6, abs=1)
 
 
@@ -115,6 +143,17 @@ def test_one_estimate_far_off_at_its_beginning_does_not_put_a_change_off() -> No
     events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)])
     rows = [[row(k, **gaze(0.3 if k >= 10 and k != 12 else 0.0))] for k in range(20)]
     assert told(events, rows) == [(4, "seen", ""), (14, "looks", "screen")]
+
+
+def test_an_estimate_far_off_as_the_second_does_not_put_a_change_off() -> None:
+    events = Events([Region("screen", 0.2, -0.1, 0.4, 0.1)])
+    rows = [[row(k, **gaze(0.3 if k >= 10 and k != 11 else 0.0))] for k in range(20)]
+    assert told(events, rows) == [(4, "seen", ""), (14, "looks", "screen")]
+
+
+def test_a_change_that_is_certain_need_not_last() -> None:
+    rows = [[replace(row(k, active=True if k >= 8 else None), certain=k == 8)] for k in range(12)]
+    assert told(Events(), rows) == [(4, "seen", ""), (8, "imaging", "")]
 
 
 def test_an_event_of_a_change_has_the_camera_before_and_after() -> None:

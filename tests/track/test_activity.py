@@ -83,6 +83,22 @@ def test_idle_is_only_said_of_a_camera_that_was_seen_imaging() -> None:
     assert opened.index(True) < 8
 
 
+def test_a_camera_that_rested_for_long_is_believed_nearly_as_soon() -> None:
+    frames: list[int] = []
+    for rest in (10, 1000):
+        one = Activity()
+        for k in range(rest * 15):
+            assert one.update(2e-4, k / 15) is None
+        frames.append([one.update(3e-2, rest + k / 15) for k in range(60)].index(True))
+    assert frames[1] - frames[0] <= 2
+
+
+def test_what_is_certain_takes_more_returns_than_what_is_said() -> None:
+    one = Activity()
+    said = [(one.update(3e-2, k / 15), one.certain) for k in range(10)]
+    assert 0 < said.index((True, False)) < said.index((True, True)) <= 4
+
+
 def test_nothing_is_said_where_no_return_is_seen() -> None:
     one = Activity()
     assert [one.update(3e-2, k / 15) for k in range(10)][-5:] == [True] * 5

@@ -42,6 +42,7 @@ _WRONG, _ENDS = 4, 0.4
 _LATEST_FRAMES = 3
 # A new camera that was unseen for so many frames and is found so many pixels away is another one.
 _UNSEEN, _FAR = 2, 24.0
+_TICK = 1e-6  # s, less than any frame: times are rounded
 T = TypeVar("T")
 
 
@@ -106,18 +107,19 @@ class _Held(Generic[T]):
         self._since = self._changed = -math.inf
         self._for = self._against = 0
 
-    def update(self, value: T, time: float) -> bool:
-        """Return whether the value changes now."""
+    def update(self, value: T, time: float, certain: bool = False) -> bool:
+        """Return whether the value changes now; one that is certain need not last."""
         if value == self._other:
             self._for += 1
         else:
             self._against += 1
-            # A reported value needs no share of frames: any other value may be the beginning of a change.
-            if self._other == self.value or self._against > _ENDS * (self._for + self._against):
+            # A reported value needs no share of frames: any other value may be the beginning of a change. One that is
+            # far off ends none, not even as the second.
+            if self._other == self.value or self._against > max(1, _ENDS * (self._for + self._against)):
                 self._other, self._since, self._for, self._against = value, time, 1, 0
         if value != self._other or value == self.value or self._against * _WRONG > self._for + self._against:
             return False
-        if time - self._since < self.hold or time - self._changed < self.cooldown:
+        if (time - self._since < self.hold and not certain) or time - self._changed < self.cooldown:
             return False
         self.value, self._changed = value, time
         return True
@@ -150,6 +152,11 @@ class _Stay:
         # Where it was first and last seen: the place of a track that coasts goes on.
         self.began = self.place = row.x, row.y
         self.frames, self.shown, self.unseen = len(lately), sum(lately), 0
+        # Most frames in a row that hid it before it was found again, and whether this frame shows it somewhere else: a
+        # lone camera that is missed as a reflection begins is taken to have moved there, until the next frame.
+        self.hidden, self.jumped = 0, False
+        # When the latest frame was that counts, and the least time between two.
+        self.counted, self.between = row.time, math.inf
         self.latest: deque[bool] = deque(lately, maxlen=_LATEST_FRAMES)
 
     def saw(self, row: TrackRow, before: CameraState, dark: bool, confirm: float) -> None:
@@ -162,18 +169,28 @@ class _Stay:
             if (away and self.unseen >= _UNSEEN) or row.time - self.last > confirm:
                 self.begins(row, row.time)
                 return
+            self.jumped = away and not self.jumped
         if row.seen:
             self.last, self.place = row.time, (row.x, row.y)
+            if self.unseen >= _UNSEEN:
+                self.hidden = max(self.hidden, self.unseen)
         if row.seen or not dark:
+            self.counted, self.between = row.time, min(self.between, row.time - self.counted)
             self.unseen = 0 if row.seen else self.unseen + 1
             self.frames, self.shown = self.frames + 1, self.shown + row.seen
             self.latest.append(row.seen)
 
-    @property
-    def stands(self) -> bool:
-        """Whether a camera that is new is there, by how many frames show it."""
-        now = sum(self.latest)
-        return 2 * now > len(self.latest) and 2 * self.shown > self.frames
+    def stands(self, confirm: float) -> bool:
+        """Return whether a camera that is new was there for so many seconds, by when and by how many frames show it."""
+        # It came on average half a frame before the first that shows it.
+        between = self.between if math.isfinite(self.between) else 0.0
+        if self.jumped or self.last - self.first + between / 2 < confirm - _TICK:
+            return False
+        # One that was hidden and is found at its place is judged by the other frames, if it was seen in most frames of
+        # that time.
+        enough = 2 * self.shown * between > confirm + between
+        most = 2 * self.shown > self.frames - (self.hidden if enough else 0)
+        return most and 2 * sum(self.latest) > len(self.latest)
 
 
 class Events:
@@ -277,7 +294,7 @@ class Events:
         if stay.ours is not None and self._still_ours(stay, row.time):
             return self._silenced(stay, utc_ns)
         if not stay.told:
-            if not row.seen or row.time - stay.first < self.confirm or not stay.stands:
+            if not row.seen or not stay.stands(self.confirm):
                 return []
             if self._taken_for_ours(stay, row.time):
                 return []
@@ -356,7 +373,7 @@ class Events:
 
     def _changes(self, stay: _Stay, row: TrackRow, utc_ns: int) -> list[Event]:
         told: list[Event] = []
-        if row.active is not None and stay.active.update(row.active, row.time):
+        if row.active is not None and stay.active.update(row.active, row.time, row.certain):
             told.append(self._event(stay, "update", "imaging" if row.active else "not imaging", utc_ns))
         if row.opened is not None and row.time - stay.opened >= self.cooldown:
             opened = utc_ns - round((row.time - row.opened) * 1e9)

@@ -43,10 +43,14 @@ _SEEN = {"clear": (0.005, 0.02, 0.08, 0.895), "faint": (0.12, 0.41, 0.26, 0.21),
 _CLEAR = list(_SEEN).index("clear")
 # Mean time between changes of the state, in seconds.
 _STAYS = 20.0
+# Mean time, in seconds, after which a sensor that hid may show: a camera turns, and stands before the probe otherwise.
+# Without it every idle second, in which a camera that shows its sensor might have begun to image, counts for one that
+# never does: after minutes at rest hardly any return could prove the contrary.
+_SHOWS = 600.0
 # Neighbouring frames resemble each other: so many of them count as one.
 _ALIKE = 2.0
-# Probability from which a state is stated.
-_SURE = 0.95
+# Probability from which a state is stated, and from which it is certain.
+_SURE, _CERTAIN = 0.95, 0.999
 
 
 @dataclass(frozen=True)
@@ -201,13 +205,23 @@ class Activity:
         """Probability that it images, by the returns so far."""
         return float(self._joint[0].sum())
 
+    @property
+    def certain(self) -> bool:
+        """Whether what the latest return says is beyond doubt: 99.9 % sure, where an answer takes 95 %."""
+        return max(self.imaging, float(self._joint[1, _CLEAR])) >= _CERTAIN
+
     def update(self, asymmetry: float | None, time: float) -> bool | None:
         """Take the asymmetry of a return at a time in seconds; None or NaN where none was seen.
 
         Returns True for imaging, False for idle, and None where it is unknown.
         """
-        stays = 1.0 if self.time is None else 0.5 + 0.5 * math.exp(-2 * max(0.0, time - self.time) / _STAYS)
+        passed = 0.0 if self.time is None else max(0.0, time - self.time)
+        stays = 0.5 + 0.5 * math.exp(-2 * passed / _STAYS)
         self._joint = stays * self._joint + (1 - stays) * self._joint[::-1]
+        # Never the other way: that a filter is clear stays known.
+        shows = self._joint * -math.expm1(-passed / _SHOWS)
+        self._joint = self._joint - shows
+        self._joint[:, _CLEAR] += shows.sum(1)
         self.time = time
         seen = asymmetry is not None and math.isfinite(asymmetry)
         if asymmetry is not None and seen:

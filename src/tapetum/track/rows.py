@@ -32,7 +32,7 @@ __all__ = ["TrackRow", "TrackedFrame", "retrack"]
 
 _BATCH = 2000
 # Fields of a row that are no columns of a table, or columns of another name.
-_NOT_COLUMNS = ("moment", "estimates", "opened", "since", "lately")
+_NOT_COLUMNS = ("moment", "estimates", "certain", "opened", "since", "lately")
 
 
 @dataclass(frozen=True)
@@ -55,6 +55,8 @@ class TrackRow:
         What happened to the track in this frame (see `TrackPoint`).
     active
         Whether the camera images now (see `tapetum.track.activity`); None where it is unknown or was not asked for.
+    certain
+        Whether `active` is beyond doubt (see `Activity.certain`). Not in tables.
     opened
         In the frame in which it was noticed that a shutter opened on the camera's sensor: when that was, seconds. In
         tables it is part of `event`.
@@ -83,6 +85,7 @@ class TrackRow:
     seen: bool
     event: str = ""
     active: bool | None = None
+    certain: bool = False
     opened: float | None = None
     since: float | None = None
     lately: tuple[bool, ...] = ()
@@ -154,6 +157,7 @@ class TrackedFrame:
                 known = activities.setdefault(point.track, Activity())
                 before = known.opened
                 place["active"] = known.update(None if n is None else answers[n].get("asymmetry"), about["time"])
+                place["certain"] = place["active"] is not None and known.certain
                 place["opened"] = None if known.opened == before else known.opened
             rows.append(TrackRow(**about, **place, **spot, estimates={} if n is None else answers[n]))
         return cls(**about, rows=tuple(rows), detections=found, estimates=tuple(answers), size=size)

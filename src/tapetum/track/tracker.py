@@ -102,6 +102,8 @@ class _Track:
         # Where it would be had it not followed a jump, and for how many frames that is remembered.
         self.home: Array | None = None
         self.homing = 0
+        # When it was last taken to have jumped before it had a number, which may have been another spot.
+        self.guessed = -math.inf
         self.devices: Counter[str] = Counter()
 
     @property
@@ -287,7 +289,7 @@ class Tracker:
             track.predict(dt, self.acceleration)
         alone = {track: track.state[0] for track in self._tracks if track.number is not None and not track.misses}
         if self.shake > 0 and self._tracks and len(place):
-            self._move_together(place, peak, diameter)
+            self._move_together(place, peak, diameter, time)
 
         costs, _ = self._fit(place, peak, diameter, noise)
         costs += _UNNAMED * np.array([[track.number is None] for track in self._tracks]).reshape(-1, 1)
@@ -325,7 +327,9 @@ class Tracker:
         for track in self._tracks:
             times = [one for one in track.lately if one is not None]
             if track.number is None and len(times) >= self.persist[0]:
-                track.number, track.since, self._next = self._next, times[0], self._next + 1
+                # Of a jump that was guessed, what came before may have been another spot.
+                track.since = min([one for one in times if one >= track.guessed], default=time)
+                track.number, self._next = self._next, self._next + 1
                 events[track] = "begun"
         points: list[TrackPoint] = []
         for track in [*self._tracks, *(ended if self.endings else ())]:
@@ -347,12 +351,12 @@ class Tracker:
             x, y = _within(track.state[0], size) if n is None else place[n].tolist()
             vx, vy = track.state[1].tolist()
             detection = None if n is None else int(numbers[n])
-            lately = tuple(one is not None for one in track.lately)
+            lately = tuple(one is not None and one >= track.guessed for one in track.lately)
             points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, ""), track.since, lately))
         return sorted(points, key=lambda point: point.track)
 
-    def _move_together(self, place: Array, peak: Array, diameter: Array) -> None:
-        """Move all tracks by what they share since the frame before."""
+    def _move_together(self, place: Array, peak: Array, diameter: Array, time: float) -> None:
+        """Move all tracks by what they share since the frame before, at a time."""
         expected = np.array([track.state[0] for track in self._tracks])
         # A place that coasts for long says little about the next.
         steady = np.array([track.misses <= 2 for track in self._tracks])
@@ -371,6 +375,7 @@ class Tracker:
             if motion is not None:
                 for track in self._tracks:
                     track.home, track.homing = track.state.copy(), _HOMING
+                    track.guessed = time if track.number is None else track.guessed
                     # Of few tracks the jump may make good a wrong velocity, which would be wrong again.
                     track.state[1] *= 0.5
         if motion is not None:
