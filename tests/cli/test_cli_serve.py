@@ -72,7 +72,11 @@ def test_rules_that_tell_an_output_that_is_none_are_refused(run: Callable[..., o
     assert ran.code == 2 and "there is no output 'pager'" in ran.complaint  # pyright: ignore[reportAttributeAccessIssue]
 
 
-def test_a_port_in_use_is_refused(run: Callable[..., object]) -> None:
+def test_a_port_in_use_is_refused_before_anything_takes_time(
+    run: Callable[..., object], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # What would take seconds to import is not to be had.
+    monkeypatch.setitem(sys.modules, "tapetum.live.app", None)
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))
         taken.listen()

@@ -100,6 +100,10 @@ def serve(
 
     Ends with Ctrl-C; the page stays after a stored source's end. SOURCE bench shows the virtual bench with sliders.
     """
+    # Before the imports, which take seconds: who forgot a watch that still runs is told at once.
+    if token is not None and len(token) < 16:
+        raise InputError(f"has {len(token)} characters", where="--token", remedy="give 16 or more, or leave it out")
+    bound = _bound(address, port)
     from tapetum.live.app import make_app
     from tapetum.live.doors import is_loopback, make_token
     from tapetum.live.log import Log
@@ -118,11 +122,8 @@ def serve(
         # What they are made for.
         detector, models = "spots", ["thin-lens-gaze"]
     detector = one_of(detector or "cameras", tuple(DETECTORS), "--detector")
-    if token is not None and len(token) < 16:
-        raise InputError(f"has {len(token)} characters", where="--token", remedy="give 16 or more, or leave it out")
     if token is None and not is_loopback(address):
         token = make_token()
-    bound = _bound(address, port)
     if source == "bench" and not Path(source).exists():
         from tapetum.live.doors import Doors
         from tapetum.live.playground.router import make_play_app
