@@ -130,7 +130,8 @@ def validated(request: pytest.FixtureRequest) -> Validated:
 def processes() -> ForkServerContext:
     """For processes that a test kills or limits: they fork from one that has loaded the libraries for all tests."""
     context = multiprocessing.get_context("forkserver")
-    context.set_forkserver_preload(["tapetum.live.recorder", "tapetum.live.log", "tapetum.track.pipeline"])
+    modules = ("live.recorder", "live.log", "track.pipeline", "data.synth.work")
+    context.set_forkserver_preload([f"tapetum.{name}" for name in modules])
     return context
 
 
