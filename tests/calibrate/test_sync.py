@@ -97,7 +97,7 @@ def test_a_measured_lag_is_put_right(tmp_path: Path) -> None:
 
 
 def test_the_command_and_its_misuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    blinked(tmp_path / "a.rec", 2, words=3, told=False)
+    blinked(tmp_path / "a.rec", 2, words=2, told=False)
     blinked(tmp_path / "dark.rec", 2, words=1, unseen=True)
     assert code_of(open_recording(tmp_path / "a.rec")) is None
 
