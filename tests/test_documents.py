@@ -112,7 +112,14 @@ def test_the_readme_can_be_followed_in_an_empty_folder(reader: Path, brief, caps
 
 
 @pytest.mark.parametrize("languages", [PYTHON, ALL])
-def test_the_guide_can_be_followed_in_an_empty_folder(reader: Path, brief, capsys, languages: tuple[str, ...]):
+def test_the_guide_can_be_followed_in_an_empty_folder(
+    reader: Path, brief, capsys, monkeypatch: pytest.MonkeyPatch, languages: tuple[str, ...]
+):
+    from tapetum.models.architectures import resnet18
+
+    # Its network is the reader's own, of any width.
+    monkeypatch.setattr(resnet18, "_WIDTHS", (8, 16, 32, 64))
+    monkeypatch.setattr(resnet18.ResNet18Network, "width", 64)
     names = follow(GUIDE, languages)
     assert names["images"].irradiance.shape == (3, 256, 256)
     assert names["turn"].grad.abs().sum() > 0

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import multiprocessing
 import os
 import signal
 import sys
+from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import psutil
@@ -18,12 +20,21 @@ from tapetum.data.synth.store import Staging
 from tapetum.errors import InputError, MissingExtraError, TapetumError
 
 
+@pytest.fixture
+def forked(processes: ForkServerContext, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Processes that film fork from one that has loaded the libraries; one test starts them as they are."""
+    monkeypatch.setattr(multiprocessing, "get_context", lambda method: processes)
+
+
 def workers() -> list[psutil.Process]:
     """Worker processes that this one has started and that still run."""
     found = []
     for child in psutil.Process().children(recursive=True):
         try:
-            if any("spawn_main" in word for word in child.cmdline()):
+            words = child.cmdline()
+            # What a process forked from is none itself.
+            forked = any("forkserver" in word for word in words) and child.ppid() != os.getpid()
+            if forked or any("spawn_main" in word for word in words):
                 found.append(child)
         except psutil.NoSuchProcess:  # ended meanwhile; a zombie, whose end nobody has asked for yet, is one of these
             continue
@@ -122,7 +133,7 @@ def test_processes_without_dask_one_killed_half_way_give_the_same_bytes(
     assert workers() == []
 
 
-def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path):
+def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path, forked: None):
     def kill(items, what, *, total=None):
         for item in items:
             yield item
@@ -136,7 +147,7 @@ def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path)
     assert digest(out) == alone
 
 
-def test_a_process_that_fails_says_why(tmp_path: Path):
+def test_a_process_that_fails_says_why(tmp_path: Path, forked: None):
     plan = little_plan(2)
     staging = Staging.begin(tmp_path / "set.zarr", plan)
     missing = Part(99, 0, 10**6, 10**6 + 1)

@@ -1,4 +1,4 @@
-"""The demo end to end, on a recording of four seconds."""
+"""The demo end to end, on a recording of some seconds."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     said: list[str] = []
     # Few gazes in the maps: each is an image in fine sampling.
     monkeypatch.setattr(demo, "_MAP", (3, 3))
-    outcome = run_demo(tmp_path / "out", seconds=4.0, seed=3, say=said.append)
+    outcome = run_demo(tmp_path / "out", seconds=2.8, seed=3, say=said.append)
     page = outcome.report.read_text(encoding="utf-8")
     # Self-contained: nothing is asked of any network.
     assert not re.search(r"(src|href)=[\"']https?://", page)
@@ -51,7 +51,7 @@ def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(demo, "sign_dprime", lambda scene, gaze: torch.zeros(len(gaze), dtype=torch.float64))
     video = outcome.folder / "demo.rec" / "probe.mkv"
     before, first = video.stat().st_mtime_ns, outcome.report.stat().st_mtime_ns
-    run_demo(tmp_path / "out", seconds=4.0, seed=3)
+    run_demo(tmp_path / "out", seconds=2.8, seed=3)
     assert video.stat().st_mtime_ns == before and outcome.report.stat().st_mtime_ns > first
 
 

@@ -79,6 +79,7 @@ def test_frames_that_are_refused_do_not_widen_the_others() -> None:
     np.testing.assert_array_equal(found.at(np.array([1.0]))[0], near)
 
 
+@pytest.mark.usefixtures("narrow")
 @pytest.mark.parametrize("kind", ["ridge", "network"])
 def test_a_model_knows_two_kinds_of_copies(kind: str, small: xr.Dataset, tmp_path: Path) -> None:
     told = [{"name": "a", "uuid": "one"}, {"name": "b", "uuid": "two"}]
@@ -127,6 +128,7 @@ def test_a_copy_of_the_training_calibrates_nothing(small: xr.Dataset) -> None:
     assert model.predict(copies(2), anyway=True).unit == "own"
 
 
+@pytest.mark.usefixtures("narrow")
 def test_the_exported_file_carries_both(small: xr.Dataset, tmp_path: Path) -> None:
     pytest.importorskip("onnxruntime")
     pytest.importorskip("onnx")

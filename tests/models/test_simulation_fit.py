@@ -127,7 +127,8 @@ def test_shows_how_far_it_is_one_bar_after_the_other(scene: Scene):
         yield from items
         inside -= 1
 
-    frames = filmed(scene, np.array([[0.1, 0.05], [-0.05, 0.1]]), 5)
+    # Near nodes of the bank, where the first start explains a frame.
+    frames = filmed(scene, np.array([[0.23, 0.01], [-0.01, 0.23]]), 5)
     small = SimulationFit(scene, nodes=5, starts=1, window=128)
     found = small.predict(frames, progress=shown)
     assert told[-1] == "fitting: 2"

@@ -81,9 +81,19 @@ class Traced:
         """z of surface i at the squared distance r2 from the axis, and its derivative by r2."""
         c, root = self.curvature[i], np.sqrt(1 - (1 + self.conic[i]) * self.curvature[i] ** 2 * r2)
         value, slope = c * r2 / (1 + root), c / (2 * root)
-        for power, factor in self.asphere[i]:
-            value = value + factor * r2 ** (power / 2)
-            slope = slope + factor * power / 2 * r2 ** (power / 2 - 1)
+        terms = dict(self.asphere[i])
+        # By Horner's rule, even powers and odd ones apart: NumPy's powers of arrays take ten times as long.
+        for odd in (0, 1):
+            some = [power for power in terms if power % 2 == odd]
+            if not some:
+                continue
+            sum_of, by_r2 = np.zeros_like(r2), np.zeros_like(r2)
+            for power in range(max(some), 1, -2):
+                sum_of = sum_of * r2 + terms.get(power, 0.0)
+                by_r2 = by_r2 * r2 + terms.get(power, 0.0) * power / 2
+            # The lowest power of the sums is 2, or 3 with one more distance.
+            r = np.sqrt(r2) if odd else 1.0
+            value, slope = value + sum_of * r2 * r, slope + by_r2 * r
         return value, slope
 
     def trace(self, position: Real, direction: Real, stop_at: int | None = None) -> Bundle:

@@ -46,7 +46,7 @@ def traced(name: str, f_number: float) -> dict[str, Any]:
 
 
 def camera_of(scene: Scene, steepest: float = 0.015) -> Camera:
-    return Camera(scene, steepest, dtype=torch.complex128, device="cpu")
+    return Camera(scene, steepest, device="cpu")
 
 
 def saved(folder: Path, values: np.ndarray, pitch: float) -> dict[str, Any]:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from typing import Any
 
 import pytest
 import torch
+import traced_cases
 from traced_cases import (
     PROBE_FOCAL,
     WAVELENGTH,
@@ -19,7 +21,6 @@ from traced_cases import (
     finer,
     huygens,
     picture,
-    planned,
     traced,
     with_mirror_at,
 )
@@ -35,6 +36,7 @@ from tapetum.simulate.traced_pass import TracedGrids, TracedPass
 
 SECTION = "Traced lenses"
 PHONE = Case("phone-d", 6.0)
+planned = functools.lru_cache(maxsize=4)(traced_cases.planned)
 FAR_MENISCUS = Case("la1509", 1.2, f_number=100 / 6)
 
 

@@ -236,11 +236,10 @@ def huygens(
 
 def _beyond(u: torch.Tensor, p: torch.Tensor, y0: torch.Tensor) -> torch.Tensor:
     """|u - p| - |y0 - p|, [U, N], without the difference of two long ways."""
-    apart = u[:, None, :] - p
-    first = y0 - p
-    near, far = torch.linalg.vector_norm(first, dim=-1), torch.linalg.vector_norm(apart, dim=-1)
-    move = u - y0
-    return ((move[:, None, :] * first).sum(-1) * 2 + (move**2).sum(-1)[:, None]) / (near + far)
+    first, move = y0 - p, u - y0
+    near = torch.linalg.vector_norm(first, dim=-1)
+    more = 2 * move @ first.T + (move**2).sum(-1)[:, None]
+    return more / (near + torch.sqrt(near**2 + more))
 
 
 def _kernel_parts(

@@ -261,11 +261,11 @@ class Normal:
         for chunk in progress(chunks, "simulating frames"):
             poses = [state.poses[n] for n in chunk]
             beside = [self._beside(other, poses) for other in others]
+            own = self._rendered(pictures, chunk, poses)
             for k, n in enumerate(chunk):
                 made = [(one[k], step) for one, step in zip(beside, steps, strict=True)]
-                found.append(
-                    self._frame(n, state, pictures, made if near is None else near.frames[n].rows, shared, doubt)
-                )
+                rows = made if near is None else near.frames[n].rows
+                found.append(self._frame(n, state, pictures, rows, shared, doubt, own[k]))
         at = state.coordinates if near is None else near.at
         return _reduced(state, found, len(self.parameters) if shared else 0, at, doubt)
 
@@ -310,6 +310,19 @@ class Normal:
         own = {"object_distance": target.object_distance, "focal_length": target.lens.focal_length}
         return pictures.render_each([replace(pose, **own) for pose in poses])
 
+    def _rendered(self, pictures: Pictures, chunk: Sequence[int], poses: list[Pose]) -> list[Array | None]:
+        """Return the images that each frame's `Search.tangent` compares; None where it makes them itself."""
+        if len({pose.roll != 0 for pose in poses}) > 1:
+            return [None] * len(poses)
+        names = self.names(pictures)
+        searches = [self.search(self.frames[n], pictures) for n in chunk]
+        gazes = np.stack([one.gazes(pose, names) for one, pose in zip(searches, poses, strict=True)])
+        each = [
+            replace(pose, gaze=(float(x), float(y))) for pose, own in zip(poses, gazes, strict=True) for x, y in own
+        ]
+        made = pictures.render_each(each)
+        return list(made.reshape(*gazes.shape[:2], *made.shape[1:]))
+
     def _frame(
         self,
         n: int,
@@ -318,10 +331,11 @@ class Normal:
         near: list[tuple[Array, float]] | NDArray[np.float32],
         shared: bool,
         doubt: float,
+        images: Array | None,
     ) -> _Frame:
         pose, slow, frame = state.poses[n], state.slow[n], self.frames[n]
         search, names = self.search(frame, pictures), self.names(pictures)
-        mean, slopes = search.tangent(pose, slow, names)
+        mean, slopes = search.tangent(pose, slow, names, images)
         # The picture at the pose itself: without the slow gaze's part, which the neighbours do not have either.
         light = mean - pose.background - (slow @ slopes[:2] if pictures.period is not None else 0.0)
         expected, bend, variance = self.model(mean)

@@ -37,9 +37,9 @@ def placed_in(normal: Normal, coordinates: Array) -> State:
     """Return a state with every gaze at its label, and every place and brightness as they match the frame best."""
     pictures = normal.pictures(coordinates)
     poses: list[Pose] = []
-    for frame in normal.frames:
-        pose = replace(pictures.start(), gaze=_inside(frame.gaze))
-        found = Templates(pictures, [pose]).match(*_weighed(normal, frame))[0][0]
+    templates = Templates(pictures, [replace(pictures.start(), gaze=_inside(frame.gaze)) for frame in normal.frames])
+    for number, frame in enumerate(normal.frames):
+        ((found, _),) = templates.match(*_weighed(normal, frame), [number])
         if pictures.period is not None:
             found = normal.search(frame, pictures).in_phase(found)
         poses.append(found)

@@ -147,18 +147,30 @@ class Search:
         solved = np.linalg.solve(columns @ columns.T + 1e-9 * np.eye(4), columns @ rest)
         return float((rest - solved @ columns) @ (rest - solved @ columns))
 
-    def tangent(self, pose: Pose, slow: Array, names: tuple[str, ...]) -> tuple[Array, Array]:
-        """Return the mean electrons [N] at a pose, and their derivatives [P, N] by the free parameters."""
-        pictures, scene = self.pictures, self.pictures.scene
-        gaze, period = np.array(pose.gaze), pictures.period
-        phase = PHASE[0] in names
-        steps = [*np.diag(pictures.spot * _SPOT_SHARE if period is None else period * _PERIOD_SHARE)]
-        if phase:
+    def gazes(self, pose: Pose, names: tuple[str, ...]) -> Array:
+        """Return the gazes [G, 2] whose images `tangent` compares, the pose's own first."""
+        gaze, inward = np.array(pose.gaze), _inward(pose)
+        return np.stack([gaze, *(gaze + inward * step for step in self._steps(names))])
+
+    def _steps(self, names: tuple[str, ...]) -> list[Array]:
+        period = self.pictures.period
+        steps = [*np.diag(self.pictures.spot * _SPOT_SHARE if period is None else period * _PERIOD_SHARE)]
+        if PHASE[0] in names:
             assert period is not None
             steps = [*np.diag(_PERIODS * period), *steps]
-        # Steps go towards the middle and so stay in the field.
-        inward = np.where(gaze > 0, -1.0, 1.0)
-        made = pictures.render(pose, np.stack([gaze, *(gaze + inward * step for step in steps)]))
+        return steps
+
+    def tangent(
+        self, pose: Pose, slow: Array, names: tuple[str, ...], made: Array | None = None
+    ) -> tuple[Array, Array]:
+        """Return the mean electrons [N] at a pose, and their derivatives [P, N] by the free parameters.
+
+        `made` are the images of the pose at its `gazes`, where they are there already.
+        """
+        pictures, scene = self.pictures, self.pictures.scene
+        gaze, phase, inward, steps = np.array(pose.gaze), PHASE[0] in names, _inward(pose), self._steps(names)
+        if made is None:
+            made = pictures.render(pose, self.gazes(pose, names))
         scale = pose.power / scene.illumination.power
         shown = light = made[0]
         sizes = [float(inward @ step) for step in steps]
@@ -215,6 +227,11 @@ class Search:
             focal_length=pose.focal_length + by.get("focal_length", 0.0),
         )
         return moved, wanted - gaze if PHASE[0] in names else np.zeros(2)
+
+
+def _inward(pose: Pose) -> Array:
+    """Return the directions of steps of the gaze: towards the middle, and so within the field."""
+    return np.where(np.array(pose.gaze) > 0, -1.0, 1.0)
 
 
 def _slopes(picture: Array) -> tuple[Array, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import groupby
 
 import numpy as np
 from numpy import fft
@@ -17,6 +18,8 @@ __all__ = ["Bank", "Templates"]
 Array = NDArray[np.float64]
 # Binning along each axis, and largest distance of an RR from the crop's middle, in binned pixels.
 _BIN, _REACH = 2, 20
+# Poses rendered at once: alone, each costs several times as much.
+_TOGETHER = 12
 
 
 class Templates:
@@ -34,20 +37,25 @@ class Templates:
         size = -(-(pictures.side // _BIN + 2 * _REACH) // 16) * 16
         self._shape = (size, size)
         self._templates: list[tuple[NDArray[np.complex128], NDArray[np.complex128]]] = []
-        for pose in progress(self.poses, "rendering the field"):
-            light = _binned(pictures.render(pose, np.array(pose.gaze) + steps).mean(0))
-            self._templates.append((fft.rfft2(light, self._shape), fft.rfft2(light**2, self._shape)))
+        for some in progress(_alike(self.poses), "rendering the field"):
+            shifted = [(pose, np.array(pose.gaze) + step) for pose in some for step in steps]
+            made = pictures.render_each([replace(pose, gaze=(float(x), float(y))) for pose, (x, y) in shifted])
+            for light in made.reshape(len(some), len(steps), *made.shape[1:]).mean(1):
+                binned = _binned(light)
+                self._templates.append((fft.rfft2(binned, self._shape), fft.rfft2(binned**2, self._shape)))
 
-    def match(self, electrons: Array, weight: Array) -> list[tuple[Pose, float]]:
+    def match(self, electrons: Array, weight: Array, numbers: Sequence[int] | None = None) -> list[tuple[Pose, float]]:
         """Return every pose at the place and power that fit a crop best, with the weighted squares that it explains.
 
-        `electrons` and `weight` are [side, side] of a crop and its pixels' inverse variances, 0 where saturated.
+        `electrons` and `weight` are [side, side] of a crop and its pixels' inverse variances, 0 where saturated;
+        `numbers` are those of the poses that are wanted.
         """
         weights = _binned(weight)
         values = _binned(electrons * weight) / np.maximum(weights, 1e-30)
         values = values - float((weights * values).sum() / weights.sum())
         known = fft.rfft2(weights, self._shape), fft.rfft2(weights * values, self._shape)
-        return [self._placed(number, known, float(weights.sum())) for number in range(len(self.poses))]
+        wanted = range(len(self.poses)) if numbers is None else numbers
+        return [self._placed(number, known, float(weights.sum())) for number in wanted]
 
     def _placed(
         self, number: int, known: tuple[NDArray[np.complex128], NDArray[np.complex128]], total: float
@@ -97,6 +105,12 @@ class Bank:
             if not near and len(chosen) < count:
                 chosen.append(pose)
         return chosen
+
+
+def _alike(poses: Sequence[Pose]) -> list[list[Pose]]:
+    """Return runs of poses that are rendered together: of one focus, and all turned or none."""
+    runs = groupby(poses, key=lambda one: (one.object_distance, one.focal_length, one.roll != 0))
+    return [some[k : k + _TOGETHER] for _, own in runs for some in [list(own)] for k in range(0, len(some), _TOGETHER)]
 
 
 def _binned(picture: Array) -> Array:
