@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from tapetum.optics.fourier import folded, phasor, real_times
+from tapetum.optics.fourier import fast_sums, folded, phasor, real_times
 from tapetum.simulate.pupils import Gazes, Leaving, Pupil
 from tapetum.simulate.spot_window import SpotWindow
 from tapetum.simulate.surfaces import Mask, Surface
@@ -299,18 +299,11 @@ class _Fast:
 
     def __call__(self, spot: torch.Tensor) -> torch.Tensor:
         """From the plane [B, n, n or n/2] to the directions [B, y, x]."""
-        back = self._sums(spot * self.rows[0][..., None], self.rows[1].shape[-1], -2)
+        back = fast_sums(spot * self.rows[0][..., None], self.turn, self.rows[1].shape[-1], -2, 1)
         if back.shape[-1] < self.count:
             back = _unfolded(back, -1, self.count)
-        back = self._sums(back * self.columns[0][:, None], self.columns[1].shape[-1], -1)
+        back = fast_sums(back * self.columns[0][:, None], self.turn, self.columns[1].shape[-1], -1, 1)
         return back * self.columns[1][:, None] * self.rows[1][..., None]
-
-    def _sums(self, field: torch.Tensor, count: int, dim: int) -> torch.Tensor:
-        """The first sums of the transform; they repeat after `turn`."""
-        sums = torch.fft.ifft(field, self.turn, dim, norm="forward")
-        if count <= self.turn:
-            return sums.narrow(dim, 0, count)
-        return sums.index_select(dim, torch.arange(count, device=field.device) % self.turn)
 
 
 def _gathered(kernel: torch.Tensor, field: torch.Tensor) -> torch.Tensor:

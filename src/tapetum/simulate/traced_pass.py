@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import torch
-from scipy.fft import next_fast_len
 
+from tapetum.optics.fourier import fast_beats_products, fast_length
 from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits
 from tapetum.simulate.sampled_pass import SampledPass
@@ -17,10 +16,9 @@ from tapetum.simulate.traced_pupil import TracedPupil
 
 __all__ = ["TracedGrids", "TracedPass"]
 
-# Gazes computed together, and memory for them in bytes: of a sample of the pupils, and of a mask's.
-_AT_ONCE, AT_ONCE_BYTES, _SAMPLE, _MASK_SAMPLE = 32, 192 << 20, 96, 48
-# Operations of a matrix product in the time of one of a fast transform.
-_SLOWER = 10.0
+# Gazes computed together, and memory for them in bytes: of a sample of the pupils, of the probe's aperture, and of a
+# mask's.
+_AT_ONCE, AT_ONCE_BYTES, _SAMPLE, _CROSSING_SAMPLE, _MASK_SAMPLE = 32, 192 << 20, 96, 32, 48
 
 
 @dataclass(frozen=True)
@@ -89,6 +87,8 @@ class TracedPass(SampledPass[TracedPupil]):
         self.accepted, self.wavelength = accepted, wavelength
         samples = grids.pupil, grids.returning, grids.leaving or grids.pupil
         needed = _SAMPLE * (sum(side**2 for side in samples) + grids.sensor**2)
+        if path.aperture is not None:
+            needed += _CROSSING_SAMPLE * path.aperture.columns * path.aperture.rows
         if mask is not None:
             needed += _MASK_SAMPLE * grids.sensor**2
         window = SpotWindow(grids.sensor, grids.half_width, grids.flat)
@@ -96,7 +96,7 @@ class TracedPass(SampledPass[TracedPupil]):
         straight = straight and all(order.direction == (0.0, 0.0) for order in surface.orders)
         # Directions that fast transforms give are as close as those wanted, or closer.
         sine = self.fits.aperture[0] if self.fits.part is None else min(self.fits.aperture[0], self.fits.part.sine)
-        turn = _fast_length(math.ceil(wavelength * grids.returning / (2 * sine * window.step)))
+        turn = fast_length(wavelength * grids.returning / (2 * sine * window.step))
         fast = _is_faster(turn, grids, straight)
         pupil = TracedPupil(
             self.fits,
@@ -128,12 +128,6 @@ class TracedPass(SampledPass[TracedPupil]):
         return (light.strength**2).sum((1, 2)) / cell * 2 ** sum(light.mirrored)
 
 
-def _fast_length(least: int) -> int:
-    found = next_fast_len(least)
-    assert found is not None
-    return found
-
-
 def _is_faster(turn: int, grids: TracedGrids, straight: bool) -> bool:
     """Whether fast transforms bring the spot to the returning directions sooner than matrix products do."""
     spot, back = grids.sensor, grids.returning
@@ -141,4 +135,4 @@ def _is_faster(turn: int, grids: TracedGrids, straight: bool) -> bool:
     lines = spot / 2 + back
     if not straight:
         products, lines = 4 * (back * spot**2 + back**2 * spot), spot + back
-    return _SLOWER * lines * 5 * turn * math.log2(max(turn, 2)) < products
+    return fast_beats_products(turn, lines, products)
