@@ -4,9 +4,6 @@ Soummer, Pueyo, Sivaramakrishnan and Vanderbei, "Fast computation of Lyot-style 
 Opt. Express 15, 15935 (2007).
 """
 
-# SciPy types its transforms in part only, torch those of its own.
-# pyright: reportMissingTypeStubs=false, reportUnknownVariableType=false
-
 from __future__ import annotations
 
 import math
@@ -14,10 +11,9 @@ from functools import cached_property
 from typing import Any
 
 import torch
-from scipy.fft import next_fast_len
 
 __all__ = ["BandLimitedFourier", "FoldedKernel", "MatrixFourier", "chebyshev_lift", "folded", "naive_fourier", "paired"]
-__all__ += ["fast_beats_products", "fast_length", "fast_sums", "phasor", "real_times"]
+__all__ += ["fast_beats_products", "fast_sums", "phasor", "real_times"]
 
 # Operations of a matrix product in the time of one of a fast transform.
 _SLOWER = 10.0
@@ -43,13 +39,6 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
 
 # Largest change of a phase, in radians, for which a kernel's second derivative suffices: the third adds 1e-6.
 _SMALL_TURN = 0.02
-
-
-def fast_length(least: float) -> int:
-    """Samples, at least so many, of a transform that is fast."""
-    found = next_fast_len(math.ceil(least))
-    assert found is not None
-    return found
 
 
 def fast_sums(field: torch.Tensor, turn: int, count: int, dim: int, sign: int) -> torch.Tensor:

@@ -251,8 +251,8 @@ def returning_field(
     kappa, beta = k / (2 * z), vergence + 1 / (2 * z)
     # Far out the removed curvature's phase changes faster than the field's own.
     spacing = 0.6 * math.pi / (kappa * (reach + margin + radius))
-    found = disc_transform(radius, k * beta / 2, kappa, reach + margin, spacing=spacing, moments=True)
-    disc, step, first, second = found
+    found = disc_transform(radius, k * beta / 2, kappa, reach + margin, spacing=spacing, moments=partials)
+    disc, step = found[:2]
     xi = np.arange(len(disc)) * step
     carrier = np.exp(-1j * k * xi**2 / (4 * z)) / (2j * wavelength * z)
     finest = max(1, math.ceil(k * high * step / _TURN))
@@ -260,6 +260,7 @@ def returning_field(
     count = math.ceil(reach / step * finest) + 4
     tables = {"": carrier * disc}
     if partials:
+        first, second = found[2:]
         # ρ² under the integral is -∇²/κ² outside it.
         around = np.concatenate([second[:1], first[1:] / xi[1:]])
         rho_squared = -(second + around) / kappa**2

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 
-from tapetum.optics.fourier import fast_beats_products, fast_length
+from tapetum.optics.fourier import fast_beats_products
+from tapetum.optics.propagate import fast_length
 from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits
 from tapetum.simulate.sampled_pass import SampledPass
@@ -96,7 +98,7 @@ class TracedPass(SampledPass[TracedPupil]):
         straight = straight and all(order.direction == (0.0, 0.0) for order in surface.orders)
         # Directions that fast transforms give are as close as those wanted, or closer.
         sine = self.fits.aperture[0] if self.fits.part is None else min(self.fits.aperture[0], self.fits.part.sine)
-        turn = fast_length(wavelength * grids.returning / (2 * sine * window.step))
+        turn = fast_length(math.ceil(wavelength * grids.returning / (2 * sine * window.step)))
         fast = _is_faster(turn, grids, straight)
         pupil = TracedPupil(
             self.fits,
