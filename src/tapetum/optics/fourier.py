@@ -7,11 +7,21 @@ Opt. Express 15, 15935 (2007).
 from __future__ import annotations
 
 import math
+from functools import cached_property
+from typing import Any
 
 import torch
 
 __all__ = ["BandLimitedFourier", "FoldedKernel", "MatrixFourier", "chebyshev_lift", "folded", "naive_fourier", "paired"]
-__all__ += ["phasor", "real_times"]
+__all__ += ["fast_beats_products", "fast_sums", "phasor", "real_times"]
+
+# Operations of a matrix product in the time of one of a fast transform.
+_SLOWER = 10.0
+
+
+def fast_beats_products(turn: int, lines: float, products: float) -> bool:
+    """Whether fast transforms of so many lines of `turn` samples take less time than products of so many operations."""
+    return _SLOWER * lines * 5 * turn * math.log2(max(turn, 2)) < products
 
 
 def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tensor:
@@ -29,6 +39,18 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
 
 # Largest change of a phase, in radians, for which a kernel's second derivative suffices: the third adds 1e-6.
 _SMALL_TURN = 0.02
+
+
+def fast_sums(field: torch.Tensor, turn: int, count: int, dim: int, sign: int) -> torch.Tensor:
+    """Σ_j field[j] exp(sign 2πi jm/turn) along a dimension, for m from 0 to count - 1; they repeat after `turn`."""
+    transforms: Any = torch.fft
+    if sign < 0:
+        sums: torch.Tensor = transforms.fft(field, turn, dim)
+    else:
+        sums = transforms.ifft(field, turn, dim, norm="forward")
+    if count <= turn:
+        return sums.narrow(dim, 0, count)
+    return sums.index_select(dim, torch.arange(count, device=field.device) % turn)
 
 
 class MatrixFourier:
@@ -114,6 +136,30 @@ class BandLimitedFourier:
             nodes = real_times(self._lift_y, nodes)
         return nodes if down is None else nodes * down[..., :, None]
 
+    def lift_pairs(self, nodes: torch.Tensor, across: torch.Tensor | None = None) -> torch.Tensor:
+        """`lift` to rows in pairs about zero: their sums and differences as of `folded`, [..., 2, (V + 1) // 2, U]."""
+        if self._lift_x is not None:
+            nodes = real_times(self._lift_x, nodes.mT).mT
+        if across is not None:
+            nodes = nodes * across[..., None, :]
+        return folded(nodes) if self._lift_y is None else real_times(self._pairs_y, folded(nodes))
+
+    @cached_property
+    def _pairs_y(self) -> torch.Tensor:
+        """The rows' lift for sums and differences of nodes in pairs, [2, (V + 1) // 2, (V' + 1) // 2]."""
+        assert self._lift_y is not None
+        count = self._lift_y.shape[1]
+        upper, half = self._lift_y[: (len(self._lift_y) + 1) // 2], (count + 1) // 2
+        near, far = upper[:, :half], upper.flip(1)[:, :half]
+        both = torch.stack([near + far, near - far])
+        # A node in the middle is its own partner.
+        return both * _halved_last(half, both) if count % 2 else both
+
+    @property
+    def lifts_columns(self) -> bool:
+        """Whether columns are interpolated from nodes."""
+        return self._lift_x is not None
+
     def lift_squared(self, nodes: torch.Tensor) -> torch.Tensor:
         """Absolute square of `lift`, real [..., V, U]."""
         if self._lift_x is not None:
@@ -155,19 +201,22 @@ class FoldedKernel:
         paired = torch.allclose(u, -u.flip(0), rtol=0, atol=1e-12 * float(u.abs().max()))
         # A node in the middle is its own partner.
         self._half, self._paired = (u[: len(u) - half], half) if paired else (u, 0)
-        self._kernel = self._waves(self._kappa * self._half)
         # Largest phase of the kernel, and its first two derivatives with respect to a scale of the nodes, once needed.
         self._turn = float((self._kappa * self._half).detach().abs().max() * self._x.detach().abs().max())
         self._derivatives: tuple[torch.Tensor, torch.Tensor] | None = None
+
+    @cached_property
+    def _kernel(self) -> torch.Tensor:
+        return self._waves(self._kappa * self._half)
 
     def scaled(self, scale: torch.Tensor | None = None) -> torch.Tensor:
         """Cosines and sines, [..., 2, U'/2, X/2]; each of a batch with its own `scale` [B] of the nodes."""
         if scale is None:
             return self._kernel
-        kept = self._kernel
-        if self._dtype == torch.complex64 and not (kept.is_cuda or kept.requires_grad or scale.requires_grad):
-            shift = scale - 1
-            if self._turn * float(shift.abs().max()) < _SMALL_TURN:
+        shift = scale - 1
+        if self._dtype == torch.complex64 and self._turn * float(shift.detach().abs().max()) < _SMALL_TURN:
+            kept = self._kernel
+            if not (kept.is_cuda or kept.requires_grad or scale.requires_grad):
                 if self._derivatives is None:
                     phase = (self._kappa * self._half[:, None] * self._x).to(kept)
                     slope = torch.stack([-phase * kept[1], phase * kept[0]])

@@ -49,7 +49,9 @@ class Quadrature:
         return self.x[None, :] ** 2 + self.y[:, None] ** 2
 
 
-def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORDER) -> Quadrature:
+def disc_quadrature(
+    radius: float, columns: int, rows: int, order: int = END_ORDER, *, step: float | None = None
+) -> Quadrature:
     """Quadrature, float64 on the CPU, of a smooth function over the disc of `radius` metres.
 
     Parameters
@@ -62,6 +64,8 @@ def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORD
         Samples along y, at r cos(jπ/(rows+1)).
     order
         Degree of the end correction.
+    step
+        Between columns, in metres, in place of their number: as many as cover the diameter.
 
     Notes
     -----
@@ -70,7 +74,7 @@ def disc_quadrature(radius: float, columns: int, rows: int, order: int = END_ORD
     g_i + Σ_k b_k g_{m-k}, with b fixed by exactness for 1, x … x^order, the moments of the infinite sums taken by zeta
     regularisation (Lyness and Ninham, Math. Comp. 21, 162 (1967)).
     """
-    found = DiscRows(radius, columns, rows, order)
+    found = DiscRows(radius, columns, rows, order, step=step)
     return Quadrature(found.x, found.y, found.weights(slice(0, rows)))
 
 
@@ -81,9 +85,18 @@ class DiscRows:
     """
 
     def __init__(
-        self, radius: float, columns: int, rows: int, order: int = END_ORDER, device: torch.device | str = "cpu"
+        self,
+        radius: float,
+        columns: int,
+        rows: int,
+        order: int = END_ORDER,
+        device: torch.device | str = "cpu",
+        *,
+        step: float | None = None,
     ) -> None:
-        self._step, self._order, self._columns = 2 * radius / columns, order, columns
+        if step is not None:
+            columns = math.ceil(2 * radius / step)
+        self._step, self._order, self._columns = step or 2 * radius / columns, order, columns
         x = np.asarray((np.arange(columns) - (columns - 1) / 2) * self._step, np.float64)
         angle = math.pi * np.arange(1, rows + 1) / (rows + 1)
         self.x = torch.from_numpy(x).to(device)

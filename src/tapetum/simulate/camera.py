@@ -494,7 +494,7 @@ class Camera:
                 if narrow:
                     # A beam narrower than the lens is round across its own direction and lights an ellipse on the lens.
                     part = part / cosines(sines)[:, None, None].to(part) ** 2
-                total = part if total is None else total + part
+                total = part if total is None else _sum(total, part)
             for scatterer in line.scatterers:
                 # The spot's light and the return scale with the lens's foreshortened width; a beam narrower than the
                 # lens enters whole at any tilt.
@@ -502,12 +502,12 @@ class Camera:
                 if spots is not None and scatterer.image_distance == line.geometry.image_distance:
                     # Only the sensor's own: its layers also scatter beside it.
                     seen = seen * spots.share[:, None, None].to(seen)
-                part = weight * seen * self._scattered(line, scatterer, centres)
-                total = part if total is None else total + part.to(total.dtype)
+                part = (weight * seen).to(self.real) * self._scattered(line, scatterer, centres)
+                total = part if total is None else _sum(total, part)
             if line.glints is not None:
                 beside = None if total is None else total.detach().amax((1, 2)) / weight.detach()
-                part = weight * line.glints(sines, None if middle else centres, beside).to(self._device)
-                total = part if total is None else total + part.to(total.dtype)
+                part = weight.to(self.real) * line.glints(sines, None if middle else centres, beside).to(self._device)
+                total = part if total is None else _sum(total, part)
         if total is None:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
         return total
@@ -631,6 +631,12 @@ class Camera:
             "wavelengths": [line.wavelength for line in self._lines],
             "planes": sum(len(line.passes) + len(line.scatterers) for line in self._lines[:1]),
         }
+
+
+def _sum(total: torch.Tensor, part: torch.Tensor) -> torch.Tensor:
+    """Of irradiances, in the first one's memory where nothing is differentiated."""
+    part = part.to(total.dtype)
+    return total + part if total.requires_grad or part.requires_grad else total.add_(part)
 
 
 def _orders_of(groups: Sequence[Sequence[Surface]]) -> torch.Tensor:

@@ -93,20 +93,22 @@ class PhoneCamera:
     ) -> torch.Tensor:
         """As `Camera.__call__`; the centre is that of the camera that gazes."""
         scale = self.scene.probe.lens.focal_length / self.scene.distance
-        total: torch.Tensor | None = None
+        first = self.units[0][0]
+        total = torch.zeros(len(sines), self.output.rows, self.output.columns, dtype=first.real, device=first.device)
         for camera, unit in self.units:
             at = scale * seen_from_probe(torch.tensor([unit.place], device=sines.device), sines.double())
             at = at if centres is None else centres + at
-            image = self._seen(camera, unit.sines(sines), at, equivalent)
-            total = image if total is None else total + image
-        assert total is not None
+            self._add(total, camera, unit.sines(sines), at, equivalent)
         return total
 
-    def _seen(self, camera: Camera, sines: torch.Tensor, centres: torch.Tensor, equivalent: bool) -> torch.Tensor:
-        """One camera's light on all pixels, computed on the camera's own about each beam's return."""
+    def _add(
+        self, total: torch.Tensor, camera: Camera, sines: torch.Tensor, centres: torch.Tensor, equivalent: bool
+    ) -> None:
+        """Add one camera's light on all pixels, computed on the camera's own about each beam's return."""
         output, window = self.output, camera.output
         if (window.rows, window.columns) == (output.rows, output.columns):
-            return camera(sines, centres, equivalent=equivalent)
+            total += camera(sines, centres, equivalent=equivalent)
+            return
         # All beams at once: a few frames are no work for the processor.
         beams = camera.beams(sines, centres)
         tilts = torch.cat([one.double() for one, _, _ in beams])
@@ -118,17 +120,15 @@ class PhoneCamera:
         meets = (left > -window.columns) & (left < output.columns) & (top > -window.rows) & (top < output.rows)
         here = meets.nonzero()[:, 0]
         if not len(here):
-            return torch.zeros(len(sines), output.rows, output.columns, dtype=camera.real, device=camera.device)
+            return
         images = camera.render(tilts[here], (places - (corner - apart) * output.pitch)[here], equivalent=equivalent)
-        total = images.new_zeros(len(sines), output.rows, output.columns)
         for one, image in zip(here, images, strict=True):
             number = int(one)
             x, y = int(left[number]), int(top[number])
             rows = slice(max(y, 0), min(y + window.rows, output.rows))
             columns = slice(max(x, 0), min(x + window.columns, output.columns))
             part = image[rows.start - y : rows.stop - y, columns.start - x : columns.stop - x]
-            total[number % len(sines), rows, columns] += beams[number // len(sines)][2] * part
-        return total
+            total[number % len(sines), rows, columns].add_(part, alpha=beams[number // len(sines)][2])
 
     @property
     def plan(self) -> Any:

@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 import torch
 
-from tapetum.optics.fourier import BandLimitedFourier, chebyshev_lift, folded, paired, phasor
+from tapetum.optics.fourier import BandLimitedFourier, FoldedKernel, chebyshev_lift, folded, paired, phasor
 from tapetum.optics.grid import Grid
-from tapetum.optics.pupil import disc_quadrature
 from tapetum.optics.sampling import DoublePassGeometry, aperture_samples
+from tapetum.simulate.aperture_crossing import ApertureCrossing
 from tapetum.simulate.foreshortening import cosines, foreshortening
 
 __all__ = ["Band", "ProbeAperture", "ProbePath", "missed_path"]
@@ -96,12 +96,18 @@ class ProbePath:
         self._seen, self._kappa = pixels, self._to_pixels
         if aperture is not None:
             way = torch.as_tensor(aperture.distance, dtype=torch.float64, device=device)
-            disc = disc_quadrature(aperture.radius, aperture.columns, aperture.rows)
-            self._seen, self._kappa = (disc.x.to(device), disc.y.to(device)), k / way
+            self._kappa = k / way
             self.chirp = self._kappa / 2
-            bend = self.chirp * disc.rho_squared().to(device)
-            self._passed = (disc.weights.to(device) * phasor(bend)).to(dtype)
-            self._second = BandLimitedFourier(*self._seen, *pixels, self._to_pixels, dtype)
+            self._crossing = ApertureCrossing(
+                output,
+                aperture.radius,
+                (aperture.columns, aperture.rows),
+                bend=self.chirp,
+                to_pixels=self._to_pixels,
+                dtype=dtype,
+                device=self.device,
+            )
+            self._seen = self._crossing.x, self._crossing.y
             self.constant = self.constant / (1j * wavelength * way)
         self._first = BandLimitedFourier(x, y, *self._seen, self._kappa, dtype)
 
@@ -172,9 +178,7 @@ class ProbePath:
 
     def to_image(self, gathered: torch.Tensor, centres: torch.Tensor | None, *, squared: bool = False) -> torch.Tensor:
         """From the first transform's nodes, all rows gathered, to the field on the pixels, or its square: [B, H, W]."""
-        if squared and self.aperture is None:
-            return self._first.lift_squared(gathered)
-        return self._through(self._first.lift(gathered), centres, squared)
+        return self._lifted(gathered, centres, squared=squared)
 
     def carry(
         self,
@@ -205,16 +209,20 @@ class ProbePath:
             pupil = pupil * phasor(self.chirp * square, self.dtype)
         elif centres is not None:
             pupil = pupil * self._ramp(_seen_at(centres, t), x, y)
-        down = self._kernel(-self._kappa * t[:, 1, 1, None] * (y - middle_y), self._first.uy).mT
-        columns = self._kernel(-self._kappa * t[:, 0, 0, None] * (x - middle_x), self._first.ux)
-        gathered = ((down @ pupil) * self._mix(t, x - middle_x)) @ columns
+        # Each gaze has its own step; its columns and rows lie in pairs about its middle.
+        down, across = (
+            FoldedKernel(_counted(one.shape[-1], one), nodes, self._kappa, self.dtype)
+            for one, nodes in ((y, self._first.uy), (x, self._first.ux))
+        )
+        gathered = down(folded(pupil), down.scaled(t[:, 1, 1] * (y[:, 1] - y[:, 0])))
+        gathered = gathered * self._mix(t, x - middle_x)
+        gathered = across(folded(gathered.mT), across.scaled(t[:, 0, 0] * (x[:, 1] - x[:, 0]))).mT
         if squared and self.aperture is None:
             return self._first.lift_squared(gathered)
         # A pupil off its middle adds a linear phase to the picture: apply it after the sum over nodes.
-        wide, high = self._seen
-        sideways = phasor(-self._kappa * t[:, 0, 0, None] * middle_x * wide, self.dtype)
-        upwards = phasor(-self._kappa * (t[:, 0, 1, None] * middle_x + t[:, 1, 1, None] * middle_y) * high, self.dtype)
-        return self._through(self._first.lift(gathered, upwards, sideways), centres, squared)
+        sideways = -self._kappa * t[:, 0, 0, None] * middle_x
+        upwards = -self._kappa * (t[:, 0, 1, None] * middle_x + t[:, 1, 1, None] * middle_y)
+        return self._lifted(gathered, centres, sideways, upwards, squared=squared)
 
     def _mix(self, t: torch.Tensor, x: torch.Tensor) -> torch.Tensor:
         """The phase between the two products, of x t01 qy: [B, V', X] for columns x [X] or [B, X]."""
@@ -228,20 +236,43 @@ class ProbePath:
         """exp(i row·column) [B, rows, columns], of rows [B, rows] in radians a metre and columns [(B,) columns]."""
         return phasor(rows[:, :, None] * columns[..., None, :], self.dtype)
 
-    def _through(self, first: torch.Tensor, centres: torch.Tensor | None, squared: bool = False) -> torch.Tensor:
-        if self.aperture is None:
-            return first
-        passed = first * self._passed
-        if centres is not None:
+    def _lifted(
+        self,
+        gathered: torch.Tensor,
+        centres: torch.Tensor | None,
+        sideways: torch.Tensor | None = None,
+        upwards: torch.Tensor | None = None,
+        *,
+        squared: bool = False,
+    ) -> torch.Tensor:
+        """From the first transform's nodes to the field on the pixels, or its square.
+
+        `sideways` and `upwards` [B, 1] are phases along its columns and its rows, in radians a metre.
+        """
+        if squared and self.aperture is None:
+            return self._first.lift_squared(gathered)
+        if self.aperture is not None and centres is not None:
             # The beam returns to the probe's middle, under an angle.
-            passed = passed * self._ramp(centres, *self._seen)
-        return self._second.lift_squared(self._second.at_nodes(passed)) if squared else self._second(passed)
+            shift = self._to_pixels * centres.to(self.device, torch.float64)
+            sideways = shift[:, :1] if sideways is None else sideways + shift[:, :1]
+            upwards = shift[:, 1:] if upwards is None else upwards + shift[:, 1:]
+        wide, high = self._seen
+        across = None if sideways is None else phasor(sideways * wide, self.dtype)
+        down = None if upwards is None else phasor(upwards * high, self.dtype)
+        if self.aperture is None:
+            return self._first.lift(gathered, down, across)
+        return self._crossing(self._first, gathered, down, across, squared=squared)
 
     def _ramp(self, centres: torch.Tensor, x: torch.Tensor, y: torch.Tensor) -> torch.Tensor:
         """Moves the picture by centres [B, 2], as the pupil sees them, for columns and rows [n] or [B, n]."""
         shift = self._to_pixels * centres.to(self.device, torch.float64)
         column, row = phasor(shift[:, :1] * x, self.dtype), phasor(shift[:, 1:] * y, self.dtype)
         return column[:, None, :] * row[:, :, None]
+
+
+def _counted(count: int, like: torch.Tensor) -> torch.Tensor:
+    """Places of equally spaced samples about their middle, in steps."""
+    return torch.arange(count, dtype=torch.float64, device=like.device) - (count - 1) / 2
 
 
 def _seen_at(centres: torch.Tensor, matrix: torch.Tensor | None) -> torch.Tensor:

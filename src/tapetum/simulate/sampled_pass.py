@@ -19,7 +19,7 @@ from typing import Any, Generic, TypeVar
 
 import torch
 
-from tapetum.optics.fourier import folded, phasor, real_times
+from tapetum.optics.fourier import fast_sums, folded, phasor, real_times
 from tapetum.simulate.pupils import Gazes, Leaving, Pupil
 from tapetum.simulate.spot_window import SpotWindow
 from tapetum.simulate.surfaces import Mask, Surface
@@ -81,7 +81,7 @@ class SampledPass(Generic[Lens]):
         seen = (seen * (window.step / (1j * wavelength)) ** 2).to(precise)
         self._window = _unfolded(_unfolded(seen, -1, len(self._v)), -2, len(self._v))
         self._spot: torch.Tensor | None = None
-        self._kernels: _Kernels | None = None
+        self._kernels: _Kernels | _Fast | None = None
         if pupil.fixed:
             at = pupil.gazes(torch.zeros(1, 2, dtype=torch.float64, device=self.device), self._own)
             self._spot = self._entered(at, precise).to(dtype)
@@ -166,8 +166,10 @@ class SampledPass(Generic[Lens]):
         upper, lower = torch.add(even, odd, alpha=1j), torch.sub(even, odd, alpha=1j)
         return torch.cat([lower.flip(1)[:, : len(self._v) - len(half)], upper], 1)
 
-    def _back(self, leaving: Leaving) -> _Kernels:
-        """Kernels from the plane to the directions in which the returning light is wanted."""
+    def _back(self, leaving: Leaving) -> _Kernels | _Fast:
+        """From the plane to the directions in which the returning light is wanted."""
+        if leaving.turn is not None:
+            return self._fast(leaving, leaving.turn)
         v, real = self._v, self.dtype.to_real()
         half = v[: (len(v) + 1) // 2]
 
@@ -189,6 +191,18 @@ class SampledPass(Generic[Lens]):
             return _Kernels(down, right, None)
         across, along = (phasor(self._k * path, self.dtype) for path in leaving.unbent)
         return _Kernels(down, right, (across[:, None, :], along[..., None]))
+
+    def _fast(self, leaving: Leaving, turn: int) -> _Fast:
+        # k s_m v_j of s_m = s_0 + m λ/(NΔ), v_j = (j - (n - 1)/2) Δ: a ramp of s_0, the transform's own mj/N, and the
+        # phase of the samples' middle.
+        def parts(places: torch.Tensor, path: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
+            number = torch.arange(places.shape[-1], dtype=torch.float64, device=self.device)
+            phase = -math.pi * (len(self._v) - 1) / turn * number
+            phase = phase[None] if path is None else phase + self._k * path
+            return phasor(self._k * places[:, :1] * self._v, self.dtype), phasor(phase, self.dtype)
+
+        across, along = (None, None) if leaving.unbent is None else leaving.unbent
+        return _Fast(turn, len(self._v), parts(leaving.columns, across), parts(leaving.rows, along))
 
     def _reflected(self, spot: torch.Tensor, at: Gazes, half: bool) -> torch.Tensor:
         """The spot's light off the plane: times a mask, or phases that change slowly for each order of a surface."""
@@ -268,6 +282,28 @@ class _Kernels:
         back = real_times(self.right, back) if self.right.dim() == 3 else _gathered(self.right, back)
         back = back.mT
         return back if self.factors is None else back * self.factors[0] * self.factors[1]
+
+
+@dataclass(frozen=True)
+class _Fast:
+    """The same products as fast transforms of `turn` samples, where directions are steps of them.
+
+    `columns` and `rows` are ramps of the spot's `count` samples [B, n], and factors of the directions [B, x] and [B,
+    y].
+    """
+
+    turn: int
+    count: int
+    columns: tuple[torch.Tensor, torch.Tensor]
+    rows: tuple[torch.Tensor, torch.Tensor]
+
+    def __call__(self, spot: torch.Tensor) -> torch.Tensor:
+        """From the plane [B, n, n or n/2] to the directions [B, y, x]."""
+        back = fast_sums(spot * self.rows[0][..., None], self.turn, self.rows[1].shape[-1], -2, 1)
+        if back.shape[-1] < self.count:
+            back = _unfolded(back, -1, self.count)
+        back = fast_sums(back * self.columns[0][:, None], self.turn, self.columns[1].shape[-1], -1, 1)
+        return back * self.columns[1][:, None] * self.rows[1][..., None]
 
 
 def _gathered(kernel: torch.Tensor, field: torch.Tensor) -> torch.Tensor:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import torch
 
+from tapetum.optics.fourier import fast_beats_products
+from tapetum.optics.propagate import fast_length
 from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits
 from tapetum.simulate.sampled_pass import SampledPass
@@ -15,8 +18,9 @@ from tapetum.simulate.traced_pupil import TracedPupil
 
 __all__ = ["TracedGrids", "TracedPass"]
 
-# Gazes computed together, and memory for them in bytes: of a sample of the pupils, and of a mask's.
-_AT_ONCE, AT_ONCE_BYTES, _SAMPLE, _MASK_SAMPLE = 32, 192 << 20, 96, 48
+# Gazes computed together, and memory for them in bytes: of a sample of the pupils, of the probe's aperture, and of a
+# mask's.
+_AT_ONCE, AT_ONCE_BYTES, _SAMPLE, _CROSSING_SAMPLE, _MASK_SAMPLE = 32, 192 << 20, 96, 32, 48
 
 
 @dataclass(frozen=True)
@@ -85,24 +89,33 @@ class TracedPass(SampledPass[TracedPupil]):
         self.accepted, self.wavelength = accepted, wavelength
         samples = grids.pupil, grids.returning, grids.leaving or grids.pupil
         needed = _SAMPLE * (sum(side**2 for side in samples) + grids.sensor**2)
+        if path.aperture is not None:
+            needed += _CROSSING_SAMPLE * path.aperture.columns * path.aperture.rows
         if mask is not None:
             needed += _MASK_SAMPLE * grids.sensor**2
+        window = SpotWindow(grids.sensor, grids.half_width, grids.flat)
+        straight = mask is None and surface.tilt == (0.0, 0.0)
+        straight = straight and all(order.direction == (0.0, 0.0) for order in surface.orders)
+        # Directions that fast transforms give are as close as those wanted, or closer.
+        sine = self.fits.aperture[0] if self.fits.part is None else min(self.fits.aperture[0], self.fits.part.sine)
+        turn = fast_length(math.ceil(wavelength * grids.returning / (2 * sine * window.step)))
+        fast = _is_faster(turn, grids, straight)
         pupil = TracedPupil(
             self.fits,
             samples,
             path,
             wavelength=wavelength,
             tilt=surface.tilt,
-            straight=mask is None
-            and surface.tilt == (0.0, 0.0)
-            and all(order.direction == (0.0, 0.0) for order in surface.orders),
+            straight=straight,
             phase=surface.phase,
             accepted=accepted,
+            turn=turn if fast else None,
+            step=wavelength / (turn * window.step),
             dtype=dtype,
         )
         super().__init__(
             pupil,
-            SpotWindow(grids.sensor, grids.half_width, grids.flat),
+            window,
             surface if mask is None else mask,
             wavelength=wavelength,
             at_once=max(1, min(_AT_ONCE, AT_ONCE_BYTES // needed)),
@@ -115,3 +128,13 @@ class TracedPass(SampledPass[TracedPupil]):
         light = self.pupil.gazes(sines.to(self.device, torch.float64), self._own).entering()
         cell = (light.columns[:, 1] - light.columns[:, 0]) * (light.rows[:, 1] - light.rows[:, 0])
         return (light.strength**2).sum((1, 2)) / cell * 2 ** sum(light.mirrored)
+
+
+def _is_faster(turn: int, grids: TracedGrids, straight: bool) -> bool:
+    """Whether fast transforms bring the spot to the returning directions sooner than matrix products do."""
+    spot, back = grids.sensor, grids.returning
+    products = 2 * back * spot**2 + back**2 * spot
+    lines = spot / 2 + back
+    if not straight:
+        products, lines = 4 * (back * spot**2 + back**2 * spot), spot + back
+    return fast_beats_products(turn, lines, products)
