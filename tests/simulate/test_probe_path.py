@@ -12,6 +12,7 @@ from traced_cases import without_phase
 from tapetum.optics.fourier import phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
+from tapetum.simulate import aperture_crossing
 from tapetum.simulate.foreshortening import foreshortening
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
 
@@ -92,6 +93,25 @@ def test_pupils_off_their_middle_against_a_plain_sum(
     error = float((ours - want).abs().max() / want.abs().max())
     where = "far field" if distance is None else "0.8 m, aperture of 1.6 mm"
     validated(SECTION, f"exit path, {where}, tilt {tilt}", error, 1e-4, "a plain sum, phase and all")
+
+
+def test_columns_by_a_fast_transform_are_those_by_products(monkeypatch: pytest.MonkeyPatch, validated: Any) -> None:
+    """Both sum the same smooth light over the aperture, on columns of different steps."""
+    sines = torch.tensor([[0.1, 0.05]], dtype=torch.float64)
+    centres = torch.tensor([[2e-5, -3e-5]], dtype=torch.float64)
+    field, x, y = pupil((2.5e-4, -3.5e-4))
+    found: list[torch.Tensor] = []
+    for fast in (True, False):
+
+        def beats(*_: float, fast: bool = fast) -> bool:
+            return fast
+
+        monkeypatch.setattr(aperture_crossing, "fast_beats_products", beats)
+        one = path(ProbeAperture(0.8, 0.8e-3, 96, 96))
+        found.append(one.carry(field, x, y, sines, centres)[0])
+        assert torch.allclose(found[-1].abs() ** 2, one.carry(field, x, y, sines, centres, squared=True)[0])
+    error = float((found[0] - found[1]).abs().max() / found[1].abs().max())
+    validated(SECTION, "columns of the probe's aperture by a fast transform", error, 1e-6, "products, phase and all")
 
 
 def test_a_wide_aperture_is_the_far_field(validated: Any) -> None:

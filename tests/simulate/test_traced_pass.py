@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -29,6 +30,7 @@ from tapetum.bench import PixelArray, TargetSensor
 from tapetum.optics.fourier import MatrixFourier, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.pupil import disc_quadrature
+from tapetum.simulate import traced_pass
 from tapetum.simulate.pupil_fits import TiltNodes, fit_pupils, values_at
 from tapetum.simulate.sensor_plane import orders_of, reflectance_at
 from tapetum.simulate.surfaces import Mask, Order, Surface
@@ -350,3 +352,24 @@ def test_no_number_is_too_small_to_be_multiplied_quickly() -> None:
     kept = shares[shares > 0]
     assert 0 < len(kept) < shares.numel()
     assert kept.min() > 1e-20 * kept.max()
+
+
+@pytest.mark.parametrize("orders", [(Order((0.0, 0.0), 1.0),), (Order((0.0, 0.0), 0.6), Order((0.03, -0.02), 0.5))])
+def test_fast_transforms_give_what_products_give(
+    orders: tuple[Order, ...], monkeypatch: pytest.MonkeyPatch, validated: Any
+) -> None:
+    """In the same directions: of a mirror on one side of the middle, of orders in all; past the transform's end too."""
+    monkeypatch.setattr(traced_pass, "fast_beats_products", lambda *_: True)  # pyright: ignore[reportUnknownLambdaType]
+    focused, fits = traced(PHONE)
+    # The coarser the spot's samples, the sooner the transform repeats.
+    one = bare(fits, TracedGrids(60, 24, 3e-5, 2.2e-5, 60), picture(PHONE), Surface(focused.image, orders))
+    at = one.pupil.gazes(torch.cat([along_y(0.0, 3.0), torch.tensor([[0.02, -0.01]], dtype=torch.float64)]), False)
+    leaving = at.leaving()
+    assert leaving.turn is not None and leaving.mirrored == (len(orders) == 1)
+    assert leaving.rows.shape[1] > leaving.turn
+    dice = torch.Generator().manual_seed(1)
+    spot = torch.randn(3, 24, 12 if leaving.mirrored else 24, dtype=torch.complex128, generator=dice)
+    fast, products = (one._back(way)(spot) for way in (leaving, replace(leaving, turn=None)))
+    error = float((fast - products).abs().max() / products.abs().max())
+    what = f"returning light of {len(orders)} orders by fast transforms"
+    validated(SECTION, what, error, 1e-11, "matrix products, phase and all")
