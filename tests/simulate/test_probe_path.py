@@ -22,10 +22,10 @@ K = 2 * math.pi / WAVELENGTH
 OUTPUT = Grid(13, 15, 6e-6)
 
 
-def path(aperture: ProbeAperture | None = None) -> ProbePath:
+def path(aperture: ProbeAperture | None = None, output: Grid = OUTPUT) -> ProbePath:
     ends = 1.5 * REACH * torch.tensor([-1.0, 1.0], dtype=torch.float64)
     return ProbePath(
-        OUTPUT,
+        output,
         ends,
         ends,
         wavelength=WAVELENGTH,
@@ -112,6 +112,24 @@ def test_columns_by_a_fast_transform_are_those_by_products(monkeypatch: pytest.M
         assert torch.allclose(found[-1].abs() ** 2, one.carry(field, x, y, sines, centres, squared=True)[0])
     error = float((found[0] - found[1]).abs().max() / found[1].abs().max())
     validated(SECTION, "columns of the probe's aperture by a fast transform", error, 1e-6, "products, phase and all")
+
+
+def test_pixels_coarser_than_the_detail_see_all_of_the_aperture(
+    monkeypatch: pytest.MonkeyPatch, validated: Any
+) -> None:
+    """A transform in steps of these pixels would not hold all columns, however fast it is."""
+
+    def beats(*_: float) -> bool:
+        return True
+
+    monkeypatch.setattr(aperture_crossing, "fast_beats_products", beats)
+    sines = torch.zeros(1, 2, dtype=torch.float64)
+    field, x, y = pupil((0.0, 0.0))
+    aperture = ProbeAperture(2.0, 6e-3, 900, 900)
+    some = path(aperture, Grid(7, 7, 4e-5)).carry(field, x, y, sines, None)[0]
+    each = path(aperture, Grid(49, 49, 4e-5 / 7)).carry(field, x, y, sines, None)[0, 3::7, 3::7]
+    error = float((some - each).abs().max() / each.abs().max())
+    validated(SECTION, "coarse pixels behind a wide aperture", error, 1e-9, "every seventh of finer ones")
 
 
 def test_a_wide_aperture_is_the_far_field(validated: Any) -> None:

@@ -43,6 +43,9 @@ _SMALL_TURN = 0.02
 
 def fast_sums(field: torch.Tensor, turn: int, count: int, dim: int, sign: int) -> torch.Tensor:
     """Σ_j field[j] exp(sign 2πi jm/turn) along a dimension, for m from 0 to count - 1; they repeat after `turn`."""
+    if field.shape[dim] > turn:
+        # A shorter transform leaves out what it does not hold.
+        raise ValueError(f"{field.shape[dim]} samples do not fit into a transform of {turn}")
     transforms: Any = torch.fft
     if sign < 0:
         sums: torch.Tensor = transforms.fft(field, turn, dim)

@@ -55,7 +55,9 @@ class ApertureCrossing:
         # Samples of the transform whose steps are pixels.
         turn = fast_length(math.ceil(2 * math.pi * columns / (2 * radius * float(scale.detach()) * output.pitch)))
         step = 2 * math.pi / (turn * float(scale.detach()) * output.pitch)
-        fast = not scale.requires_grad and fast_beats_products(turn, rows, _spared(samples, output))
+        # Pixels coarser than the aperture's finest detail would need a transform shorter than its samples.
+        holds = turn * step >= 2 * radius
+        fast = holds and not scale.requires_grad and fast_beats_products(turn, rows, _spared(samples, output))
         disc = disc_quadrature(radius, columns, rows, step=step if fast else None)
         self.x, self.y = disc.x.to(device), disc.y.to(device)
         self._second = BandLimitedFourier(self.x, self.y, *pixels, to_pixels, dtype)

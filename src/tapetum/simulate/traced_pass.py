@@ -98,7 +98,7 @@ class TracedPass(SampledPass[TracedPupil]):
         straight = straight and all(order.direction == (0.0, 0.0) for order in surface.orders)
         # Directions that fast transforms give are as close as those wanted, or closer.
         sine = self.fits.aperture[0] if self.fits.part is None else min(self.fits.aperture[0], self.fits.part.sine)
-        turn = fast_length(math.ceil(wavelength * grids.returning / (2 * sine * window.step)))
+        turn = fast_length(max(grids.sensor, math.ceil(wavelength * grids.returning / (2 * sine * window.step))))
         fast = _is_faster(turn, grids, straight)
         pupil = TracedPupil(
             self.fits,
