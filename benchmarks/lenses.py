@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 
 import tapetum as tp
@@ -23,6 +25,8 @@ _CASES = (
 
 # A phone of three cameras, and the sine of the steepest tilt that it is planned for.
 _PHONE, _STEEPEST = "phone-06", 0.12
+# The same of a lens that is held by hand.
+_STEEPEST_HELD = math.sin(math.radians(1.0))
 
 
 def run(effort: Effort) -> list[Row]:
@@ -71,7 +75,23 @@ def run(effort: Effort) -> list[Row]:
                 f"tilts up to {steepest:g}°; {traced.plan.columns} samples over the pupil",
             )
         )
-    return [*rows, _phone(effort)]
+    return [*rows, _zoom(effort), _phone(effort)]
+
+
+def _zoom(effort: Effort) -> Row:
+    """The Focusing set's longest lens at its nearest focus: far out of focus, through the probe's aperture."""
+    changes = {"target.lens.focal_length": "135 mm", "target.object_distance": "3 m"}
+    camera = Camera(with_values(tp.load_scene("focusing"), changes), _STEEPEST_HELD)
+    count = effort.of(8, 1)
+    tilts = 2 * _STEEPEST_HELD * (torch.rand(count, 2, dtype=torch.float64) - 0.5) / math.sqrt(2)
+    places = torch.zeros(count, 2, dtype=torch.float64)
+    timings = in_turns({"ours": Contender(lambda: camera.render(tilts, places), work=count)}, effort.rounds)
+    return Row(
+        f"zoom-18-140mm, f = 135 mm, focused at 3 m, {camera.accuracy:g} of the peak, through the probe's aperture",
+        Figure.rate(timings.typical("ours"), "images"),
+        note=f"one beam, tilts up to 1°, {camera.output.columns} × {camera.output.rows} pixels; "
+        f"{camera.plan.columns} samples over the pupil, stated error {camera.plan.expected_error:.2g}",
+    )
 
 
 def _phone(effort: Effort) -> Row:
