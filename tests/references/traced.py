@@ -263,7 +263,9 @@ def _at(found: Points, wave: _Wave, place: float, a: Real, centre: Real, k: floa
         low, high = X.min(1, keepdims=True), X.max(1, keepdims=True)
         middle, half = (low + high) / 2, (high - low) / 2
         turning = float((k * (half**2 / (4 * R2 * R) + half * np.abs(Y).max() / (4 * R2 * R))).max())
-        knots, shares = interpolation(-1.0, 1.0, 5 + math.ceil(1.5 * turning), (X - middle) / half)
+        # A single column has no width.
+        scaled = (X - middle) / np.where(half > 0, half, 1.0)
+        knots, shares = interpolation(-1.0, 1.0, 5 + math.ceil(1.5 * turning), scaled)
         across = phasor(k * X / (2 * R))
         strength = (wave.strength[some] * (k / (2 * math.pi)))[:, None]
         for knot, share in zip(knots, shares, strict=True):
