@@ -311,8 +311,14 @@ def test_gradients_of_the_tilt(validated: Any) -> None:
     )
 
 
-def test_a_batch_is_its_parts_and_centres_move_the_picture() -> None:
+@pytest.mark.parametrize("fast", [False, True])
+def test_a_batch_is_its_parts_and_centres_move_the_picture(fast: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     output = picture(PHONE)
+
+    def beats(*_: float) -> bool:
+        return fast
+
+    monkeypatch.setattr(traced_pass, "fast_beats_products", beats)
     one = bare(traced(PHONE)[1], TracedGrids(90, 70, 3e-5, 2.2e-5, 160), output)
     many = torch.cat([along_y(0.0, 2.0, 4.0), torch.tensor([[0.02, -0.01], [-0.03, 0.0]], dtype=torch.float64)])
     together = one.field(many)
@@ -365,11 +371,11 @@ def test_fast_transforms_give_what_products_give(
     one = bare(fits, TracedGrids(60, 24, 3e-5, 2.2e-5, 60), picture(PHONE), Surface(focused.image, orders))
     at = one.pupil.gazes(torch.cat([along_y(0.0, 3.0), torch.tensor([[0.02, -0.01]], dtype=torch.float64)]), False)
     leaving = at.leaving()
-    assert leaving.turn is not None and leaving.mirrored == (len(orders) == 1)
-    assert leaving.rows.shape[1] > leaving.turn
+    assert leaving.length is not None and leaving.mirrored == (len(orders) == 1)
+    assert leaving.rows.shape[1] > leaving.length
     dice = torch.Generator().manual_seed(1)
     spot = torch.randn(3, 24, 12 if leaving.mirrored else 24, dtype=torch.complex128, generator=dice)
-    fast, products = (one._back(way)(spot) for way in (leaving, replace(leaving, turn=None)))
+    fast, products = (one._back(way)(spot) for way in (leaving, replace(leaving, length=None)))
     error = float((fast - products).abs().max() / products.abs().max())
     what = f"returning light of {len(orders)} orders by fast transforms"
     validated(SECTION, what, error, 1e-11, "matrix products, phase and all")

@@ -19,9 +19,9 @@ __all__ += ["fast_beats_products", "fast_sums", "phasor", "real_times"]
 _SLOWER = 10.0
 
 
-def fast_beats_products(turn: int, lines: float, products: float) -> bool:
-    """Whether fast transforms of so many lines of `turn` samples take less time than products of so many operations."""
-    return _SLOWER * lines * 5 * turn * math.log2(max(turn, 2)) < products
+def fast_beats_products(length: int, lines: float, products: float) -> bool:
+    """Whether fast transforms of `length` samples on so many lines take less time than products of real numbers."""
+    return _SLOWER * lines * 5 * length * math.log2(max(length, 2)) < products
 
 
 def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tensor:
@@ -41,19 +41,19 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
 _SMALL_TURN = 0.02
 
 
-def fast_sums(field: torch.Tensor, turn: int, count: int, dim: int, sign: int) -> torch.Tensor:
-    """Σ_j field[j] exp(sign 2πi jm/turn) along a dimension, for m from 0 to count - 1; they repeat after `turn`."""
-    if field.shape[dim] > turn:
+def fast_sums(field: torch.Tensor, length: int, count: int, dim: int, sign: int) -> torch.Tensor:
+    """Σ_j field[j] exp(sign 2πi jm/length) along a dimension, for m from 0 to count - 1; they repeat after `length`."""
+    if field.shape[dim] > length:
         # A shorter transform leaves out what it does not hold.
-        raise ValueError(f"{field.shape[dim]} samples do not fit into a transform of {turn}")
+        raise ValueError(f"{field.shape[dim]} samples do not fit into a transform of {length}")
     transforms: Any = torch.fft
     if sign < 0:
-        sums: torch.Tensor = transforms.fft(field, turn, dim)
+        sums: torch.Tensor = transforms.fft(field, length, dim)
     else:
-        sums = transforms.ifft(field, turn, dim, norm="forward")
-    if count <= turn:
+        sums = transforms.ifft(field, length, dim, norm="forward")
+    if count <= length:
         return sums.narrow(dim, 0, count)
-    return sums.index_select(dim, torch.arange(count, device=field.device) % turn)
+    return sums.index_select(dim, torch.arange(count, device=field.device) % length)
 
 
 class MatrixFourier:
@@ -123,9 +123,9 @@ class BandLimitedFourier:
         self.down, self._lift_y = _nodes(y.double(), uy.double(), kappa, dtype)
         self.ux, self.uy = self.across.u, self.down.u
 
-    def at_nodes(self, field: torch.Tensor) -> torch.Tensor:
-        """From the field [..., Y, X] to the nodes, [..., V', U']."""
-        return self.across(folded(self.down(folded(field)).mT)).mT
+    def at_nodes(self, pairs: torch.Tensor) -> torch.Tensor:
+        """From a field whose rows are in pairs, as of `folded`, to the nodes, [..., V', U']."""
+        return self.across(folded(self.down(pairs).mT)).mT
 
     def lift(
         self, nodes: torch.Tensor, down: torch.Tensor | None = None, across: torch.Tensor | None = None
@@ -176,7 +176,7 @@ class BandLimitedFourier:
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Transform [..., Y, X] to [..., V, U]."""
-        return self.lift(self.at_nodes(field))
+        return self.lift(self.at_nodes(folded(field)))
 
 
 class FoldedKernel:

@@ -10,7 +10,7 @@ import math
 
 import torch
 
-from tapetum.optics.fourier import BandLimitedFourier, fast_beats_products, fast_sums, folded, phasor
+from tapetum.optics.fourier import BandLimitedFourier, fast_beats_products, fast_sums, phasor
 from tapetum.optics.grid import Grid
 from tapetum.optics.propagate import fast_length
 from tapetum.optics.pupil import disc_quadrature
@@ -53,25 +53,25 @@ class ApertureCrossing:
         pixels = output.x(device=device), output.y(device=device)
         scale = torch.as_tensor(to_pixels)
         # Samples of the transform whose steps are pixels.
-        turn = fast_length(math.ceil(2 * math.pi * columns / (2 * radius * float(scale.detach()) * output.pitch)))
-        step = 2 * math.pi / (turn * float(scale.detach()) * output.pitch)
+        length = fast_length(math.ceil(2 * math.pi * columns / (2 * radius * float(scale.detach()) * output.pitch)))
+        step = 2 * math.pi / (length * float(scale.detach()) * output.pitch)
         # Pixels coarser than the aperture's finest detail would need a transform shorter than its samples.
-        holds = turn * step >= 2 * radius
-        fast = holds and not scale.requires_grad and fast_beats_products(turn, rows, _spared(samples, output))
+        holds = length * step >= 2 * radius
+        fast = holds and not scale.requires_grad and fast_beats_products(length, rows, _spared(samples, output))
         disc = disc_quadrature(radius, columns, rows, step=step if fast else None)
         self.x, self.y = disc.x.to(device), disc.y.to(device)
         self._second = BandLimitedFourier(self.x, self.y, *pixels, to_pixels, dtype)
-        self._turn = turn if fast and not self._second.lifts_columns else None
+        self._length = length if fast and not self._second.lifts_columns else None
         passed = disc.weights.to(device) * phasor(bend * disc.rho_squared().to(device))
         # Of rows in pairs: each has what its partner has.
         passed = passed[: (len(self.y) + 1) // 2]
-        if self._turn is not None:
+        if self._length is not None:
             # Samples i and pixels m count from the first: exp(-2πi (i - a)(m - b)/N) has a ramp of each beside im/N.
             number = torch.arange(len(self.x), dtype=torch.float64, device=device)
-            passed = passed * phasor(math.pi * (output.columns - 1) / turn * number)
+            passed = passed * phasor(math.pi * (output.columns - 1) / length * number)
             pixel = torch.arange(output.columns, dtype=torch.float64, device=device)
             middle = (len(self.x) - 1) / 2
-            self._after = phasor(2 * math.pi / turn * middle * (pixel - (output.columns - 1) / 2), dtype)
+            self._after = phasor(2 * math.pi / length * middle * (pixel - (output.columns - 1) / 2), dtype)
         self._passed = passed.to(dtype)
 
     def __call__(
@@ -96,11 +96,10 @@ class ApertureCrossing:
             pairs = torch.stack([c * even + s * odd, c * odd + s * even], -3)
         pairs = pairs * self._passed
         second = self._second
-        if self._turn is None:
-            lines = second.down(pairs)
-            found = second.across(folded(lines.mT)).mT
+        if self._length is None:
+            found = second.at_nodes(pairs)
         else:
-            sums = fast_sums(pairs, self._turn, len(self._after), -1, -1)
+            sums = fast_sums(pairs, self._length, len(self._after), -1, -1)
             found = second.down(sums)
             if not squared:
                 found = found * self._after

@@ -59,7 +59,7 @@ class Leaving:
         Paths in metres of the columns and of the rows that make the light smooth before it is interpolated.
     mirrored
         Whether light returns equally on both sides of the middle column, so that the columns may be those on one side.
-    turn
+    length
         N where columns and rows are λ/(N Δ) apart, Δ being the spot's step: they are then found by fast transforms.
     """
 
@@ -71,7 +71,7 @@ class Leaving:
     read_at: torch.Tensor | None = None
     unbent: tuple[torch.Tensor, torch.Tensor] | None = None
     mirrored: bool = False
-    turn: int | None = None
+    length: int | None = None
 
 
 class Gazes(Protocol):

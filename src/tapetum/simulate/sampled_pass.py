@@ -168,8 +168,8 @@ class SampledPass(Generic[Lens]):
 
     def _back(self, leaving: Leaving) -> _Kernels | _Fast:
         """From the plane to the directions in which the returning light is wanted."""
-        if leaving.turn is not None:
-            return self._fast(leaving, leaving.turn)
+        if leaving.length is not None:
+            return self._fast(leaving, leaving.length)
         v, real = self._v, self.dtype.to_real()
         half = v[: (len(v) + 1) // 2]
 
@@ -192,17 +192,17 @@ class SampledPass(Generic[Lens]):
         across, along = (phasor(self._k * path, self.dtype) for path in leaving.unbent)
         return _Kernels(down, right, (across[:, None, :], along[..., None]))
 
-    def _fast(self, leaving: Leaving, turn: int) -> _Fast:
+    def _fast(self, leaving: Leaving, length: int) -> _Fast:
         # k s_m v_j of s_m = s_0 + m λ/(NΔ), v_j = (j - (n - 1)/2) Δ: a ramp of s_0, the transform's own mj/N, and the
         # phase of the samples' middle.
         def parts(places: torch.Tensor, path: torch.Tensor | None) -> tuple[torch.Tensor, torch.Tensor]:
             number = torch.arange(places.shape[-1], dtype=torch.float64, device=self.device)
-            phase = -math.pi * (len(self._v) - 1) / turn * number
+            phase = -math.pi * (len(self._v) - 1) / length * number
             phase = phase[None] if path is None else phase + self._k * path
             return phasor(self._k * places[:, :1] * self._v, self.dtype), phasor(phase, self.dtype)
 
         across, along = (None, None) if leaving.unbent is None else leaving.unbent
-        return _Fast(turn, len(self._v), parts(leaving.columns, across), parts(leaving.rows, along))
+        return _Fast(length, len(self._v), parts(leaving.columns, across), parts(leaving.rows, along))
 
     def _reflected(self, spot: torch.Tensor, at: Gazes, half: bool) -> torch.Tensor:
         """The spot's light off the plane: times a mask, or phases that change slowly for each order of a surface."""
@@ -286,23 +286,23 @@ class _Kernels:
 
 @dataclass(frozen=True)
 class _Fast:
-    """The same products as fast transforms of `turn` samples, where directions are steps of them.
+    """The same products as fast transforms of `length` samples, where directions are steps of them.
 
     `columns` and `rows` are ramps of the spot's `count` samples [B, n], and factors of the directions [B, x] and [B,
     y].
     """
 
-    turn: int
+    length: int
     count: int
     columns: tuple[torch.Tensor, torch.Tensor]
     rows: tuple[torch.Tensor, torch.Tensor]
 
     def __call__(self, spot: torch.Tensor) -> torch.Tensor:
         """From the plane [B, n, n or n/2] to the directions [B, y, x]."""
-        back = fast_sums(spot * self.rows[0][..., None], self.turn, self.rows[1].shape[-1], -2, 1)
+        back = fast_sums(spot * self.rows[0][..., None], self.length, self.rows[1].shape[-1], -2, 1)
         if back.shape[-1] < self.count:
             back = _unfolded(back, -1, self.count)
-        back = fast_sums(back * self.columns[0][:, None], self.turn, self.columns[1].shape[-1], -1, 1)
+        back = fast_sums(back * self.columns[0][:, None], self.length, self.columns[1].shape[-1], -1, 1)
         return back * self.columns[1][:, None] * self.rows[1][..., None]
 
 

@@ -98,8 +98,8 @@ class TracedPass(SampledPass[TracedPupil]):
         straight = straight and all(order.direction == (0.0, 0.0) for order in surface.orders)
         # Directions that fast transforms give are as close as those wanted, or closer.
         sine = self.fits.aperture[0] if self.fits.part is None else min(self.fits.aperture[0], self.fits.part.sine)
-        turn = fast_length(max(grids.sensor, math.ceil(wavelength * grids.returning / (2 * sine * window.step))))
-        fast = _is_faster(turn, grids, straight)
+        length = fast_length(max(grids.sensor, math.ceil(wavelength * grids.returning / (2 * sine * window.step))))
+        fast = _is_faster(length, grids, straight)
         pupil = TracedPupil(
             self.fits,
             samples,
@@ -109,8 +109,8 @@ class TracedPass(SampledPass[TracedPupil]):
             straight=straight,
             phase=surface.phase,
             accepted=accepted,
-            turn=turn if fast else None,
-            step=wavelength / (turn * window.step),
+            length=length if fast else None,
+            step=wavelength / (length * window.step),
             dtype=dtype,
         )
         super().__init__(
@@ -130,11 +130,11 @@ class TracedPass(SampledPass[TracedPupil]):
         return (light.strength**2).sum((1, 2)) / cell * 2 ** sum(light.mirrored)
 
 
-def _is_faster(turn: int, grids: TracedGrids, straight: bool) -> bool:
+def _is_faster(length: int, grids: TracedGrids, straight: bool) -> bool:
     """Whether fast transforms bring the spot to the returning directions sooner than matrix products do."""
     spot, back = grids.sensor, grids.returning
     products = 2 * back * spot**2 + back**2 * spot
     lines = spot / 2 + back
     if not straight:
         products, lines = 4 * (back * spot**2 + back**2 * spot), spot + back
-    return fast_beats_products(turn, lines, products)
+    return fast_beats_products(length, lines, products)

@@ -50,7 +50,7 @@ class TracedPupil:
         Added to what leaves, in radians.
     accepted
         Largest angle, in radians, under which light still reaches the picture, for `corrected` fits made for it.
-    turn, step
+    length, step
         N of `Leaving`, and λ/(N Δ): the returning field is computed in steps of it, in place of `samples`.
     dtype
         Of the fields.
@@ -69,11 +69,11 @@ class TracedPupil:
         straight: bool = False,
         phase: float = 0.0,
         accepted: float | None = None,
-        turn: int | None = None,
+        length: int | None = None,
         step: float = 0.0,
         dtype: torch.dtype = torch.complex64,
     ) -> None:
-        self.turn, self.step = turn, step
+        self.length, self.step = length, step
         self.fits, self.path, self.accepted, self.straight = fits, path, accepted, straight
         # Even, so that columns on one side of the middle mirror those on the other.
         self.samples = samples[0] + samples[0] % 2, samples[1], samples[2]
@@ -196,7 +196,7 @@ class _TracedGazes:
         if fits.part is not None:
             rows = rows + self._bent
         read_at = torch.stack([read_x, read_y], -1)
-        return Leaving(columns, rows, wave, x, y, read_at, unbent, mirrored, one.turn)
+        return Leaving(columns, rows, wave, x, y, read_at, unbent, mirrored, one.length)
 
     def to_probe(
         self,
@@ -221,7 +221,7 @@ class _TracedGazes:
         """Equal steps over the places inside, [B, m], and where between them, from -1 to 1, each place lies."""
         low = torch.where(inside, places, math.inf).amin((1, 2))
         wide = torch.where(inside, places, -math.inf).amax((1, 2)) - low
-        if self._pupil.turn is not None:
+        if self._pupil.length is not None:
             return self._steps(places, low - _MARGIN * self._pupil.step, wide)
         line = torch.linspace(0, 1, self._pupil.samples[1], dtype=torch.float64, device=places.device)
         scale = (2 / wide)[:, None, None]
@@ -230,7 +230,7 @@ class _TracedGazes:
     def _half_line(self, places: torch.Tensor, inside: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """As `_line` for places read by their distance from the middle, with a margin beyond it to interpolate."""
         wide = torch.where(inside, places, 0.0).amax((1, 2))
-        if self._pupil.turn is not None:
+        if self._pupil.length is not None:
             return self._steps(places, torch.full_like(wide, -_MARGIN * self._pupil.step), wide)
         count = (self._pupil.samples[1] + 1) // 2
         line = torch.arange(-_MARGIN, count, dtype=torch.float64, device=places.device) / (count - 1)
