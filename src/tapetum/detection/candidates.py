@@ -4,7 +4,8 @@ First comes a fast screen in the frame's own type: a difference of box means at 
 screened on the highest of each four pixels, so that nothing is filtered at full size. The highest response of each
 block of pixels is compared with those of the blocks around it and, in a difference, with the response that an error of
 the registration would cause at the dark frame's own edges there. Only the highest places are cut out of the frames as
-patches. On these a difference of Gaussians responds to a spot of its own size, and neither to slopes nor to wide steps.
+patches: in a difference those first that stand alone, as edges that are left run on beside a place. On these a
+difference of Gaussians responds to a spot of its own size, and neither to slopes nor to wide steps.
 
 Over 400 lines, as the screen and the patches share the octaves' geometry.
 """
@@ -61,13 +62,17 @@ _FLAT = 1.0
 # How far around a place the screen asks what was left of edges, in pixels of what it screens.
 _NEAR_EDGES = 9
 _BLOCK = 8
+# In a difference, beyond which pixels and up to which one a place is compared with the ring around it; and how much, at
+# most, that a place stands alone counts.
+_RING = (2.0, 5.3)
 _ALONE = 3.0
 # Blocks around one with whose responses its own is compared: 7 x 7 of them, 56 pixels.
 _AROUND = 7
 # The highest of 64 responses to white noise is 2.3 standard deviations high, of 16 highest of four each 1.9.
 _HIGHEST_OF_NOISE = {1: 2.3, 2: 1.9}
-# Response of the screen's difference of box means to a glint, over that of a difference of Gaussians.
-_SCREENED = 2
+# Response of the screen to a glint over that of a difference of Gaussians; and how many times as many places of a
+# difference are asked whether they stand alone.
+_SCREENED, _ASKED = 2, 2
 # The last octave of bytes: in the means of 64 pixels and more, rounding would be most of the noise.
 _WHOLE = 4
 # Most places of an octave that only the dark frame shows bright.
@@ -119,7 +124,8 @@ class Place:
     """Places of an octave, [N] each: whole pixels of it, and the height over the screen's response around.
 
     `height` allows for the worst that the registration may leave of edges, `clear` for what it left of those around;
-    `level` is the response itself, in grey levels.
+    `level` is the response itself, in grey levels. By `worth` they are searched: `clear`, or more or less where a place
+    stands alone or not.
     """
 
     x: Whole
@@ -127,16 +133,17 @@ class Place:
     height: Array
     clear: Array
     level: Array
+    worth: Array
 
     @classmethod
     def none(cls) -> Place:
         """No places."""
         nowhere, nothing = np.empty(0, np.int64), np.empty(0, np.float32)
-        return cls(nowhere, nowhere, nothing, nothing, nothing)
+        return cls(nowhere, nowhere, nothing, nothing, nothing, nothing)
 
     def first(self, count: int) -> Place:
         """The first so many."""
-        return Place(self.x[:count], self.y[:count], self.height[:count], self.clear[:count], self.level[:count])
+        return Place(**{name: one[:count] for name, one in vars(self).items()})
 
 
 @dataclass(frozen=True)
@@ -274,11 +281,14 @@ def screened(layer: Layer, most: int) -> tuple[Place, Place]:
     if layer.base is None:
         return _highest(_above(narrow, wide, wide), layer, None, most), Place.none()
     found = _highest(_above(narrow, wide), layer, layer.base, most)
-    return found, _highest(_above(wide, narrow, wide), layer, layer.bright, _RIVALS)
+    return found, _highest(_above(wide, narrow, wide), layer, layer.bright, _RIVALS, alone=False)
 
 
-def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int) -> Place:
-    """The highest places of an octave's screen; `other` is the frame that should not show them."""
+def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int, *, alone: bool = True) -> Place:
+    """The highest places of an octave's screen; `other` is the frame that should not show them.
+
+    With `alone`, places of a difference that stand alone come first.
+    """
     block = _BLOCK // layer.cell
     peaks = _block_maxima(answer, block)
     highest = peaks.astype(np.float32)
@@ -292,20 +302,34 @@ def _highest(answer: NDArray, layer: Layer, other: NDArray | None, most: int) ->
         ring[1:4, 1:4] = 0
         height *= np.clip(highest / np.maximum(np.asarray(cv2.dilate(peaks, ring)), 0.5), 1 / _ALONE, _ALONE)
     flat = height.ravel()
-    number = np.flatnonzero(flat >= max(_least_of_highest(flat, _SCREENED * most), 1e-6))
+    alone = alone and other is not None
+    count = _SCREENED * most * (_ASKED if alone else 1)
+    number = np.flatnonzero(flat >= max(_least_of_highest(flat, count), 1e-6))
     row, column = np.divmod(number, height.shape[1])
     x, y = _highest_of_block(answer, row, column, block)
     own = answer[y, x].astype(np.float32)
     top = own >= patches(answer, x, y, 2).max((1, 2))
     x, y, number, own = x[top], y[top], number[top], own[top]
-    worst = clear = flat[number]
+    worst = clear = worth = flat[number]
     if other is not None and len(x):
+        lone = _standing_alone(answer, x, y) if alone else np.ones(len(x), np.float32)
+        first = np.argsort(-worth * lone, kind="stable")[: _SCREENED * most]
+        x, y, number, own, lone = x[first], y[first], number[first], own[first], lone[first]
         edge, share = _edges(answer, other, x, y, layer.cell > 1)
         noise = variance.ravel()[number]
         worst, clear = (own / np.sqrt(noise + np.square(k * edge)) for k in (_LEFT_OF_EDGES[1], share))
-    kept = np.argsort(-clear, kind="stable")[:most]
-    columns = (np.asarray(one[kept], dtype=np.float32) for one in (worst, clear, own))
+        worth = clear * lone
+    kept = np.argsort(-worth, kind="stable")[:most]
+    columns = (np.asarray(one[kept], dtype=np.float32) for one in (worst, clear, own, worth))
     return Place(layer.cell * x[kept], layer.cell * y[kept], *columns)
+
+
+def _standing_alone(answer: NDArray, x: Whole, y: Whole) -> Array:
+    """A screen's response at places over the highest in the ring around each, within bounds, [N]."""
+    reach = int(_RING[1])
+    near, radius = patches(answer, x, y, reach), np.hypot(*np.mgrid[-reach : reach + 1, -reach : reach + 1])
+    beside = near[:, (radius > _RING[0]) & (radius <= _RING[1])].max(1)
+    return np.clip(near[:, reach, reach] / np.maximum(beside, 0.5), 1 / _ALONE, _ALONE)
 
 
 def cut_out(chosen: Iterable[tuple[Layer, Whole, Whole]]) -> Cut | None:

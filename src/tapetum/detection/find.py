@@ -248,15 +248,15 @@ def _candidates(
     if not sum(count):
         return Candidates.none(width)
     at = np.concatenate([np.stack([one.x, one.y], 1) for one in places])
-    height = np.concatenate([one.height for one in places]).astype(np.float64)
+    height, worth = (np.concatenate([getattr(one, n) for one in places]).astype(float) for n in ("height", "worth"))
     listed = _listed(octaves, places)
-    middle, clear, step = listed[:, :2], listed[:, 2], listed[:, 4]
+    middle, step = listed[:, :2], listed[:, 4]
     shape = octaves[0].shape
     allowed = np.arange(len(at)) if registered is None else np.flatnonzero(_within(registered, middle, shape))
     x, y = middle[allowed].T
-    # Of those at one place the octave that stands highest at worst, of places those that do by what is left.
+    # Of those at one place the octave that stands highest at worst, of places those that are worth most.
     kept = allowed[_one_a_place(x, y, height[allowed], 4.0 * step[allowed], len(allowed))]
-    kept = kept[np.argsort(-clear[kept], kind="stable")][:most]
+    kept = kept[np.argsort(-worth[kept], kind="stable")][:most]
     of = np.repeat(np.arange(len(octaves)), count)[kept]
     # By octave, which is the order in which they are cut out.
     kept = kept[np.argsort(of, kind="stable")]
