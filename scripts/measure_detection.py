@@ -25,6 +25,7 @@ from matplotlib.figure import Figure
 from drawn_scenes import KINDS, Drawn, draw
 from tapetum.detection import Found, find_cameras
 from tapetum.detection.registration import register
+from tapetum.errors import InputError
 
 RATES = (0.01, 0.1, 1.0)
 EMPTY = 6
@@ -70,10 +71,16 @@ def cameras(kind: str, seed: int) -> list[Camera]:
 
 
 def alarms(kind: str, seed: int, tape: bool) -> dict[str, list[int]]:
-    scene = draw(kind, seed, tape=tape)
-    return {
-        way: [int((found_in(scene, way).false_alarms <= rate).sum()) for rate in RATES] for way in ("pair", "frame")
-    }
+    scene, told = draw(kind, seed, tape=tape), {}
+    for way in ("pair", "frame"):
+        try:
+            costs = found_in(scene, way).false_alarms
+        except InputError as error:
+            # What is refused does not alarm; that it was is said.
+            print(f"{kind} {seed}: {error}", file=sys.stderr)
+            costs = np.empty(0)
+        told[way] = [int((costs <= rate).sum()) for rate in RATES]
+    return told
 
 
 def recall(listed: list[Camera], way: str) -> list[float]:
