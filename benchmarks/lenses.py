@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import math
+import os
+import time
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 
 import torch
 
 import tapetum as tp
-from tapetum.bench import PrescriptionLens, with_values
+from tapetum.bench import PrescriptionLens, phone_names, with_values
 from tapetum.optics.grid import Grid
 from tapetum.optics.rays import trace
 from tapetum.simulate import Camera
@@ -75,7 +79,7 @@ def run(effort: Effort) -> list[Row]:
                 f"tilts up to {steepest:g}°; {traced.plan.columns} samples over the pupil",
             )
         )
-    return [*rows, _zoom(effort), _phone(effort)]
+    return [*rows, _zoom(effort), _phone(effort), _planning(effort)]
 
 
 def _zoom(effort: Effort) -> Row:
@@ -128,3 +132,33 @@ def _phone(effort: Effort) -> Row:
         timings.speed_up("ours", "peer"),
         f"both beams, tilts up to 5°, {phone.output.columns} × {phone.output.rows} pixels",
     )
+
+
+def _planning(effort: Effort) -> Row:
+    """Opening and planning the cameras of all phones, as processes that film a set do it, side by side."""
+    names = phone_names()[: effort.of(100, 1)]
+    cores = os.cpu_count() or 1
+    with ProcessPoolExecutor(cores, get_context("spawn"), torch.set_num_threads, (1,)) as pool:
+        # Processes that have loaded the package.
+        list(pool.map(_loaded, range(cores)))
+        start = time.perf_counter()
+        told = list(pool.map(_planned, reversed(names)))
+        seconds = time.perf_counter() - start
+    cameras, work = (sum(one) for one in zip(*told, strict=True))
+    return Row(
+        f"planning the {cameras} cameras of {len(names)} phones by {cores} processes",
+        Figure.duration(seconds),
+        note=f"{work:.0f} s of processor time; tilts up to {math.degrees(_STEEPEST):.0f}°",
+    )
+
+
+def _loaded(_: int) -> None:
+    """Wait until each process has its call."""
+    time.sleep(1)
+
+
+def _planned(name: str) -> tuple[int, float]:
+    start = time.process_time()
+    phone = PhoneCamera(with_values(tp.load_scene("phones"), {"target.name": name}), _STEEPEST)
+    assert phone.plan is not None
+    return len(phone.units), time.process_time() - start

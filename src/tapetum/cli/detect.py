@@ -14,6 +14,9 @@ from tapetum.errors import InputError
 
 __all__ = ["detect"]
 
+# As many finds, each with at most so many expected false alarms a frame, are said to be doubtful.
+_MANY, _RARE = 6, 0.01
+
 
 def detect(
     lit: Annotated[Path, typer.Argument(metavar="LIT", help="A picture taken with the probe's light on.")],
@@ -67,6 +70,12 @@ def detect(
         draw_found(first, found, picture)
     if found.swapped:
         typer.echo("note: what is bright in DARK alone looks more like a camera: are the two swapped?", err=True)
+    if int((found.false_alarms <= _RARE).sum()) >= _MANY:
+        typer.echo(
+            "note: so many at once are seldom all cameras: drops, beads and glossy edges shine back as small and round "
+            "as lenses. Take the pair again from a step aside: on a camera the light stays, elsewhere it slides",
+            err=True,
+        )
     if as_json:
         typer.echo(json.dumps({"out": str(out), "found": table.to_pylist()}))
         return
