@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import heapq
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -16,14 +17,18 @@ from numpy.typing import NDArray
 
 from tapetum.track.background import Ground, Picture, fit_ground, without_hot_pixels
 from tapetum.track.screen import FINE, Part, blur, fine_in_windows, parts_of, reduced
+from tapetum.track.sheet import Window, laid_out
 
 __all__ = ["Maps", "Spot", "make_maps", "search"]
 
-Window = tuple[slice, slice]
 Covariance = tuple[float, float, float]  # xx, xy, yy
 
 # Standard deviation of the wide smoothing, matched to a spot with fringes, and by how much a frame is reduced for it.
 _WIDE, _REDUCE = 6.0, 4
+# Pixels around a part, and reduced ones, on which its maps depend: smoothing, and the neighbours by which hot pixels
+# are recognised or between which reduced ones are interpolated. Of the first a multiple of the reduction.
+_AROUND = -(-(math.ceil(3 * FINE) + 1) // _REDUCE) * _REDUCE
+_CLEAR = math.ceil(3 * _WIDE / _REDUCE) + 1
 # Standard deviations that belong to a spot. 3: an aperture of 1.5 times the D4 sigma diameter. ISO 11146-1 takes 3
 # times, which would include the second beam of a beam splitter.
 _REACH = 3.0
@@ -57,11 +62,13 @@ _SAMPLE, _SAMPLES = 48, 7
 class Maps:
     """A part of a frame of `shape` as the search sees it: pictures of the part, float32.
 
-    `wide_noise` is that of the wide map, of the whole frame at a quarter of its size.
+    `wide_noise` is that of the wide map, of the whole frame at a quarter of its size. `window` is the part's place in
+    the pictures of all parts, of which these are views.
     """
 
     part: Part
     shape: tuple[int, int]
+    window: Window
     excess: Picture
     fine: Picture
     fine_snr: Picture
@@ -136,55 +143,97 @@ def make_maps(image: NDArray[Any], quantum: float, min_snr: float) -> list[Maps]
     parts = parts_of(image, small, ground, wide_snr, gain, min_snr)
     if not parts:
         return []
-
-    halo = math.ceil(3 * FINE) + 1
-    close: list[tuple[Picture, Picture, Picture]] = []
-    for part in parts:
-        top, left = max(0, part.top - halo), max(0, part.left - halo)
-        bottom, right = min(image.shape[0], part.bottom + halo), min(image.shape[1], part.right + halo)
-        below, around = ground.at(slice(top, bottom), slice(left, right))
-        above = cv2.subtract(image[top:bottom, left:right], below, dtype=cv2.CV_32F)
-        above = without_hot_pixels(np.asarray(above, dtype=np.float32), around)
-        inner = slice(part.top - top, part.bottom - top), slice(part.left - left, part.right - left)
-        fine, own = blur(above, FINE)[inner], above[inner]
-        close.append((own, fine, np.asarray(cv2.divide(fine, around[inner], scale=gain), dtype=np.float32)))
-        # The means of the quarter know nothing of hot pixels, and clip too late.
-        to = slice(part.top // _REDUCE, part.bottom // _REDUCE), slice(part.left // _REDUCE, part.right // _REDUCE)
-        rows, columns = (_REDUCE * (one.stop - one.start) for one in to)
-        size = columns // _REDUCE, rows // _REDUCE
-        cut = np.asarray(cv2.min(own, 3 * around[inner]), dtype=np.float32)
-        excess[to] = cv2.resize(own[:rows, :columns], size, interpolation=cv2.INTER_AREA)
-        clipped[to] = cv2.resize(cut[:rows, :columns], size, interpolation=cv2.INTER_AREA)
-    wide = blur(excess, sigma)
-    wide_snr = np.asarray(cv2.divide(blur(clipped, sigma), least, scale=wide_gain), dtype=np.float32)
+    windows, own, fine, around = _close(image, ground, parts)
+    fine_snr = np.asarray(cv2.divide(fine, around, scale=gain), dtype=np.float32)
+    # The means of the quarter know nothing of hot pixels, and clip too late.
+    shape = own.shape[1] // _REDUCE, own.shape[0] // _REDUCE
+    cut = np.asarray(cv2.min(own, 3 * around), dtype=np.float32)
+    for whole, quarter in ((own, excess), (cut, clipped)):
+        means = cv2.resize(whole, shape, interpolation=cv2.INTER_AREA)
+        for part, (rows, columns) in zip(parts, windows, strict=True):
+            here = means[rows.start // _REDUCE : rows.stop // _REDUCE, columns.start // _REDUCE : columns.stop // _REDUCE]
+            quarter[part.top // _REDUCE :, part.left // _REDUCE :][: here.shape[0], : here.shape[1]] = here
+    wide, snr = _wide(parts, windows, (excess, clipped, least), own.shape)
+    cv2.max(fine_snr, snr * np.float32(wide_gain), snr)
     wide_noise = np.asarray(least / np.float32(wide_gain), dtype=np.float32)
     return [
-        Maps(
-            part,
-            image.shape,
-            own,
-            fine,
-            fine_snr,
-            _grown(wide, part),
-            np.asarray(cv2.max(fine_snr, _grown(wide_snr, part)), np.float32),
-            wide_noise,
-        )
-        for part, (own, fine, fine_snr) in zip(parts, close, strict=True)
+        Maps(part, image.shape, at, own[at], fine[at], fine_snr[at], wide[at], snr[at], wide_noise)
+        for part, at in zip(parts, windows, strict=True)
     ]
 
 
-def _grown(quarter: Picture, part: Part) -> Picture:
-    """Return a part of a frame from its quarter, interpolated."""
-    top, left = max(0, part.top // _REDUCE - 1), max(0, part.left // _REDUCE - 1)
-    near = quarter[top : -(-part.bottom // _REDUCE) + 1, left : -(-part.right // _REDUCE) + 1]
-    size = near.shape[1] * _REDUCE, near.shape[0] * _REDUCE
-    whole = np.asarray(cv2.resize(near, size, interpolation=cv2.INTER_LINEAR), dtype=np.float32)
-    rows, columns = part.bottom - _REDUCE * top, part.right - _REDUCE * left
-    # A rest beyond the last whole quarter has its neighbour's value.
-    down, across = max(0, rows - whole.shape[0]), max(0, columns - whole.shape[1])
-    if down or across:
-        whole = np.asarray(cv2.copyMakeBorder(whole, 0, down, 0, across, cv2.BORDER_REPLICATE), dtype=np.float32)
-    return whole[part.top - _REDUCE * top : rows, part.left - _REDUCE * left : columns]
+def _close(
+    image: NDArray[Any], ground: Ground, parts: Sequence[Part]
+) -> tuple[list[Window], Picture, Picture, Picture]:
+    """Return a sheet of the parts' excess, its smoothed one and its noise, and where the parts are in it.
+
+    Each part lies there with its surroundings in the frame.
+    """
+    sizes = [(one.bottom - one.top + 2 * _AROUND, one.right - one.left + 2 * _AROUND) for one in parts]
+    places, shape = laid_out(sizes, _REDUCE)
+    above, around = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+    windows: list[Window] = []
+    for part, place in zip(parts, places, strict=True):
+        frame, sheet = _shared(part.window, place, _AROUND, image.shape)
+        below, around[sheet] = ground.at(*frame)
+        np.subtract(image[frame], below, out=above[sheet])
+        windows.append(_within(place, _AROUND))
+    above = without_hot_pixels(above, around)
+    return windows, above, blur(above, FINE), around
+
+
+def _wide(
+    parts: Sequence[Part], windows: Sequence[Window], quarters: tuple[Picture, Picture, Picture], shape: tuple[int, int]
+) -> tuple[Picture, Picture]:
+    """Smooth what surrounds the parts widely; return sheets of the excess, and of the clipped one over the noise.
+
+    `quarters` are the frame's excess, the clipped one and the noise of its means; `windows` are the parts' places in
+    sheets of `shape`.
+    """
+    height, width = quarters[0].shape
+    inner = [
+        (slice(one.top // _REDUCE, -(-one.bottom // _REDUCE)), slice(one.left // _REDUCE, -(-one.right // _REDUCE)))
+        for one in parts
+    ]
+    places, size = laid_out([tuple(one.stop - one.start + 2 * _CLEAR for one in both) for both in inner])
+    # Beyond the frame all is zero, its noise one.
+    sheets = [np.zeros(size, np.float32), np.zeros(size, np.float32), np.ones(size, np.float32)]
+    for one, place in zip(inner, places, strict=True):
+        frame, sheet = _shared(one, place, _CLEAR, (height, width))
+        for picture, quarter in zip(sheets, quarters, strict=True):
+            picture[sheet] = quarter[frame]
+    smooth, clipped = (blur(one, _WIDE / _REDUCE) for one in sheets[:2])
+    grown = []
+    for picture in (smooth, np.asarray(cv2.divide(clipped, sheets[2]))):
+        small = np.zeros((shape[0] // _REDUCE, shape[1] // _REDUCE), np.float32)
+        for one, place, (rows, columns) in zip(inner, places, windows, strict=True):
+            top, left = rows.start // _REDUCE - 1, columns.start // _REDUCE - 1
+            # With a neighbour to all sides; beyond the frame's last whole quarter the last one is repeated.
+            down, across = (
+                np.clip(np.arange(own.start - 1, own.stop + 1), 0, last - 1) + (at.start + _CLEAR - own.start)
+                for own, at, last in zip(one, place, (height, width), strict=True)
+            )
+            small[top : top + len(down), left : left + len(across)] = picture[down[:, None], across]
+        grown.append(np.asarray(cv2.resize(small, shape[::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32))
+    return grown[0], grown[1]
+
+
+def _shared(window: Window, place: Window, around: int, shape: tuple[int, int]) -> tuple[Window, Window]:
+    """Return which of a window of a frame, with pixels around it, lies in the frame of a shape, there and in its
+    place on a sheet."""
+    frame, sheet = [], []
+    for one, at, size in zip(window, place, shape, strict=True):
+        first, last = max(0, one.start - around), min(size, one.stop + around)
+        shift = at.start + around - one.start
+        frame.append(slice(first, last))
+        sheet.append(slice(first + shift, last + shift))
+    return (frame[0], frame[1]), (sheet[0], sheet[1])
+
+
+def _within(window: Window, around: int) -> Window:
+    """Return a window without the pixels around it."""
+    rows, columns = window
+    return slice(rows.start + around, rows.stop - around), slice(columns.start + around, columns.stop - around)
 
 
 class _Place:
