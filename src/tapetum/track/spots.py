@@ -249,6 +249,7 @@ class _Place:
         self.lit, self.lit_finely = maps.snr > 0.5 * min_snr, maps.fine_snr > 0.5 * min_snr
         self.seeds, self.sharp = maps.snr > min_snr, maps.fine_snr > min_snr
         self.free = np.ones(maps.snr.shape, bool)
+        self.rows, self.columns = (np.arange(size, dtype=np.float64) for size in maps.snr.shape)
         self.labels, self.stats = cv2.connectedComponentsWithStats(self.seeds.view(np.uint8), connectivity=8)[1:3]
 
     def ground(self, label: int) -> tuple[Window, NDArray[np.bool_]]:
@@ -260,11 +261,10 @@ class _Place:
     def highest(self, label: int) -> tuple[float, int, int] | None:
         """Return height, row and column of the brightest pixel of a region where a spot may still be sought."""
         window, free = self.ground(label)
-        if not free.any():
+        if not np.count_nonzero(free):
             return None
-        heights = np.where(free, self.maps.fine[window], -np.inf)
-        row, column = divmod(int(heights.argmax()), heights.shape[1])
-        return float(heights[row, column]), window[0].start + row, window[1].start + column
+        height, (column, row) = cv2.minMaxLoc(self.maps.fine[window], free.view(np.uint8))[1::2]
+        return height, window[0].start + row, window[1].start + column
 
     def window(self, x: float, y: float, reach_x: float, reach_y: float) -> Window:
         height, width = self.lit.shape
@@ -276,25 +276,38 @@ class _Place:
     def inside(self, window: Window, x: float, y: float, covariance: Covariance, reach: float) -> NDArray[np.bool_]:
         """Return the pixels of a window within a spot's reach: an ellipse of so many standard deviations."""
         xx, xy, yy = covariance
-        rows, columns = (np.arange(one.start, one.stop, one.step or 1, dtype=np.float64) for one in window)
-        limit = reach**2 * max(xx * yy - xy * xy, 1e-3 * xx * yy)
-        dx, dy = columns - x, (rows - y)[:, None]
-        form = dy * (xx * dy) + (yy * dx * dx - limit)
-        return np.asarray((form if xy == 0 else form - dy * (2 * xy * dx)) <= 0)
+        area = xx * yy - xy * xy
+        # In each row the pixels not farther from the ellipse's middle there than its half width.
+        away = self.rows[window[0]] - y
+        off = (self.columns[window[1]] - x) - ((xy / yy) * away)[:, None]
+        np.multiply(off, off, out=off)
+        np.multiply(away, away, out=away)
+        away *= -area / (yy * yy)
+        away += reach**2 * max(area, 1e-3 * xx * yy) / yy
+        return np.asarray(off <= away[:, None])
 
-    def ends(self, lit: NDArray[np.bool_], window: Window, stride: int = 1) -> tuple[bool, bool]:
-        """Return whether light reaches a window's border inside the part, and whether it reaches the frame's own."""
+    def goes_on(self, lit: NDArray[np.bool_], window: Window) -> bool:
+        """Return whether light reaches a window's border inside the part."""
+        rows, columns = window
+        height, width = self.lit.shape
+        return bool(
+            (rows.start > 0 and np.count_nonzero(lit[0]))
+            or (rows.stop < height and np.count_nonzero(lit[-1]))
+            or (columns.start > 0 and np.count_nonzero(lit[:, 0]))
+            or (columns.stop < width and np.count_nonzero(lit[:, -1]))
+        )
+
+    def at_edge(self, lit: NDArray[np.bool_], window: Window, stride: int) -> bool:
+        """Return whether light in a window reaches the frame's own border."""
         rows, columns = window
         height, width = self.lit.shape
         part, (whole_height, whole_width) = self.maps.part, self.maps.shape
-        sides = (
-            (lit[0], rows.start < stride, part.top == 0),
-            (lit[-1], rows.stop > height - stride, part.bottom == whole_height),
-            (lit[:, 0], columns.start < stride, part.left == 0),
-            (lit[:, -1], columns.stop > width - stride, part.right == whole_width),
+        return bool(
+            (part.top == 0 and rows.start < stride and np.count_nonzero(lit[0]))
+            or (part.bottom == whole_height and rows.stop > height - stride and np.count_nonzero(lit[-1]))
+            or (part.left == 0 and columns.start < stride and np.count_nonzero(lit[:, 0]))
+            or (part.right == whole_width and columns.stop > width - stride and np.count_nonzero(lit[:, -1]))
         )
-        within = any(not at_end and side.any() for side, at_end, _ in sides)
-        return within, any(at_end and frames and side.any() for side, at_end, frames in sides)
 
     def claim(self, window: Window, inside: NDArray[np.bool_]) -> None:
         """No other spot is sought here, nor has light from here."""
@@ -302,21 +315,21 @@ class _Place:
         for mask in (self.free, self.seeds, self.lit, self.lit_finely):
             mask[window] &= outside
 
-
-def _moments(weight: Picture, window: Window) -> tuple[float, float, Covariance, float] | None:
-    """Centroid, covariance and total of a weight [h, w] over a window; None where it is dark."""
-    moments = cv2.moments(weight)
-    total = moments["m00"]
-    if total <= 0:
-        return None
-    x, y = moments["m10"] / total, moments["m01"] / total
-    across, down = window[1].step or 1, window[0].step or 1
-    # Add a pixel's own width, so that a spot of one pixel has one.
-    # Noise below the background can make them negative.
-    xx = max(moments["mu20"] / total * across**2, 0.0) + 1 / 12
-    yy = max(moments["mu02"] / total * down**2, 0.0) + 1 / 12
-    xy = moments["mu11"] / total * across * down
-    return window[1].start + across * x, window[0].start + down * y, (xx, xy, yy), total
+    def moments(self, lit: NDArray[np.bool_], window: Window) -> tuple[float, float, Covariance, float] | None:
+        """Centroid, covariance and total of the light in a window where it is lit; None where it is dark."""
+        across, down = window[1].step or 1, window[0].step or 1
+        excess = self.maps.excess[window]
+        moments = cv2.moments(cv2.copyTo(excess, lit.view(np.uint8)) if across == 1 else excess * lit)
+        total = moments["m00"]
+        if total <= 0:
+            return None
+        x, y = moments["m10"] / total, moments["m01"] / total
+        # Add a pixel's own width, so that a spot of one pixel has one.
+        # Noise below the background can make them negative.
+        xx = max(moments["mu20"] / total * across**2, 0.0) + 1 / 12
+        yy = max(moments["mu02"] / total * down**2, 0.0) + 1 / 12
+        xy = moments["mu11"] / total * across * down
+        return window[1].start + across * x, window[0].start + down * y, (xx, xy, yy), total
 
 
 def _measure(place: _Place, row: int, column: int) -> Spot | None:
@@ -329,15 +342,17 @@ def _measure(place: _Place, row: int, column: int) -> Spot | None:
     reach = 32.0
     while True:
         window = place.window(column, row, reach, reach)
-        above = ((maps.wide[window] >= level) & place.lit[window]).view(np.uint8)
+        region = maps.wide[window] >= level
+        region &= place.lit[window]
         at = row - window[0].start, column - window[1].start
-        above[at] = 1
-        labels = cv2.connectedComponents(above, connectivity=4)[1]
-        region = labels == labels[at]
-        if not place.ends(region, window)[0]:
+        region[at] = True
+        # What hangs together with the pixel becomes 2.
+        cv2.floodFill(region.view(np.uint8), None, at[::-1], 2, flags=4)
+        region = region.view(np.uint8) == 2
+        if not place.goes_on(region, window):
             break
         reach *= 2
-    found = _moments(maps.excess[window] * (region & gated[window]), window)
+    found = place.moments(region & gated[window], window)
     if found is None:
         return None
     first = found, window, region
@@ -349,7 +364,8 @@ def _measure(place: _Place, row: int, column: int) -> Spot | None:
             return None
         # Wide spots are subsampled: 160 points across give the moments far better than to a pixel.
         stride = max(1, max(part[0].stop - part[0].start, part[1].stop - part[1].start) // 160)
-        part = slice(part[0].start, part[0].stop, stride), slice(part[1].start, part[1].stop, stride)
+        if stride > 1:
+            part = slice(part[0].start, part[0].stop, stride), slice(part[1].start, part[1].stop, stride)
         lit = place.inside(part, x, y, (xx, xy, yy), _REACH)
         reached = np.count_nonzero(lit)
         lit &= gated[part]
@@ -357,7 +373,7 @@ def _measure(place: _Place, row: int, column: int) -> Spot | None:
             # The aperture ran away over neighbours, which are other spots.
             found, part, lit = first
             break
-        after = _moments(maps.excess[part] * lit, part)
+        after = place.moments(lit, part)
         if after is None:
             break
         step = max(abs(after[0] - x), abs(after[1] - y))
@@ -368,7 +384,7 @@ def _measure(place: _Place, row: int, column: int) -> Spot | None:
     x, y, covariance, light = found
     stride = part[0].step or 1
     area = int(np.count_nonzero(lit)) * stride**2
-    return Spot(x, y, covariance, area, place.ends(lit, part, stride)[1], light)
+    return Spot(x, y, covariance, area, place.at_edge(lit, part, stride), light)
 
 
 def search(
@@ -412,7 +428,7 @@ def search(
                 if whole is not None and not shade:
                     found.append(whole)
             near = place.window(column, row, 2, 2)
-            place.claim(near, np.ones(place.seeds[near].shape, bool))
+            place.claim(near, np.True_)
         enqueue(number, label)
     return sorted(_joined(found), key=lambda spot: -spot.peak)
 
@@ -455,18 +471,18 @@ def _taken(place: _Place, spot: Spot, image: NDArray[Any], full_scale: float) ->
     window = place.window(spot.x, spot.y, _CLAIM * math.sqrt(own[0]), _CLAIM * math.sqrt(own[2]))
     inside = place.inside(window, spot.x, spot.y, own, _CLAIM)
     new = inside & place.free[window]
-    snr = float(maps.snr[window].max(initial=0.0, where=new))
-    peak = float(maps.fine[window].max(initial=0.0, where=new))
+    snr, peak = (max(0.0, cv2.minMaxLoc(one[window], new.view(np.uint8))[1]) for one in (maps.snr, maps.fine))
     rows, columns = (
         slice(one.start + first, one.stop + first) for one, first in zip(window, (part.top, part.left), strict=True)
     )
-    saturated = int(np.count_nonzero((image[rows, columns] >= full_scale) & new))
+    own_part = image[rows, columns]
+    saturated = int(np.count_nonzero((own_part >= full_scale) & new)) if own_part.max() >= full_scale else 0
     place.claim(window, inside)
     # The wide smoothing carries a bright spot's light beyond its area; alone it is no sign of another spot there.
     carried = _CARRIED * _WIDE
     window = place.window(spot.x, spot.y, _CLAIM * math.sqrt(own[0]) + carried, _CLAIM * math.sqrt(own[2]) + carried)
     reach = _CLAIM + carried / math.sqrt(max(own[0], own[2]))
-    place.seeds[window] &= ~(place.inside(window, spot.x, spot.y, own, reach) & ~place.sharp[window])
+    place.seeds[window] &= place.sharp[window] | ~place.inside(window, spot.x, spot.y, own, reach)
     if snr < place.min_snr or spot.area < 4:
         return None
     return replace(spot, x=spot.x + part.left, y=spot.y + part.top, snr=snr, peak=peak, saturated=saturated)
