@@ -11,6 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from tapetum.data.blocks import block_means
+
 __all__ = ["Ground", "fit_ground", "without_hot_pixels"]
 
 # Blocks along the short side of the frame: enough for a surface of the fourth order, few enough to fit in 1 ms.
@@ -38,20 +40,6 @@ def _basis(rows: int, columns: int) -> tuple[NDArray[np.float64], list[tuple[int
     y, x = _legendre(rows), _legendre(columns)
     pairs = [(i, order - i) for order in range(_ORDER + 1) for i in range(order + 1)]
     return np.stack([np.outer(y[:, i], x[:, j]).ravel() for i, j in pairs]), pairs
-
-
-@functools.lru_cache(maxsize=16)
-def _shares(samples: int, parts: int) -> NDArray[np.float32]:
-    """Return the shares that samples have in the means over equal parts of an axis, [parts, samples]."""
-    ends = np.linspace(0, samples, parts + 1)
-    first = np.arange(samples)
-    shared = np.minimum(ends[1:, None], first + 1) - np.maximum(ends[:-1, None], first)
-    return (np.maximum(shared, 0) * (parts / samples)).astype(np.float32)
-
-
-def _means(image: NDArray[np.float32], rows: int, columns: int) -> NDArray[np.float32]:
-    """Return the means over equal blocks of any size: two products of matrices are faster than resizing."""
-    return _shares(image.shape[0], rows) @ image @ _shares(image.shape[1], columns).T
 
 
 def _quantile(values: NDArray[np.float64], share: float) -> float:
@@ -122,13 +110,19 @@ class Ground:
         Rows and columns are slices, or numbers that may lie between pixels. Both pictures are float32 [..., h, w];
         leading axes make a stack of windows.
         """
-        y, x = _polynomials(rows, self.shape[0]), np.swapaxes(_polynomials(columns, self.shape[1]), -1, -2)
-        level, variance = (_products(y, one, x) for one in (self.level, self.variance))
+        if isinstance(rows, slice):
+            along = [one[rows] for one in self._along_rows]
+        else:
+            along = [_polynomials(rows, self.shape[0]) @ one.astype(np.float32) for one in (self.level, self.variance)]
+        across = np.swapaxes(_polynomials(columns, self.shape[1]), -1, -2)
+        level, variance = (one @ across for one in along)
         return level, np.sqrt(np.maximum(variance, np.float32(self.least**2), out=variance), out=variance)
 
-
-def _products(y: NDArray[np.float32], weights: NDArray[np.float64], x: NDArray[np.float32]) -> Picture:
-    return (y @ weights.astype(np.float32)) @ x
+    @functools.cached_property
+    def _along_rows(self) -> list[NDArray[np.float32]]:
+        """The weights of the polynomials in x in each row, [H, 5], of the level and of the variance."""
+        rows = _legendre32(self.shape[0])
+        return [rows @ one.astype(np.float32) for one in (self.level, self.variance)]
 
 
 @functools.lru_cache(maxsize=8)
@@ -157,7 +151,7 @@ def fit_ground(image: NDArray[Any], quarter: Picture, quantum: float) -> Ground:
     grid = (max(1, width // block), max(1, height // block))
     # Blocks smaller than a few quarters need the pixels themselves.
     fine = quarter if block >= 8 else image.astype(np.float32)
-    means = _means(fine, *grid[::-1])
+    means = block_means(fine, *grid[::-1])
     # Differences of pixels two apart, in some of the rows, cancel a slope or a wide spot but keep noise that is
     # correlated between neighbours.
     rows = image[:: max(2, block // _ROWS)]
@@ -184,16 +178,11 @@ def without_hot_pixels(excess: Picture, noise: Picture) -> Picture:
     bound = 5 * noise
     # Few pixels stand so high.
     row, column = np.nonzero(excess > bound)
-    high = excess[row, column]
-    beside, above = (_higher(excess, row, column, axis) for axis in (1, 0))
-    hot = np.minimum(beside, above) - np.float32(0.15) * high < 2 * noise[row, column]
+    # Mirrored about the border's pixels: there one neighbour counts twice.
+    around = np.asarray(cv2.copyMakeBorder(excess, 1, 1, 1, 1, cv2.BORDER_REFLECT_101)).ravel()
+    stride = excess.shape[1] + 2
+    at = (row + 1) * stride + (column + 1)
+    beside, above = (np.maximum(around[at - step], around[at + step]) for step in (1, stride))
+    hot = np.minimum(beside, above) - np.float32(0.15) * around[at] < 2 * noise[row, column]
     excess[row[hot], column[hot]] = 0
     return np.asarray(cv2.max(excess, np.negative(bound, out=bound)), dtype=np.float32)
-
-
-def _higher(image: Picture, row: NDArray[np.intp], column: NDArray[np.intp], axis: int) -> NDArray[np.float32]:
-    """Return the higher of the two neighbours of pixels along an axis; at the border there is one."""
-    at, last = (row, column)[axis], image.shape[axis] - 1
-    before, after = np.where(at > 0, at - 1, min(1, last)), np.where(at < last, at + 1, max(last - 1, 0))
-    places = [(one, column) if axis == 0 else (row, one) for one in (before, after)]
-    return np.maximum(image[places[0]], image[places[1]])

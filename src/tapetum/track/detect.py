@@ -44,11 +44,12 @@ def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: 
     x, y, peak = spots["x"], spots["y"], spots["peak"]
     # A saturated spot's true height is unknown: its ghost may be twice as bright.
     limit = ratio * peak * np.where(spots["saturated"] > 0, 2.0, 1.0)
+    stray = peak < floor * peak[0]
+    # Of a spot, all for which it may be the brighter one.
+    dims = (np.hypot(x[:, None] - x, y[:, None] - y) <= radius) & (peak < limit[:, None])
     ghost = np.zeros(len(x), dtype=bool)
     for n in range(1, len(x)):
-        others = np.flatnonzero(~ghost[:n])
-        near = np.hypot(x[others] - x[n], y[others] - y[n]) <= radius
-        ghost[n] = bool((near & (peak[n] < limit[others])).any() or peak[n] < floor * peak[0])
+        ghost[n] = stray[n] or (dims[:n, n] & ~ghost[:n]).any()
     return ghost
 
 

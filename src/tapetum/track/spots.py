@@ -60,15 +60,14 @@ _SAMPLE, _SAMPLES = 48, 7
 
 @dataclass(frozen=True)
 class Maps:
-    """A part of a frame of `shape` as the search sees it: pictures of the part, float32.
+    """Parts of a frame of `shape` as the search sees them: pictures on one sheet, float32, and their `windows` in it.
 
-    `wide_noise` is that of the wide map, of the whole frame at a quarter of its size. `window` is the part's place in
-    the pictures of all parts, of which these are views.
+    `wide_noise` is that of the wide map, of the whole frame at a quarter of its size.
     """
 
-    part: Part
     shape: tuple[int, int]
-    window: Window
+    parts: Sequence[Part]
+    windows: Sequence[Window]
     excess: Picture
     fine: Picture
     fine_snr: Picture
@@ -121,8 +120,8 @@ def _sampled(image: NDArray[Any], ground: Ground, gain: float) -> float:
     return _spread(smooth[:, thin, thin], noise[:, thin, thin], gain)
 
 
-def make_maps(image: NDArray[Any], quantum: float, min_snr: float) -> list[Maps]:
-    """Return maps of the parts of a frame that may hold spots above an SNR."""
+def make_maps(image: NDArray[Any], quantum: float, min_snr: float) -> Maps | None:
+    """Return maps of the parts of a frame that may hold spots above an SNR; None where there are none."""
     small = reduced(image)
     ground = fit_ground(image, small.quarter, quantum)
     sparse = image[::4, ::4]
@@ -142,7 +141,7 @@ def make_maps(image: NDArray[Any], quantum: float, min_snr: float) -> list[Maps]
     wide_snr = np.asarray(cv2.divide(smooth, least, scale=wide_gain), dtype=np.float32)
     parts = parts_of(image, small, ground, wide_snr, gain, min_snr)
     if not parts:
-        return []
+        return None
     windows, own, fine, around = _close(image, ground, parts)
     fine_snr = np.asarray(cv2.divide(fine, around, scale=gain), dtype=np.float32)
     # The means of the quarter know nothing of hot pixels, and clip too late.
@@ -150,36 +149,32 @@ def make_maps(image: NDArray[Any], quantum: float, min_snr: float) -> list[Maps]
     cut = np.asarray(cv2.min(own, 3 * around), dtype=np.float32)
     for whole, quarter in ((own, excess), (cut, clipped)):
         means = cv2.resize(whole, shape, interpolation=cv2.INTER_AREA)
-        for part, (rows, columns) in zip(parts, windows, strict=True):
-            here = means[rows.start // _REDUCE : rows.stop // _REDUCE, columns.start // _REDUCE : columns.stop // _REDUCE]
-            quarter[part.top // _REDUCE :, part.left // _REDUCE :][: here.shape[0], : here.shape[1]] = here
+        for part, place in zip(parts, windows, strict=True):
+            quarter[_reduced(part.window)] = means[_reduced(place)]
     wide, snr = _wide(parts, windows, (excess, clipped, least), own.shape)
-    cv2.max(fine_snr, snr * np.float32(wide_gain), snr)
-    wide_noise = np.asarray(least / np.float32(wide_gain), dtype=np.float32)
-    return [
-        Maps(part, image.shape, at, own[at], fine[at], fine_snr[at], wide[at], snr[at], wide_noise)
-        for part, at in zip(parts, windows, strict=True)
-    ]
+    snr *= np.float32(wide_gain)
+    cv2.max(fine_snr, snr, snr)
+    return Maps(image.shape, parts, windows, own, fine, fine_snr, wide, snr, least / np.float32(wide_gain))
 
 
 def _close(
     image: NDArray[Any], ground: Ground, parts: Sequence[Part]
 ) -> tuple[list[Window], Picture, Picture, Picture]:
-    """Return a sheet of the parts' excess, its smoothed one and its noise, and where the parts are in it.
+    """Return where the parts are on a sheet, and the sheet: their excess, its smoothed one and its noise.
 
     Each part lies there with its surroundings in the frame.
     """
     sizes = [(one.bottom - one.top + 2 * _AROUND, one.right - one.left + 2 * _AROUND) for one in parts]
     places, shape = laid_out(sizes, _REDUCE)
-    above, around = np.zeros(shape, np.float32), np.ones(shape, np.float32)
-    windows: list[Window] = []
-    for part, place in zip(parts, places, strict=True):
-        frame, sheet = _shared(part.window, place, _AROUND, image.shape)
-        below, around[sheet] = ground.at(*frame)
+    above, noise = np.zeros(shape, np.float32), np.ones(shape, np.float32)
+    windows = [_grown(one, -_AROUND) for one in places]
+    for part, window in zip(parts, windows, strict=True):
+        frame = _grown(part.window, _AROUND, image.shape)
+        sheet = _moved(frame, part.window, window)
+        below, noise[sheet] = ground.at(*frame)
         np.subtract(image[frame], below, out=above[sheet])
-        windows.append(_within(place, _AROUND))
-    above = without_hot_pixels(above, around)
-    return windows, above, blur(above, FINE), around
+    above = without_hot_pixels(above, noise)
+    return windows, above, blur(above, FINE), noise
 
 
 def _wide(
@@ -190,71 +185,107 @@ def _wide(
     `quarters` are the frame's excess, the clipped one and the noise of its means; `windows` are the parts' places in
     sheets of `shape`.
     """
-    height, width = quarters[0].shape
-    inner = [
-        (slice(one.top // _REDUCE, -(-one.bottom // _REDUCE)), slice(one.left // _REDUCE, -(-one.right // _REDUCE)))
-        for one in parts
-    ]
-    places, size = laid_out([tuple(one.stop - one.start + 2 * _CLEAR for one in both) for both in inner])
+    size = quarters[0].shape
+    inner = [_reduced(one.window, up=True) for one in parts]
+    places, around = laid_out([(h.stop - h.start + 2 * _CLEAR, w.stop - w.start + 2 * _CLEAR) for h, w in inner])
+    places = [_grown(one, -_CLEAR) for one in places]
     # Beyond the frame all is zero, its noise one.
-    sheets = [np.zeros(size, np.float32), np.zeros(size, np.float32), np.ones(size, np.float32)]
+    sheets = [np.full(around, beyond, np.float32) for beyond in (0, 0, 1)]
     for one, place in zip(inner, places, strict=True):
-        frame, sheet = _shared(one, place, _CLEAR, (height, width))
+        frame = _grown(one, _CLEAR, size)
+        sheet = _moved(frame, one, place)
         for picture, quarter in zip(sheets, quarters, strict=True):
             picture[sheet] = quarter[frame]
     smooth, clipped = (blur(one, _WIDE / _REDUCE) for one in sheets[:2])
     grown = []
     for picture in (smooth, np.asarray(cv2.divide(clipped, sheets[2]))):
         small = np.zeros((shape[0] // _REDUCE, shape[1] // _REDUCE), np.float32)
-        for one, place, (rows, columns) in zip(inner, places, windows, strict=True):
-            top, left = rows.start // _REDUCE - 1, columns.start // _REDUCE - 1
-            # With a neighbour to all sides; beyond the frame's last whole quarter the last one is repeated.
-            down, across = (
-                np.clip(np.arange(own.start - 1, own.stop + 1), 0, last - 1) + (at.start + _CLEAR - own.start)
-                for own, at, last in zip(one, place, (height, width), strict=True)
-            )
-            small[top : top + len(down), left : left + len(across)] = picture[down[:, None], across]
+        for one, place, window in zip(inner, places, windows, strict=True):
+            # With the neighbours between which pixels lie; beyond the frame's whole quarters the last one is repeated.
+            all_of_it, frame = _grown(one, 1), _grown(one, 1, size)
+            near = picture[_moved(frame, one, place)]
+            if frame != all_of_it:
+                (top, bottom), (left, right) = (
+                    (b.start - a.start, a.stop - b.stop) for a, b in zip(all_of_it, frame, strict=True)
+                )
+                near = cv2.copyMakeBorder(near, top, bottom, left, right, cv2.BORDER_REPLICATE)
+            small[_moved(all_of_it, one, _reduced(window))] = near
         grown.append(np.asarray(cv2.resize(small, shape[::-1], interpolation=cv2.INTER_LINEAR), dtype=np.float32))
     return grown[0], grown[1]
 
 
-def _shared(window: Window, place: Window, around: int, shape: tuple[int, int]) -> tuple[Window, Window]:
-    """Return which of a window of a frame, with pixels around it, lies in the frame of a shape, there and in its
-    place on a sheet."""
-    frame, sheet = [], []
-    for one, at, size in zip(window, place, shape, strict=True):
-        first, last = max(0, one.start - around), min(size, one.stop + around)
-        shift = at.start + around - one.start
-        frame.append(slice(first, last))
-        sheet.append(slice(first + shift, last + shift))
-    return (frame[0], frame[1]), (sheet[0], sheet[1])
+def _reduced(window: Window, *, up: bool = False) -> Window:
+    """Return the whole quarters in a window that begins with one, or all that it touches."""
+    rest = _REDUCE - 1 if up else 0
+    rows, columns = (slice(one.start // _REDUCE, (one.stop + rest) // _REDUCE) for one in window)
+    return rows, columns
 
 
-def _within(window: Window, around: int) -> Window:
-    """Return a window without the pixels around it."""
-    rows, columns = window
-    return slice(rows.start + around, rows.stop - around), slice(columns.start + around, columns.stop - around)
+def _grown(window: Window, around: int, shape: tuple[int, int] | None = None) -> Window:
+    """Return a window with, or for a negative number without, pixels around it; not beyond a frame of a shape."""
+    rows, columns = (slice(one.start - around, one.stop + around) for one in window)
+    if shape is None:
+        return rows, columns
+    return (
+        slice(max(0, rows.start), min(shape[0], rows.stop)),
+        slice(max(0, columns.start), min(shape[1], columns.stop)),
+    )
+
+
+def _moved(part: Window, window: Window, to: Window) -> Window:
+    """Return where a part of a frame lies on a sheet on which a window of the frame lies at another place."""
+    down, across = to[0].start - window[0].start, to[1].start - window[1].start
+    rows, columns = part
+    return slice(rows.start + down, rows.stop + down), slice(columns.start + across, columns.stop + across)
+
+
+class _Masks:
+    """What is known of the pixels of all parts while they are searched, on the maps' sheet.
+
+    Of its pixels, `free` belong to no spot yet, and of these `lit` and `lit_finely` are above half of the least SNR, of
+    both scales and of the fine one; at `seeds` a spot may still be sought; `sharp` are above the least SNR of the fine
+    scale.
+    """
+
+    def __init__(self, maps: Maps, min_snr: float) -> None:
+        self.free = np.zeros(maps.snr.shape, bool)
+        for window in maps.windows:
+            self.free[window] = True
+        self.lit, self.lit_finely = maps.snr > 0.5 * min_snr, maps.fine_snr > 0.5 * min_snr
+        self.seeds, self.sharp = maps.snr > min_snr, maps.fine_snr > min_snr
+        # A part's surroundings on the sheet belong to others, or to none.
+        self.seeds &= self.free
+        seeds = self.seeds.view(np.uint8)
+        _, self.labels, stats, _ = cv2.connectedComponentsWithStats(seeds, connectivity=8)
+        # Of each region in which a spot may be: left, top, width, height, and the number of its part.
+        corners = np.array([(one[0].start, one[1].start, one[0].stop, one[1].stop) for one in maps.windows])
+        left, top, width, height = stats[1:, :4].T
+        within = (top[:, None] >= corners[:, 0]) & (top[:, None] < corners[:, 2])
+        within &= (left[:, None] >= corners[:, 1]) & (left[:, None] < corners[:, 3])
+        part = within.argmax(1)
+        columns = (left - corners[part, 1], top - corners[part, 0], width, height, part)
+        self.regions = np.stack(columns, axis=1).tolist() if len(stats) > 1 else []
 
 
 class _Place:
     """A part of a frame while it is searched; all coordinates count from the part's first pixel.
 
-    Of its pixels, `free` belong to no spot yet, and of these `lit` and `lit_finely` are above half of the least SNR, of
-    both scales and of the fine one; at `seeds` a spot may still be sought; `sharp` are above the least SNR of the fine
-    scale. All are [h, w].
+    Its pictures are those of `Maps`, its masks those of `_Masks`, [h, w].
     """
 
-    def __init__(self, maps: Maps, min_snr: float) -> None:
-        self.maps, self.min_snr = maps, min_snr
-        self.lit, self.lit_finely = maps.snr > 0.5 * min_snr, maps.fine_snr > 0.5 * min_snr
-        self.seeds, self.sharp = maps.snr > min_snr, maps.fine_snr > min_snr
-        self.free = np.ones(maps.snr.shape, bool)
-        self.rows, self.columns = (np.arange(size, dtype=np.float64) for size in maps.snr.shape)
-        self.labels, self.stats = cv2.connectedComponentsWithStats(self.seeds.view(np.uint8), connectivity=8)[1:3]
+    def __init__(self, maps: Maps, masks: _Masks, number: int, min_snr: float) -> None:
+        self.part, self.frame, self.min_snr = maps.parts[number], maps.shape, min_snr
+        self.wide_noise, self.regions = maps.wide_noise, masks.regions
+        at = maps.windows[number]
+        self.excess, self.fine, self.fine_snr = maps.excess[at], maps.fine[at], maps.fine_snr[at]
+        self.wide, self.snr = maps.wide[at], maps.snr[at]
+        self.free, self.lit, self.lit_finely = masks.free[at], masks.lit[at], masks.lit_finely[at]
+        self.seeds, self.sharp, self.labels = masks.seeds[at], masks.sharp[at], masks.labels[at]
+        self.rows, self.columns = (np.arange(size, dtype=np.float64) for size in self.snr.shape)
 
     def ground(self, label: int) -> tuple[Window, NDArray[np.bool_]]:
         """Return the window around a labelled region, and where in there a spot of it may still be sought."""
-        left, top, w, h = self.stats[label, :4].tolist()
+        left, top, w, h, _ = self.regions[label - 1]
         window = slice(top, top + h), slice(left, left + w)
         return window, (self.labels[window] == label) & self.seeds[window]
 
@@ -263,7 +294,7 @@ class _Place:
         window, free = self.ground(label)
         if not np.count_nonzero(free):
             return None
-        height, (column, row) = cv2.minMaxLoc(self.maps.fine[window], free.view(np.uint8))[1::2]
+        _, height, _, (column, row) = cv2.minMaxLoc(self.fine[window], free.view(np.uint8))
         return height, window[0].start + row, window[1].start + column
 
     def window(self, x: float, y: float, reach_x: float, reach_y: float) -> Window:
@@ -301,7 +332,7 @@ class _Place:
         """Return whether light in a window reaches the frame's own border."""
         rows, columns = window
         height, width = self.lit.shape
-        part, (whole_height, whole_width) = self.maps.part, self.maps.shape
+        part, (whole_height, whole_width) = self.part, self.frame
         return bool(
             (part.top == 0 and rows.start < stride and np.count_nonzero(lit[0]))
             or (part.bottom == whole_height and rows.stop > height - stride and np.count_nonzero(lit[-1]))
@@ -318,7 +349,7 @@ class _Place:
     def moments(self, lit: NDArray[np.bool_], window: Window) -> tuple[float, float, Covariance, float] | None:
         """Centroid, covariance and total of the light in a window where it is lit; None where it is dark."""
         across, down = window[1].step or 1, window[0].step or 1
-        excess = self.maps.excess[window]
+        excess = self.excess[window]
         moments = cv2.moments(cv2.copyTo(excess, lit.view(np.uint8)) if across == 1 else excess * lit)
         total = moments["m00"]
         if total <= 0:
@@ -334,15 +365,14 @@ class _Place:
 
 def _measure(place: _Place, row: int, column: int) -> Spot | None:
     """Measure the spot around a bright pixel: its moments, in an aperture that follows them."""
-    maps = place.maps
     # Where fringes and lobes merge, a quarter of the height bounds the spot.
-    level = np.float32(0.25 * maps.wide[row, column])
+    level = np.float32(0.25 * place.wide[row, column])
     # A small spot is bounded by the fine map: the wide one adds a halo of noise.
-    gated = place.lit_finely if maps.fine_snr[row, column] >= place.min_snr else place.lit
+    gated = place.lit_finely if place.fine_snr[row, column] >= place.min_snr else place.lit
     reach = 32.0
     while True:
         window = place.window(column, row, reach, reach)
-        region = maps.wide[window] >= level
+        region = place.wide[window] >= level
         region &= place.lit[window]
         at = row - window[0].start, column - window[1].start
         region[at] = True
@@ -388,7 +418,7 @@ def _measure(place: _Place, row: int, column: int) -> Spot | None:
 
 
 def search(
-    maps: list[Maps],
+    maps: Maps | None,
     image: NDArray[Any],
     full_scale: float,
     min_snr: float,
@@ -396,7 +426,10 @@ def search(
     largest: float = math.inf,
 ) -> list[Spot]:
     """The spots of a frame in its `maps`, brightest first, without those wider than `largest` pixels."""
-    places = [_Place(one, min_snr) for one in maps]
+    if maps is None:
+        return []
+    masks = _Masks(maps, min_snr)
+    places = [_Place(maps, masks, number, min_snr) for number in range(len(maps.parts))]
     queue: list[tuple[float, int, int, int, int]] = []
 
     def enqueue(number: int, label: int) -> None:
@@ -404,9 +437,8 @@ def search(
         if highest is not None:
             heapq.heappush(queue, (-highest[0], number, label, *highest[1:]))
 
-    for number, place in enumerate(places):
-        for label in range(1, len(place.stats)):
-            enqueue(number, label)
+    for label, (*_, number) in enumerate(masks.regions, 1):
+        enqueue(number, label)
     found: list[Spot] = []
     # A smear or a halo breaks into pieces; they are dim and come last, so their number is limited.
     for _ in range(4 * max_count):
@@ -428,7 +460,7 @@ def search(
                 if whole is not None and not shade:
                     found.append(whole)
             near = place.window(column, row, 2, 2)
-            place.claim(near, np.True_)
+            place.claim(near, np.ones(place.seeds[near].shape, bool))
         enqueue(number, label)
     return sorted(_joined(found), key=lambda spot: -spot.peak)
 
@@ -436,13 +468,13 @@ def search(
 def _shade(place: _Place, spot: Spot) -> bool:
     """Return whether a broad spot varies so slowly that it may be the rest of the background, which no surface fits
     exactly."""
-    maps, part = place.maps, place.maps.part
+    part = place.part
     reach = (_CLAIM * math.sqrt(spot.covariance[n]) for n in (0, 2))
     window = place.window(spot.x, spot.y, *reach)
     # Without what belongs to other spots; at an eighth of the size, for what is looked for is wider.
     size = tuple(max(1, (one.stop - one.start) // _SHADE_STEP) for one in window[::-1])
     free = place.free[window].astype(np.float32)
-    both = np.asarray(maps.excess[window] * free), free
+    both = np.asarray(place.excess[window] * free), free
     small = [cv2.resize(one, size, interpolation=cv2.INTER_AREA) for one in both]
     if min(size) < 2 or not small[1].any():
         return False
@@ -458,20 +490,20 @@ def _shade(place: _Place, spot: Spot) -> bool:
     rim = [int(_SHADE / _SHADE_STEP) if n > 4 * _SHADE / _SHADE_STEP else 0 for n in rest.shape]
     varies = float(rest[rim[0] : rest.shape[0] - rim[0], rim[1] : rest.shape[1] - rim[1]].max())
     row, column = ((first + int(at)) // _REDUCE for first, at in ((part.top, spot.y), (part.left, spot.x)))
-    height, width = maps.wide_noise.shape
-    noise = float(maps.wide_noise[min(row, height - 1), min(column, width - 1)])
+    height, width = place.wide_noise.shape
+    noise = float(place.wide_noise[min(row, height - 1), min(column, width - 1)])
     return varies < _SHADE_NOISE * noise
 
 
 def _taken(place: _Place, spot: Spot, image: NDArray[Any], full_scale: float) -> Spot | None:
     """Claim a spot's area; return the spot, in the frame's coordinates, or None where its light is too little."""
-    maps, part = place.maps, place.maps.part
+    part = place.part
     xx, xy, yy = spot.covariance
     own = xx + FINE**2, xy, yy + FINE**2
     window = place.window(spot.x, spot.y, _CLAIM * math.sqrt(own[0]), _CLAIM * math.sqrt(own[2]))
     inside = place.inside(window, spot.x, spot.y, own, _CLAIM)
     new = inside & place.free[window]
-    snr, peak = (max(0.0, cv2.minMaxLoc(one[window], new.view(np.uint8))[1]) for one in (maps.snr, maps.fine))
+    snr, peak = (max(0.0, cv2.minMaxLoc(one[window], new.view(np.uint8))[1]) for one in (place.snr, place.fine))
     rows, columns = (
         slice(one.start + first, one.stop + first) for one, first in zip(window, (part.top, part.left), strict=True)
     )
