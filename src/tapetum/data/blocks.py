@@ -29,4 +29,5 @@ def block_means(image: NDArray[np.float32], rows: int, columns: int) -> NDArray[
     >>> block_means(np.arange(6, dtype=np.float32).reshape(2, 3), 1, 2).round(3).tolist()
     [[1.833, 3.167]]
     """
-    return _shares(image.shape[0], rows) @ image @ _shares(image.shape[1], columns).T
+    means = _shares(image.shape[0], rows) @ image @ _shares(image.shape[1], columns).T
+    return np.asarray(means, dtype=np.float32)
