@@ -170,7 +170,8 @@ def detect(
         spots = {name: values[~spots["ghost"]] for name, values in spots.items()}
     reach = np.maximum(4.0, 0.75 * spots["diameter"])
     near = zip(spots["x"].tolist(), spots["y"].tolist(), reach.tolist(), strict=True)
-    centres = np.array([find_centre(array, near=one) for one in near]).reshape(-1, 2)
+    with one_blas_thread():
+        centres = np.array([find_centre(array, near=one) for one in near]).reshape(-1, 2)
     return Detections.of({**spots, "peak_x": centres[:, 0], "peak_y": centres[:, 1]})
 
 
