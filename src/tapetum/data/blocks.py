@@ -26,8 +26,9 @@ def block_means(image: NDArray[np.float32], rows: int, columns: int) -> NDArray[
 
     Examples
     --------
-    >>> block_means(np.arange(6, dtype=np.float32).reshape(2, 3), 1, 2).round(3).tolist()
-    [[1.833, 3.167]]
+    >>> means = block_means(np.array([[0, 8, 8]], np.float32), 1, 2)
+    >>> means.astype(float).round(3).tolist()
+    [[2.667, 8.0]]
     """
     means = _shares(image.shape[0], rows) @ image @ _shares(image.shape[1], columns).T
     return np.asarray(means, dtype=np.float32)
