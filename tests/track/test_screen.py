@@ -110,7 +110,7 @@ def test_spots_close_together_on_the_sheet_do_not_mix() -> None:
     """What is found of a spot does not depend on which others there are, far from it in the frame."""
     rng = np.random.default_rng(6)
     places = [(60.0 + 130 * k, 60.0 + 120 * n) for k in range(5) for n in range(4)]
-    spots = [(x, y, rng.uniform(4, 40), rng.uniform(40, 400)) for x, y in places]
+    spots = [(x, y, rng.uniform(8, 40), rng.uniform(100, 400)) for x, y in places]
     noise = rng.normal(6, 1, (480, 640))
     light = noise.copy()
     for spot in spots:
