@@ -177,7 +177,7 @@ def without_hot_pixels(excess: Picture, noise: Picture) -> Picture:
     """
     bound = 5 * noise
     # Few pixels stand so high.
-    row, column = np.nonzero(excess > bound)
+    row, column = np.divmod(np.flatnonzero(excess > bound), excess.shape[1])
     # Mirrored about the border's pixels: there one neighbour counts twice.
     around = np.asarray(cv2.copyMakeBorder(excess, 1, 1, 1, 1, cv2.BORDER_REFLECT_101)).ravel()
     stride = excess.shape[1] + 2
