@@ -1,4 +1,4 @@
-"""Reading and detecting ahead of inference, in two threads of their own: the order of the frames stays.
+"""Reading and detecting ahead of inference, in threads of their own: the order of the frames stays.
 
 Reading, detection and inference compute outside Python's lock for most of their time. A second thread that detects
 gained nothing on two cores: it took from inference what it gave.
