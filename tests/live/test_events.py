@@ -122,6 +122,19 @@ def test_a_camera_whose_track_a_reflection_took_goes_on_under_its_new_number() -
     assert camera.track == 3 and camera.x == pytest.approx(323.6, abs=1)
 
 
+def test_a_camera_goes_on_where_it_was_before_its_track_leapt_to_a_false_spot() -> None:
+    """For one frame a false spot takes the track, which then coasts there: its last place is not the camera's."""
+    rows = [[row(k)] for k in range(20)] + [[moved(row(20), 84.0)]]
+    rows += [[moved(row(k, seen=False), 84.0), row(k, 2)] for k in range(21, 36)]
+    assert told(Events(), rows) == [(4, "seen", "")]
+
+
+def test_a_camera_that_moved_far_and_stayed_there_is_not_the_one_that_comes_where_it_was() -> None:
+    rows = [[row(k)] for k in range(20)] + [[moved(row(k), 84.0)] for k in (20, 21)]
+    rows += [[moved(row(k, seen=False), 84.0), row(k, 2)] for k in range(22, 28)]
+    assert told(Events(), rows) == [(4, "seen", ""), (26, "seen", "")]
+
+
 def test_a_second_camera_beside_one_that_is_seen_is_told_of() -> None:
     events = Events()
     rows = [[row(k), *([moved(row(k, 2), 60.0)] if k >= 10 else [])] for k in range(20)]

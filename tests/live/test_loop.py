@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import threading
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,6 +23,7 @@ from tapetum.live.rules import rules_from_text
 from tapetum.live.state import State
 from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.source import Frame
+from tapetum.track import Detections
 
 
 def test_the_rooms_cameras_are_found_and_neither_its_lamp_nor_its_mirror(some_seconds: list[Frame]) -> None:
@@ -81,6 +84,52 @@ def test_a_model_that_fails_is_shown_as_a_fault_and_the_frames_go_on(some_second
     failing = Failing()
     watch = watched(lambda: Scripted(some_seconds[:12]), models=[failing])
     assert failing.calls >= 3 and watch.state.health.fault == "still" and watch.state.health.ended
+
+
+class States:
+    """A listener that keeps the numbers of the frames, and may do something at each."""
+
+    def __init__(self, each: Callable[[int], object] = lambda number: None) -> None:
+        self.numbers: list[int] = []
+        self.each = each
+
+    def event(self, event: Event) -> None:
+        return
+
+    def state(self, state: State) -> None:
+        if not state.health.ended:
+            self.numbers.append(state.frame)
+            self.each(state.frame)
+
+    def close(self) -> None:
+        return
+
+
+def test_the_next_frame_is_searched_while_the_one_before_is_read(
+    some_seconds: list[Frame], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each waits for the other; one after another they would wait for ever."""
+    both = threading.Barrier(2, timeout=5)
+
+    def find(frame: Frame) -> Detections:
+        if frame.index:
+            both.wait()
+        return Detections.empty()
+
+    monkeypatch.setattr("tapetum.live.loop.make_detector", lambda name: find)
+    states = States(lambda number: both.wait() if number < 11 else None)
+    watch = watched(lambda: Scripted(some_seconds[:12]), listeners=[states])
+    assert states.numbers == list(range(12)) and watch.state.health.fault == ""
+
+
+def test_a_fault_loses_its_frame_and_not_the_one_that_waits_behind_it(some_seconds: list[Frame]) -> None:
+    def fails(number: int) -> None:
+        if number == 5:
+            raise RuntimeError("failed")
+
+    states = States(fails)
+    watch = watched(lambda: Scripted(some_seconds[:12]), listeners=[states])
+    assert states.numbers == list(range(12)) and watch.state.health.fault == "failed"
 
 
 def test_a_full_disk_stops_the_log_and_not_the_watch(some_seconds: list[Frame], tmp_path: Path) -> None:

@@ -159,6 +159,13 @@ def test_a_dataset_and_no_image_at_all():
         assert len(nothing) == 0 and nothing.classes == model.classes()
 
 
+def test_images_that_threads_share_come_in_their_order():
+    model, images = made(target="gaze"), crops(9)
+    one, shared = (each.predict(images, anyway=True).value for each in (fast(model), FastResNet18(model, threads=3)))
+    np.testing.assert_allclose(shared, one, rtol=0, atol=1e-5)
+    assert np.abs(np.diff(one, axis=0)).max() > 1e-3
+
+
 def test_widths_that_are_not_known_stay_infinite():
     model = made.__wrapped__("gaze", conditional=False)
     model.intervals_ = replace(model.intervals_, half_width=np.full((1, 2), np.inf))

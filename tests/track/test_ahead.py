@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import pytest
 from tapetum.errors import InputError
 from tapetum.record.source import Frame
 from tapetum.track import Detections, track
-from tapetum.track.ahead import found_ahead
+from tapetum.track.ahead import found_ahead, found_next
 from tapetum.track.cameras import CameraDetector
 
 IMAGE = np.zeros((48, 64), np.uint8)
@@ -47,7 +48,8 @@ def test_frames_come_in_order_however_long_each_takes() -> None:
     assert [frame.index for frame, _ in found_ahead(frames(60), slow)] == list(range(60))
 
 
-def test_the_next_frame_is_searched_while_somebody_works_on_the_one_before() -> None:
+@pytest.mark.parametrize("ahead", [found_ahead, found_next])
+def test_the_next_frame_is_searched_while_somebody_works_on_the_one_before(ahead: Callable[..., Any]) -> None:
     """Each waits for the other; one after another they would wait for ever."""
     both = threading.Barrier(2, timeout=5)
 
@@ -57,7 +59,7 @@ def test_the_next_frame_is_searched_while_somebody_works_on_the_one_before() -> 
         return nothing(frame)
 
     seen = 0
-    for frame, _ in found_ahead(frames(10), together):
+    for frame, _ in ahead(frames(10), together):
         seen += 1
         if frame.index < 9:
             both.wait()
@@ -75,11 +77,24 @@ def test_few_frames_wait() -> None:
     assert read[-1] == -1 and not any(thread.name.startswith(("read", "detect")) for thread in threading.enumerate())
 
 
+def test_of_a_watched_camera_one_frame_waits() -> None:
+    """Ahead of a slow model frames would grow old: the newest is taken when the one before it is asked about."""
+    read: list[int] = []
+    found = found_next(frames(1000, read), nothing)
+    for n in range(3):
+        assert next(found)[0].index == n
+        time.sleep(0.05)
+        assert read == list(range(n + 2))
+    found.close()  # type: ignore[attr-defined]
+    assert not any(thread.name.startswith("detect") for thread in threading.enumerate())
+
+
+@pytest.mark.parametrize("ahead", [found_ahead, found_next])
 @pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("cannot be read", where="frame 7")])
-def test_what_ends_the_frames_comes_after_them(error: BaseException) -> None:
+def test_what_ends_the_frames_comes_after_them(error: BaseException, ahead: Callable[..., Any]) -> None:
     seen = []
     with pytest.raises(type(error)):
-        for frame, _ in found_ahead(frames(7, error=error), nothing):
+        for frame, _ in ahead(frames(7, error=error), nothing):
             seen.append(frame.index)
     assert seen == list(range(7))
 

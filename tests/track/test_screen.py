@@ -11,6 +11,7 @@ from probe_frames import add_spot, hot_pixels, probe_frame
 from tapetum.track import Detections, detect
 from tapetum.track.background import fit_ground
 from tapetum.track.screen import Part, parts_of, reduced
+from tapetum.track.sheet import laid_out
 
 
 def whole(image: np.ndarray, *_: object) -> list[Part]:
@@ -90,3 +91,34 @@ def test_a_bright_spots_halo_is_no_second_spot() -> None:
         noise = np.random.default_rng(width).normal(0, 1, light.shape)
         image = np.clip(np.rint(light + noise), 0, 255).astype(np.uint8)
         assert len(detect(image, ghost_ratio=0, stray=0)) == 1, width
+
+
+def test_windows_on_a_sheet_do_not_overlap() -> None:
+    rng = np.random.default_rng(2)
+    sizes = [(int(h), int(w)) for h, w in rng.integers(1, 90, (40, 2))]
+    windows, shape = laid_out(sizes, 4)
+    taken = np.zeros(shape, int)
+    for (rows, columns), size in zip(windows, sizes, strict=True):
+        assert rows.start % 4 == columns.start % 4 == 0
+        assert (rows.stop - rows.start, columns.stop - columns.start) == size
+        taken[rows, columns] += 1
+    assert taken.max() == 1 and taken.sum() == sum(h * w for h, w in sizes)
+    assert taken.size < 2 * taken.sum()
+
+
+def test_spots_close_together_on_the_sheet_do_not_mix() -> None:
+    """What is found of a spot does not depend on which others there are, far from it in the frame."""
+    rng = np.random.default_rng(6)
+    places = [(60.0 + 130 * k, 60.0 + 120 * n) for k in range(5) for n in range(4)]
+    spots = [(x, y, rng.uniform(8, 40), rng.uniform(100, 400)) for x, y in places]
+    noise = rng.normal(6, 1, (480, 640))
+    light = noise.copy()
+    for spot in spots:
+        add_spot(light, *spot)
+    together = detect(np.clip(np.rint(light), 0, 255).astype(np.uint8), ghosts="mark")
+    for spot in spots:
+        light = noise.copy()
+        add_spot(light, *spot)
+        alone = detect(np.clip(np.rint(light), 0, 255).astype(np.uint8))[0]
+        n = int(np.hypot(together.x - spot[0], together.y - spot[1]).argmin())
+        assert_alike(alone, together[n], light)

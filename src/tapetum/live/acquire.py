@@ -91,10 +91,14 @@ class Acquisition:
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames until the source's end or `close`."""
+        return self.frames(threading.Event())
+
+    def frames(self, over: threading.Event) -> Iterator[Frame]:
+        """Yield frames until the source's end, `close`, or until nobody wants more: then none is taken."""
         while True:
             with self._change:
-                while not self._waiting:
-                    if self._over.is_set() or self.ended:
+                while not self._waiting or over.is_set():
+                    if over.is_set() or self._over.is_set() or self.ended:
                         return
                     self._change.wait(_LOOK)
                 frame = self._waiting.popleft()

@@ -151,6 +151,9 @@ class _Stay:
         self.first, self.last = first, row.time
         # Where it was first and last seen: the place of a track that coasts goes on.
         self.began = self.place = row.x, row.y
+        # And before the latest frame that shows it, where that one shows it far from there: a false spot, which is not
+        # its place, may have taken its track.
+        self.leapt_from: tuple[float, float] | None = None
         self.frames, self.shown, self.unseen = len(lately), sum(lately), 0
         # Most frames in a row that hid it before it was found again, and whether this frame shows it somewhere else: a
         # lone camera that is missed as a reflection begins is taken to have moved there, until the next frame.
@@ -171,6 +174,8 @@ class _Stay:
                 return
             self.jumped = away and not self.jumped
         if row.seen:
+            leapt = math.dist((row.x, row.y), self.place) > max(_FAR, 2 * before.diameter)
+            self.leapt_from = self.place if leapt else None
             self.last, self.place = row.time, (row.x, row.y)
             if self.unseen >= _UNSEEN:
                 self.hidden = max(self.hidden, self.unseen)
@@ -320,7 +325,9 @@ class Events:
             away = other.told and (other.unseen >= _UNSEEN or number not in self._live)
             # Where the one was last seen and the other first; or now, where both moved with the probe meanwhile.
             coasts = other.camera.x, other.camera.y
-            far = min(math.dist(stay.began, other.place), math.dist(stay.place, coasts))
+            before = other.place if other.leapt_from is None else other.leapt_from
+            far = min(math.dist(stay.began, place) for place in (other.place, before))
+            far = min(far, math.dist(stay.place, coasts))
             if away and other is not stay and far <= max(_FAR, 2 * other.camera.diameter):
                 near.append((far, number))
         return min(near)[1] if near else None

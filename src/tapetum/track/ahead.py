@@ -1,4 +1,4 @@
-"""Reading and detecting ahead of inference, in two threads of their own: the order of the frames stays.
+"""Reading and detecting ahead of inference, in threads of their own: the order of the frames stays.
 
 Reading, detection and inference compute outside Python's lock for most of their time. A second thread that detects
 gained nothing on two cores: it took from inference what it gave.
@@ -9,14 +9,14 @@ from __future__ import annotations
 import queue
 import threading
 from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import suppress
 from typing import TypeAlias
 
 from tapetum.record.source import Frame
 from tapetum.track.detections import Detections
 
-__all__ = ["found_ahead"]
+__all__ = ["found_ahead", "found_next"]
 
 # Frames that wait, and one more in each thread.
 _WAITING = 2
@@ -80,3 +80,38 @@ def found_ahead(frames: Iterable[Frame], find: Callable[[Frame], Detections]) ->
             over.set()
             thread.join(_PATIENCE)
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def found_next(frames: Iterable[Frame], find: Callable[[Frame], Detections]) -> Iterator[tuple[Frame, Detections]]:
+    """Yield each frame with its spots, in order, while the next one is asked for and searched.
+
+    Of a camera that is watched a frame that waits grows old: so one frame is taken ahead of what follows, and no more.
+
+    Parameters
+    ----------
+    frames
+        Asked in a thread of its own for one frame when the one before it is yielded. They must end soon when whoever
+        wants no more says so to them: for this long closing waits, up to some seconds.
+    find
+        The detector. It gets the frames in order, one after another, in that thread.
+
+    Raises
+    ------
+    BaseException
+        What reading or detecting raised, after the frame before it.
+    """
+    walk = iter(frames)
+
+    def step() -> tuple[Frame, Detections] | None:
+        frame = next(walk, None)
+        return None if frame is None else (frame, find(frame))
+
+    pool = ThreadPoolExecutor(1, "detect")
+    coming = pool.submit(step)
+    try:
+        while (pair := coming.result()) is not None:
+            coming = pool.submit(step)
+            yield pair
+    finally:
+        over, _ = wait([coming], _PATIENCE)
+        pool.shutdown(wait=bool(over), cancel_futures=True)

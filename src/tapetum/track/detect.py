@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from tapetum.blas import one_blas_thread
 from tapetum.data.crop import find_centre
 from tapetum.errors import InputError
+from tapetum.memory import keep_freed
 from tapetum.record.source import Frame
 from tapetum.track.cameras import CameraDetector
 from tapetum.track.detections import Detections
@@ -43,11 +44,12 @@ def _ghosts(spots: dict[str, NDArray[Any]], ratio: float, radius: float, floor: 
     x, y, peak = spots["x"], spots["y"], spots["peak"]
     # A saturated spot's true height is unknown: its ghost may be twice as bright.
     limit = ratio * peak * np.where(spots["saturated"] > 0, 2.0, 1.0)
+    stray = peak < floor * peak[0]
+    # Of a spot, all for which it may be the brighter one.
+    dims = (np.hypot(x[:, None] - x, y[:, None] - y) <= radius) & (peak < limit[:, None])
     ghost = np.zeros(len(x), dtype=bool)
     for n in range(1, len(x)):
-        others = np.flatnonzero(~ghost[:n])
-        near = np.hypot(x[others] - x[n], y[others] - y[n]) <= radius
-        ghost[n] = bool((near & (peak[n] < limit[others])).any() or peak[n] < floor * peak[0])
+        ghost[n] = stray[n] or (dims[:n, n] & ~ghost[:n]).any()
     return ghost
 
 
@@ -149,6 +151,7 @@ def detect(
     if full_scale is None:
         full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
     limit = math.inf if largest is None else largest
+    keep_freed()
     with one_blas_thread():
         maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30), min_snr)
         found = [one for one in search(maps, array, full_scale, min_snr, max_count, limit) if one.diameter <= limit]
@@ -167,7 +170,8 @@ def detect(
         spots = {name: values[~spots["ghost"]] for name, values in spots.items()}
     reach = np.maximum(4.0, 0.75 * spots["diameter"])
     near = zip(spots["x"].tolist(), spots["y"].tolist(), reach.tolist(), strict=True)
-    centres = np.array([find_centre(array, near=one) for one in near]).reshape(-1, 2)
+    with one_blas_thread():
+        centres = np.array([find_centre(array, near=one) for one in near]).reshape(-1, 2)
     return Detections.of({**spots, "peak_x": centres[:, 0], "peak_y": centres[:, 1]})
 
 

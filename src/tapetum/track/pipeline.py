@@ -29,7 +29,7 @@ from tapetum.record.frames import open_frames
 from tapetum.record.reader import taken
 from tapetum.record.source import Frame, Source
 from tapetum.track.activity import Activity, asymmetry
-from tapetum.track.ahead import found_ahead
+from tapetum.track.ahead import found_ahead, found_next
 from tapetum.track.detect import DETECTORS, Detector
 from tapetum.track.detections import Detections
 from tapetum.track.rows import TrackedFrame, about
@@ -178,6 +178,7 @@ def track(
     batch: int = 16,
     activity: bool = False,
     turns: Turns | None = None,
+    ahead: bool = False,
     progress: Progress = quiet,
 ) -> Iterator[TrackedFrame]:
     """Find the retro-reflections in frames, follow them, and estimate the camera's state by models.
@@ -210,6 +211,10 @@ def track(
         overfills the probe's aperture, as phones' do.
     turns
         Has the models asked about some of a frame's spots only, by turns; rows of the others have no estimates.
+    ahead
+        Of frames that are made on demand: whether a thread of its own asks for the next one and searches it while
+        models are asked about the one before (see `tapetum.track.ahead.found_next`). Stored ones and cameras always
+        are read and searched ahead.
     progress
         Shows how far the work is.
 
@@ -238,7 +243,7 @@ def track(
     estimators = _loaded(model)
     follower = usual_tracker(find) if tracker is None else tracker
     frames = _opened(source, stream)
-    pairs = _found(frames, taken(frames, threading.Event()), find)
+    pairs = _found(frames, taken(frames, threading.Event()), find, ahead)
     tracked = _track(pairs, seeing(estimators, frames), follower, side, batch, activity, turns)
     return progress(tracked, "tracking", total=_count(frames))
 
@@ -290,7 +295,7 @@ def _count(frames: Source | Iterable[Frame]) -> int | None:
 
 
 def _found(
-    source: Source | Iterable[Frame], frames: Iterator[Frame], find: Detector
+    source: Source | Iterable[Frame], frames: Iterator[Frame], find: Detector, ahead: bool = False
 ) -> Iterator[tuple[Frame, Detections]]:
     """Yield the frames taken from a source with their spots, which are sought ahead where the source allows it."""
     # Models, which follow in the other thread, need the cores that BLAS would occupy.
@@ -298,6 +303,8 @@ def _found(
         # Frames that somebody makes on demand are asked for when their turn comes, in the thread that asks.
         if isinstance(source, (Source, Sequence)):
             yield from found_ahead(frames, find)
+        elif ahead:
+            yield from found_next(frames, find)
         else:
             for frame in frames:
                 yield frame, find(frame)
