@@ -72,7 +72,8 @@ def trained(data: xr.Dataset, path: Path, size: int, passes: int) -> Any:
     if not path.exists():
         epochs = max(1, round(passes / data.tp.train.sizes["frame"]))
         model = ResNet18("phone", crop=CROP, size=size, epochs=epochs, batch=BATCH, seed=1)
-        model.fit(data.tp.train, progress=bar)
+        kept = path.with_suffix(".part")
+        model.fit(data.tp.train, progress=bar, checkpoint=kept, resume=kept.exists())
         save_model(model, path)
     return load_model(path)
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tapetum.record.blobs import find_candidates
-from tapetum.record.labels import label_recording
+from tapetum.record.labels import STEADY, label_recording
 from tapetum.record.patch import add_patch, bell
 from tapetum.record.recording import RecordingWriter, StreamInfo, open_recording
 from tapetum.record.streak import HALF, patch_of, sharpened
@@ -32,11 +32,13 @@ def test_a_streak_is_found_and_leaves_noise_alone(streak: tuple[float, float]) -
     found = [find_candidates(frame) for frame in frames]
     round_ones = np.array([(one.x[0], one.y[0]) for one in found])
     patches = np.stack([patch_of(frame, *at) for frame, at in zip(frames, round_ones, strict=True)])
-    better, ratio, holds = sharpened(patches, round_ones, np.array([one.sigma[0] for one in found]), np.full(40, 255.0))
+    sigmas = np.array([one.sigma[0] for one in found])
+    better, noise, shared, holds = sharpened(patches, round_ones, sigmas, np.full(40, 255.0))
     assert holds.all()
     errors = np.sqrt(((better - places) ** 2).mean(axis=0))
-    # By the residual, which is the noise: 150 / 2.
-    assert 60 < np.median(ratio) < 90
+    # The residual is the noise, which neighbours do not share.
+    assert np.median(noise) == pytest.approx(2 / 150, rel=0.15)
+    assert np.median(shared) < 2 / 150 / 3
     length = float(np.hypot(*streak))
     assert (errors < (0.8 + 0.5 * length) * 2 / 150 * 1.3).all()
     if length > 3:
@@ -52,7 +54,7 @@ def test_patches_at_the_edge_and_spots_that_cannot_be_fitted() -> None:
     assert np.isnan(patch_of(frame, -100.0, 40.0)).all()
     given = np.array([[2.0, 40.0], [300.0, 40.0]])
     empty = np.full_like(patch, np.nan)
-    better, _, holds = sharpened(np.stack([patch, empty]), given, np.array([1.2, 1.2]), np.full(2, 255.0))
+    better, _, _, holds = sharpened(np.stack([patch, empty]), given, np.array([1.2, 1.2]), np.full(2, 255.0))
     assert holds.tolist() == [True, False]
     assert np.abs(better[0] - given[0]).max() < 0.1
     assert (better[1] == given[1]).all()
@@ -87,3 +89,20 @@ def test_labels_of_a_quick_hand_state_how_far_they_are_off(axis: int, tmp_path: 
         said = float(np.sqrt(np.nanmean(stated**2))) * (96, 80)[n]
         assert error < said < 4 * error, name
         assert error < 0.025, name
+
+
+def test_an_edge_under_the_spot_shows_in_what_neighbours_leave_alike() -> None:
+    shares, errors = [], []
+    for edge in (0.0, 40.0):
+        frames = [drawn((0.0, 0.0), (48.2, 40.1), seed).astype(np.float32) for seed in range(20)]
+        for frame in frames:
+            frame[:, 49:] += edge
+        at = np.tile([48.0, 40.0], (20, 1))
+        patches = np.stack([patch_of(frame, 48.0, 40.0) for frame in frames])
+        better, _, shared, holds = sharpened(patches, at, np.full(20, 1.2), np.full(20, 300.0))
+        assert holds.all()
+        shares.append(float(np.median(shared)))
+        errors.append(float(np.abs(better[:, 0].mean() - 48.2)))
+    assert errors[0] < 0.01 and errors[1] > 0.05
+    assert shares[1] > 3 * shares[0]
+    assert 0.2 < errors[1] / (STEADY * shares[1]) < 4

@@ -25,9 +25,10 @@ __all__ = ["LabelSummary", "NoLaserError", "label_recording"]
 
 Array = npt.NDArray[np.float64]
 WIDEST = 0.005  # of the field: a label with a larger deviation is refused
-PLACE = 1.0  # px, deviation of a spot's place times the ratio of its height to the fit's residual (measured)
+PLACE = 1.0  # px, deviation of a spot's place over the fit's residual in heights of the spot (measured)
 FLOOR = 0.005  # px, least deviation of a spot's place
-STEADY = 1.6  # px, deviation times the median ratio that what stands about the spot adds to all labels (measured)
+STEADY = 5.4  # px, deviation that what stands about the spot adds to all labels, over the median of what neighbouring
+# pixels leave alike, in heights of the spot (measured)
 BATCH = 64  # spots that are sharpened at once
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
 
@@ -64,19 +65,20 @@ class LabelSummary:
     median_deviation: float = 0.0
 
 
-def _spots(source: RecordingSource, progress: Progress) -> tuple[list[Candidates], Array, Array, Array]:
-    """Return the possible lasers of each frame; the likeliest's place [N, 2] (px) and ratio of height to residual [N],
-    sharpened where that holds; and the exposures [N] (s), NaN where they are unknown."""
-    found, exposures, sharp, ratio = list[Candidates](), list[float](), list[Array](), list[Array]()
+def _spots(source: RecordingSource, progress: Progress) -> tuple[list[Candidates], Array, Array, Array, Array]:
+    """Return the possible lasers of each frame; the likeliest's place [N, 2] (px), sharpened where that holds, its
+    fit's residual and what of it neighbours share, [N] each, in heights of the spot; and the exposures [N] (s), NaN
+    where they are unknown."""
+    found, exposures, fits = list[Candidates](), list[float](), list[tuple[Array, Array, Array]]()
     patches, scales = list[np.ndarray](), list[float]()
 
     def finish() -> None:
         batch = [one if len(one) else None for one in found[len(found) - len(patches) :]]
         at = np.array([(c.x[0], c.y[0]) if c else (0.0, 0.0) for c in batch])
         sigma, snr = (np.array([getattr(c, name)[0] if c else 1.0 for c in batch]) for name in ("sigma", "snr"))
-        places, ratios, holds = sharpened(np.stack(patches), at, sigma, np.array(scales))
-        sharp.append(np.where(holds[:, None], places, at))
-        ratio.append(np.maximum(np.where(holds, ratios, snr), 1e-3))
+        places, noise, shared, holds = sharpened(np.stack(patches), at, sigma, np.array(scales))
+        round_one = 1 / np.maximum(snr, 1e-3)
+        fits.append((places, np.where(holds, noise, round_one), np.where(holds, shared, round_one / 3)))
         patches.clear()
         scales.clear()
 
@@ -90,7 +92,8 @@ def _spots(source: RecordingSource, progress: Progress) -> tuple[list[Candidates
             finish()
     if patches:
         finish()
-    return found, np.concatenate(sharp), np.concatenate(ratio), np.array(exposures)
+    places, noise, shared = (np.concatenate(one) for one in zip(*fits, strict=True))
+    return found, places, noise, shared, np.array(exposures)
 
 
 def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarray, rate: float) -> Smoothed:
@@ -176,7 +179,7 @@ def label_recording(
         raise InputError(f"must lie from 0 to 1 s, is {readout}", where="readout", remedy="0 for a global shutter")
     joined = join(recording, probe, target, offset=offset)
     source = recording.source(target)
-    found, sharp, ratio, exposures = _spots(source, progress)
+    found, sharp, noise, shared, exposures = _spots(source, progress)
     place, quality = follow(source.times, found)
     good = quality >= GOOD
     # Where another candidate was chosen, it keeps its place.
@@ -195,7 +198,7 @@ def label_recording(
     rolls = recording.readout(target) if readout is None else readout
     # In widths of the image along both axes, so that a spot's deviation is one number.
     flat = (place - (size - 1) / 2) / size[0]
-    deviation = np.hypot(PLACE / ratio, FLOOR) / size[0]
+    deviation = np.hypot(PLACE * noise, FLOOR) / size[0]
     rolled = np.where(good, source.times + rolls * np.nan_to_num(flat[:, 1]) * size[0] / size[1], source.times)
     samples = Samples(
         rolled[good],
@@ -211,7 +214,7 @@ def label_recording(
         info.rate or 1 / float(np.median(np.diff(source.times))),
     )
     there, near = joined.found, np.isfinite(path.places[:, 0])
-    steady = STEADY / float(np.median(ratio[good])) / size[0]
+    steady = STEADY * float(np.nanmedian(shared[good])) / size[0]
     gaze, wide = path.places * size[0] / size, np.hypot(path.deviations, steady)[:, None] * size[0] / size
     # Too few spots to fit a spectrum to: labels keep their wide deviations, or a short recording would have none.
     sure = near & ((wide.max(axis=1) <= widest) | ((len(samples) < FEWEST) & np.isfinite(path.deviations)))

@@ -2,13 +2,15 @@
 
 A round Gaussian fitted to a streak is some hundredths of a pixel off, and leaves so much of it that its residual no
 longer shows what else moves the spot: the wall behind it, a ghost, noise. A Gaussian along a short line leaves just
-that, so the ratio of its height to its residual says how well the place is known, for slow and fast spots alike.
+that, so the ratio of its height to its residual says how well the place is known, for slow and fast spots alike. What
+neighbouring pixels leave alike is no noise but edges under the spot, which draw it to one side in every frame.
 """
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import uniform_filter1d
 
 __all__ = ["HALF", "patch_of", "sharpened"]
 
@@ -37,7 +39,7 @@ def patch_of(image: npt.NDArray[np.generic], x: float, y: float) -> Single:
     return patch
 
 
-def sharpened(patches: Single, places: Array, sigmas: Array, full_scale: Array) -> tuple[Array, Array, Array]:
+def sharpened(patches: Single, places: Array, sigmas: Array, full_scale: Array) -> tuple[Array, Array, Array, Array]:
     """Fit a streak to each spot of a batch.
 
     Parameters
@@ -52,8 +54,9 @@ def sharpened(patches: Single, places: Array, sigmas: Array, full_scale: Array) 
     Returns
     -------
     tuple of numpy.ndarray
-        Places [N, 2], ratios [N] of height to the residual's RMS, and whether the fit holds, [N] bool: where it does
-        not, the place is the given one.
+        Places [N, 2]; the residual's RMS [N] over the spot's height, and that of the residual's means over 3 x 3 pixels
+        [N], NaN where there are none; and whether the fit holds, [N] bool: where it does not, the place is the given
+        one.
     """
     near = places - np.rint(places)
     data = patches.reshape(len(patches), -1)
@@ -69,8 +72,19 @@ def sharpened(patches: Single, places: Array, sigmas: Array, full_scale: Array) 
     found = state[:, :2].astype(np.float64)
     inside = (state[:, 2] > np.log(_SIGMA[0])) & (state[:, 2] < np.log(_SIGMA[1])) & (count > 18)
     holds = np.isfinite(found).all(axis=1) & (np.abs(found - near).max(axis=1) < _MOVED) & (linear[:, 0] > 0) & inside
-    ratio = linear[:, 0] / np.maximum(rms, 1e-3 * full_scale / 255)
-    return np.rint(places) + np.where(holds[:, None], found, near), ratio.astype(np.float64), holds
+    height = np.maximum(linear[:, 0], 1e-6)
+    noise = np.maximum(rms, 1e-3 * full_scale / 255) / height
+    means, whole = (_of_nine(one.reshape(-1, 2 * HALF + 1, 2 * HALF + 1)) for one in (left, weight))
+    whole = whole > 1 - 1e-3
+    count = np.where(whole.any(axis=(1, 2)), whole.sum(axis=(1, 2)), np.nan)
+    shared = np.sqrt((np.where(whole, means, 0) ** 2).sum(axis=(1, 2)) / count) / height
+    return np.rint(places) + np.where(holds[:, None], found, near), noise.astype(np.float64), shared, holds
+
+
+def _of_nine(pictures: Single) -> Single:
+    """Return the means over 3 x 3 pixels of pictures [N, S, S]."""
+    across = uniform_filter1d(pictures, 3, axis=2, mode="constant")
+    return uniform_filter1d(across, 3, axis=1, mode="constant").astype(np.float32)
 
 
 def _begin(data: Single, usable: npt.NDArray[np.bool_], near: Array, sigmas: Array) -> Single:
