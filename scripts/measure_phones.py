@@ -8,7 +8,7 @@ copies of all eleven with --whole, each with as many passes over frames. Each ne
 copies that it was trained on ("same"), and on copies with other seeds ("other"): the share of frames in which the
 likeliest phone is the true one, the area under the ROC curve of recognising the phones left out as unknown, and the
 error of the gaze, with 90 % intervals by drawing whole copies anew. Copies and models stay in the folder, so that the
-same command continues an interrupted run. The numbers go to docs/numbers/phones-copies.json.
+same command continues an interrupted run. The numbers go to docs/numbers/phones-copies.json, or -o.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ TRAIN, TEST = 4_100_000, 4_200_000
 CROP, BATCH = 400, 16
 # Of so many frames of a copy in a training set, one is tested on.
 EVERY = 5
+# Most repetitions of a frame of a rare phone.
+MOST = 6
 # Draws of copies that intervals are made of.
 DRAWS = 1000
 _RECIPE = SETS["phones"]
@@ -81,6 +83,18 @@ def trained(data: xr.Dataset, path: Path, size: int, passes: int) -> Any:
 def picked(data: xr.Dataset, keep: np.ndarray) -> xr.Dataset:
     """Return the frames of a mask."""
     return data.isel(frame=np.flatnonzero(keep))
+
+
+def balanced(data: xr.Dataset) -> xr.Dataset:
+    """Return a set whose training part shows its phones about equally often: frames of rare ones are repeated.
+
+    A phone that returns light in few gazes is rare in training, and would be taken for its likest neighbour. Repeated
+    frames follow each other, so that those kept aside for calibration are not fitted.
+    """
+    device, training = data[DEVICE].values, data["split"].values == 0
+    counts = np.bincount(device[training], minlength=device.max() + 1)
+    times = np.clip(np.rint(counts.max() / np.maximum(counts, 1)).astype(int), 1, MOST)
+    return data.isel(frame=np.repeat(np.arange(len(device)), np.where(training, times[device], 1)))
 
 
 def with_interval(score: Callable[[np.ndarray], float | None], copies: np.ndarray) -> list[float | None]:
@@ -132,6 +146,8 @@ def main() -> None:
     parser.add_argument("--frames", type=int, default=160, help="gazes of a copy of a phone")
     parser.add_argument("--size", type=int, default=80, help="pixels that the network looks at, a side")
     parser.add_argument("--whole", action="store_true", help="train on all phones too")
+    parser.add_argument("--balanced", action="store_true", help="repeat training frames of rare phones")
+    parser.add_argument("-o", "--out", type=Path, default=Path("docs/numbers/phones-copies.json"))
     parser.add_argument("--passes", type=int, default=40_000, help="passes over frames of each training")
     parser.add_argument("--films", action="store_true", help="only film")
     options = parser.parse_args()
@@ -150,12 +166,14 @@ def main() -> None:
         own = copy < count
         train = picked(data, own & ~np.isin(device, left))
         path = options.work / f"model-{count}-without-{len(left)}-{options.size}-{options.passes}"
+        if options.balanced:
+            train, path = balanced(train), path.with_name(f"{path.name}-balanced")
         model = trained(train, path, options.size, options.passes)
         row = {"copies": count, "left_out": list(left), "training_frames": int(train.tp.train.sizes["frame"])}
         rows.append(row | {"same": told(model, picked(data, own).tp.test), "other": told(model, test)})
         print(json.dumps(rows[-1]), flush=True)
-        with atomic_file(Path("docs/numbers/phones-copies.json")) as part:
-            given = {name: getattr(options, name) for name in ("frames", "tested", "size", "passes")}
+        with atomic_file(options.out) as part:
+            given = {name: getattr(options, name) for name in ("frames", "tested", "size", "passes", "balanced")}
             part.write_text(
                 json.dumps({"seeds": [TRAIN, TEST], **given, "rows": rows}, indent=1) + "\n", encoding="utf-8"
             )
