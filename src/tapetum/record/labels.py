@@ -27,7 +27,7 @@ Array = npt.NDArray[np.float64]
 WIDEST = 0.005  # of the field: a label with a larger deviation is refused
 PLACE = 1.0  # px, deviation of a spot's place over the fit's residual in heights of the spot (measured)
 FLOOR = 0.005  # px, least deviation of a spot's place
-STEADY = 5.4  # px, deviation that what stands about the spot adds to all labels, over the median of what neighbouring
+STEADY = 5.8  # px, deviation that what stands about the spot adds to all labels, over the median of what neighbouring
 # pixels leave alike, in heights of the spot (measured)
 BATCH = 64  # spots that are sharpened at once
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
