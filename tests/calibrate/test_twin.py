@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ import torch
 
 from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
-from tapetum.calibrate.twin.fit import _refined
+from tapetum.calibrate.twin.fit import _grain, _refined
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
 from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels
 from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
@@ -297,3 +298,51 @@ def test_pictures_become_finer_until_their_error_moves_nothing(
     monkeypatch.setattr(Normal, "linear", usual)
     monkeypatch.setattr("tapetum.calibrate.twin.fit._LEVELS", 1)
     assert unsure == pytest.approx(refined()[1] / 2, abs=1e-6)
+
+
+class Ragged:
+    """A likelihood of two parameters about a maximum, whose score is off by a kick that depends on the aperture."""
+
+    information = np.array([[400.0, 100.0], [100.0, 900.0]])
+
+    def __init__(self, scene: Scene, kick: float) -> None:
+        self.scene, self.kick, self.frames = scene, kick, ()
+        self.parameters = chosen(scene, ["aperture", "focal_length"])
+        self.spread = np.array([one.spread for one in self.parameters])
+        self.own = np.array([one.read(scene) for one in self.parameters])
+        self.at = [one.name for one in self.parameters].index("aperture")
+
+    def over(self, frames: object, *, near: float) -> Ragged:
+        assert near >= 0.2
+        return self
+
+    def moved(self, state: object, coordinates: np.ndarray) -> SimpleNamespace:
+        return SimpleNamespace(coordinates=coordinates)
+
+    def stepped(self, linear: SimpleNamespace, step: np.ndarray) -> SimpleNamespace:
+        return linear.state
+
+    def linear(self, state: SimpleNamespace, **_: object) -> SimpleNamespace:
+        away = (state.coordinates - self.own) / self.spread
+        score = -self.information @ away
+        score[self.at] += self.kick * np.sign(away[self.at])
+        told = {"score": score, "information": self.information, "state": state}
+        return SimpleNamespace(**told, misfit=lambda lit: 1.0)
+
+
+def test_what_the_choice_of_rays_leaves_unsure_is_in_the_deviations() -> None:
+    traced = load_scene("rotation")
+
+    def grain(normal: Ragged, held: tuple[int, ...] = ()) -> np.ndarray:
+        best = normal.linear(SimpleNamespace(coordinates=normal.own))
+        return _grain(normal, best, held, quiet)  # pyright: ignore[reportArgumentType]
+
+    # A smooth likelihood leads back from every aperture.
+    assert np.abs(grain(Ragged(traced, 0.0))).max() < 1e-20
+    ragged = Ragged(traced, 3.0)
+    kicked = 3.0 * (np.arange(2) == ragged.at)
+    missed = np.linalg.solve(ragged.information, kicked)
+    assert np.allclose(grain(ragged), np.outer(missed, missed) / 2)
+    # It is the aperture that chooses rays, and a thin lens has none.
+    assert not grain(ragged, (ragged.at,)).any()
+    assert not grain(Ragged(load_scene("hand-held"), 3.0)).any()

@@ -34,7 +34,7 @@ def laser(t: float) -> int:
 def two(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A probe's video and a target's that starts LATE seconds later, of one blinking laser; times of their frames."""
     folder = tmp_path_factory.mktemp("two")
-    rng, room = np.random.default_rng(0), Room(SIZE[1], SIZE[0], 3)
+    rng, room = np.random.default_rng(0), Room(SIZE[1], SIZE[0], 2)
     rows, columns = np.mgrid[: SIZE[0], : SIZE[1]]
     probe_times = np.arange(0, SECONDS, 1 / RATE)
     target_times = np.arange(LATE, SECONDS, 1 / RATE)

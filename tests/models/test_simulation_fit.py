@@ -285,3 +285,23 @@ def test_bad_input_gets_one_line(scene: Scene, model: SimulationFit):
             call()
             pytest.fail(f"nothing was said of {words!r}")
         assert "\n" not in str(caught.value)
+
+
+def test_a_slow_gaze_halfway_between_two_periods_does_not_go_to_and_fro(model: SimulationFit):
+    """The image that the slow gaze is counted from is another one only where that is clearly the nearer."""
+    pictures = Pictures(model.scene, 32)
+    period = np.array([1e-3, 2e-3])
+    search = Search(pictures, np.zeros((32, 32)), CountModel(model.scene.probe.sensor), ())
+    pictures.period = period
+    names = ("gaze_x", "gaze_y", "phase_x", "phase_y")
+
+    def after(periods: float) -> tuple[np.ndarray, np.ndarray]:
+        """Where a pose and its slow gaze go that are so many periods apart."""
+        pose, slow = search.moved(pictures.start(), np.array([periods, -periods]) * period, names, np.zeros(4))
+        return np.array(pose.gaze) / period, slow / period
+
+    for periods, there in ((0.3, 0.0), (0.6, 0.0), (0.7, 0.0), (0.9, 1.0), (1.4, 1.0), (2.1, 2.0)):
+        gaze, slow = after(periods)
+        # The whole gaze stays, only what it is counted from moves.
+        assert gaze + slow == pytest.approx([periods, -periods])
+        assert gaze == pytest.approx([there, -there]), periods

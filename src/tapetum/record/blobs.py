@@ -191,6 +191,14 @@ def features(field: np.ndarray, smooth: np.ndarray, found: np.ndarray, rms: np.n
     return np.stack([contrast, np.log(sigma), np.log(sigma) ** 2, over_range, height, strength - rival], axis=1)
 
 
+def saturation(image: np.ndarray, full_scale: float | None) -> float:
+    """Return the digital number at which an image saturates: the given one, its type's largest, of floats its own."""
+    if full_scale is not None:
+        return float(full_scale)
+    whole = np.issubdtype(image.dtype, np.integer)
+    return float(np.iinfo(image.dtype).max) if whole else max(float(image.max()), 1e-12)
+
+
 def measured(
     image: np.ndarray, background: np.ndarray | None, full_scale: float | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, float]:
@@ -199,10 +207,7 @@ def measured(
         raise InputError(f"must be [H, W] of at least 13 x 13, is {list(image.shape)}", where="image")
     if background is not None and background.shape != image.shape:
         raise InputError(f"is {list(background.shape)}, the image {list(image.shape)}", where="background")
-    if full_scale is None:
-        whole = np.issubdtype(image.dtype, np.integer)
-        full_scale = float(np.iinfo(image.dtype).max) if whole else max(float(image.max()), 1e-12)
-    unit = full_scale / 255
+    unit = saturation(image, full_scale) / 255
     # Scaled to 255, because the weights belong to 8-bit images.
     field = image.astype(np.float32) / np.float32(unit)
     if not np.isfinite(field).all():

@@ -9,24 +9,27 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import pyarrow as pa
 
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
-from tapetum.record.blobs import find_candidates
+from tapetum.record.blobs import Candidates, find_candidates, saturation
 from tapetum.record.clocks import Joined, join
-from tapetum.record.recording import Recording
+from tapetum.record.recording import Recording, RecordingSource
 from tapetum.record.smoother import FEWEST, Samples, Smoothed, smooth
 from tapetum.record.spot import GOOD, follow
+from tapetum.record.streak import patch_of, sharpened
 
 __all__ = ["LabelSummary", "NoLaserError", "label_recording"]
 
+Array = npt.NDArray[np.float64]
 WIDEST = 0.005  # of the field: a label with a larger deviation is refused
-PLACE = 1.6  # px, deviation of a spot's place times its snr: twice that of a Gaussian in white noise (measured)
-STEADY = (
-    1.0  # px, deviation times the median snr that the scene about the spot, which moves with it, adds to all labels
-)
-FLOOR = 0.02  # px, least deviation of a spot's place
+PLACE = 1.0  # px, deviation of a spot's place over the fit's residual in heights of the spot (measured)
+FLOOR = 0.005  # px, least deviation of a spot's place
+STEADY = 5.8  # px, deviation that what stands about the spot adds to all labels, over the median of what neighbouring
+# pixels leave alike, in heights of the spot (measured)
+BATCH = 64  # spots that are sharpened at once
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
 
 
@@ -60,6 +63,37 @@ class LabelSummary:
     median_quality: float
     wide: int = 0
     median_deviation: float = 0.0
+
+
+def _spots(source: RecordingSource, progress: Progress) -> tuple[list[Candidates], Array, Array, Array, Array]:
+    """Return the possible lasers of each frame; the likeliest's place [N, 2] (px), sharpened where that holds, its
+    fit's residual and what of it neighbours share, [N] each, in heights of the spot; and the exposures [N] (s), NaN
+    where they are unknown."""
+    found, exposures, fits = list[Candidates](), list[float](), list[tuple[Array, Array, Array]]()
+    patches, scales = list[np.ndarray](), list[float]()
+
+    def finish() -> None:
+        batch = [one if len(one) else None for one in found[len(found) - len(patches) :]]
+        at = np.array([(c.x[0], c.y[0]) if c else (0.0, 0.0) for c in batch])
+        sigma, snr = (np.array([getattr(c, name)[0] if c else 1.0 for c in batch]) for name in ("sigma", "snr"))
+        places, noise, shared, holds = sharpened(np.stack(patches), at, sigma, np.array(scales))
+        round_one = 1 / np.maximum(snr, 1e-3)
+        fits.append((places, np.where(holds, noise, round_one), np.where(holds, shared, round_one / 3)))
+        patches.clear()
+        scales.clear()
+
+    for frame in progress(source, "finding the laser", total=source.count):
+        found.append(find_candidates(frame.image, full_scale=frame.full_scale))
+        exposures.append(np.nan if frame.exposure is None else frame.exposure)
+        scales.append(saturation(frame.image, frame.full_scale))
+        x, y = (float(one[0]) if len(found[-1]) else 0.0 for one in (found[-1].x, found[-1].y))
+        patches.append(patch_of(frame.image, x, y))
+        if len(patches) == BATCH:
+            finish()
+    if patches:
+        finish()
+    places, noise, shared = (np.concatenate(one) for one in zip(*fits, strict=True))
+    return found, places, noise, shared, np.array(exposures)
 
 
 def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarray, rate: float) -> Smoothed:
@@ -145,12 +179,12 @@ def label_recording(
         raise InputError(f"must lie from 0 to 1 s, is {readout}", where="readout", remedy="0 for a global shutter")
     joined = join(recording, probe, target, offset=offset)
     source = recording.source(target)
-    found, exposures = [], []
-    for frame in progress(source, "finding the laser", total=source.count):
-        found.append(find_candidates(frame.image, full_scale=frame.full_scale))
-        exposures.append(np.nan if frame.exposure is None else frame.exposure)
+    found, sharp, noise, shared, exposures = _spots(source, progress)
     place, quality = follow(source.times, found)
     good = quality >= GOOD
+    # Where another candidate was chosen, it keeps its place.
+    likeliest = np.array([(c.x[0], c.y[0]) if len(c) else (np.nan, np.nan) for c in found]).reshape(-1, 2)
+    place = np.where(place == likeliest, sharp, place)
     if good.sum() < max(1, FEW * len(good)):
         raise NoLaserError(
             f"no laser spot found (in {good.sum()} of {len(good)} frames)",
@@ -164,14 +198,13 @@ def label_recording(
     rolls = recording.readout(target) if readout is None else readout
     # In widths of the image along both axes, so that a spot's deviation is one number.
     flat = (place - (size - 1) / 2) / size[0]
-    deviation = np.hypot(PLACE / np.maximum([c.snr[0] if len(c) else 1.0 for c in found], 1e-3), FLOOR) / size[0]
+    deviation = np.hypot(PLACE * noise, FLOOR) / size[0]
     rolled = np.where(good, source.times + rolls * np.nan_to_num(flat[:, 1]) * size[0] / size[1], source.times)
-    exposed = np.array(exposures)
     samples = Samples(
         rolled[good],
         flat[good],
         deviation[good],
-        float(np.median(exposed[np.isfinite(exposed)])) if np.isfinite(exposed).any() else 0.0,
+        float(np.median(exposures[np.isfinite(exposures)])) if np.isfinite(exposures).any() else 0.0,
     )
     path = _path(
         joined.at_rows(rolled - source.times[0], moments - source.times[0]),
@@ -181,9 +214,7 @@ def label_recording(
         info.rate or 1 / float(np.median(np.diff(source.times))),
     )
     there, near = joined.found, np.isfinite(path.places[:, 0])
-    steady = (
-        STEADY / max(float(np.median([c.snr[0] for c, one in zip(found, good, strict=True) if one])), 1e-3) / size[0]
-    )
+    steady = STEADY * float(np.nanmedian(shared[good])) / size[0]
     gaze, wide = path.places * size[0] / size, np.hypot(path.deviations, steady)[:, None] * size[0] / size
     # Too few spots to fit a spectrum to: labels keep their wide deviations, or a short recording would have none.
     sure = near & ((wide.max(axis=1) <= widest) | ((len(samples) < FEWEST) & np.isfinite(path.deviations)))

@@ -14,6 +14,9 @@ from tapetum.record.patch import add_patch, bell
 __all__ = ["Room", "Trail", "furnish"]
 
 _SPOT_REACH = 12
+# How far from the wall's middle the laser may stand, in parts of the image: past a shelf's height, so that what lies
+# under the spot has edges along every direction.
+_ASIDE = 1 / 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +50,9 @@ class Trail:
 class Room:
     """A textured wall larger than the target's field, with the probe's laser on it.
 
-    `columns` and `rows` are those of the target's image; `seed` draws furniture and texture. `spot_sigma` is the width
-    of the laser's image in pixels, `spot_peak` its height above the scene at full power in digital numbers.
+    `columns` and `rows` are those of the target's image; `seed` draws furniture, texture and the laser's place on them.
+    `spot_sigma` is the width of the laser's image in pixels, `spot_peak` its height above the scene at full power in
+    digital numbers.
     """
 
     def __init__(
@@ -56,7 +60,11 @@ class Room:
     ) -> None:
         self.columns, self.rows = columns, rows
         self.spot_sigma, self.spot_peak = spot_sigma, spot_peak
-        self._wall = furnish(2 * columns + 64, 2 * rows + 64, np.random.default_rng([seed, 2]))
+        aside = round(_ASIDE * columns)
+        width, height = 2 * (columns + aside) + 64, 2 * (rows + aside) + 64
+        self._wall = furnish(width, height, np.random.default_rng([seed, 2]))
+        drawn = np.random.default_rng([seed, 2, 1]).uniform(-aside, aside, 2)
+        self._laser = np.array([width, height]) / 2 + drawn
 
     def picture(
         self,
@@ -80,10 +88,9 @@ class Room:
         """
         x = (self.columns - 1) / 2 + gaze[0] * self.columns
         y = (self.rows - 1) / 2 + gaze[1] * self.rows
-        height, width = self._wall.shape
         c, s = math.cos(roll), math.sin(roll)
         matrix = nearer * np.array([[c, s], [-s, c]])
-        matrix = np.column_stack([matrix, (x, y) - matrix @ (width / 2, height / 2)])
+        matrix = np.column_stack([matrix, (x, y) - matrix @ self._laser])
         size = (self.columns, self.rows)
         moved = cv2.warpAffine(self._wall, matrix, size, flags=cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         scene = np.asarray(moved, np.float32)

@@ -40,7 +40,7 @@ be negative, so that a fit leaves some at aliases where the hand has none, and t
 factor; where an alias cannot be excluded, it is right. Measured on simulated hands (scripts/measure_labels.py, seeds
 100 to 105, bands of the bench and random ones): the 90 % intervals hold 89 to 94 % with the factor, 91 to 99 % without.
 """
-BLUR = 0.006  # deviation of a streak's middle in lengths of the streak (measured: a ghost within its reach moves it)
+BLUR = 0.003  # deviation of a streak's middle in lengths of the streak (measured: a ghost within its reach moves it)
 STAMP = (1e-12, 1e-5)  # s^2, range of the variance of time stamps; the upper end is 3 ms RMS
 
 

@@ -1,0 +1,108 @@
+"""The spot's streak: where the laser stood, and how well that is known."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tapetum.record.blobs import find_candidates
+from tapetum.record.labels import STEADY, label_recording
+from tapetum.record.patch import add_patch, bell
+from tapetum.record.recording import RecordingWriter, StreamInfo, open_recording
+from tapetum.record.streak import HALF, patch_of, sharpened
+
+
+def drawn(streak: tuple[float, float], place: tuple[float, float], seed: int) -> np.ndarray:
+    """An 8-bit frame of a wall of 60 with noise of 2, and a spot of 150 that moves over a line in the exposure."""
+    frame = np.full((80, 96), 60.0, np.float32)
+    for part in (np.arange(24) + 0.5) / 24 - 0.5:
+        spot = bell((place[0] + part * streak[0], place[1] + part * streak[1]), 150.0 / 24, 1.2, 12)
+        add_patch(frame, spot, 1.0)
+    noise = 2.0 * np.random.default_rng(seed).standard_normal(frame.shape)
+    return np.clip(np.rint(frame + noise), 0, 255).astype(np.uint8)
+
+
+@pytest.mark.parametrize("streak", [(0.0, 0.0), (4.0, 0.0), (0.0, -5.0), (4.0, 3.0)])
+def test_a_streak_is_found_and_leaves_noise_alone(streak: tuple[float, float]) -> None:
+    rng = np.random.default_rng(4)
+    places = np.array([48.0, 40.0]) + rng.uniform(-0.5, 0.5, (40, 2))
+    frames = [drawn(streak, (float(x), float(y)), seed) for seed, (x, y) in enumerate(places)]
+    found = [find_candidates(frame) for frame in frames]
+    round_ones = np.array([(one.x[0], one.y[0]) for one in found])
+    patches = np.stack([patch_of(frame, *at) for frame, at in zip(frames, round_ones, strict=True)])
+    sigmas = np.array([one.sigma[0] for one in found])
+    better, noise, shared, holds = sharpened(patches, round_ones, sigmas, np.full(40, 255.0))
+    assert holds.all()
+    errors = np.sqrt(((better - places) ** 2).mean(axis=0))
+    # The residual is the noise, which neighbours do not share.
+    assert np.median(noise) == pytest.approx(2 / 150, rel=0.15)
+    assert np.median(shared) < 2 / 150 / 3
+    length = float(np.hypot(*streak))
+    assert (errors < (0.8 + 0.5 * length) * 2 / 150 * 1.3).all()
+    if length > 3:
+        # The round fit leaves the streak itself, and so knows its place far better than it says.
+        assert np.median([one.snr[0] for one in found]) < 25
+
+
+def test_patches_at_the_edge_and_spots_that_cannot_be_fitted() -> None:
+    frame = drawn((0.0, 0.0), (2.0, 40.0), 1)
+    patch = patch_of(frame, 2.0, 40.0)
+    assert patch.shape == (2 * HALF + 1, 2 * HALF + 1)
+    assert np.isnan(patch[:, : HALF - 2]).all() and np.isfinite(patch[:, HALF - 2 :]).all()
+    assert np.isnan(patch_of(frame, -100.0, 40.0)).all()
+    given = np.array([[2.0, 40.0], [300.0, 40.0]])
+    empty = np.full_like(patch, np.nan)
+    better, _, _, holds = sharpened(np.stack([patch, empty]), given, np.array([1.2, 1.2]), np.full(2, 255.0))
+    assert holds.tolist() == [True, False]
+    assert np.abs(better[0] - given[0]).max() < 0.1
+    assert (better[1] == given[1]).all()
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_labels_of_a_quick_hand_state_how_far_they_are_off(axis: int, tmp_path: Path) -> None:
+    """A laser that swings along one axis, in frames of 60 a second of which every fourth is the probe's moment."""
+    times = np.arange(200) / 60
+    swing = np.zeros((len(times), 2))
+    swing[:, axis] = 8 * np.sin(2 * np.pi * 5 * times)
+    streak = np.zeros_like(swing)
+    streak[:, axis] = 8 * 2 * np.pi * 5 * np.cos(2 * np.pi * 5 * times) * 0.015
+    middle = np.array([48.0, 40.0])
+    streams = {"probe": StreamInfo(20, 20), "target": StreamInfo(80, 96, rate=60.0)}
+    with RecordingWriter(tmp_path / "swing.rec", streams=streams, rate=15, start_utc_ns=0) as writer:
+        # The mean over the exposure.
+        shown = middle + swing * np.sinc(5 * 0.015)
+        for n, (moment, place) in enumerate(zip(times, shown, strict=True)):
+            at = {"monotonic_ns": n, "utc_ns": round(moment * 1e9)}
+            image = drawn(tuple(streak[n]), tuple(place), n)
+            writer.write("target", image, exposure=0.015, **at)
+            if n % 4 == 0:
+                writer.write("probe", np.zeros((20, 20), np.uint8), **at)
+    recording = open_recording(tmp_path / "swing.rec")
+    label_recording(recording)
+    table = recording.labels()
+    assert table is not None
+    for n, name in enumerate("xy"):
+        spot, stated = (table[one].to_numpy() for one in (f"spot_{name}", f"gaze_{name}_std"))
+        error = np.sqrt(np.nanmean((spot - (middle + swing)[::4, n]) ** 2))
+        said = float(np.sqrt(np.nanmean(stated**2))) * (96, 80)[n]
+        assert error < said < 4 * error, name
+        assert error < 0.025, name
+
+
+def test_an_edge_under_the_spot_shows_in_what_neighbours_leave_alike() -> None:
+    shares, errors = [], []
+    for edge in (0.0, 40.0):
+        frames = [drawn((0.0, 0.0), (48.2, 40.1), seed).astype(np.float32) for seed in range(20)]
+        for frame in frames:
+            frame[:, 49:] += edge
+        at = np.tile([48.0, 40.0], (20, 1))
+        patches = np.stack([patch_of(frame, 48.0, 40.0) for frame in frames])
+        better, _, shared, holds = sharpened(patches, at, np.full(20, 1.2), np.full(20, 300.0))
+        assert holds.all()
+        shares.append(float(np.median(shared)))
+        errors.append(float(np.abs(better[:, 0].mean() - 48.2)))
+    assert errors[0] < 0.01 and errors[1] > 0.05
+    assert shares[1] > 3 * shares[0]
+    assert 0.2 < errors[1] / (STEADY * shares[1]) < 4
