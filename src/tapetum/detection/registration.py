@@ -199,7 +199,7 @@ def _matched(
     `over` is how many pixels of the frame one of the fine copies has.
     """
     fine, size = (np.array(one[0].shape[1::-1]) for one in (small, smaller))
-    flow, rough = _flow(*even, start)
+    flow, rough = _flow(even[0], even[1], start)
     flow = (flow * (fine / size)).astype(np.float32)
     shape = int(fine[0]), int(fine[1])
     moved = _taken(small[1], *_partners(flow, shape))
@@ -255,7 +255,7 @@ def _flow(lit: NDArray[np.uint8], dark: NDArray[np.uint8], start: Array) -> tupl
     found = cv2.DISOpticalFlow.create(_PRESET).calc(lit, _by(start, dark), None)  # pyright: ignore
     # The preset seeks it on every fourth pixel: half the grid holds it all.
     half = cv2.split(_resized(found, (max(8, size[0] // 2), max(8, size[1] // 2))))
-    rest = np.dstack([cv2.GaussianBlur(cv2.medianBlur(one, 3), (0, 0), 2) for one in half])
+    rest = np.dstack([cv2.GaussianBlur(cv2.medianBlur(one, 3), (0, 0), 2) for one in half]).astype(np.float32)
     rough = _roughness(rest) * rest.shape[1] / size[0]
     columns, rows = (
         (np.arange(n, dtype=np.float32) + 0.5) * (whole / n) - 0.5
