@@ -73,7 +73,7 @@ def detect(
     if int((found.false_alarms <= _RARE).sum()) >= _MANY:
         typer.echo(
             "note: so many at once are seldom all cameras: drops, beads and glossy edges shine back as small and round "
-            "as lenses. Take the pair again from a step aside: on a camera the light stays, elsewhere it slides",
+            "as lenses; look at each from near by",
             err=True,
         )
     if as_json:

@@ -16,7 +16,6 @@ from tapetum.detection.registration import MATCHED, Registered, local_mean, regi
 from tapetum.detection.score import Score, load_score
 from tapetum.detection.second import load_second, views
 from tapetum.errors import InputError, one_of
-from tapetum.memory import keep_freed
 
 __all__ = [
     "CHANNELS",
@@ -112,7 +111,6 @@ def find_cameras(
     if most is not None and most < 1:
         raise InputError(f"must be at least 1, is {most}", where="most")
     one_of(channel, CHANNELS, "channel")
-    keep_freed()
     first = _levels(lit, channel, "lit")
     second = None if dark is None else _levels(dark, channel, "dark")
     score = load_score(pair=second is not None)

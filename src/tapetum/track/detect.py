@@ -21,7 +21,6 @@ from numpy.typing import NDArray
 from tapetum.blas import one_blas_thread
 from tapetum.data.crop import find_centre
 from tapetum.errors import InputError
-from tapetum.memory import keep_freed
 from tapetum.record.source import Frame
 from tapetum.track.cameras import CameraDetector
 from tapetum.track.detections import Detections
@@ -151,7 +150,6 @@ def detect(
     if full_scale is None:
         full_scale = float(np.iinfo(array.dtype).max) if whole else math.inf
     limit = math.inf if largest is None else largest
-    keep_freed()
     with one_blas_thread():
         maps = make_maps(array, 1.0 if whole else 1e-6 * max(float(np.ptp(array)), 1e-30), min_snr)
         found = [one for one in search(maps, array, full_scale, min_snr, max_count, limit) if one.diameter <= limit]
