@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -43,6 +44,22 @@ def test_a_film_adapts_a_network(run, chain, network: Path, tmp_path: Path, of: 
     model = load_model(tmp_path / "m")
     assert np.isfinite(model.predict(open_dataset(chain.dataset), anyway=True)["gaze_x"]).all()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["m"]
+
+
+def test_a_network_that_learns_nothing_of_the_camera_is_said_to_be_of_no_use(
+    run, chain, network: Path, tmp_path: Path
+) -> None:
+    # Labels of other frames: nothing of them shows in the pictures.
+    film = tmp_path / "film.zarr"
+    shutil.copytree(chain.dataset, film)
+    rng, written = np.random.default_rng(0), zarr.open_group(film, mode="r+")
+    for name in ("gaze_x", "gaze_y"):
+        labels = written[name]
+        assert isinstance(labels, zarr.Array)
+        labels[:] = rng.permutation(np.asarray(labels[:]))
+    ran = run("adapt", network, film, "-o", tmp_path / "m", *few())
+    assert ran.code == 0, ran.err
+    assert "without the network: " in ran.out and "little better than the labels' mean" in " ".join(ran.err.split())
 
 
 def test_ctrl_c_says_what_is_kept_and_how_to_go_on(run, chain, network: Path, tmp_path: Path, monkeypatch) -> None:

@@ -13,7 +13,7 @@ from tests.models.conftest import pictures
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
-from tapetum.models.fine_tuning import ALL, LAST
+from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE
 
 pytestmark = pytest.mark.usefixtures("narrow")
 
@@ -69,6 +69,19 @@ def test_few_frames_of_another_copy_are_enough_and_the_base_stays(base: NetworkE
     # Frames of the folds miss a quarter of the others, so the intervals are rather too wide.
     assert 0.85 <= held <= 0.995
     assert mine.domain_ is not None and mine.domain_.unit != base.domain_.unit  # type: ignore[union-attr]
+
+
+def test_the_card_says_what_an_adapted_network_has_to_beat(base: NetworkEstimator) -> None:
+    data, rng = other(), np.random.default_rng(3)
+    for name in ("gaze_x", "gaze_y"):
+        data = labelled(data, **{name: rng.permutation(data[name].values)})
+    taught, confused = (adapt(base, one, epochs=2).training_ or {} for one in (other(), data))
+    best = [min(told["left_out_error"][how] for how in (ALL, LAST)) for told in (taught, confused)]
+    guess = [told["left_out_error"][GUESS] for told in (taught, confused)]
+    ridge = [told["left_out_error"][RIDGE] for told in (taught, confused)]
+    # Of labels that have nothing to do with the pictures neither learns anything.
+    assert best[0] < 0.4 * guess[0] and best[1] > 0.9 * guess[1]
+    assert ridge[0] < 0.7 * guess[0] and ridge[1] > 0.9 * guess[1]
 
 
 def test_what_tests_is_never_looked_at(base: NetworkEstimator) -> None:

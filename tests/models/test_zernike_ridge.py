@@ -10,10 +10,13 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 from sklearn.linear_model import Ridge
+from sklearn.pipeline import make_pipeline
+from sklearn.preprocessing import StandardScaler
 
 from tapetum.data import crop, dataset_from_arrays, find_centre
 from tapetum.errors import InputError
 from tapetum.models import ZernikeRidge, zernike_features
+from tapetum.models.zernike_ridge import ridge_residuals
 
 SPOTS = Path(__file__).parents[2] / ".." / "shared" / "data" / "laser-spots"
 SMALL = {"scales": (20, 40), "order": 5}
@@ -114,3 +117,22 @@ def test_real_beams_come_out_in_the_order_of_their_focus():
 def test_bad_parameters_are_told(how, word: str):
     with pytest.raises(InputError, match=word):
         ZernikeRidge(**how)
+
+
+def test_errors_on_frames_left_out_are_those_of_ridges_of_the_others() -> None:
+    rng = np.random.default_rng(0)
+    x, y = rng.normal(size=(40, 6)) * np.logspace(0, 3, 6), rng.normal(size=(40, 2))
+    y += x[:, :2]
+    fits = np.arange(0, 20), np.arange(20, 35)
+    asides = np.arange(22, 40), np.arange(0, 18)
+    found = ridge_residuals(x, y, list(zip(fits, asides, strict=True)))
+    assert np.isnan(found[18:22]).all()
+    errors = []
+    for alpha in np.logspace(-6, 6, 25):
+        error = np.full_like(y, np.nan)
+        for fit, aside in zip(fits, asides, strict=True):
+            ridge = make_pipeline(StandardScaler(), Ridge(alpha=alpha)).fit(x[fit], y[fit])
+            error[aside] = y[aside] - ridge.predict(x[aside])
+        errors.append(error)
+    best = min(errors, key=lambda one: np.nanmean(np.abs(one)))
+    np.testing.assert_allclose(found, best, atol=1e-8)

@@ -21,6 +21,7 @@ from tapetum.errors import InputError
 from tapetum.models.architectures import Network
 from tapetum.models.base import TrainingPart
 from tapetum.models.domain import fit_domain, picture_features
+from tapetum.models.features import ORDER
 from tapetum.models.intervals import fit_intervals
 from tapetum.models.kept_folds import WHOLE, KeptFolds
 from tapetum.models.last_layer import PENALTIES, LastLayer, corrected, folds_of, single_folds
@@ -34,15 +35,18 @@ from tapetum.models.training import (
     kept_epoch,
     train,
 )
+from tapetum.models.zernike_ridge import ZernikeRidge, ridge_residuals
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "LAST", "Adaptation"]
+__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
 
 LAST, ALL = "the last layer", "all layers"
 """What may be fitted again."""
+RIDGE, GUESS = "a tuned ridge of these frames alone", "their mean"
+"""What an adapted network has to beat."""
 
 # Up to so many frames every frame fits and calibrates, by cross-validation; of more, a part is kept aside.
 _FEW = 250
@@ -54,6 +58,8 @@ _FEWEST_EPOCHS = 3
 _BATCH, _RATE = 16, 5e-4
 # Shares of the frames kept aside, where they are many: to choose and to calibrate.
 _CHOOSE, _CALIBRATE = 0.08, 0.17
+# Side in pixels of the smallest square that the ridge looks at, which separates its modes.
+_SMALLEST = 32
 
 
 @dataclass
@@ -159,6 +165,18 @@ class Adaptation:
         sure = None if weights is None else weights[places].mean(axis=1)
         return corrected(self.before, self.features[places], self.targets[places], sure, penalty)
 
+    def beside(self, asides: list[NDArray[np.bool_]], fits: list[NDArray[np.intp]]) -> dict[str, float]:
+        """Return the mean errors, over the labels' spread, of what needs no network, on the frames left out."""
+        parts = [(fit, np.flatnonzero(aside)) for aside, fit in zip(asides, fits, strict=True)]
+        # Small crops cannot separate high orders.
+        crop = self.base.crop
+        scales = sorted({max(crop * k // 4, min(crop, _SMALLEST)) for k in range(1, 5)})
+        ridge = ZernikeRidge(self.base.quantities, scales=scales, order=min(ORDER, scales[0] // 4))
+        features = ridge.features(self.part.dataset, progress=self.progress)
+        means = np.concatenate([self.targets[aside] - self.targets[fit].mean(axis=0) for fit, aside in parts])
+        left = ridge_residuals(features, self.targets, parts)
+        return {RIDGE: float(np.nanmean(np.abs(left))), GUESS: float(np.abs(means).mean())}
+
     @property
     def before(self) -> LastLayer:
         """The base's own last layer, for the quantities as counted here."""
@@ -255,9 +273,15 @@ class Adaptation:
             # Neighbouring frames may share the error of their labels, which a network can learn from one and repeat for
             # the other.
             own = own + wide / self.spread_of
-        chosen = {"fitted": f"{best}: {why}", "penalty": f"{penalty:.3g}: least error on the same frames"}
-        summary = {"fitted": len(everything), "calibrated_on": len(everything), "embargo": 0, "chosen": chosen}
-        return self._estimator(network, own * self.spread_of, self.snr, {**summary, "intervals": intervals}, told)
+        summary = {
+            "fitted": len(everything),
+            "calibrated_on": len(everything),
+            "embargo": 0,
+            "chosen": {"fitted": f"{best}: {why}", "penalty": f"{penalty:.3g}: least error on the same frames"},
+            "left_out_error": {**errors, **self.beside(asides, fits)},
+            "intervals": intervals,
+        }
+        return self._estimator(network, own * self.spread_of, self.snr, summary, told)
 
     def _by_parts(self, told: dict[str, Any]) -> NetworkEstimator:
         aside = self.folds == np.unique(self.folds)[-1]
@@ -295,10 +319,15 @@ class Adaptation:
         if best == ALL:
             kept = f"{kept_epoch(history, self.settings.patience)} of {len(history)}"
             chosen["epochs"] = f"{kept}: least error on the same frames"
-        left = len(self.targets) - len(fit) - len(calibrate) - n
-        summary = {"fitted": len(fit), "calibrated_on": len(calibrate), "embargo": left, "chosen": chosen}
-        intervals = "from stretches of the film that neither fitted nor chose"
-        return self._estimator(network, residuals, self.snr[calibrate], {**summary, "intervals": intervals}, told)
+        summary = {
+            "fitted": len(fit),
+            "calibrated_on": len(calibrate),
+            "embargo": len(self.targets) - len(fit) - len(calibrate) - n,
+            "chosen": chosen,
+            "left_out_error": {**errors, **self.beside([chosen_mask], [fit])},
+            "intervals": "from stretches of the film that neither fitted nor chose",
+        }
+        return self._estimator(network, residuals, self.snr[calibrate], summary, told)
 
     def _away(self, these: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return those of the frames whose labels share no measurement with the others'."""

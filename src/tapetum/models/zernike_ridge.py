@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -24,7 +24,7 @@ from tapetum.models.state import checked_state
 from tapetum.optics.zernike import mode_count
 from tapetum.progress import Progress, quiet
 
-__all__ = ["ZernikeRidge"]
+__all__ = ["ZernikeRidge", "ridge_residuals"]
 
 _ALPHAS = np.logspace(-6, 6, 25)
 _FOLDS = 5
@@ -225,16 +225,45 @@ class ZernikeRidge(Estimator):
         return model
 
 
+def ridge_residuals(
+    x: NDArray[np.float64], y: NDArray[np.float64], parts: Sequence[tuple[NDArray[np.intp], NDArray[np.intp]]]
+) -> NDArray[np.float64]:
+    """Return a tuned ridge's errors [N, K] on frames that it has not fitted; NaN for frames in no fold.
+
+    Parameters
+    ----------
+    x, y
+        Features [N, F] and quantities [N, K].
+    parts
+        The places of the frames that are fitted and of those left out, for each fold. One penalty serves all of them:
+        the one with the least mean absolute error.
+    """
+    errors = np.full((len(_ALPHAS), *y.shape), np.nan)
+    for fit, aside in parts:
+        spread = x[fit].std(axis=0)
+        scale = np.where(spread > 1e-12 * np.abs(x[fit]).max(axis=0), spread, 1.0)
+        for k, estimate in enumerate(_estimates(x / scale, y, fit, aside)):
+            errors[k, aside] = y[aside] - estimate
+    return errors[int(np.argmin(np.nanmean(np.abs(errors), axis=(1, 2))))]
+
+
 def _best_alpha(x: NDArray[np.float64], y: NDArray[np.float64]) -> float:
-    """Return the penalty with the least squared error over contiguous folds; one SVD per fold."""
+    """Return the penalty with the least squared error over contiguous folds."""
     error = np.zeros(len(_ALPHAS))
+    # Scaled, so that all quantities have equal weight.
+    spread = np.maximum(y.std(axis=0), np.finfo(float).tiny)
     for rest, fold in KFold(min(_FOLDS, len(x))).split(x):
-        x0, y0 = x[rest].mean(axis=0), y[rest].mean(axis=0)
-        u, s, vt = np.linalg.svd(x[rest] - x0, full_matrices=False)
-        seen, turned = u.T @ (y[rest] - y0), (x[fold] - x0) @ vt.T
-        # Scaled, so that all quantities have equal weight.
-        spread = np.maximum(y.std(axis=0), np.finfo(float).tiny)
-        for k, alpha in enumerate(_ALPHAS):
-            estimate = turned @ (seen * (s / (s**2 + alpha))[:, None]) + y0
+        for k, estimate in enumerate(_estimates(x, y, rest, fold)):
             error[k] += float((((estimate - y[fold]) / spread) ** 2).sum())
     return float(_ALPHAS[int(np.argmin(error))])
+
+
+def _estimates(
+    x: NDArray[np.float64], y: NDArray[np.float64], fit: NDArray[np.intp], aside: NDArray[np.intp]
+) -> Iterator[NDArray[np.float64]]:
+    """Yield the estimates of frames left out for each penalty; one SVD serves all of them."""
+    x0, y0 = x[fit].mean(axis=0), y[fit].mean(axis=0)
+    u, s, vt = np.linalg.svd(x[fit] - x0, full_matrices=False)
+    seen, turned = u.T @ (y[fit] - y0), (x[aside] - x0) @ vt.T
+    for alpha in _ALPHAS:
+        yield turned @ (seen * (s / (s**2 + alpha))[:, None]) + y0
