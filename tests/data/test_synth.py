@@ -24,6 +24,7 @@ from tapetum.durable import sole_writer
 from tapetum.errors import InputError
 from tapetum.record import film, label_recording
 from tapetum.record.labels import NoLaserError
+from tapetum.record.shot import Shot
 
 
 class Stop:
@@ -197,6 +198,27 @@ def test_threads_change_nothing(whole: Path):
         torch.set_num_threads(before)
     np.testing.assert_array_equal(made[0].crops, made[1].crops)
     assert made[0].columns == made[1].columns
+
+
+def test_a_frame_of_the_target_is_made_once_for_all_parts(monkeypatch):
+    plan, asked, target = little_plan(), list[int](), Shot.target
+
+    def counted(shot: Shot, first: int, last: int):
+        asked.extend(range(first, last))
+        return target(shot, first, last)
+
+    monkeypatch.setattr(Shot, "target", counted)
+    own = [part for part in plan.parts if part.video == 0]
+    assert len(own) > 1
+    shot_of.cache_clear()
+    together = [make_part(plan.videos[0], part, plan.rules, []) for part in own]
+    assert len(asked) == len(set(asked)) > 0
+    before = len(asked)
+    shot_of.cache_clear()
+    alone = make_part(plan.videos[0], own[-1], plan.rules, [])
+    assert len(asked) > before
+    np.testing.assert_array_equal(together[-1].crops, alone.crops)
+    assert together[-1].columns == alone.columns
 
 
 def test_labels_of_a_whole_video_stand_with_every_frame(tmp_path: Path):

@@ -188,8 +188,8 @@ def _scatter(image: NDArray[np.float32]) -> float:
 
 
 def _thinned(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Return a regular sample of about 512 x 512 pixels, enough for a median."""
-    return image[:: max(1, image.shape[0] // 512), :: max(1, image.shape[1] // 512)]
+    """Return a regular sample of at most 512 x 512 pixels, enough for a median."""
+    return image[:: -(-image.shape[0] // 512), :: -(-image.shape[1] // 512)]
 
 
 def vertex(below: float, at: float, above: float) -> float:

@@ -18,6 +18,7 @@ from tapetum.record.blobs import Candidates, find_candidates, saturation
 from tapetum.record.clocks import Joined, join
 from tapetum.record.recording import Recording, RecordingSource
 from tapetum.record.smoother import FEWEST, Samples, Smoothed, smooth
+from tapetum.record.source import Frame
 from tapetum.record.spot import GOOD, follow
 from tapetum.record.streak import patch_of, sharpened
 
@@ -65,35 +66,43 @@ class LabelSummary:
     median_deviation: float = 0.0
 
 
+@dataclass(frozen=True)
+class _Sight:
+    """Of one frame of the target: possible lasers, the patch about the likeliest with the digital number that is
+    saturated, and the exposure (s), NaN where it is unknown."""
+
+    found: Candidates
+    patch: np.ndarray
+    saturated: float
+    exposure: float
+
+
+def _look(frame: Frame) -> _Sight:
+    found = find_candidates(frame.image, full_scale=frame.full_scale)
+    x, y = (float(one[0]) if len(found) else 0.0 for one in (found.x, found.y))
+    exposure = np.nan if frame.exposure is None else frame.exposure
+    return _Sight(found, patch_of(frame.image, x, y), saturation(frame.image, frame.full_scale), exposure)
+
+
 def _spots(source: RecordingSource, progress: Progress) -> tuple[list[Candidates], Array, Array, Array, Array]:
     """Return the possible lasers of each frame; the likeliest's place [N, 2] (px), sharpened where that holds, its
     fit's residual and what of it neighbours share, [N] each, in heights of the spot; and the exposures [N] (s), NaN
     where they are unknown."""
-    found, exposures, fits = list[Candidates](), list[float](), list[tuple[Array, Array, Array]]()
-    patches, scales = list[np.ndarray](), list[float]()
-
-    def finish() -> None:
-        batch = [one if len(one) else None for one in found[len(found) - len(patches) :]]
-        at = np.array([(c.x[0], c.y[0]) if c else (0.0, 0.0) for c in batch])
-        sigma, snr = (np.array([getattr(c, name)[0] if c else 1.0 for c in batch]) for name in ("sigma", "snr"))
-        places, noise, shared, holds = sharpened(np.stack(patches), at, sigma, np.array(scales))
-        round_one = 1 / np.maximum(snr, 1e-3)
-        fits.append((places, np.where(holds, noise, round_one), np.where(holds, shared, round_one / 3)))
-        patches.clear()
-        scales.clear()
-
-    for frame in progress(source, "finding the laser", total=source.count):
-        found.append(find_candidates(frame.image, full_scale=frame.full_scale))
-        exposures.append(np.nan if frame.exposure is None else frame.exposure)
-        scales.append(saturation(frame.image, frame.full_scale))
-        x, y = (float(one[0]) if len(found[-1]) else 0.0 for one in (found[-1].x, found[-1].y))
-        patches.append(patch_of(frame.image, x, y))
-        if len(patches) == BATCH:
-            finish()
-    if patches:
-        finish()
+    sights = list(progress(source.looked(_look), "finding the laser", total=source.count))
+    fits = [_fitted(sights[first : first + BATCH]) for first in range(0, len(sights), BATCH)]
     places, noise, shared = (np.concatenate(one) for one in zip(*fits, strict=True))
-    return found, places, noise, shared, np.array(exposures)
+    return [one.found for one in sights], places, noise, shared, np.array([one.exposure for one in sights])
+
+
+def _fitted(sights: list[_Sight]) -> tuple[Array, Array, Array]:
+    """Return places [N, 2], residuals [N] and their shared parts [N] of the likeliest spots, as `_spots`."""
+    batch = [one.found if len(one.found) else None for one in sights]
+    at = np.array([(c.x[0], c.y[0]) if c else (0.0, 0.0) for c in batch])
+    sigma, snr = (np.array([getattr(c, name)[0] if c else 1.0 for c in batch]) for name in ("sigma", "snr"))
+    patches, saturated = np.stack([one.patch for one in sights]), np.array([one.saturated for one in sights])
+    places, noise, shared, holds = sharpened(patches, at, sigma, saturated)
+    round_one = 1 / np.maximum(snr, 1e-3)
+    return places, np.where(holds, noise, round_one), np.where(holds, shared, round_one / 3)
 
 
 def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarray, rate: float) -> Smoothed:

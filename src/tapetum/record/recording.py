@@ -9,10 +9,10 @@ from __future__ import annotations
 
 import html
 import os
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 __all__ = ["Recording", "RecordingSource", "RecordingWriter", "StreamInfo", "is_recording", "open_recording"]
+
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, repr=False)
@@ -219,6 +221,10 @@ class RecordingSource(Stored):
     def count(self) -> int:
         """Number of frames."""
         return len(self.times)
+
+    def looked(self, look: Callable[[Frame], T]) -> Iterator[T]:
+        """Yield what `look` returns of every frame; a source that makes its frames may keep that."""
+        return map(look, self)
 
     def frame(self, number: int, image: np.ndarray) -> Frame:
         """Return a frame with its times, exposure and laser state."""

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 __all__ = ["Clip"]
 
+T = TypeVar("T")
+
 MARGIN = 13
 """Target frames on either side that affect a place: `tapetum.record.spot.follow` uses four good ones around each of the
 three that may confirm a doubtful one, and interpolation one more beyond the next. Smoothing needs whole blocks besides:
@@ -30,20 +32,34 @@ _BATCH = 16
 
 @dataclass(frozen=True, eq=False)
 class ClipSource(RecordingSource):
-    """Frames of one stream of a shot from number `begin` on, made when they are read."""
+    """Frames of one stream of a shot from number `begin` on, made when they are read.
+
+    `seen` keeps what was seen of frames, by their numbers: neighbouring clips share frames of the target.
+    """
 
     shot: Any = None
     begin: int = 0
+    seen: dict[int, Any] = field(default_factory=dict)
 
     def __iter__(self) -> Iterator[Frame]:
-        make = getattr(self.shot, self.stream)
         for start in range(0, self.count, _BATCH):
-            stop = min(start + _BATCH, self.count)
-            images = make(self.begin + start, self.begin + stop)
-            for n, image in enumerate(images, start):
-                index = self.begin + n
-                where, exposure = f"{self.name}[{index}]", self.shot.exposure(self.stream, index)
-                yield Frame(index, float(self.times[n]), image, where, self.full_scale, exposure=exposure)
+            yield from self._made(start, min(start + _BATCH, self.count))
+
+    def looked(self, look: Callable[[Frame], T]) -> Iterator[T]:
+        """Yield what `look` returns of every frame, making those alone that it has not seen."""
+        for n in range(self.count):
+            if self.begin + n not in self.seen:
+                (frame,) = self._made(n, n + 1)
+                self.seen[frame.index] = look(frame)
+            yield self.seen[self.begin + n]
+
+    def _made(self, start: int, stop: int) -> Iterator[Frame]:
+        """Make frames `start` to `stop` (excluded) of this source."""
+        images = getattr(self.shot, self.stream)(self.begin + start, self.begin + stop)
+        for n, image in enumerate(images, start):
+            index = self.begin + n
+            where, exposure = f"{self.name}[{index}]", self.shot.exposure(self.stream, index)
+            yield Frame(index, float(self.times[n]), image, where, self.full_scale, exposure=exposure)
 
 
 @dataclass(frozen=True)
@@ -51,17 +67,19 @@ class Clip(Recording):
     """A range of a video's probe frames, with the target's frames that label them.
 
     `shot` is the whole video, `ranges` the first and last (excluded) frame of each stream, `labelled` the constant
-    labels.
+    labels. `seen` keeps what was seen of the target's frames, for further clips of the same shot.
     """
 
     shot: Any = None
     ranges: dict[str, tuple[int, int]] = field(default_factory=dict)
     labelled: tuple[tuple[str, float | str], ...] = ()
+    seen: dict[int, Any] = field(default_factory=dict)
     _tables: list[pa.Table] = field(default_factory=list)
 
     @classmethod
-    def of(cls, video: Video, shot: Shot, first: int, last: int) -> Clip:
-        """Return the probe's frames `first` to `last` (excluded), as far as the video has them."""
+    def of(cls, video: Video, shot: Shot, first: int, last: int, seen: dict[int, Any] | None = None) -> Clip:
+        """Return the probe's frames `first` to `last` (excluded), as far as the video has them; `seen` is the memory
+        of earlier clips of the same shot."""
         count = len(shot.beats["probe"].times)
         first, last = min(first, count), min(last, count)
         target = shot.beats["target"].times
@@ -78,7 +96,7 @@ class Clip(Recording):
         probe = StreamInfo(rows, columns, video.scene.probe.sensor.bits)
         streams = {"probe": probe, "target": StreamInfo(high, wide, rate=shot.cameras["target"].rate)}
         meta = {"clocks": {name: {"readout": camera.clock.readout} for name, camera in shot.cameras.items()}}
-        return cls(Path(video.name), meta, streams, shot, ranges, video.labels)
+        return cls(Path(video.name), meta, streams, shot, ranges, video.labels, {} if seen is None else seen)
 
     def utc_ns(self, stream: str) -> np.ndarray:
         """Return times of the clip's frames of a stream in nanoseconds from the shot's start, [N] int64."""
@@ -92,7 +110,9 @@ class Clip(Recording):
         # Rounded to nanoseconds like a recording on disk.
         since = (np.rint(times[first:last] * 1e9) - np.rint(times[:1] * 1e9)) / 1e9
         full_scale = int(self.streams[stream].full_scale or 0)
-        return ClipSource(self.video(stream), stream, full_scale, since, True, shot=self.shot, begin=first)
+        # Probe frames are read once.
+        seen = self.seen if stream == "target" else {}
+        return ClipSource(self.video(stream), stream, full_scale, since, True, shot=self.shot, begin=first, seen=seen)
 
     def labels(self) -> pa.Table | None:
         """Return the labels, or None before there are any."""

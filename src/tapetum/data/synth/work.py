@@ -6,6 +6,7 @@ import contextlib
 import functools
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import cv2
 import torch
@@ -51,6 +52,13 @@ def shot_of(scene: Scene, session: Session) -> Shot:
     return Shot(scene, session)
 
 
+@functools.lru_cache(maxsize=2)
+def _seen_of(shot: Shot) -> dict[int, Any]:
+    """Return what was seen of a shot's target so far, by frame: the labels of a part need some 20 s of it beside."""
+    del shot
+    return {}
+
+
 def make_part(video: Video, part: Part, rules: Rules, classes: list[str]) -> Made:
     """Make one part of a set whose devices are `classes`; equal arguments give equal bits.
 
@@ -58,7 +66,7 @@ def make_part(video: Video, part: Part, rules: Rules, classes: list[str]) -> Mad
     """
     with one_thread():
         shot = shot_of(video.scene, video.session)
-        clip = Clip.of(video, shot, part.first, part.last)
+        clip = Clip.of(video, shot, part.first, part.last, _seen_of(shot))
         total = len(shot.beats["probe"].times)
         first, last = clip.ranges["probe"]
         made = Made(told={"frames": total, "used": 0, "left_out": {"no label": last - first}})
