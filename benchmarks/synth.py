@@ -18,7 +18,7 @@ import distributed
 from tapetum.bench import load_scene, scene_names
 from tapetum.data.build import add_frames, labels_of
 from tapetum.data.synth import Plan, make_plan, rotation_plan, synthesise
-from tapetum.data.synth.clip import MARGIN, Clip
+from tapetum.data.synth.clip import Clip
 from tapetum.data.synth.plan import KINDS, PIECE, Part
 from tapetum.data.synth.store import Made, Staging
 from tapetum.data.synth.work import MALLOC, make_part, one_thread, shot_of
@@ -101,11 +101,15 @@ def _costs(name: str, plan: Plan, frames: int) -> tuple[list[Row], Cost]:
         _, stored = _busy(lambda: staging.keep(part, made))
         _, together = _busy(lambda: staging.put_together(whole, Path(folder) / "set.zarr"))
         size = sum(file.stat().st_size for file in (Path(folder) / "set.zarr" / "image").rglob("*"))
-        _, all_in = _busy(lambda: make_part(video, part, plan.rules, plan.classes))
+        # A part in a video's middle, whose neighbour the same process has made.
+        beside, own = (Part(0, 0, first, first + frames) for first in (3 * frames, 4 * frames))
+        make_part(video, beside, plan.rules, plan.classes)
+        _, all_in = _busy(lambda: make_part(video, own, plan.rules, plan.classes))
+        begin, end = Clip.of(video, shot, own.first, own.last).ranges["target"]
     crops = len(made.crops)
     raw = plan.rules.side**2
     note = f"{crops} of {frames} frames kept; {size / max(crops, 1) / 1e3:.0f} kB of {raw / 1e3:.0f} kB each"
-    looked = f"{(frames + 2 * MARGIN) / frames:.2f} a probe frame, with the margins of a part of {frames}"
+    looked = f"once for a process that makes a whole video; {(end - begin) / frames:.2f} a probe frame for a part alone"
     cost = Cost(prepared, (all_in + stored) / frames, together / max(crops, 1), crops / frames)
     rows = [
         Row(f"{name}: a shot prepared, first frames made", Figure.duration(prepared)),

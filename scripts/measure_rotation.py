@@ -4,25 +4,42 @@
 
 For each rate of the target camera, which is how often the gaze is labelled, the Rotation set is filmed and the paper
 page's models are trained on it; what Fig. 10 says of them goes to docs/numbers/rotation-rates.json, or -o. Sets,
-checkpoints and models stay in the folder, so that the same command continues an interrupted run.
+checkpoints and models stay in the folder, so that the same command continues an interrupted run. The network takes the
+page's epochs in single precision unless --epochs or --precision say otherwise.
 """
 
 from __future__ import annotations
 
 import argparse
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from tapetum.cli.memory import keep_big_blocks
 from tapetum.data import open_dataset
 from tapetum.data.synth import make_plan, synthesise
-from tapetum.experiments import SIZES, Workshop
+from tapetum.experiments import RECIPES, SIZES, Workshop
 from tapetum.experiments.learning import fig10
 from tapetum.experiments.workshop import SET_SEED
 from tapetum.files import atomic_file
-from tapetum.models.epochs import EpochReport
+from tapetum.models import NetworkEstimator
+from tapetum.models.epochs import PRECISIONS, EpochReport
 from tapetum.progress import bar
+
+
+def shortened(epochs: int | None, precision: str) -> None:
+    """Give the page's ResNet-18 other epochs or another precision."""
+    name = "rotation-resnet18"
+    recipe = RECIPES[name]
+
+    def make(size: str) -> NetworkEstimator:
+        model = recipe.make(size)
+        assert isinstance(model, NetworkEstimator)
+        own = {"precision": precision, **({} if epochs is None else {"epochs": epochs})}
+        return type(model)(**{**model.parameters(), **own})
+
+    RECIPES[name] = replace(recipe, make=make)
 
 
 def measured(rate: float, size: str, work: Path, processes: int) -> dict[str, Any]:
@@ -47,13 +64,17 @@ def main() -> None:
     parser.add_argument("--rates", type=float, nargs="+", default=[15.0, 60.0], help="of the target camera, per second")
     parser.add_argument("--size", choices=SIZES, default="paper")
     parser.add_argument("--processes", type=int, default=2, help="that film")
+    parser.add_argument("--epochs", type=int, help="of the network; the page's by default")
+    parser.add_argument("--precision", choices=PRECISIONS, default="float32", help="of the network's products")
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/numbers/rotation-rates.json"))
     options = parser.parse_args()
     keep_big_blocks()
+    shortened(options.epochs, options.precision)
     options.work.mkdir(parents=True, exist_ok=True)
     rows = [measured(rate, options.size, options.work, options.processes) for rate in options.rates]
     with atomic_file(options.out) as part:
-        part.write_text(json.dumps({"size": options.size, "seed": SET_SEED, "rows": rows}, indent=1) + "\n")
+        told = {name: getattr(options, name) for name in ("size", "epochs", "precision")}
+        part.write_text(json.dumps({**told, "seed": SET_SEED, "rows": rows}, indent=1) + "\n")
     for row in rows:
         centre = row["centre"]
         print(
