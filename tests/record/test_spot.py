@@ -12,10 +12,11 @@ import pytest
 from spot_scenes import SCENES, H, Laser, W, expose
 
 from tapetum.errors import InputError
+from tapetum.record.blobs import Candidates
 from tapetum.record.images import read_image
 from tapetum.record.labels import label_recording
 from tapetum.record.recording import Recording, RecordingWriter, StreamInfo, open_recording
-from tapetum.record.spot import find_spot
+from tapetum.record.spot import GOOD, LONGEST, find_spot, follow
 
 START = 1_800_000_000_000_000_000
 DATA = Path(__file__).parents[2] / ".." / "shared" / "data"
@@ -207,3 +208,42 @@ def test_a_target_video_without_the_laser(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"target\.mkv: no laser spot found \(in 0 of 47 frames\); aim"):
         label_recording(recording)
     assert recording.labels() is None
+
+
+def _seen(places: np.ndarray, odds: np.ndarray) -> list[Candidates]:
+    one = np.ones(1)
+    return [
+        Candidates(x=at[:1], y=at[1:], odds=np.array([odd]), peak=one, snr=one, sigma=one)
+        for at, odd in zip(places, odds, strict=True)
+    ]
+
+
+def test_streaks_of_a_fast_gaze_confirm_each_other() -> None:
+    # A sweep of 800 px/s with a tremor of 4 px, at 60 fps; streaks are no round spots.
+    times = np.arange(60) / 60
+    path = np.stack([40 + 800 * times + 4 * np.sin(60 * times), 200 + 80 * times], axis=1)
+    fast = slice(20, 38)
+    odds = np.full(60, 3.0)
+    odds[fast] = -2.0
+    place, quality = follow(times, _seen(path, odds))
+    assert (quality >= GOOD).all()
+    np.testing.assert_array_equal(place, path)
+    # One that is no candidate at all is not taken for the laser, the others are.
+    odds[25] = -9.0
+    assert np.flatnonzero(follow(times, _seen(path, odds))[1] < GOOD).tolist() == [25]
+
+
+@pytest.mark.parametrize("off", ["elsewhere", "scattered", "too long"])
+def test_what_stands_for_a_laser_that_is_off_is_not_confirmed(off: str) -> None:
+    times = np.arange(90) / 60
+    path = np.stack([100 + 300 * times, 200 + 80 * times], axis=1)
+    dark = slice(20, 20 + (LONGEST + 1 if off == "too long" else 18))
+    odds = np.full(90, 3.0)
+    odds[dark] = -2.0
+    if off == "elsewhere":
+        # A lamp that moves with the room, as the laser did.
+        path[dark] += [40.0, -25.0]
+    if off == "scattered":
+        path[dark] = np.random.default_rng(0).uniform(0, 400, path[dark].shape)
+    quality = follow(times, _seen(path, odds))[1]
+    assert (quality[dark] < GOOD).all()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 import pyarrow as pa
+from scipy.ndimage import median_filter
 
 from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
@@ -28,8 +29,9 @@ Array = npt.NDArray[np.float64]
 WIDEST = 0.005  # of the field: a label with a larger deviation is refused
 PLACE = 1.0  # px, deviation of a spot's place over the fit's residual in heights of the spot (measured)
 FLOOR = 0.005  # px, least deviation of a spot's place
-STEADY = 5.8  # px, deviation that what stands about the spot adds to all labels, over the median of what neighbouring
-# pixels leave alike, in heights of the spot (measured)
+STEADY = 6.3  # px, deviation that what stands about the spot adds to neighbouring labels alike, over the median of what
+# neighbouring pixels leave alike, in heights of the spot (measured)
+ABOUT, FEWEST_ABOUT = 0.1, 5  # s before and after a label, and frames at least, over which that median is taken
 BATCH = 64  # spots that are sharpened at once
 FEW = 0.02  # fraction of frames with a spot below which there is no laser in the video
 
@@ -123,6 +125,14 @@ def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarra
         np.where(surer[:, None], path.reach, reach),
         path.strays,
     )
+
+
+def _about(times: Array, values: Array, at: Array) -> Array:
+    """Return the median [T] of values [K] at times [K] (s) about each time of `at` [T]."""
+    rate = (len(times) - 1) / max(float(np.ptp(times)), 1e-9)
+    values = np.where(np.isfinite(values), values, np.nanmedian(values))
+    middle = median_filter(values, min(max(2 * round(ABOUT * rate) + 1, FEWEST_ABOUT), len(values)), mode="nearest")
+    return middle[np.clip(np.searchsorted(times, at), 0, len(times) - 1)]
 
 
 def _left_out(samples: Samples) -> np.ndarray:
@@ -223,7 +233,7 @@ def label_recording(
         info.rate or 1 / float(np.median(np.diff(source.times))),
     )
     there, near = joined.found, np.isfinite(path.places[:, 0])
-    steady = STEADY * float(np.nanmedian(shared[good])) / size[0]
+    steady = STEADY * _about(samples.times, shared[good], moments) / size[0]
     gaze, wide = path.places * size[0] / size, np.hypot(path.deviations, steady)[:, None] * size[0] / size
     # Too few spots to fit a spectrum to: labels keep their wide deviations, or a short recording would have none.
     sure = near & ((wide.max(axis=1) <= widest) | ((len(samples) < FEWEST) & np.isfinite(path.deviations)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from itertools import pairwise
 
 import numpy as np
 
@@ -14,6 +15,8 @@ GOOD = 0.5  # least quality of a spot that counts as the laser
 NEIGHBOURS = 4  # frames before and after that a spot must agree with
 BRIDGE = 3  # most frames to the good spots on both sides that confirm a doubtful one
 CONFIRMED = 4.0  # increase of the log-odds of a confirmed spot
+LONGEST = 24  # most doubtful frames in a row that confirm each other
+ON_PATH = 0.8  # share of such frames that must lie between their neighbours
 
 
 @dataclass(frozen=True)
@@ -94,7 +97,8 @@ def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.n
     [N].
 
     A good spot off the path of its neighbours loses quality; a doubtful one where two good neighbours predict it gains
-    some. Without such neighbours no quality rises.
+    some, and so do all of a row of doubtful ones that leads from one good spot to the next, as the streaks of a fast
+    gaze do. Without such neighbours no quality rises.
     """
     place = np.array([(c.x[0], c.y[0]) if len(c) else (np.nan, np.nan) for c in found]).reshape(-1, 2)
     quality = np.array([c.quality[0] if len(c) else 0.0 for c in found])
@@ -102,6 +106,12 @@ def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.n
     off = good[strays(times[good], place[good])]
     quality[off] = np.minimum(quality[off], GOOD / 2)
     good = np.setdiff1d(good, off)
+    for left, right in pairwise(good):
+        row = np.arange(left + 1, right)
+        if 0 < len(row) <= LONGEST:
+            on = row[_leads(times[left : right + 1], place[left : right + 1])]
+            quality[on] = [1 / (1 + np.exp(-(found[i].odds[0] + CONFIRMED))) for i in on]
+    good = np.flatnonzero(quality >= GOOD)
     for i in np.flatnonzero(quality < GOOD):
         after = int(np.searchsorted(good, i))
         if not 0 < after < len(good) or not len(found[i]):
@@ -111,10 +121,26 @@ def follow(times: np.ndarray, found: list[Candidates]) -> tuple[np.ndarray, np.n
             continue
         part = (times[i] - times[left]) / (times[right] - times[left])
         expected = (1 - part) * place[left] + part * place[right]
-        reach = 3 + 0.25 * float(np.hypot(*(place[right] - place[left])))
+        reach = _reach(float(np.hypot(*(place[right] - place[left]))))
         near = np.hypot(found[i].x - expected[0], found[i].y - expected[1]) <= reach
         if near.any():
             best = int(np.flatnonzero(near)[np.argmax(found[i].odds[near])])
             place[i] = found[i].x[best], found[i].y[best]
             quality[i] = 1 / (1 + np.exp(-(found[i].odds[best] + CONFIRMED)))
     return place, quality
+
+
+def _leads(times: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Return which places [K] between the first and the last of [K + 2] lie between their neighbours, or none where
+    these do not lead from the first to the last."""
+    part = (times[1:-1] - times[:-2]) / (times[2:] - times[:-2])
+    expected = places[:-2] + part[:, None] * (places[2:] - places[:-2])
+    step = np.hypot(*(places[2:] - places[:-2]).T)
+    # No frame without a candidate, whose place is NaN, lies anywhere.
+    on = np.hypot(*(places[1:-1] - expected).T) <= _reach(step)
+    return on if on[0] and on[-1] and on.mean() >= ON_PATH else np.zeros(len(on), bool)
+
+
+def _reach(step: np.ndarray | float) -> np.ndarray | float:
+    """Return how far in pixels a spot may lie from the middle of its neighbours, which are `step` apart."""
+    return 3 + 0.25 * step

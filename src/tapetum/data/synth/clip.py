@@ -14,6 +14,7 @@ from tapetum.data.synth.plan import Video
 from tapetum.record.recording import Recording, RecordingSource, StreamInfo
 from tapetum.record.smoother import block_seconds
 from tapetum.record.source import Frame
+from tapetum.record.spot import LONGEST, NEIGHBOURS
 
 if TYPE_CHECKING:
     from tapetum.record.shot import Shot
@@ -22,10 +23,10 @@ __all__ = ["Clip"]
 
 T = TypeVar("T")
 
-MARGIN = 13
-"""Target frames on either side that affect a place: `tapetum.record.spot.follow` uses four good ones around each of the
-three that may confirm a doubtful one, and interpolation one more beyond the next. Smoothing needs whole blocks besides:
-`tapetum.record.smoother.block_seconds`."""
+MARGIN = LONGEST + 2 * NEIGHBOURS + 2
+"""Target frames on either side that affect a place: `tapetum.record.spot.follow` lets a row of doubtful ones confirm
+each other between good ones, which it compares with their neighbours; interpolation uses one more beyond the next.
+Smoothing needs whole blocks besides: `tapetum.record.smoother.block_seconds`."""
 
 _BATCH = 16
 
