@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tapetum.record.blobs import find_candidates
-from tapetum.record.labels import STEADY, label_recording
+from tapetum.record.labels import STEADY, _about, label_recording
 from tapetum.record.patch import add_patch, bell
 from tapetum.record.recording import RecordingWriter, StreamInfo, open_recording
 from tapetum.record.streak import HALF, patch_of, sharpened
@@ -106,3 +106,16 @@ def test_an_edge_under_the_spot_shows_in_what_neighbours_leave_alike() -> None:
     assert errors[0] < 0.01 and errors[1] > 0.05
     assert shares[1] > 3 * shares[0]
     assert 0.2 < errors[1] / (STEADY * shares[1]) < 4
+
+
+def test_what_stands_about_the_spot_counts_where_it_stands() -> None:
+    # Four seconds of a camera of 60 frames a second; in the third the spot crosses the edge of a book, in one frame a
+    # reflection, and one frame's share is unknown.
+    times = np.arange(240) / 60
+    shared = np.where((times > 2) & (times < 3), 5.0, 1.0)
+    shared[30], shared[60] = 90.0, np.nan
+    at = np.array([-1.0, 0.5, 1.0, 1.8, 2.2, 2.8, 3.2, 9.0])
+    np.testing.assert_array_equal(_about(times, shared, at), [1, 1, 1, 1, 5, 5, 1, 1])
+    # Few frames a second still have five about each label.
+    slow = np.where(np.arange(20) == 7, 90.0, 1.0)
+    assert (_about(np.arange(20) / 10, slow, times) == 1).all()
