@@ -35,10 +35,12 @@ _CORES = (1, 100, 10_000)
 
 @dataclass(frozen=True)
 class Cost:
-    """Seconds: of a shot prepared, of a worker's work on a pair, of a crop put into the set; crops a pair."""
+    """Seconds: of a shot prepared, of a worker's work on a pair where it made the part before and where it did not, of
+    a crop put into the set; crops a pair."""
 
     prepared: float
     pair: float
+    alone: float
     together: float
     kept: float
 
@@ -67,7 +69,9 @@ def _foreseen(name: str, plan: Plan, cost: Cost, task: float, cores: int, times:
     """What a set of paper size, or of many times its videos, would take, as the costs say; nothing of it was run."""
     parts, videos = times * len(plan.parts), times * len(plan.videos)
     each = math.ceil(parts / cores)
-    filming = each * PIECE * cost.pair + min(videos, each) * cost.prepared
+    # The first part of a video that a worker makes has no neighbour whose labels it shares.
+    begun = math.ceil(each * videos / parts)
+    filming = PIECE * (begun * cost.alone + (each - begun) * cost.pair) + min(videos, each) * cost.prepared
     scheduling = parts * task if cores > 1 else 0.0
     together = times * sum(video.frames for video in plan.videos) * cost.kept * cost.together
     note = (
@@ -103,14 +107,15 @@ def _costs(name: str, plan: Plan, frames: int) -> tuple[list[Row], Cost]:
         size = sum(file.stat().st_size for file in (Path(folder) / "set.zarr" / "image").rglob("*"))
         # A part in a video's middle, whose neighbour the same process has made.
         beside, own = (Part(0, 0, first, first + frames) for first in (3 * frames, 4 * frames))
-        make_part(video, beside, plan.rules, plan.classes)
+        _, lone = _busy(lambda: make_part(video, beside, plan.rules, plan.classes))
         _, all_in = _busy(lambda: make_part(video, own, plan.rules, plan.classes))
         begin, end = Clip.of(video, shot, own.first, own.last).ranges["target"]
     crops = len(made.crops)
     raw = plan.rules.side**2
     note = f"{crops} of {frames} frames kept; {size / max(crops, 1) / 1e3:.0f} kB of {raw / 1e3:.0f} kB each"
     looked = f"once for a process that makes a whole video; {(end - begin) / frames:.2f} a probe frame for a part alone"
-    cost = Cost(prepared, (all_in + stored) / frames, together / max(crops, 1), crops / frames)
+    pair, alone = ((one + stored) / frames for one in (all_in, lone))
+    cost = Cost(prepared, pair, alone, together / max(crops, 1), crops / frames)
     rows = [
         Row(f"{name}: a shot prepared, first frames made", Figure.duration(prepared)),
         Row(f"{name}: a probe frame filmed", Figure.duration(filmed / frames)),
@@ -121,6 +126,7 @@ def _costs(name: str, plan: Plan, frames: int) -> tuple[list[Row], Cost]:
         Row(f"{name}: a crop kept in its region", Figure.duration(stored / max(crops, 1)), note=note),
         Row(f"{name}: a crop put into the set, by one process", Figure.duration(cost.together)),
         Row(f"{name}: a pair, all of a worker's work", Figure.duration(cost.pair)),
+        Row(f"{name}: the same where another worker made the part before", Figure.duration(cost.alone)),
     ]
     return rows, cost
 

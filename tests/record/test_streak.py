@@ -115,7 +115,7 @@ def test_what_stands_about_the_spot_counts_where_it_stands() -> None:
     shared = np.where((times > 2) & (times < 3), 5.0, 1.0)
     shared[30], shared[60] = 90.0, np.nan
     at = np.array([-1.0, 0.5, 1.0, 1.8, 2.2, 2.8, 3.2, 9.0])
-    np.testing.assert_array_equal(_about(times, shared, at), [1, 1, 1, 1, 5, 5, 1, 1])
+    np.testing.assert_array_equal(_about(times, shared, at, 60.0), [1, 1, 1, 1, 5, 5, 1, 1])
     # Few frames a second still have five about each label.
     slow = np.where(np.arange(20) == 7, 90.0, 1.0)
-    assert (_about(np.arange(20) / 10, slow, times) == 1).all()
+    assert (_about(np.arange(20) / 10, slow, times, 10.0) == 1).all()

@@ -27,9 +27,9 @@ if TYPE_CHECKING:
     from tapetum.models.epochs import EpochReport
 
 _MODEL = "A network's folder, or the bundled thin-lens-gaze."
-# From this share of the error of their mean on, estimates are said to be of no use.
-_OF_NO_USE = 0.75
 _FROM = "A dataset, NAME.zarr, or a labelled recording, NAME.rec, of the one camera."
+# From this share of the error of the labels' mean on, estimates are said to be little better.
+_LITTLE_BETTER = 0.75
 
 
 def adapt(
@@ -141,26 +141,23 @@ def _say(adapted: NetworkEstimator) -> None:
     typer.echo(f"adapted from {of.get('model')} by {of['frames']} frames{seconds}: {of['choice']}")
     for what, why in told["chosen"].items():
         typer.echo(f"chosen: {what}: {why}")
-    _warn_of(told.get("left_out_error") or {})
+    _warn_of(told["left_out_error"], adapted.crop)
 
 
-def _warn_of(errors: dict[str, float]) -> None:
-    """Say where the adapted network is worse than what needs no network."""
-    from tapetum.models.fine_tuning import GUESS, RIDGE
+def _warn_of(errors: dict[str, float], crop: int) -> None:
+    """Say where an adapted network is no better than what needs none."""
+    from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, ridge_scales
 
-    if not errors:
-        return
-    beside = {what: errors[what] for what in (RIDGE, GUESS)}
-    best = min(error for what, error in errors.items() if what not in beside)
-    said = ", ".join(f"{error:.3g} with {what}" for what, error in beside.items())
-    typer.echo(f"without the network: {said}")
-    if best >= _OF_NO_USE * beside[GUESS]:
+    # The better of the two was kept.
+    best, ridge, guess = min(errors[LAST], errors[ALL]), errors[RIDGE], errors[GUESS]
+    typer.echo(f"without the network: {ridge:.3g} with {RIDGE}, {guess:.3g} with {GUESS}")
+    if best >= _LITTLE_BETTER * guess:
         typer.echo(
             "note: its estimates are little better than the labels' mean: the film is too short, or the camera too "
             "unlike those that MODEL has seen",
             err=True,
         )
-    if beside[RIDGE] < best:
-        typer.echo(
-            "note: a ridge errs less on the same frames: `tapetum train SET --kind zernike --tuned -o MODEL`", err=True
-        )
+    if ridge < best:
+        scales = ",".join(map(str, ridge_scales(crop)))
+        command = f"tapetum train SET --kind zernike --tuned --scales {scales} -o MODEL"
+        typer.echo(f"note: a ridge errs less on the same frames: `{command}`", err=True)

@@ -21,7 +21,6 @@ from tapetum.errors import InputError
 from tapetum.models.architectures import Network
 from tapetum.models.base import TrainingPart
 from tapetum.models.domain import fit_domain, picture_features
-from tapetum.models.features import ORDER
 from tapetum.models.intervals import fit_intervals
 from tapetum.models.kept_folds import WHOLE, KeptFolds
 from tapetum.models.last_layer import PENALTIES, LastLayer, corrected, folds_of, single_folds
@@ -38,7 +37,7 @@ from tapetum.models.training import (
 from tapetum.models.zernike_ridge import ZernikeRidge, ridge_residuals
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation"]
+__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "ridge_scales"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -58,8 +57,8 @@ _FEWEST_EPOCHS = 3
 _BATCH, _RATE = 16, 5e-4
 # Shares of the frames kept aside, where they are many: to choose and to calibrate.
 _CHOOSE, _CALIBRATE = 0.08, 0.17
-# Side in pixels of the smallest square that the ridge looks at, which separates its modes.
-_SMALLEST = 32
+# Side in pixels of the smallest square that separates the ridge's modes.
+_SMALLEST = 16
 
 
 @dataclass
@@ -168,10 +167,7 @@ class Adaptation:
     def beside(self, asides: list[NDArray[np.bool_]], fits: list[NDArray[np.intp]]) -> dict[str, float]:
         """Return the mean errors, over the labels' spread, of what needs no network, on the frames left out."""
         parts = [(fit, np.flatnonzero(aside)) for aside, fit in zip(asides, fits, strict=True)]
-        # Small crops cannot separate high orders.
-        crop = self.base.crop
-        scales = sorted({max(crop * k // 4, min(crop, _SMALLEST)) for k in range(1, 5)})
-        ridge = ZernikeRidge(self.base.quantities, scales=scales, order=min(ORDER, scales[0] // 4))
+        ridge = ZernikeRidge(self.base.quantities, scales=ridge_scales(self.base.crop))
         features = ridge.features(self.part.dataset, progress=self.progress)
         means = np.concatenate([self.targets[aside] - self.targets[fit].mean(axis=0) for fit, aside in parts])
         left = ridge_residuals(features, self.targets, parts)
@@ -391,6 +387,11 @@ class Adaptation:
         took = {"took_seconds": round(time.monotonic() - self.started, 1)}
         model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
         return model
+
+
+def ridge_scales(crop: int) -> tuple[int, ...]:
+    """Return the sides of what the ridge beside a network looks at: four parts of the network's crop, in pixels."""
+    return tuple(sorted({max(crop * k // 4, _SMALLEST) for k in range(1, 5)}))
 
 
 def _deviations(part: TrainingPart) -> Array | None:

@@ -127,9 +127,8 @@ def _path(joined: Joined, places: np.ndarray, samples: Samples, times: np.ndarra
     )
 
 
-def _about(times: Array, values: Array, at: Array) -> Array:
-    """Return the median [T] of values [K] at times [K] (s) about each time of `at` [T]."""
-    rate = (len(times) - 1) / max(float(np.ptp(times)), 1e-9)
+def _about(times: Array, values: Array, at: Array, rate: float) -> Array:
+    """Return the median [T] of values [K] at times [K] (s), at a nominal rate in Hz, about each time of `at` [T]."""
     values = np.where(np.isfinite(values), values, np.nanmedian(values))
     middle = median_filter(values, min(max(2 * round(ABOUT * rate) + 1, FEWEST_ABOUT), len(values)), mode="nearest")
     return middle[np.clip(np.searchsorted(times, at), 0, len(times) - 1)]
@@ -225,15 +224,17 @@ def label_recording(
         deviation[good],
         float(np.median(exposures[np.isfinite(exposures)])) if np.isfinite(exposures).any() else 0.0,
     )
+    # Nominal, so that any part of a recording is labelled alike.
+    rate = info.rate or 1 / float(np.median(np.diff(source.times)))
     path = _path(
         joined.at_rows(rolled - source.times[0], moments - source.times[0]),
         flat,
         samples,
         moments,
-        info.rate or 1 / float(np.median(np.diff(source.times))),
+        rate,
     )
     there, near = joined.found, np.isfinite(path.places[:, 0])
-    steady = STEADY * _about(samples.times, shared[good], moments) / size[0]
+    steady = STEADY * _about(samples.times, shared[good], moments, rate) / size[0]
     gaze, wide = path.places * size[0] / size, np.hypot(path.deviations, steady)[:, None] * size[0] / size
     # Too few spots to fit a spectrum to: labels keep their wide deviations, or a short recording would have none.
     sure = near & ((wide.max(axis=1) <= widest) | ((len(samples) < FEWEST) & np.isfinite(path.deviations)))

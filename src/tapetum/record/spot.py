@@ -15,7 +15,7 @@ GOOD = 0.5  # least quality of a spot that counts as the laser
 NEIGHBOURS = 4  # frames before and after that a spot must agree with
 BRIDGE = 3  # most frames to the good spots on both sides that confirm a doubtful one
 CONFIRMED = 4.0  # increase of the log-odds of a confirmed spot
-LONGEST = 24  # most doubtful frames in a row that confirm each other
+LONGEST = 24  # most doubtful frames in a row that confirm each other: a sweep of the bench's hand had 17
 ON_PATH = 0.8  # share of such frames that must lie between their neighbours
 
 
@@ -136,7 +136,7 @@ def _leads(times: np.ndarray, places: np.ndarray) -> np.ndarray:
     part = (times[1:-1] - times[:-2]) / (times[2:] - times[:-2])
     expected = places[:-2] + part[:, None] * (places[2:] - places[:-2])
     step = np.hypot(*(places[2:] - places[:-2]).T)
-    # No frame without a candidate, whose place is NaN, lies anywhere.
+    # A frame without a candidate has the place NaN, of which every comparison is false.
     on = np.hypot(*(places[1:-1] - expected).T) <= _reach(step)
     return on if on[0] and on[-1] and on.mean() >= ON_PATH else np.zeros(len(on), bool)
 
