@@ -2,10 +2,21 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 import torch
 
-from tapetum.optics.fourier import BandLimitedFourier, FoldedKernel, MatrixFourier, folded, naive_fourier, phasor
+from tapetum.optics import fourier
+from tapetum.optics.fourier import (
+    BandLimitedFourier,
+    FoldedKernel,
+    MatrixFourier,
+    fast_sums,
+    folded,
+    naive_fourier,
+    phasor,
+)
 
 
 def _case(rows: int, columns: int, down: int, across: int) -> tuple[torch.Tensor, ...]:
@@ -86,3 +97,29 @@ def test_parts_of_the_pairs_add_up() -> None:
     halves = folded(field)
     parts = [kernel.partial(halves[:, rows], rows) for rows in (slice(0, 3), slice(3, 10))]
     assert torch.allclose(kernel.unfolded(parts[0] + parts[1]), kernel(halves), rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("sign", [-1, 1])
+@pytest.mark.parametrize("dim", [-1, -2])
+@pytest.mark.parametrize(("length", "count"), [(12, 5), (12, 12), (12, 30)])
+def test_fast_sums_are_plain_ones_however_few_lines_are_summed_at_a_time(
+    dim: int, sign: int, length: int, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    dice = torch.Generator().manual_seed(7)
+
+    def drawn(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, dtype=torch.complex128, generator=dice)
+
+    field = drawn(3, 11, 9)
+    samples = field.shape[dim]
+    before, after = drawn(3, samples), drawn(1, count)
+    j, m = torch.arange(samples, dtype=torch.float64), torch.arange(count, dtype=torch.float64)
+    kernel = phasor(sign * 2 * math.pi / length * j[:, None] * m) * after[0]
+    want = ((field.movedim(dim, -1) * before[:, None]) @ kernel).movedim(-1, dim)
+    for bytes_at_once in (1, 1500, 1 << 21):
+        monkeypatch.setattr(fourier, "_BYTES_AT_ONCE", bytes_at_once)
+        found = fast_sums(field, length, count, dim, sign, before=before, after=after)
+        assert torch.allclose(found, want, rtol=0, atol=1e-12)
+    kept = field.clone().requires_grad_()
+    found = fast_sums(kept, length, count, dim, sign, before=before, after=after)
+    assert torch.allclose(found, want, rtol=0, atol=1e-12)

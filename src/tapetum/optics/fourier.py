@@ -39,21 +39,52 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
 
 # Largest change of a phase, in radians, for which a kernel's second derivative suffices: the third adds 1e-6.
 _SMALL_TURN = 0.02
+# Bytes of lines that are transformed at a time.
+_BYTES_AT_ONCE = 1 << 21
 
 
-def fast_sums(field: torch.Tensor, length: int, count: int, dim: int, sign: int) -> torch.Tensor:
-    """Σ_j field[j] exp(sign 2πi jm/length) along a dimension, for m from 0 to count - 1; they repeat after `length`."""
+def fast_sums(
+    field: torch.Tensor,
+    length: int,
+    count: int,
+    dim: int,
+    sign: int,
+    *,
+    before: torch.Tensor | None = None,
+    after: torch.Tensor | None = None,
+) -> torch.Tensor:
+    """Σ_j field[j] exp(sign 2πi jm/length) along a dimension, for m from 0 to count - 1; they repeat after `length`.
+
+    `before` [B or 1, samples] are factors of the field's samples along the dimension, `after` [B or 1, count] of the
+    sums, for a field [B, rows, columns].
+    """
     if field.shape[dim] > length:
         # A shorter transform leaves out what it does not hold.
         raise ValueError(f"{field.shape[dim]} samples do not fit into a transform of {length}")
-    transforms: Any = torch.fft
-    if sign < 0:
-        sums: torch.Tensor = transforms.fft(field, length, dim)
-    else:
-        sums = transforms.ifft(field, length, dim, norm="forward")
-    if count <= length:
-        return sums.narrow(dim, 0, count)
-    return sums.index_select(dim, torch.arange(count, device=field.device) % length)
+    lines = field.movedim(dim, -1)
+
+    def summed(lines: torch.Tensor) -> torch.Tensor:
+        if before is not None:
+            lines = lines * before[:, None]
+        transforms: Any = torch.fft
+        if sign < 0:
+            sums: torch.Tensor = transforms.fft(lines, length)
+        else:
+            sums = transforms.ifft(lines, length, norm="forward")
+        if count > length:
+            sums = sums.index_select(-1, torch.arange(count, device=field.device) % length)
+        return sums[..., :count] if after is None else sums[..., :count] * after[:, None]
+
+    if field.device.type != "cpu" or any(one is not None and one.requires_grad for one in (field, before, after)):
+        return summed(lines).movedim(-1, dim)
+    # Some lines at a time, side by side in memory: what a transform pads, and what is dropped of it, then fit into the
+    # processor's caches.
+    found = lines.new_empty(*lines.shape[:-1], count)
+    line = length * field.element_size() * math.prod(lines.shape[:-2])
+    some = max(1, _BYTES_AT_ONCE // line)
+    for i in range(0, lines.shape[-2], some):
+        found[..., i : i + some, :] = summed(lines[..., i : i + some, :].contiguous())
+    return found.movedim(-1, dim)
 
 
 class MatrixFourier:

@@ -53,14 +53,15 @@ class ProbeAperture:
 
 
 def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float, wavelength: float) -> float:
-    """Largest path, in metres, that Fresnel's chirps miss between the pupil and the probe's aperture.
+    """Largest path, in metres, that `ProbePath.carry` misses between a traced pupil and the probe's aperture.
 
     `reach` is the pupil's half width in metres, `angle` the largest angle of the light that leaves it, `sine` that of
-    the tilt. Light that spreads less than the aperture counts only as far as it spreads.
+    the tilt. Light that spreads less than the aperture counts only as far as it spreads. A path that all light shares
+    changes no picture, so paths from 0 to a largest one count for half of it.
     """
     d = float(aperture.distance)
     wide = reach + min(aperture.radius, reach + angle * d + math.sqrt(wavelength * d))
-    return sine * reach * wide**2 / (2 * d**2) + wide**4 / (8 * d**3)
+    return sine * reach * (wide**2 - reach**2) / (2 * d**2) + wide**4 / (16 * d**3)
 
 
 class ProbePath:
@@ -202,11 +203,12 @@ class ProbePath:
         strength = step * torch.sqrt(cosines(sines)) * self.constant
         pupil = pupil * strength[:, None, None].to(self.dtype)
         if self.aperture is not None:
-            # Fresnel chirp of the distance: for the probe the pupil is foreshortened along the tilt.
+            # Fresnel chirp of the distance: for the probe the pupil is foreshortened along the tilt, and its places lie
+            # farther away along it.
             tilt = (rotation.mT @ sines[..., None])[..., 0]
             along = tilt[:, 0, None, None] * x[:, None, :] + tilt[:, 1, None, None] * y[:, :, None]
             square = x[:, None, :] ** 2 + y[:, :, None] ** 2 - along**2
-            pupil = pupil * phasor(self.chirp * square, self.dtype)
+            pupil = pupil * phasor(self.chirp * square * (1 - along / self.aperture.distance), self.dtype)
         elif centres is not None:
             pupil = pupil * self._ramp(_seen_at(centres, t), x, y)
         # Each gaze has its own step; its columns and rows lie in pairs about its middle.

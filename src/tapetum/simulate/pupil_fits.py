@@ -45,7 +45,7 @@ _BOX_DEGREE, _BOX_MARGIN = 6, 1.03
 # Rays farther out than this are not fitted, in half widths of the box.
 _FITTED = 1.15
 # Fields a radian of tilt: the interpolation between them is far better than the fits (tests).
-_FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS = 33, 5, 21
+_FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS, _DENSER = 33, 5, 21, 4
 # Places evaluated at a time: their memory fits the processor's caches.
 _PLACES_AT_ONCE = 1 << 15
 
@@ -68,6 +68,10 @@ class TiltNodes:
         """As many nodes as the range of tilts asks for."""
         steepest = max(steepest, 1e-3)
         return cls(steepest, min(_MOST_FIELDS, _LEAST_FIELDS + math.ceil(_FIELDS_A_SINE * steepest)))
+
+    def denser(self) -> TiltNodes:
+        """More nodes over the same tilts, for what changes faster with the tilt than a lens's pupils do."""
+        return replace(self, count=self.count + _DENSER)
 
     @property
     def places(self) -> torch.Tensor:
@@ -273,10 +277,13 @@ def _narrowed(fit: Fit, nodes: TiltNodes, tilt: torch.Tensor) -> Fit:
     return Fit(turned @ fit.centre, turned @ fit.half, even, odd, fit.degrees)
 
 
-def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = None) -> tuple[Fit, float]:
+def fit_leaving(
+    nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = None, degree: int = PHASE_DEGREE
+) -> tuple[Fit, float]:
     """Fit `PupilFits.leaving`, the functions of the light that leaves, to a bundle; also return the paths' RMS misfit.
 
-    `more` [T, 1 + rims, N] is added to the bundle's paths and to its heights at `limiting_surfaces`.
+    `more` [T, 1 + rims, N] is added to the bundle's paths and to its heights at `limiting_surfaces`. `degree` is that
+    of the paths.
     """
     rims = limiting_surfaces(leaving)
     if more is None:
@@ -286,7 +293,7 @@ def fit_leaving(nodes: TiltNodes, leaving: Bundle, more: torch.Tensor | None = N
         leaving.e,
         leaving,
         [
-            (leaving.psi + more[:, 0], PHASE_DEGREE),
+            (leaving.psi + more[:, 0], degree),
             (leaving.s[..., 1], MAP_DEGREE),
             (leaving.jacobian, SMOOTH_DEGREE),
             *((leaving.height[..., i] + more[:, 1 + n], SMOOTH_DEGREE) for n, i in enumerate(rims)),

@@ -299,11 +299,11 @@ class _Fast:
 
     def __call__(self, spot: torch.Tensor) -> torch.Tensor:
         """From the plane [B, n, n or n/2] to the directions [B, y, x]."""
-        back = fast_sums(spot * self.rows[0][..., None], self.length, self.rows[1].shape[-1], -2, 1)
+        (ramp, factor), (across, factors) = self.rows, self.columns
+        back = fast_sums(spot, self.length, factor.shape[-1], -2, 1, before=ramp, after=factor)
         if back.shape[-1] < self.count:
             back = _unfolded(back, -1, self.count)
-        back = fast_sums(back * self.columns[0][:, None], self.length, self.columns[1].shape[-1], -1, 1)
-        return back * self.columns[1][:, None] * self.rows[1][..., None]
+        return fast_sums(back, self.length, factors.shape[-1], -1, 1, before=across, after=factors)
 
 
 def _gathered(kernel: torch.Tensor, field: torch.Tensor) -> torch.Tensor:

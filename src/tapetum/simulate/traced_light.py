@@ -228,9 +228,12 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     if correct and far_out:
         found = corrected(focused, fits, curvature=scene.curvature, accepted=accepted)
         if found is not None and 2 * math.pi * found.misfit / wavelength > allowed:
-            # Fitted to all tilts, the paths of those that return may be interpolated too coarsely.
-            nearer = fit_pupils(focused, found.nodes.steepest, curvature=scene.curvature)
-            found = corrected(focused, nearer, curvature=scene.curvature, accepted=accepted) or found
+            # The paths of the tilts that return may change too fast for so few nodes.
+            nodes = found.nodes.denser()
+            again = fit_pupils(focused, nodes.steepest, curvature=scene.curvature, nodes=nodes)
+            again = corrected(focused, again, curvature=scene.curvature, accepted=accepted, nodes=nodes)
+            if again is not None and again.misfit < found.misfit:
+                found = again
         # Crossing rays have several paths at a place, which the fit misses.
         if found is not None and found.misfit < departure:
             pupils, by_rays, unsure = found, True, 2 * math.pi * found.misfit / wavelength

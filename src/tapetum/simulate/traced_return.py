@@ -47,6 +47,9 @@ _HALVINGS = (4, 3)
 # Rays that a fit needs, and how far beyond the accepted angles light is kept.
 _FEWEST_RAYS, _KEPT = 60, 4.0
 _COARSE, _NARROWINGS = 25, 2
+# Degree of the paths of light that is followed over the whole pupil: far out of focus they depart from those of a
+# point's light by many waves.
+_RETURN_DEGREE = 16
 # Squared height over a rim's beyond which rays do not represent the light inside.
 _STRAY = 1.15
 
@@ -249,11 +252,11 @@ def _whole_pupil(
     rims = [back.bundle.height.shape[-1] + i for i in limiting_surfaces(leaving)]
     higher = back.height[..., rims].mT - values_at(usual, tilt, back.e)[0][:, 3:]
     found, _ = fit_functions(
-        nodes, back.e, rays, [(more, PHASE_DEGREE), *((one, SMOOTH_DEGREE) for one in higher.unbind(1))]
+        nodes, back.e, rays, [(more, _RETURN_DEGREE), *((one, SMOOTH_DEGREE) for one in higher.unbind(1))]
     )
     centre, half = (tilt @ found.centre)[:, None], (tilt @ found.half)[:, None]
     nearest = torch.minimum(torch.maximum(leaving.e, centre - half), centre + half)
-    return fit_leaving(nodes, leaving, values_at(found, tilt, nearest)[0])
+    return fit_leaving(nodes, leaving, values_at(found, tilt, nearest)[0], _RETURN_DEGREE)
 
 
 def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: torch.Tensor) -> tuple[Fit, float]:
@@ -278,13 +281,14 @@ def _part(fits: PupilFits, nodes: TiltNodes, back: Returned, rays: _Rays, more: 
 def _between(
     focused: FocusedLens, fits: PupilFits, leaving: Fit, nodes: TiltNodes, curvature: float, accepted: float | None
 ) -> float:
-    """Worst RMS of the corrected paths against rays of tilts between the nodes, in metres.
+    """Worst RMS of the corrected paths, and of those in, against rays of tilts between the nodes, in metres.
 
     At the steepest nodes, where few rays return, each node may be fitted by coefficients unlike its neighbours': right
     at every node, wrong between them.
     """
-    # Every second gap only: tracing is most of a correction's cost.
+    # Every second gap only, as tracing is most of a correction's cost; and the steepest tilt, beyond all nodes.
     sines = ((nodes.sines[1:] + nodes.sines[:-1]) / 2)[1::2]
+    sines = torch.cat([sines, sines.new_tensor([nodes.steepest])])
     tilt = fits.nodes.terms(sines)
     middle = tilt @ fits.middle
     box = None if accepted is None else _accepted_box(focused, sines, curvature, accepted)
@@ -294,9 +298,12 @@ def _between(
     if accepted is not None:
         passing = back.good & (back.height <= 1).all(-1) & (length(back.turned) <= accepted)
     wanted = values_at(fits.leaving, tilt, back.e)[0][:, 0] + back.path - _model_path(fits, tilt, back)
-    error = values_at(leaving, nodes.terms(sines), back.e)[0][:, 0] - wanted
+    errors = [values_at(leaving, nodes.terms(sines), back.e)[0][:, 0] - wanted]
+    if accepted is None:
+        # A part of the pupil says little of the paths in: all of it makes the spot.
+        errors.append(values_at(fits.entering, tilt, bundle.s)[0][:, 0] - bundle.psi)
     # Where no ray passes there is no error.
-    return float(torch.nan_to_num(_spread(error, passing)).max())
+    return max(float(torch.nan_to_num(_spread(error, passing)).max()) for error in errors)
 
 
 def _accepted_box(
