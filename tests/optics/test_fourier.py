@@ -116,7 +116,7 @@ def test_fast_sums_are_plain_ones_however_few_lines_are_summed_at_a_time(
     j, m = torch.arange(samples, dtype=torch.float64), torch.arange(count, dtype=torch.float64)
     kernel = phasor(sign * 2 * math.pi / length * j[:, None] * m) * after[0]
     want = ((field.movedim(dim, -1) * before[:, None]) @ kernel).movedim(-1, dim)
-    for bytes_at_once in (1, 1500, 1 << 21):
+    for bytes_at_once in (1, 1500, 1 << 22):
         monkeypatch.setattr(fourier, "_BYTES_AT_ONCE", bytes_at_once)
         found = fast_sums(field, length, count, dim, sign, before=before, after=after)
         assert torch.allclose(found, want, rtol=0, atol=1e-12)

@@ -40,7 +40,7 @@ def phasor(phase: torch.Tensor, dtype: torch.dtype | None = None) -> torch.Tenso
 # Largest change of a phase, in radians, for which a kernel's second derivative suffices: the third adds 1e-6.
 _SMALL_TURN = 0.02
 # Bytes of lines that are transformed at a time.
-_BYTES_AT_ONCE = 1 << 21
+_BYTES_AT_ONCE = 1 << 22
 
 
 def fast_sums(
