@@ -36,9 +36,9 @@ from tapetum.simulate.true_paths import Leg, TruePaths, neglected_path
 
 __all__ = ["Order", "PlaceSeries", "RoundPass", "Surface"]
 
-# Samples of pupils looked up at a time: many enough to share what a gaze costs besides them, few enough that their
-# memory fits the processor's caches.
-_SAMPLES_AT_ONCE = 1 << 20
+# Samples of pupils that each processor looks up at a time: many enough to share what a gaze costs besides them, few
+# enough that their memory fits its caches.
+_SAMPLES_AT_ONCE = 1 << 21
 # Bands of rows that the upper half is cut into, so that those near its edge are as short as their chords.
 _BANDS = 3
 # Samples up to which the lens's phase and weights are kept; larger pupils recompute them for each band.
@@ -73,6 +73,10 @@ class _Prepared:
     def tilted(self) -> bool:
         """Whether the plane's distance changes with the gaze."""
         return bool(self.tilt.any())
+
+
+def _at_once() -> int:
+    return _SAMPLES_AT_ONCE * torch.get_num_threads()
 
 
 class RoundPass:
@@ -256,7 +260,7 @@ class RoundPass:
         for steep in tests:
             if gazes.size and steep(max(gazes.size)) and not steep(min(gazes.size)):
                 return self._split(gazes, self, [steep(one) for one in gazes.size], squared)
-        count = max(1, _SAMPLES_AT_ONCE // (self.plan.columns * self.plan.rows))
+        count = max(1, _at_once() // (self.plan.columns * self.plan.rows))
         dtype = self._real if squared else self.dtype
         images = torch.empty(len(sines), *self._path.shape, dtype=dtype, device=self.device)
         for i in range(0, len(sines), count):
@@ -303,7 +307,7 @@ class RoundPass:
         if whole:
             self._check_graph(len(gazes.sines))
         half, terms = (self.plan.rows + 1) // 2, self._terms(gazes)
-        band = min(_SAMPLES_AT_ONCE // (2 * len(gazes.sines) * self.plan.columns), math.ceil(half / _BANDS))
+        band = min(_at_once() // (2 * len(gazes.sines) * self.plan.columns), math.ceil(half / _BANDS))
         band = half if whole else max(1, band)
 
         def bands() -> Iterator[Band]:
