@@ -18,6 +18,7 @@ from tapetum.simulate import Camera
 from tapetum.simulate.phone import PhoneCamera
 
 from .measure import Contender, Effort, Figure, Row, in_turns
+from .retroreflection import share_of_ceiling
 
 TITLE = "Real lenses: tracing 29 surfaces, images of 400 × 400 pixels, and frames of a phone"
 PEERS = ("torch",)
@@ -79,6 +80,10 @@ def run(effort: Effort) -> list[Row]:
                 f"tilts up to {steepest:g}°; {traced.plan.columns} samples over the pupil",
             )
         )
+        if name == _CASES[0][0]:
+            case = "the same, camera held, in operations of the plain matrix transform from its pupil to the pixels"
+            note = "the machine's own rate; the light's way in and off the sensor comes on top"
+            rows.append(share_of_ceiling(traced, tilts, effort, case, note))
     return [*rows, _zoom(effort), _phone(effort), _planning(effort)]
 
 
