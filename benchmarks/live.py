@@ -6,11 +6,14 @@ ONNX Runtime. The delay counts from a frame's arrival to the state that is publi
 
 from __future__ import annotations
 
+import os
+import signal
 import subprocess
 import sys
 import threading
 import time
 from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -41,6 +44,18 @@ async def one():
         async for _ in socket: pass
 async def all(): await asyncio.gather(*(one() for _ in range(int(sys.argv[2]))))
 asyncio.run(all())
+"""
+
+# The page itself, in a browser without a window; `tests/live/conftest.py` has the same path and arguments.
+_CHROMIUM = "/usr/bin/chromium"
+_BROWSER = """
+import sys, time
+from playwright.sync_api import sync_playwright
+with sync_playwright() as play:
+    browser = play.chromium.launch(executable_path=sys.argv[2], args=["--no-sandbox", "--disable-gpu"])
+    page = browser.new_page(viewport={"width": 1400, "height": 900})
+    page.goto(sys.argv[1])
+    time.sleep(3600)
 """
 
 
@@ -98,9 +113,9 @@ class _Stamps:
 
 
 def watched(
-    targets: int, model: Any, clients: int, seconds: float, budget: float | None = None
+    targets: int, model: Any, clients: int | None, seconds: float, budget: float | None = None
 ) -> tuple[float, float, float, float]:
-    """Watch made frames, models by turns within a budget where one is given.
+    """Watch made frames, models by turns within a budget where one is given, for so many clients or a browser (None).
 
     Return seconds a frame, median and 99th percentile of the delay, and cameras a frame.
     """
@@ -114,15 +129,20 @@ def watched(
     while not server.started:
         time.sleep(0.05)
     port = server.servers[0].sockets[0].getsockname()[1]
-    readers = subprocess.Popen([sys.executable, "-c", _CLIENT, f"ws://127.0.0.1:{port}/ws", str(clients)])
+    if clients is None:
+        command = [sys.executable, "-c", _BROWSER, f"http://127.0.0.1:{port}/", _CHROMIUM]
+    else:
+        command = [sys.executable, "-c", _CLIENT, f"ws://127.0.0.1:{port}/ws", str(clients)]
+    # A browser's own processes end with their group.
+    readers = subprocess.Popen(command, start_new_session=True)
     try:
-        time.sleep(_WARM)
+        time.sleep(_WARM if clients is not None else 4 * _WARM)
         begun, first = time.monotonic(), len(stamps.delays)
         time.sleep(seconds)
         delays, spent = stamps.delays[first:], time.monotonic() - begun
         assert readers.poll() is None, "the clients ended"
     finally:
-        readers.kill()
+        os.killpg(readers.pid, signal.SIGKILL)
         readers.wait()
         server.should_exit = True
         thread.join()
@@ -130,7 +150,7 @@ def watched(
 
 
 def run(effort: Effort) -> list[Row]:
-    """Three and thirty cameras with ResNet-18 on each, and fifty clients."""
+    """Three and thirty cameras with ResNet-18 on each, fifty clients, and a browser where there is one."""
     trained = pretrained()
     assert isinstance(trained, NetworkEstimator)
     network = FastResNet18(trained)
@@ -143,7 +163,17 @@ def run(effort: Effort) -> list[Row]:
         ("30 cameras, ResNet-18 on each, 1 client", 30, network, 1, None),
         ("30 cameras, ResNet-18 by turns in 20 ms, 1 client", 30, network, 1, 0.02),
         ("3 cameras, no model, 50 clients", 3, None, 50, None),
+        ("3 cameras, ResNet-18 on each, the page open in Chromium here", 3, network, None, None),
+        (
+            "30 cameras, ResNet-18 by turns in 20 ms, the page open in Chromium here",
+            30,
+            network,
+            None,
+            0.02,
+        ),
     ):
+        if clients is None and not Path(_CHROMIUM).exists():
+            continue
         mean, middle, late, cameras = watched(targets, model, clients, seconds, budget)
         note = f"delay {middle * 1e3:.0f} ms, p99 {late * 1e3:.0f} ms; {cameras:.1f} cameras a frame"
         rows.append(Row(case, Figure.rate(mean, "frames"), note=note))

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from tests.live.conftest import Scripted, room_frames, watched
 
+from tapetum.errors import InputError
 from tapetum.live.events import Event, Ignored
 from tapetum.live.guard import Guard
 from tapetum.live.log import Log
@@ -84,6 +85,11 @@ def test_a_model_that_fails_is_shown_as_a_fault_and_the_frames_go_on(some_second
     failing = Failing()
     watch = watched(lambda: Scripted(some_seconds[:12]), models=[failing])
     assert failing.calls >= 3 and watch.state.health.fault == "still" and watch.state.health.ended
+
+
+def test_what_is_no_model_is_refused_before_the_watch_begins(some_seconds: list[Frame]) -> None:
+    with pytest.raises(InputError, match=r"models\[0\]: is a object, which has no predict"):
+        watched(lambda: Scripted(some_seconds[:2]), models=[object()])
 
 
 class States:

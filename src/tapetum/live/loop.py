@@ -91,6 +91,11 @@ class Watch:
     timing
         Seconds `confirm`, `hold`, `cooldown` and `gone` of `Events`.
 
+    Raises
+    ------
+    InputError
+        When a name or a number is out of range, or a model is no estimator.
+
     Attributes
     ----------
     state
@@ -116,6 +121,11 @@ class Watch:
         budget: float | None = None,
         timing: dict[str, float] | None = None,
     ) -> None:
+        for number, model in enumerate(models):
+            # Each frame would fail, and the watch begin again for ever.
+            if not callable(getattr(model, "predict", None)):
+                what = f"is a {type(model).__name__}, which has no predict"
+                raise InputError(what, where=f"models[{number}]", remedy="give what load_model or pretrained returns")
         self.acquisition = Acquisition(opens, mode, self._told_of_source, repeat=repeat)
         self.log = Log(":memory:") if log is None else log
         self.guard = guard
