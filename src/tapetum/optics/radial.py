@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, cached_property
 from typing import Any, cast
 
 import numpy as np
@@ -67,14 +67,20 @@ class RadialTable:
 
         `moves` are scalars worth zero, value minus its own detached value: they carry the gradient.
         """
+        cubics = self._cubics
         last = len(self.values) - 3
-        places = steps.detach().floor().long().clamp(0, last)
+        places = steps.detach().floor().int().clamp(0, last)
         t = (steps - places).clamp(0, 2)
-        value = _cubic(self.values, places, t)
+        value = _at(cubics[""], places, t)
         for name, move in moves.items():
             # A long lens's derivatives cancel to a hundredth, so they need the same precision.
-            value = value + _cubic(self.partials[name], places, t.detach()) * move
+            value = value + _at(cubics[name], places, t.detach()) * move
         return value
+
+    @cached_property
+    def _cubics(self) -> dict[str, tuple[torch.Tensor, ...]]:
+        """Coefficients of `_cubics_of` for the values, under no name, and for the partials."""
+        return {name: _cubics_of(values) for name, values in {"": self.values, **self.partials}.items()}
 
     def to(self, device: torch.device, dtype: torch.dtype) -> RadialTable:
         """The table on another device, in another precision."""
@@ -296,21 +302,26 @@ def spot_field(
     return disc / (1j * wavelength * z), step
 
 
-def _cubic(values: torch.Tensor, places: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
-    """Values at places + t by the cubic through four entries."""
+def _cubics_of(values: torch.Tensor) -> tuple[torch.Tensor, ...]:
+    """Coefficients of 1, t, t² and t³, [M - 2] each, of the cubics through four entries that begin one before each."""
+    # The field is even: its entry at -1 is that at 1.
+    before, at, after, then = torch.cat([values[1:2], values[:-3]]), values[:-2], values[1:-1], values[2:]
+    return (
+        at,
+        after - at / 2 - before / 3 - then / 6,
+        (before + after) / 2 - at,
+        (at - after) / 2 + (then - before) / 6,
+    )
+
+
+def _at(cubics: tuple[torch.Tensor, ...], places: torch.Tensor, t: torch.Tensor) -> torch.Tensor:
+    """Values of the cubics of these places at t."""
     if not t.requires_grad:
         # More precise weights would only promote the result to complex128.
-        t = t.to(values.real.dtype)
-    # The field is even: its entry at -1 is that at 1.
-    before, at, after, then = (
-        values.index_select(0, (places + i).abs().flatten()).view(t.shape) for i in (-1, 0, 1, 2)
-    )
-    return (
-        before * (-t * (t - 1) * (t - 2) / 6)
-        + at * ((t + 1) * (t - 1) * (t - 2) / 2)
-        + after * (-(t + 1) * t * (t - 2) / 2)
-        + then * ((t + 1) * t * (t - 1) / 6)
-    )
+        t = t.to(cubics[0].real.dtype)
+    chosen = places.flatten()
+    constant, slope, square, cube = (one.index_select(0, chosen).view(t.shape) for one in cubics)
+    return constant + t * (slope + t * (square + t * cube))
 
 
 class _Lowpass:
