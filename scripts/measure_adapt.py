@@ -228,7 +228,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--kinds", nargs="*", default=list(KINDS), choices=list(KINDS))
     parser.add_argument("--units", nargs="*", type=int, default=[])
-    parser.add_argument("--film", type=float, default=125.0, help="seconds filmed of each unit; the last fifth tests")
+    parser.add_argument("--film", type=float, default=130.0, help="seconds filmed of each unit; the last fifth tests")
     parser.add_argument("--seconds", nargs="*", type=float, default=[5, 10, 30, 100])
     parser.add_argument(
         "--scratch", nargs="*", type=float, default=[5, 10, 30, 100], help="seconds trained from scratch"

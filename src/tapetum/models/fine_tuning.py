@@ -50,9 +50,10 @@ RIDGE, GUESS = "a tuned ridge of these frames alone", "their mean"
 # Up to so many frames every frame fits and calibrates, by cross-validation; of more, a part is kept aside.
 _FEW = 250
 _FOLDS = 4
-# Forward and backward passes of one image in total, at 96 x 96 pixels: a minute or two on two cores.
-_PASSES, _AT_SIZE = 6000, 96
-_MOST_EPOCHS = 40
+# Forward and backward passes of one image in total, at 96 x 96 pixels, of few frames and of many: a minute or two on two
+# cores. A network that sees each of many frames a few times only is no better than its corrected last layer.
+_PASSES, _PASSES_OF_MANY, _AT_SIZE = 6000, 14000, 96
+_MOST_EPOCHS, _MOST_OF_MANY = 40, 17
 _FEWEST_EPOCHS = 3
 _BATCH, _RATE = 16, 5e-4
 # Shares of the frames kept aside, where they are many: to choose and to calibrate.
@@ -102,9 +103,9 @@ class Adaptation:
         n = len(looks)
         few = n <= _FEW
         if epochs is None:
-            passes = _PASSES * (_AT_SIZE / base.size) ** 2
             each = n * _FOLDS if few else n * (1 - _CHOOSE - _CALIBRATE)
-            epochs = int(np.clip(passes / each, _FEWEST_EPOCHS, _MOST_EPOCHS))
+            passes, most = (_PASSES, _MOST_EPOCHS) if few else (_PASSES_OF_MANY, _MOST_OF_MANY)
+            epochs = int(np.clip(passes * (_AT_SIZE / base.size) ** 2 / each, _FEWEST_EPOCHS, most))
         settings = replace(
             base.settings,
             epochs=int(epochs),
