@@ -50,8 +50,8 @@ RIDGE, GUESS = "a tuned ridge of these frames alone", "their mean"
 # Up to so many frames every frame fits and calibrates, by cross-validation; of more, a part is kept aside.
 _FEW = 250
 _FOLDS = 4
-# Forward and backward passes of one image in total, at 96 x 96 pixels, of few frames and of many: a minute or two on two
-# cores. A network that sees each of many frames a few times only is no better than its corrected last layer.
+# Forward and backward passes of one image in total, at 96 x 96 pixels, of few frames and of many: a minute or two on
+# two cores. A network that sees each of many frames a few times only is no better than its corrected last layer.
 _PASSES, _PASSES_OF_MANY, _AT_SIZE = 6000, 14000, 96
 _MOST_EPOCHS, _MOST_OF_MANY = 40, 17
 _FEWEST_EPOCHS = 3

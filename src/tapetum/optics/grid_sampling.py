@@ -8,7 +8,9 @@ of the returning pupil;
 - how much wider than the returning and the accepting pupil together is the period λz/dv that the sensor's samples
 impose on the returning field: light diffracted beyond it would be folded back in.
 
-A sensor that is no mirror diffracts light itself, by λz over its finest detail: it takes several samples a detail.
+A sensor that is no mirror diffracts light itself, by λz over its finest detail: it takes several samples a detail. What
+it turns from one edge of the pupil to the other has a period of one Airy ring, whatever its detail: the samples of a
+mask must show that too, the more closely the finer its detail is, as the edges between its values hold it.
 """
 
 from __future__ import annotations
@@ -60,6 +62,10 @@ ACCURACIES = tuple(step.error for step in _LADDER)
 # Rows at Gauss-Chebyshev nodes lie π/2 further apart in the middle than equally spaced ones. The phase changes fastest
 # where they are dense, so fewer than π/2 times as many suffice (measured).
 _ROWS_A_COLUMN = 1.45
+# Error of a mask's samples, in fractions of the peak, that are so much of the Airy ring apart, where its detail is a
+# ring wide; it rises by the samples' fourth power, and by the inverse square of the detail. Twice the largest of two
+# masks of random phases, against plain sums. Below the last error of the ladder it is taken as that of the reference.
+_OF_DETAIL, _APART, _LEAST_OF_DETAIL = 0.074, 0.42, 2e-4
 # Share of the diffracted tail that the sensor's window passes whole, before it falls off smoothly.
 _FLAT = 0.5
 # Smallest distance of the window's end from that bound, as a fraction of it.
@@ -196,7 +202,9 @@ def plan_with(geometry: DoublePassGeometry, effort: Effort, finest: float | None
     reach = 2 * (half + g.radius + g.image_distance * g.tangent) + spread
     step = g.wavelength * g.image_distance / max(effort.widths * _width_on_return(g), reach)
     if finest is not None:
-        step = min(step, finest / effort.details)
+        ring, allowed = g.airy_step, max(effort.error, _LEAST_OF_DETAIL)
+        fine = _APART * (allowed / (_OF_DETAIL * min(1.0, ring / finest) ** 2)) ** 0.25
+        step = min(step, finest / effort.details, fine * ring)
     missing = _lost_at_the_axis(g, half, flat)
     # None in focus, and past the cut-off at most the whole error: avoid 0 times infinity.
     if g.spot_radius > 0 and half < HOLDS_RIM * g.radius:
