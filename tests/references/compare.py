@@ -80,6 +80,10 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     except TooLargeError as error:
         line["seconds"] = time.perf_counter() - started
         return {**line, "outcome": "too large", "message": str(error), "own": own if math.isfinite(own) else None}
+    if not seen.any() and found.max() > dark:
+        # The judge sums over some rings of a traced lens's spot, and a sensor or mask far beside them is dark to it.
+        line |= {"outcome": "too large", "message": "the judge's rings do not reach what reflects", "own": own}
+        return {**line, "seconds": time.perf_counter() - started}
     if own > _OWN * max(claim, error):
         line |= {"outcome": "too large", "message": f"the judge itself changes by {own:.2g} of the peak", "own": own}
         return {**line, "seconds": time.perf_counter() - started}
