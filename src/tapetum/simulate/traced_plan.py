@@ -61,8 +61,9 @@ _TRIED = ((0.0, 0.0), (0.08, 0.1), (0.65, 0.65))
 _HOPELESS = 5.0
 # No more light can return than entered: an excess is aliasing.
 _MOST_POWER = 1.03
-# Samples of the sensor for each detail of a mask, at an effort of 1.
-_DETAILS = 3.0
+# Samples of the sensor for each detail of a mask, over the square of what an effort's samples exceed the spot's need by:
+# their error falls by the fourth power, and has to halve from an effort to the second next.
+_DETAILS = 2.5
 # Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
 _RINGS_BESIDE = 30
 _MOST_PUPIL, _MOST_SENSOR = 3072, 4096
@@ -442,7 +443,7 @@ def _grids(
         apart = 2 * float(((at @ fits.middle) / (at @ fits.radius)).abs().max()) + wavelength / mask.finest
     step = 0.8 * wavelength / (sine + read + 2 * half / radius + apart)
     if mask is not None:
-        step = min(step, mask.finest / (_DETAILS * effort.finer))
+        step = min(step, mask.finest / (_DETAILS * effort.finer**2))
     sensor = math.ceil(2 * half / step)
     turns = 2 * sine * (whole + half) / wavelength
     # Faint light far from the spot comes from the pupil's edges: they need more samples than the rays.
