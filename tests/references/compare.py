@@ -31,6 +31,7 @@ __all__ = ["compared", "summary"]
 
 # The judge's own change, with twice the points, may be so much of what the engine states, or of how far they differ.
 _OWN = 0.2
+_ROUGHEST = 0.01
 # Below this share of the brightest return that the aperture could send a picture counts as dark.
 _DARK = 1e-10
 # Pixels of a traced lens's picture besides the bright ones, in fractions of its height and width.
@@ -66,7 +67,8 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     lens, light = scene.target.lens, scene.illumination
     ideal = (math.pi * lens.aperture_radius**2 / (light.wavelength * scene.probe.lens.focal_length)) ** 2
     dark = _DARK * ideal * float(image.metadata["irradiance_at_target"])
-    effort, own = Effort.of(claim), math.inf
+    # A claim of a faint picture may be wide, and a judge as rough would see another picture, and twice the same one.
+    effort, own = Effort.of(min(claim, _ROUGHEST)), math.inf
     finite = way.startswith("finite")
     try:
         # The larger sum first: where it is too large nothing is lost.

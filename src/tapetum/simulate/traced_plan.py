@@ -61,7 +61,7 @@ _TRIED = ((0.0, 0.0), (0.08, 0.1), (0.65, 0.65))
 _HOPELESS = 5.0
 # No more light can return than entered: an excess is aliasing.
 _MOST_POWER = 1.03
-# Samples of the sensor for each detail of a mask, over the square of what an effort's samples exceed the spot's need by:
+# Samples of the sensor for each detail of a mask, over the square of an effort's samples over the spot's need:
 # their error falls by the fourth power, and has to halve from an effort to the second next.
 _DETAILS = 2.5
 # Rings of the spot that reach a mask beside it, at least: as many as count where a sensor ends.
