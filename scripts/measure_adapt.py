@@ -249,12 +249,13 @@ def main() -> None:
         data = filmed(options.work, one.kind, one.unit, options.film)
         found = scored(one, data, options.precision)
         with atomic_file(path) as part:
-            part.write_text(json.dumps(found | {"precision": options.precision}) + "\n", encoding="utf-8")
+            told = {"precision": options.precision, "film_seconds": options.film}
+            part.write_text(json.dumps(found | told) + "\n", encoding="utf-8")
         print(one.key, np.round(found["mae"], 4), "held", np.round(found["held"], 2), found["answered"], flush=True)
     rows = gathered(options.work)
     print(table(rows))
     if options.write:
-        about = {"film_seconds": options.film, "units": sorted({row["unit"] for row in rows}), "rows": rows}
+        about = {"units": sorted({row["unit"] for row in rows}), "rows": rows}
         with atomic_file(Path("docs/numbers/adapt.json")) as part:
             part.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
         picture(rows, Path("docs/images/adapt-curves.png"))
