@@ -88,7 +88,7 @@ def test_a_model_that_fails_is_shown_as_a_fault_and_the_frames_go_on(some_second
 
 
 def test_what_is_no_model_is_refused_before_the_watch_begins(some_seconds: list[Frame]) -> None:
-    with pytest.raises(InputError, match=r"models\[0\]: is a object, which has no predict"):
+    with pytest.raises(InputError, match=r"models\[0\]: has no predict: object"):
         watched(lambda: Scripted(some_seconds[:2]), models=[object()])
 
 

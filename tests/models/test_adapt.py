@@ -13,7 +13,7 @@ from tests.models.conftest import pictures
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
-from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE
+from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, epochs_of
 
 pytestmark = pytest.mark.usefixtures("narrow")
 
@@ -215,3 +215,9 @@ def test_what_cannot_be_adapted_is_said(base: NetworkEstimator, small: xr.Datase
         adapt(base, other(reach=100.0))
     with pytest.raises(InputError, match="resume needs"):
         adapt(base, data, resume=True)
+
+
+def test_minutes_of_film_are_seen_as_often_as_half_a_minute_nearly() -> None:
+    """With a minute and more each frame was once seen five times only, and the network was worse than before."""
+    assert epochs_of(1500, 96) >= 12
+    assert 17 == epochs_of(450, 96) >= epochs_of(1500, 96) >= epochs_of(10_000, 96) == 3

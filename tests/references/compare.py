@@ -31,6 +31,7 @@ __all__ = ["compared", "summary"]
 
 # The judge's own change, with twice the points, may be so much of what the engine states, or of how far they differ.
 _OWN = 0.2
+# The judge is made for claims no wider than this.
 _ROUGHEST = 0.01
 # Below this share of the brightest return that the aperture could send a picture counts as dark.
 _DARK = 1e-10

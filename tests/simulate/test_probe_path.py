@@ -68,9 +68,7 @@ def plain(
     weights = disc.weights.reshape(-1)
     shown, seen = weights != 0, place @ shortening
     bend = K / (2 * aperture.distance)
-    # What lies along the tilt is farther away.
-    nearer = 1 - place @ sines[0] / aperture.distance
-    kernel = phasor(-2 * bend * far[shown] @ seen.T) @ (value * phasor(bend * (seen**2).sum(-1) * nearer))
+    kernel = phasor(-2 * bend * far[shown] @ seen.T) @ (value * phasor(bend * (seen**2).sum(-1)))
     kernel = kernel * phasor(bend * (far[shown] ** 2).sum(-1))
     if exact:
         # Without the way of the middle: what the field that leaves has no tilt of.
@@ -141,7 +139,8 @@ def test_a_wide_aperture_is_the_far_field(validated: Any) -> None:
     far = path().carry(field, x, y, sines, None)[0].abs()
     near = path(ProbeAperture(2.0, 6e-3, 200, 200)).carry(field, x, y, sines, None)[0].abs()
     error = float((far - near).abs().max() / far.max())
-    validated(SECTION, "modulus through a wide aperture at 2 m", error, 1e-3, "the far field")
+    # A part of the path of second order would show here: of light that leaves straight all parts cancel.
+    validated(SECTION, "modulus through a wide aperture at 2 m", error, 1e-6, "the far field")
 
 
 @pytest.mark.parametrize("aperture", [None, ProbeAperture(2.0, 6e-3, 200, 200)], ids=["far", "near"])

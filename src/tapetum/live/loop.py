@@ -124,7 +124,7 @@ class Watch:
         for number, model in enumerate(models):
             # Each frame would fail, and the watch begin again for ever.
             if not callable(getattr(model, "predict", None)):
-                what = f"is a {type(model).__name__}, which has no predict"
+                what = f"has no predict: {type(model).__name__}"
                 raise InputError(what, where=f"models[{number}]", remedy="give what load_model or pretrained returns")
         self.acquisition = Acquisition(opens, mode, self._told_of_source, repeat=repeat)
         self.log = Log(":memory:") if log is None else log

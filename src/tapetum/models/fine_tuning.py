@@ -37,7 +37,7 @@ from tapetum.models.training import (
 from tapetum.models.zernike_ridge import ZernikeRidge, ridge_residuals
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "ridge_scales"]
+__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "epochs_of", "ridge_scales"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -52,6 +52,7 @@ _FEW = 250
 _FOLDS = 4
 # Forward and backward passes of one image in total, at 96 x 96 pixels, of few frames and of many: a minute or two on
 # two cores. A network that sees each of many frames a few times only is no better than its corrected last layer.
+# Of half a minute of film more epochs gained nothing on copies for development.
 _PASSES, _PASSES_OF_MANY, _AT_SIZE = 6000, 14000, 96
 _MOST_EPOCHS, _MOST_OF_MANY = 40, 17
 _FEWEST_EPOCHS = 3
@@ -103,9 +104,7 @@ class Adaptation:
         n = len(looks)
         few = n <= _FEW
         if epochs is None:
-            each = n * _FOLDS if few else n * (1 - _CHOOSE - _CALIBRATE)
-            passes, most = (_PASSES, _MOST_EPOCHS) if few else (_PASSES_OF_MANY, _MOST_OF_MANY)
-            epochs = int(np.clip(passes * (_AT_SIZE / base.size) ** 2 / each, _FEWEST_EPOCHS, most))
+            epochs = epochs_of(n, base.size)
         settings = replace(
             base.settings,
             epochs=int(epochs),
@@ -388,6 +387,14 @@ class Adaptation:
         took = {"took_seconds": round(time.monotonic() - self.started, 1)}
         model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
         return model
+
+
+def epochs_of(frames: int, size: int) -> int:
+    """Return how often all layers see so many frames of `size` pixels a side, within a minute or two."""
+    few = frames <= _FEW
+    each = frames * _FOLDS if few else frames * (1 - _CHOOSE - _CALIBRATE)
+    passes, most = (_PASSES, _MOST_EPOCHS) if few else (_PASSES_OF_MANY, _MOST_OF_MANY)
+    return int(np.clip(passes * (_AT_SIZE / size) ** 2 / each, _FEWEST_EPOCHS, most))
 
 
 def ridge_scales(crop: int) -> tuple[int, ...]:

@@ -53,7 +53,7 @@ class ProbeAperture:
 
 
 def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float, wavelength: float) -> float:
-    """Largest path, in metres, that `ProbePath.carry` misses between a traced pupil and the probe's aperture.
+    """Largest path, in metres, that Fresnel's chirps miss between the pupil and the probe's aperture.
 
     `reach` is the pupil's half width in metres, `angle` the largest angle of the light that leaves it, `sine` that of
     the tilt. Light that spreads less than the aperture counts only as far as it spreads. A path that all light shares
@@ -61,7 +61,7 @@ def missed_path(aperture: ProbeAperture, reach: float, angle: float, sine: float
     """
     d = float(aperture.distance)
     wide = reach + min(aperture.radius, reach + angle * d + math.sqrt(wavelength * d))
-    return sine * reach * (wide**2 - reach**2) / (2 * d**2) + wide**4 / (16 * d**3)
+    return sine * reach * wide**2 / (2 * d**2) + wide**4 / (16 * d**3)
 
 
 class ProbePath:
@@ -203,12 +203,12 @@ class ProbePath:
         strength = step * torch.sqrt(cosines(sines)) * self.constant
         pupil = pupil * strength[:, None, None].to(self.dtype)
         if self.aperture is not None:
-            # Fresnel chirp of the distance: for the probe the pupil is foreshortened along the tilt, and its places lie
-            # farther away along it.
+            # Fresnel chirp of the distance: for the probe the pupil is foreshortened along the tilt. That its
+            # places lie farther away there must not be added to this part alone: of straight light all parts cancel.
             tilt = (rotation.mT @ sines[..., None])[..., 0]
             along = tilt[:, 0, None, None] * x[:, None, :] + tilt[:, 1, None, None] * y[:, :, None]
             square = x[:, None, :] ** 2 + y[:, :, None] ** 2 - along**2
-            pupil = pupil * phasor(self.chirp * square * (1 - along / self.aperture.distance), self.dtype)
+            pupil = pupil * phasor(self.chirp * square, self.dtype)
         elif centres is not None:
             pupil = pupil * self._ramp(_seen_at(centres, t), x, y)
         # Each gaze has its own step; its columns and rows lie in pairs about its middle.

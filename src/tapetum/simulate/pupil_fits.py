@@ -33,6 +33,7 @@ __all__ = [
     "on_tilt_grid",
     "open_share",
     "part_of",
+    "reach_of_rays",
     "rounded_up",
     "values_at",
     "with_rim",
@@ -44,7 +45,8 @@ PHASE_DEGREE, MAP_DEGREE, SMOOTH_DEGREE = 12, 10, 8
 _BOX_DEGREE, _BOX_MARGIN = 6, 1.03
 # Rays farther out than this are not fitted, in half widths of the box.
 _FITTED = 1.15
-# Fields a radian of tilt: the interpolation between them is far better than the fits (tests).
+# Fields a radian of tilt: the interpolation between them is far better than the fits (tests). Far out of focus it is
+# not, and so many more are added.
 _FIELDS_A_SINE, _LEAST_FIELDS, _MOST_FIELDS, _DENSER = 33, 5, 21, 4
 # Places evaluated at a time: their memory fits the processor's caches.
 _PLACES_AT_ONCE = 1 << 15
@@ -204,6 +206,12 @@ def fit_pupils(
         max(in_misfit, out_misfit),
         (float((at_nodes @ into.half).max()), float(((at_nodes @ out.centre).abs() + at_nodes @ out.half).max())),
     )
+
+
+def reach_of_rays(fits: PupilFits) -> float:
+    """Largest distance from the axis, in metres, of a ray that leaves the pupil: its box without what surrounds it."""
+    at = chebyshev(fits.nodes.places, fits.nodes.count)
+    return float(((at @ fits.leaving.centre).abs() + at @ fits.leaving.half / _BOX_MARGIN).max())
 
 
 def narrowed(fits: PupilFits, focused: FocusedLens, nodes: TiltNodes, curvature: float = 0.0) -> PupilFits:

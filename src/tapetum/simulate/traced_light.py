@@ -17,7 +17,7 @@ from tapetum.errors import InputError
 from tapetum.optics.focus import FocusedLens
 from tapetum.optics.grid import Grid
 from tapetum.simulate.probe_path import ProbeAperture, ProbePath, missed_path
-from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, with_rim
+from tapetum.simulate.pupil_fits import PupilFits, fit_pupils, reach_of_rays, with_rim
 from tapetum.simulate.surfaces import Surface
 from tapetum.simulate.traced_bundle import rim_curvature
 from tapetum.simulate.traced_return import check_return, corrected, trace_return
@@ -249,7 +249,10 @@ def followed(scene: TracedScene, accuracy: float, *, correct: bool = True) -> Tr
     steepest = fits.nodes.steepest
     if scene.path.aperture is not None:
         missed = (
-            2 * math.pi / wavelength * missed_path(scene.path.aperture, fits.aperture[1], angle, steepest, wavelength)
+            2
+            * math.pi
+            / wavelength
+            * missed_path(scene.path.aperture, reach_of_rays(fits), angle, steepest, wavelength)
         )
         if missed > accuracy:
             raise InputError(
