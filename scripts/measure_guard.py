@@ -1,39 +1,50 @@
-"""How many of an hour's events a guard finds, and how many false alerts it raises: `measure_guard.py SEED...`.
+"""How many of an hour's events a guard finds, and how many false alerts it raises.
 
-Spots are drawn, not pictures: four places at which cameras come and go, begin to image, and look at a protected region,
-200 of these in an hour; with noise, estimates that are far off, frames in which a camera is missed, and spots that are
-none. The tracker, the filter of whether a camera images, the events and the rules are those of a watch.
+    .venv/bin/python scripts/measure_guard.py 1 2              drawn spots
+    .venv/bin/python scripts/measure_guard.py 1 2 --film       films of the virtual bench
+
+Of drawn spots there are no pictures: four places at which cameras come and go, begin to image, and look at a protected
+region, 200 of these in an hour; with noise, estimates that are far off, frames in which a camera is missed, and spots
+that are none. The tracker, the filter of whether a camera images, the events and the rules are those of a watch.
+
+Films (`guard_films.py`) are half an hour of a camera that looks about and half an hour of phones, with 100 events each,
+which a watch with the guard reads frame by frame.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
-import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from tapetum.live.events import Events
-from tapetum.live.guard import Alert, Guard
-from tapetum.live.rules import rules_from_text
+from guard_films import KINDS, REGION, GuardFilm, Happening
+from tapetum.live.events import Event, Events
+from tapetum.live.guard import Guard
+from tapetum.live.loop import Watch
+from tapetum.live.rules import Rules, rules_from_text
 from tapetum.live.state import Health, State
+from tapetum.models import pretrained
 from tapetum.track.activity import Activity
 from tapetum.track.cameras import CameraDetector
 from tapetum.track.detections import Detections
 from tapetum.track.rows import TrackedFrame
 
-__all__ = ["Happening", "Score", "Script", "draw_script", "guarded", "score"]
+__all__ = ["Raised", "Score", "Script", "draw_script", "guarded", "score", "watched"]
 
-RULES = """
+_HEAD = f"""
 schema: tapetum/rules/1
-regions: {door: [-0.12, -0.12, 0.12, 0.12]}
+regions: {{door: {list(REGION)}}}
 rules:
-  - {name: here, cooldown: 0}
-  - {name: images, when: {imaging: true}, cooldown: 0}
-  - {name: looks, when: {looks_at: door}, cooldown: 0}
 """
+_RULES = {
+    "here": "  - {name: here, cooldown: 0}\n",
+    "images": "  - {name: images, when: {imaging: true}, cooldown: 0}\n",
+    "looks": "  - {name: looks, when: {looks_at: door}, cooldown: 0}\n",
+}
 PLACES = ((130.0, 120.0), (500.0, 130.0), (150.0, 360.0), (510.0, 350.0))
 RATE = 15.0  # frames a second
 WITHIN = 1.0  # s from what happens to its alert
@@ -47,13 +58,17 @@ _VALUES = (3e-4, 1.5e-3, 4e-3, 2e-2)
 
 
 @dataclass(frozen=True)
-class Happening:
-    """What an alert is expected of: a rule's name, a place's number, and seconds from when to when it is true."""
+class Raised:
+    """An alert: its rule's name, seconds from the first frame, and where its camera was."""
 
     rule: str
-    place: int
-    begin: float
-    end: float
+    time: float
+    at: tuple[float, float]
+
+    @classmethod
+    def of(cls, event: Event, start: int) -> Raised:
+        assert event.after is not None
+        return cls(event.detail, (event.utc_ns - start) / 1e9, (event.after.x, event.after.y))
 
 
 @dataclass(frozen=True)
@@ -158,47 +173,100 @@ def _detections(spots: Sequence[tuple[float, float, float]]) -> Detections:
     return Detections.of({**dict.fromkeys(Detections.names(), zero), **columns})
 
 
-def guarded(script: Script, seed: int) -> list[Alert]:
+def guarded(script: Script, seed: int) -> list[Raised]:
     """Return the alerts of a guard that watches a script."""
-    rules = rules_from_text(RULES)
+    rules = _rules("here", "images", "looks")
     events, guard = Events(rules.areas()), Guard(rules)
     tracker, activities = CameraDetector().tracker(), dict[int, Activity]()
-    alerts: list[Alert] = []
+    alerts: list[Raised] = []
     for k, (time, found, answers) in enumerate(frames(script, seed)):
         about = {"frame": k, "time": time, "name": "", "moment": {}}
         tracked = TrackedFrame.of(about, found, answers, tracker, activities)
         utc = round(time * 1e9)
         happened = events.update(tracked, utc)
-        alerts += guard.update(State("", k, utc, (640, 480), events.cameras, Health()), happened)
+        made = guard.update(State("", k, utc, (640, 480), events.cameras, Health()), happened)
+        alerts += [Raised.of(one.as_event(), 0) for one in made]
     return alerts
 
 
-def score(script: Script, alerts: Sequence[Alert]) -> Score:
-    """Match alerts with what happened: the same rule, at the same place, within a second."""
+def watched(film: GuardFilm) -> list[Raised]:
+    """Return the alerts of a watch with a guard that reads a film."""
+    phone = film.kind == "phone"
+    models = () if phone else (pretrained("thin-lens-gaze"),)
+    guard, listener = Guard(_rules(*(("images",) if phone else ("here", "looks")))), _Alerts()
+    watch = Watch(
+        lambda: film, detector="spots", models=models, mode="all", listeners=[listener], guard=guard, activity=phone
+    )
+    watch.start()
+    watch.join()
+    fault = watch.state.health.fault
+    watch.close()
+    if fault or watch.state.health.frames != film.count:
+        raise RuntimeError(f"{film.name}: {watch.state.health.frames} of {film.count} frames were watched {fault}")
+    return [Raised.of(event, listener.start) for event in listener.events]
+
+
+class _Alerts:
+    """A listener that keeps the alerts, and when the first frame was taken, in nanoseconds."""
+
+    def __init__(self) -> None:
+        self.start, self.events = 0, list[Event]()
+
+    def event(self, event: Event) -> None:
+        if event.kind == "alert":
+            self.events.append(event)
+
+    def state(self, state: State) -> None:
+        if state.frame == 0:
+            self.start = state.utc_ns
+
+    def close(self) -> None:
+        pass
+
+
+def _rules(*names: str) -> Rules:
+    return rules_from_text(_HEAD + "".join(_RULES[name] for name in names))
+
+
+def score(
+    happenings: Sequence[Happening], alerts: Sequence[Raised], places: Sequence[tuple[float, float]] = ()
+) -> Score:
+    """Match alerts with what happened: the same rule within a second, and the same place where places are given."""
     left = list(alerts)
     delays = []
-    for one in script.happenings:
+    for one in happenings:
         for alert in left:
-            delay = alert.utc_ns / 1e9 - one.begin
-            near = math.dist((alert.camera.x, alert.camera.y), PLACES[one.place]) < 40
-            if alert.rule == one.rule and near and 0 <= delay <= WITHIN:
-                delays.append(delay)
+            near = not places or math.dist(alert.at, places[one.place]) < 40
+            if alert.rule == one.rule and near and 0 <= alert.time - one.begin <= WITHIN:
+                delays.append(alert.time - one.begin)
                 left.remove(alert)
                 break
-    return Score(len(script.happenings), len(delays), len(left), tuple(delays))
+    return Score(len(happenings), len(delays), len(left), tuple(delays))
 
 
-def main(seeds: Sequence[int]) -> None:
-    """Print a row a seed."""
-    print("| seed | happenings | found within 1 s | false alerts | median delay, s | longest, s |")
+def main(seeds: Sequence[int], films: bool) -> None:
+    """Print a row a seed, or a row a film."""
+    print("| of | happenings | found within 1 s | false alerts | median delay, s | longest, s |")
     print("|---|---|---|---|---|---|")
     for seed in seeds:
+        if films:
+            for kind in KINDS:
+                film = GuardFilm(kind, seed)
+                _print(film.name, score(film.happenings, watched(film)))
+            continue
         script = draw_script(seed)
-        told = score(script, guarded(script, seed))
-        median, longest = (np.median(told.delays), max(told.delays)) if told.delays else (math.nan, math.nan)
-        counts = f"{told.happenings} | {told.found} | {told.false}"
-        print(f"| {seed} | {counts} | {median:.2f} | {longest:.2f} |", flush=True)
+        _print(str(seed), score(script.happenings, guarded(script, seed), PLACES))
+
+
+def _print(name: str, told: Score) -> None:
+    median, longest = (np.median(told.delays), max(told.delays)) if told.delays else (math.nan, math.nan)
+    counts = f"{told.happenings} | {told.found} | {told.false}"
+    print(f"| {name} | {counts} | {median:.2f} | {longest:.2f} |", flush=True)
 
 
 if __name__ == "__main__":
-    main([int(one) for one in sys.argv[1:]] or [1])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("seeds", type=int, nargs="+")
+    parser.add_argument("--film", action="store_true", help="watch films of the virtual bench")
+    given = parser.parse_args()
+    main(given.seeds, given.film)

@@ -7,13 +7,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 import xarray as xr
 from numpy.typing import NDArray
 
 import tapetum as tp
 from tapetum.data import dataset_from_arrays
 from tapetum.models import Prediction, ResNet18, ZernikeRidge, load_model, save_model
-from tapetum.models.domain import FALSE_REFUSALS, fit_domain, judged, magnitudes
+from tapetum.models.domain import FALSE_REFUSALS, Domain, fit_domain, judged, magnitudes
 from tapetum.models.fast import FastResNet18
 from tapetum.optics.zernike import mode_count, zernike_basis
 
@@ -148,10 +149,59 @@ def test_so_many_like_frames_are_refused_as_it_says():
     assert 0.4 * FALSE_REFUSALS < refused < 1.6 * FALSE_REFUSALS
 
 
+def test_what_is_rare_among_the_training_frames_is_answered_and_what_lies_amid_them_is_not():
+    """Frames of a film lie on a curved surface: far from its mean, and the rare ones farther than the rest."""
+    rng = np.random.default_rng(3)
+
+    def ring(count: int) -> NDArray[np.float64]:
+        angle = rng.uniform(0, 2 * np.pi, count)
+        return np.stack([np.cos(angle), np.sin(angle)], axis=1) + rng.normal(0, 0.02, (count, 2))
+
+    def rare(count: int) -> NDArray[np.float64]:
+        return 6.0 + rng.normal(0, 0.02, (count, 2))
+
+    # Of 1000 frames, 8 in different places of the film: fewer than are refused.
+    features = ring(1000)
+    features[60::125] = rare(8)
+    domain = fit_domain(features, np.zeros(1000, int))
+    assert domain is not None
+    assert (domain(rare(20)) <= 1).mean() > 0.9
+    assert (domain(ring(200)) <= 1).mean() > 0.95
+    assert (domain(np.array([[0.0, 0.0], [0.2, -0.1], [3.0, 3.0]])) > 1).all()
+
+
+def test_a_model_saved_without_training_frames_judges_by_the_distance_from_their_mean():
+    rng = np.random.default_rng(4)
+    domain = fit_domain(rng.normal(size=(100, 3)), np.zeros(100, int))
+    assert domain is not None
+    state = domain.state()
+    del state["domain.references"]
+    older = Domain.from_state(state, 3)
+    assert older is not None
+    seen = rng.normal(size=(5, 3))
+    wanted = np.linalg.norm((seen - domain.mean) @ domain.whitening, axis=1) / domain.unit
+    np.testing.assert_allclose(older(seen), wanted)
+
+
+@pytest.mark.parametrize("wrong", [torch.zeros(4, 2), torch.zeros(0, 3), torch.tensor(1.0), torch.full((4, 3), np.nan)])
+def test_training_frames_of_a_damaged_model_are_refused(wrong: torch.Tensor):
+    domain = fit_domain(np.random.default_rng(4).normal(size=(100, 3)), np.zeros(100, int))
+    assert domain is not None
+    with pytest.raises(tp.InputError, match=r"domain\.references"):
+        Domain.from_state({**domain.state(), "domain.references": wrong}, 3)
+
+
+def test_of_many_training_frames_some_are_kept():
+    features = np.random.default_rng(5).normal(size=(9001, 4))
+    domain = fit_domain(features, np.arange(9001) // 3000)
+    assert domain is not None
+    assert domain.references.shape == (8000, 4)
+    assert (domain(features) > 1).mean() < 2 * FALSE_REFUSALS
+
+
 def test_magnitudes_do_not_change_when_the_picture_turns():
     rng = np.random.default_rng(0)
     angle, radius = rng.uniform(0, 2 * np.pi, 4000), np.sqrt(rng.uniform(0, 1, 4000))
-    import torch
 
     def of(turned: float) -> NDArray[np.float64]:
         x, y = radius * np.cos(angle + turned), radius * np.sin(angle + turned)

@@ -56,12 +56,12 @@ def test_it_promises_little_of_a_camera_that_it_does_not_know() -> None:
     np.testing.assert_array_equal(own.value[own.applies], other.value[own.applies])
 
 
-def shown(seed: int, *changes: str, count: int = 12) -> np.ndarray:
+def shown(seed: int, *changes: str, count: int = 12, reach: float = 0.3) -> np.ndarray:
     """Crops of the hand-held scene, as `track` cuts them, at gazes over the middle of the field."""
     scene = tp.load_scene(pretrain.SCENE, list(changes))
     rng = np.random.default_rng(seed)
     width = scene.target.sensor.pitch * np.array(scene.target.sensor.pixels)
-    turns = np.degrees(np.arctan(rng.uniform(-0.3, 0.3, (count, 2)) * width / 0.1))
+    turns = np.degrees(np.arctan(rng.uniform(-reach, reach, (count, 2)) * width / 0.1))
     frames = np.asarray(tp.expose(tp.retroreflect(scene, rotation=turns), scene.probe, seed=seed))
     return np.stack([crop(frame, find_centre(frame), 400) for frame in frames])
 
@@ -71,6 +71,12 @@ def test_it_answers_its_own_camera() -> None:
     assert found.described
     assert found.applies.mean() > 0.9
     assert np.isfinite(found.value[found.applies]).all()
+
+
+def test_it_answers_a_camera_that_looks_straight_at_the_probe() -> None:
+    found = pretrained().predict(shown(3, reach=0.03))
+    assert found.applies.mean() > 0.9
+    assert np.abs(found.value[found.applies]).max() < 0.12
 
 
 @pytest.mark.parametrize(

@@ -125,19 +125,15 @@ def make_pretrained(
 
 
 def describe_pretrained(work: Path, out: Path, *, progress: Progress = quiet) -> None:
-    """Teach the model in `out` where it applies, from its training recordings, filmed again; its weights stay.
-
-    Every second recording is enough: 3600 frames for the covariance of 52 numbers.
-    """
+    """Teach the model in `out` where it applies, from its training recordings, filmed again; its weights stay."""
     work.mkdir(parents=True, exist_ok=True)
-    seeds = TRAIN_SEEDS[::2]
-    for seed in seeds:
+    for seed in TRAIN_SEEDS:
         labelled_recording(work / f"{seed}.rec", Session(SECONDS, seed=seed), progress=progress)
-    some = _built(work, "some", [work / f"{seed}.rec" for seed in seeds], 0.0, progress)
+    train = _built(work, "train", [work / f"{seed}.rec" for seed in TRAIN_SEEDS], 0.0, progress)
     model, card = load_model(out), model_card(out)
     assert isinstance(model, NetworkEstimator)
-    notes = {**card["notes"], "described_seeds": list(seeds), "described_frames": int(some.sizes["frame"])}
-    model.describe(some, progress=progress)
+    notes = {**card["notes"], "described_seeds": list(TRAIN_SEEDS), "described_frames": int(train.sizes["frame"])}
+    model.describe(train, progress=progress)
     save_model(model, out, metrics=card["metrics"], notes=notes, half=True, overwrite=True)
 
 

@@ -1,4 +1,9 @@
-"""Where a model applies: what its training frames look like, and how far another frame lies from them."""
+"""Where a model applies: what its training frames look like, and how far another frame lies from the nearest of them.
+
+The distance to the nearest training frame is that of Y. Sun et al., ICML 2022, here between whitened features of the
+picture. One distance to the mean of all (Mahalanobis) would refuse whatever is rare among the training frames, as a
+camera that looks straight at the probe, and let pass what lies amid them and is like none.
+"""
 
 from __future__ import annotations
 
@@ -29,8 +34,8 @@ ORDER = 8
 # Share of a feature's variance added to each direction: directions with little variance by chance would dominate.
 _SHRINKAGE = 0.01
 _FOLDS = 5
-# With fewer frames, covariance and limit are meaningless.
-_FEWEST = 40
+# With fewer frames, covariance and limit are meaningless; more would only make the model's file larger.
+_FEWEST, _MOST = 40, 8000
 # How far past the field's edge an estimate with an infinite interval may lie.
 _MARGIN = 0.05
 _HALF_FIELD = 0.5
@@ -38,7 +43,7 @@ _HALF_FIELD = 0.5
 
 @dataclass(frozen=True)
 class Domain:
-    """Mahalanobis distance of a frame from the training frames.
+    """Distance of a frame from the nearest training frame.
 
     Parameters
     ----------
@@ -46,39 +51,50 @@ class Domain:
         [F] of their features.
     whitening
         [F, F] matrix that turns the features' covariance, with shrinkage, into the unit matrix.
+    references
+        [R, F] whitened features of training frames. Of models before these were kept: one row of zeros, so that the
+        distance is that of Mahalanobis.
     unit
-        Distance that counts as 1: that of all but the share `FALSE_REFUSALS` of training frames, each left out of mean
-        and covariance.
+        Distance that counts as 1: that of all but the share `FALSE_REFUSALS` of training frames, each left out of mean,
+        covariance and references.
     """
 
     mean: Array
     whitening: Array
+    references: Array
     unit: float
 
     def __call__(self, features: Array) -> Array:
         """Return the distances [N] of features [N, F] in `unit`; above 1 the model does not apply."""
-        return np.sqrt((((features - self.mean) @ self.whitening) ** 2).sum(axis=1)) / self.unit
+        white = (features - self.mean) @ self.whitening
+        squares = (white**2).sum(axis=1)[:, None] + (self.references**2).sum(axis=1) - 2 * white @ self.references.T
+        return np.sqrt(np.maximum(squares.min(axis=1), 0)) / self.unit
 
     def state(self) -> dict[str, torch.Tensor]:
-        """Return everything as tensors, float64."""
-        unit = torch.tensor([self.unit], dtype=torch.float64)
-        mean, whitening = torch.from_numpy(self.mean), torch.from_numpy(self.whitening)
-        return {"domain.mean": mean, "domain.whitening": whitening, "domain.unit": unit}
+        """Return everything as tensors, float64; the many references in float32."""
+        return {
+            "domain.mean": torch.from_numpy(self.mean),
+            "domain.whitening": torch.from_numpy(self.whitening),
+            "domain.references": torch.from_numpy(self.references).float(),
+            "domain.unit": torch.tensor([self.unit], dtype=torch.float64),
+        }
 
     @classmethod
     def from_state(cls, state: Mapping[str, torch.Tensor], features: int) -> Domain | None:
         """Rebuild the domain from `state`, or None for a model saved without one; raises as `checked_state`."""
         if not any(name.startswith("domain.") for name in state):
             return None
-        shapes = {"mean": (features,), "whitening": (features, features), "unit": (1,)}
-        found = checked_state(state, shapes, "domain.")
+        references = state.get("domain.references", torch.zeros(1, features))
+        rows = max(1, len(references)) if references.ndim else 1
+        shapes = {"mean": (features,), "whitening": (features, features), "references": (rows, features), "unit": (1,)}
+        found = checked_state({"domain.references": references, **state}, shapes, "domain.")
         if not found["unit"][0] > 0:
             raise InputError("domain.unit must be positive", where="weights", remedy="train the model again")
-        return cls(found["mean"], found["whitening"], float(found["unit"][0]))
+        return cls(found["mean"], found["whitening"], found["references"], float(found["unit"][0]))
 
 
 def fit_domain(features: Array, recording: NDArray[np.integer]) -> Domain | None:
-    """Fit the distance to the training frames; None with fewer than 40 frames.
+    """Fit the distance to the training frames, of which at most 8000 are used; None with fewer than 40.
 
     Parameters
     ----------
@@ -90,6 +106,9 @@ def fit_domain(features: Array, recording: NDArray[np.integer]) -> Domain | None
     """
     if len(features) < _FEWEST:
         return None
+    if len(features) > _MOST:
+        some = np.linspace(0, len(features) - 1, _MOST).round().astype(int)
+        features, recording = features[some], recording[some]
     fold = np.empty(len(features), dtype=np.int64)
     for number in np.unique(recording):
         places = np.flatnonzero(recording == number)
@@ -97,11 +116,17 @@ def fit_domain(features: Array, recording: NDArray[np.integer]) -> Domain | None
     distances = np.empty(len(features))
     for k in np.unique(fold):
         rest = features[fold != k]
-        mean, whitening = _moments(rest if len(rest) > 1 else features)
-        distances[fold == k] = Domain(mean, whitening, 1.0)(features[fold == k])
-    mean, whitening = _moments(features)
+        distances[fold == k] = _around(rest if len(rest) > 1 else features)(features[fold == k])
     limit = float(np.quantile(distances, 1 - FALSE_REFUSALS, method="higher"))
-    return Domain(mean, whitening, max(limit, np.finfo(float).tiny))
+    return replace(_around(features), unit=max(limit, np.finfo(float).tiny))
+
+
+def _around(features: Array) -> Domain:
+    """Return the distance to the nearest of some frames, in units of 1."""
+    mean, whitening = _moments(features)
+    # Rounded as they are saved, so that a saved model judges alike.
+    references = ((features - mean) @ whitening).astype(np.float32).astype(np.float64)
+    return Domain(mean, whitening, references, 1.0)
 
 
 def _moments(features: Array) -> tuple[Array, Array]:

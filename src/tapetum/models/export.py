@@ -167,6 +167,8 @@ class _Deployed(nn.Module):
             constants["means"] = torch.from_numpy(model.novelty_.means / model.novelty_.unit)
         if model.domain_ is not None:
             constants["mean"] = torch.from_numpy(model.domain_.mean)
+            constants["references"] = torch.from_numpy(model.domain_.references / model.domain_.unit)
+            constants["reference_squares"] = constants["references"].square().sum(dim=1)
         for name, values in constants.items():
             self.register_buffer(name, values)
 
@@ -192,7 +194,9 @@ class _Deployed(nn.Module):
             apart = (features @ known["novelty_white"])[:, None] - known["means"]
             found["novelty"] = apart.norm(dim=2).amin(dim=1)
         if "mean" in known:
-            found["distance"] = ((described(seen, torch.float32) - known["mean"]) @ known["domain_white"]).norm(dim=1)
+            white = (described(seen, torch.float32) - known["mean"]) @ known["domain_white"]
+            squares = white.square().sum(dim=1, keepdim=True) + known["reference_squares"]
+            found["distance"] = (squares - 2 * white @ known["references"].T).amin(dim=1).clamp(min=0).sqrt()
         return found
 
 
