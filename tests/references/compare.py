@@ -83,8 +83,10 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     except TooLargeError as error:
         line["seconds"] = time.perf_counter() - started
         return {**line, "outcome": "too large", "message": str(error), "own": own if math.isfinite(own) else None}
-    if not seen.any() and found.max() > dark:
-        # The judge sums over some rings of a traced lens's spot, and a sensor or mask far beside them is dark to it.
+    traced = plain["target"]["lens"]["kind"] == "prescription"
+    if found.max() > dark and (seen.max() < dark if traced else not seen.any()):
+        # The judge sums over some rings of a traced lens's spot, and a sensor or mask far beside them is dark to it, or
+        # reached by their faded end alone.
         line |= {"outcome": "too large", "message": "the judge's rings do not reach what reflects", "own": own}
         return {**line, "seconds": time.perf_counter() - started}
     if own > _OWN * max(claim, error):

@@ -23,6 +23,7 @@ def test_a_camera_shows_while_it_is_here_and_not_else() -> None:
         assert int(film.frame(round((stay.end + 0.6) * film.rate)).image.max()) <= 60
 
 
+@pytest.mark.slow  # planning a phone's camera
 def test_a_phone_changes_when_it_begins_to_image() -> None:
     film = GuardFilm("phone", seed=3, count=1, seconds=40.0)
     (act,) = film.happenings

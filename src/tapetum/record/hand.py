@@ -35,7 +35,8 @@ PREFIX = "hand"
 _MOST = 3
 _RATE = 12.0
 _REACH = 0.55  # of the camera's field that the screen's width takes up: 0.17 m
-_PROBE = (0.5, -0.12)  # in fractions of the screen; a return seen along the axis is like none of the model's training
+# In fractions of the screen; the bundled model errs most of cameras that look straight at the probe.
+_PROBE = (0.5, -0.12)
 _ROLL = (0.07, -0.05, 0.12)  # rad
 _SETTLE = 0.12  # s
 _TREMBLE, _TREMBLE_TIME = 0.003, 0.4  # of the field, and s over which it changes
