@@ -116,8 +116,9 @@ class GuardFilm(Stored):
         fine, (x, y) = np.arange(len(self._path)) / _PROJECTED, self._path.T
         left, top, right, bottom = REGION
         inside = (x > left) & (x < right) & (y > top) & (y < bottom)
-        made = [Happening("here", 0, *one) for one in _runs((np.abs(self._path) < 0.5).all(1), fine, 1.0)]
-        made += [Happening("looks", 0, *one) for one in _runs(inside, fine, 1.0)]
+        here = np.asarray(np.abs(self._path) < 0.5).all(axis=1)
+        made = [Happening("here", 0, *one) for one in _runs(np.asarray(here), fine, 1.0)]
+        made += [Happening("looks", 0, *one) for one in _runs(np.asarray(inside), fine, 1.0)]
         return tuple(sorted(made, key=lambda one: one.begin))
 
     def _targets(self, rng: np.random.Generator) -> dict[int, list[tuple[Returns, float, int]]]:

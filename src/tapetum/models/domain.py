@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property, lru_cache
 
 import numpy as np
 import torch
@@ -67,8 +67,12 @@ class Domain:
     def __call__(self, features: Array) -> Array:
         """Return the distances [N] of features [N, F] in `unit`; above 1 the model does not apply."""
         white = (features - self.mean) @ self.whitening
-        squares = (white**2).sum(axis=1)[:, None] + (self.references**2).sum(axis=1) - 2 * white @ self.references.T
+        squares = (white**2).sum(axis=1)[:, None] + self._squares - 2 * white @ self.references.T
         return np.sqrt(np.maximum(squares.min(axis=1), 0)) / self.unit
+
+    @cached_property
+    def _squares(self) -> Array:
+        return (self.references**2).sum(axis=1)
 
     def state(self) -> dict[str, torch.Tensor]:
         """Return everything as tensors, float64; the many references in float32."""
