@@ -2,8 +2,9 @@
 
 `gaze`: the camera of the scene `hand-held` turns to the probe, looks at places of its field, now and then at a
 protected region, and turns away. `phone`: the main camera of a phone, at 640 nm, is carried into the beam and out of
-it, and begins and stops to image. What happens, and when, is taken from the drawn motion itself, not from the script.
-That a phone is there is not asked for: while it does not image, its filter returns light along its axis alone.
+it, and begins and stops to image. When the camera comes and when it looks is read from the drawn gaze, as a turn takes
+time; when a phone images is drawn. That a phone is there is not asked for: while it does not image, its filter returns
+light along its axis alone.
 """
 
 from __future__ import annotations
@@ -36,12 +37,10 @@ REGION = (-0.12, -0.12, 0.12, 0.12)
 RATE = 15.0
 # Phones whose activity the method was not made with (scripts/measure_activity.py).
 PHONES = ("phone-04", "phone-06", "phone-07", "phone-09", "phone-10")
-_PROJECTED = 100  # motion is drawn at so many samples a second
+_SAMPLES = 100  # motion is drawn at so many samples a second
 _TURN = (0.25, 0.5)  # s that a turn or a step takes
-_BESIDE, _RIM = (
-    1.0,
-    0.7,
-)  # gaze of a camera that is turned away, and beyond which nothing returns, in fractions of the field
+# Gaze of a camera that is turned away, and beyond which nothing returns, in fractions of the field.
+_BESIDE, _RIM = 1.0, 0.7
 _TREMOR, _BAND = 0.002, (8.0, 12.0)
 _SWAY = HandMotion().sway
 
@@ -113,17 +112,17 @@ class GuardFilm(Stored):
     def _happenings(self) -> tuple[Happening, ...]:
         if self.kind == "phone":
             return tuple(Happening("images", 0, *act) for stay in self._stays for act in stay.acts)
-        fine, (x, y) = np.arange(len(self._path)) / _PROJECTED, self._path.T
+        fine, (x, y) = np.arange(len(self._path)) / _SAMPLES, self._path.T
         left, top, right, bottom = REGION
         inside = (x > left) & (x < right) & (y > top) & (y < bottom)
-        here = np.asarray(np.abs(self._path) < 0.5).all(axis=1)
-        made = [Happening("here", 0, *one) for one in _runs(np.asarray(here), fine, 1.0)]
-        made += [Happening("looks", 0, *one) for one in _runs(np.asarray(inside), fine, 1.0)]
+        here = np.abs(self._path).max(axis=1) < 0.5
+        made = [Happening("here", 0, *one) for one in _runs(here, fine, 1.0)]
+        made += [Happening("looks", 0, *one) for one in _runs(inside, fine, 1.0)]
         return tuple(sorted(made, key=lambda one: one.begin))
 
     def _targets(self, rng: np.random.Generator) -> dict[int, list[tuple[Returns, float, int]]]:
         """What to draw in each frame: returns, their share, and the number of the frame in them."""
-        path = self._path[np.rint(self._times * _PROJECTED).astype(int)]
+        path = self._path[np.rint(self._times * _SAMPLES).astype(int)]
         shown: dict[int, list[tuple[Returns, float, int]]] = {}
         if self.kind == "gaze":
             frames = np.flatnonzero((np.abs(path) < _RIM).all(1))
@@ -146,9 +145,8 @@ class GuardFilm(Stored):
                 during = (self._times[frames] > one.begin - 1) & (self._times[frames] < one.end + 1)
                 share = Imaging(switches, at_first=False).share(self._times[frames], self._scene.probe.sensor.exposure)
                 images = np.where(during, share, images)
-            own = next(
-                u for u in phone_scenes(with_values(self._scene, {"target.name": phone})) if u.place == (0.0, 0.0)
-            )
+            units = phone_scenes(with_values(self._scene, {"target.name": phone}))
+            own = next(unit for unit in units if unit.place == (0.0, 0.0))
             hand = HandMotion(extent=0.2).draw(int(rng.integers(2**31)), self._scene.distance)
             none = np.zeros(len(frames))
             held = hand.gaze(self._times[frames]), path[frames] + self._sway[frames], none, none + self._scene.distance
@@ -214,10 +212,10 @@ def _steps(rng: np.random.Generator, stays: Sequence[_Stay], seconds: float, sce
 
 def _through(rng: np.random.Generator, points: Sequence[tuple[float, Array]], seconds: float) -> Array:
     """Return a path that turns to each point from its time on, with the least jerk (Flash and Hogan 1985)."""
-    fine = np.arange(math.ceil(seconds * _PROJECTED) + 1) / _PROJECTED
+    fine = np.arange(math.ceil(seconds * _SAMPLES) + 1) / _SAMPLES
     path = np.tile(points[0][1], (len(fine), 1))
     for (_, before), (time, point) in pairwise(points):
-        first = math.ceil(time * _PROJECTED)
+        first = math.ceil(time * _SAMPLES)
         part = np.clip((fine[first:] - time) / rng.uniform(*_TURN), 0, 1)[:, None]
         path[first:] = before + (point - before) * (10 * part**3 - 15 * part**4 + 6 * part**5)
     return path
@@ -236,9 +234,9 @@ def _away(rng: np.random.Generator) -> Array:
             return gaze
 
 
-def _runs(true: npt.NDArray[np.bool_], times: Array, least: float) -> list[tuple[float, float]]:
+def _runs(true: npt.ArrayLike, times: Array, least: float) -> list[tuple[float, float]]:
     """Return from when to when something is true for at least so many seconds."""
-    edges = np.flatnonzero(np.diff(np.r_[False, true, False].astype(int)))
+    edges = np.flatnonzero(np.diff(np.r_[False, np.asarray(true, bool), False].astype(int)))
     ends = [
         (float(times[a]), float(times[min(b, len(times) - 1)])) for a, b in zip(edges[::2], edges[1::2], strict=True)
     ]

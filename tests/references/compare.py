@@ -83,10 +83,10 @@ def compared(kind: str, plain: dict[str, Any]) -> dict[str, Any]:
     except TooLargeError as error:
         line["seconds"] = time.perf_counter() - started
         return {**line, "outcome": "too large", "message": str(error), "own": own if math.isfinite(own) else None}
-    traced = plain["target"]["lens"]["kind"] == "prescription"
-    if found.max() > dark and (seen.max() < dark if traced else not seen.any()):
-        # The judge sums over some rings of a traced lens's spot, and a sensor or mask far beside them is dark to it, or
-        # reached by their faded end alone.
+    changing = own * dark > _OWN * seen.max()
+    if seen.max() < dark < found.max() and (changing or not seen.any()):
+        # The judge sums over some rings of a traced lens's spot: a sensor or mask far beside them is dark to it, or
+        # reached by their faded end alone, and then what it sees of it changes with their number.
         line |= {"outcome": "too large", "message": "the judge's rings do not reach what reflects", "own": own}
         return {**line, "seconds": time.perf_counter() - started}
     if own > _OWN * max(claim, error):

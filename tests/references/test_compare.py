@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tapetum.bench.load import scene_from_dict
@@ -64,6 +65,20 @@ def test_a_spot_beside_its_mask_is_too_far_for_the_judge(tmp_path: Path) -> None
     """What the mask returns, 6e-10 of what a mirror would, lies beyond the rings that the judge sums."""
     line = compared(*draw(20270703, 74, tmp_path))
     assert line["outcome"] == "too large" and "rings do not reach" in line["message"]
+
+
+@pytest.mark.parametrize(("growth", "outcome"), [(1.0, "differs"), (2.0, "too large")])
+def test_light_where_the_judge_sees_none_differs_unless_the_judge_is_still_changing(
+    growth: float, outcome: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls: list[float] = []
+
+    def dark(scene: object, places: np.ndarray, finite: bool, effort: object) -> np.ndarray:
+        calls.append(1e-30 * growth ** len(calls))
+        return np.full(len(places), calls[-1])
+
+    monkeypatch.setattr("references.compare.judge", dark)
+    assert compared(*draw(4, 1, tmp_path))["outcome"] == outcome
 
 
 @pytest.mark.slow
