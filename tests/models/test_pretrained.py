@@ -98,6 +98,17 @@ def test_it_gives_another_camera_a_reason_and_no_number(changes: tuple[str, ...]
     assert all(why for why, no in zip(found.reason, refused, strict=True) if no)
 
 
+def test_round_spots_and_empty_crops_get_no_number() -> None:
+    rng = np.random.default_rng(3)
+    away = np.hypot(*(np.mgrid[:320, :320] - 159.5))
+    spots = [6 + rng.uniform(40, 240) * np.exp(-(away**2) / (2 * rng.uniform(2, 40) ** 2)) for _ in range(12)]
+    empty = [np.full(away.shape, rng.uniform(3, 30)) for _ in range(12)]
+    crops = np.stack([one + rng.normal(0, rng.uniform(0.5, 3), one.shape) for one in (*spots, *empty)])
+    found = pretrained().predict(np.clip(np.rint(crops), 0, 255).astype(np.uint8))
+    assert not found.applies.any()
+    assert np.isnan(found.value).all()
+
+
 def test_walls_and_lamps_in_a_tracked_frame_get_a_reason_and_no_number() -> None:
     """The spots are found and followed; what models say of them is empty."""
     rng = np.random.default_rng(5)
