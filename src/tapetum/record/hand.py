@@ -23,6 +23,7 @@ from tapetum.errors import InputError
 from tapetum.record.marks import scene_mark
 from tapetum.record.noise import counts
 from tapetum.record.patch import Patch, add_patch
+from tapetum.record.returns import windows_of
 from tapetum.record.source import Frame
 from tapetum.record.stray import Ground
 from tapetum.simulate import Camera, tilt_of_gaze
@@ -148,10 +149,9 @@ class Hands:
         # Places may lie beside the screen, by half its size.
         corner = np.array([[-1.0, -1.0], [1.0, 1.0]]) * (1.3 * _REACH + 4 * _TREMBLE)
         steepest = largest_sine(tilt_of_gaze(self._scene, torch.from_numpy(corner)))
-        self._camera = Camera(self._scene, steepest, edge="dimmed", device="cpu")
-        window = self._camera.window()
-        self._camera = self._camera.on(window)
-        self._window = window
+        camera = Camera(self._scene, steepest, edge="dimmed", device="cpu")
+        windows = windows_of([camera], steepest, float(np.abs(self._places).max()))
+        self._cameras = {share: camera.on(window) for share, window in windows.items()}
         one = torch.ones((), dtype=torch.float64)
         sensor = self._scene.probe.sensor
         self._electrons = float(photoelectrons(one, sensor, self._scene.illumination.wavelength))
@@ -207,14 +207,15 @@ class Hands:
         sensor = scene.probe.sensor
         mean = self._ground.lit(1.0)
         middle = (np.array(sensor.pixels) - 1) / 2
-        half = (np.array([self._window.columns, self._window.rows]) - 1) / 2
         sines = tilt_of_gaze(scene, torch.from_numpy(np.array(gazes)))
         centres = torch.from_numpy(self._places)
-        for tilts, places, share in self._camera.beams(sines, centres):
+        for tilts, places, share in next(iter(self._cameras.values())).beams(sines, centres):
+            camera = self._cameras[share]
+            half = (camera.output.rows - 1) / 2
             at = middle + places.numpy() / sensor.pitch - half
             corner = np.rint(at)
             offset = torch.from_numpy((at - corner) * sensor.pitch)
-            images = self._camera.render(tilts, offset, share, equivalent=True).numpy()
+            images = camera.render(tilts, offset, share, equivalent=True).numpy()
             for image, (left, top) in zip(images, corner, strict=True):
                 light = np.asarray(image * np.float32(self._electrons), np.float32)
                 add_patch(mean, Patch(int(left), int(top), light), 1.0)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import weakref
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -26,17 +26,29 @@ from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.phone import phone_scenes, seen_from_probe
 from tapetum.simulate.radiometry import photoelectrons, photon_energy
 
-__all__ = ["Flashes", "Returns", "flashes_of", "returns_of"]
+__all__ = ["Flashes", "Returns", "flashes_of", "returns_of", "windows_of"]
 
 Array = npt.NDArray[np.float64]
 
 # Frames rendered together: always the same ones, so that a frame does not depend on which others are requested.
 _BATCH = 8
-_CAMERAS_KEPT, _BATCHES_KEPT = 32, 2
+_CAMERAS_KEPT, _BATCHES_KEPT = 64, 2
 # Accuracy (fraction of the peak) from which rotated images may be interpolated coarsely.
 _COARSE = 0.025
 # Fraction of a beam's peak below which its flank is not drawn.
 _FAINT = 1e-3
+# What an RR's light has left where its patch ends, in the mean along an edge, over the brightest peak: within crops a
+# hundredth of a digital number of 8 bits, beyond them three. More shows in the mean of many pixels, and networks learn
+# where patches end.
+_LEFT_IN_CROPS, _LEFT = 3e-5, 1e-4
+# Width of a crop of 400 pixels and of what it may be off the patch's middle.
+_CROPS = 481
+# Beyond the edge of a picture out of focus light falls with the square of the distance, of one in focus with the cube.
+_FALL = 2.5
+# A weaker beam has a window of its own where it is smaller than this.
+_SMALLER = 0.8
+# Tilts, over the steepest one, at which that is measured.
+_TRIED = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.7, 0.7), (1.0, 0.0))
 
 
 class Returns:
@@ -66,7 +78,7 @@ class Returns:
             what = f"the target comes as near as {distance.min():.3g} m, which its lens cannot be simulated at"
             raise InputError(what, where="motion", remedy="walk less far, or reach out less")
         self._steepest, self._round = largest_sine(tilts), _is_round(scene)
-        self._window, finite = self._widest()
+        self._windows, finite = self._widest()
         self._node = self._nodes(finite)
         # Spline errors stay below 1e-3 of the peak for fringes of 7 pixels (cubic) or 4 pixels (quintic).
         fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * scene.target.lens.aperture_radius)
@@ -77,7 +89,7 @@ class Returns:
         # A weak reference avoids a cycle that would keep the cameras until garbage collection.
         own = weakref.proxy(self)
         self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
-            lambda node: _camera(replace(scene, distance=node), own._steepest, own._window)
+            lambda node, window: _camera(replace(scene, distance=node), own._steepest, window)
         )
         self._batch = functools.lru_cache(_BATCHES_KEPT)(lambda number: own._render(number))
 
@@ -85,15 +97,13 @@ class Returns:
         """Return the patch of every beam in a frame, at the scene's power and exposure."""
         return self._batch(frame // _BATCH)[frame % _BATCH]
 
-    def _widest(self) -> tuple[Grid, bool]:
-        """Return the window that holds the RR at every distance, and whether the probe's aperture cuts it at any."""
+    def _widest(self) -> tuple[dict[float, Grid], bool]:
+        """Return the window that holds a beam's RR at every distance, by its share of the light, and whether the
+        probe's aperture cuts it at any."""
         ends = {float(self._distance.min()), float(self._distance.max())}
         cameras = [_camera(replace(self.scene, distance=one), self._steepest) for one in ends]
-        # Light outside the window is about one electron at most, fringes of the probe's aperture (phone-01: 1.1 of
-        # 1985).
-        windows = [camera.window() for camera in cameras]
-        finite = any(camera.finite for camera in cameras)
-        return max(windows, key=lambda grid: grid.rows), finite
+        windows = windows_of(cameras, self._steepest, float(self._centres.abs().max()))
+        return windows, any(camera.finite for camera in cameras)
 
     def _nodes(self, finite: bool) -> Array:
         """Return the distance at which each frame is simulated, [T] in metres."""
@@ -120,12 +130,14 @@ class Returns:
         return found
 
     def _render_at(self, node: float, frames: npt.NDArray[np.int64]) -> Iterator[tuple[int, Patch]]:
-        camera, sensor = self._camera_at(node), self.scene.probe.sensor
+        sensor = self.scene.probe.sensor
         gain = self._electrons * self.scene.illumination.spread(self._distance[frames], node)
         turned = not self._round and bool(self._roll[frames].any())
         middle = (np.array(sensor.pixels) - 1) / 2
-        half = (np.array([self._window.columns, self._window.rows]) - 1) / 2
-        for tilts, places, share in camera.beams(self._sines[frames], self._centres[frames]):
+        widest = self._camera_at(node, max(self._windows.values(), key=lambda grid: grid.rows))
+        for tilts, places, share in widest.beams(self._sines[frames], self._centres[frames]):
+            window = self._windows[share]
+            camera, half = self._camera_at(node, window), (window.rows - 1) / 2
             # Patches start on whole pixels; the sub-pixel rest of the place is rendered.
             corner = np.rint(middle + places.numpy() / sensor.pitch - half)
             rest = middle + places.numpy() / sensor.pitch - half - corner
@@ -220,9 +232,52 @@ def flashes_of(
     return Flashes(scene, seconds, tilt_of_gaze(scene, torch.from_numpy(gaze)).numpy(), place, roll, distance)
 
 
+def windows_of(cameras: Sequence[Camera], steepest: float, away: float) -> dict[float, Grid]:
+    """Return windows so wide that where a beam's RR is cut off no network can see it, by the beam's share of the light.
+
+    Parameters
+    ----------
+    cameras
+        Of one scene, at several distances.
+    steepest
+        Sine of the steepest tilt.
+    away
+        How far from the middle of the probe's sensor an RR may lie, in metres: no window is wider than the frame.
+    """
+    sensor, none = cameras[0].scene.probe.sensor, torch.zeros((1, 2), dtype=torch.float64)
+    shares = {share for _, _, share in cameras[0].beams(none, none)}
+    with _one_thread():
+        left = [_left_at_edges(camera, steepest) for camera in cameras]
+    most = max(sensor.pixels) + 2 * math.ceil(away / sensor.pitch)
+    most += 1 - most % 2
+    usual = max(camera.window().rows for camera in cameras)
+    side: dict[float, int] = {}
+    for share in shares:
+        inside, outside = (
+            max(
+                camera.window(beyond=max(1.0, one * share / max(shares) / least) ** (1 / _FALL)).rows
+                for camera, one in zip(cameras, left, strict=True)
+            )
+            for least in (_LEFT_IN_CROPS, _LEFT)
+        )
+        side[share] = max(usual, min(inside, max(outside, _CROPS), most))
+    largest = max(side.values())
+    # Two windows are planned for apart, which pays where one is much smaller.
+    sides = {share: one if one < _SMALLER * largest else largest for share, one in side.items()}
+    return {share: Grid(one, one, sensor.pitch) for share, one in sides.items()}
+
+
 def _camera(scene: Scene, steepest: float, window: Grid | None = None) -> Camera:
     # On the CPU, as a GPU would round differently; "dimmed" lets a spot cross the sensor's edge.
     return Camera(scene, steepest, output=window, edge="dimmed", device="cpu")
+
+
+def _left_at_edges(camera: Camera, steepest: float) -> float:
+    """Mean light along the brightest edge of the usual window, over the brightest peak, of some tilts."""
+    tilts = steepest * torch.tensor(_TRIED, dtype=torch.float64)
+    images = camera.on(camera.window()).render(tilts, torch.zeros_like(tilts), equivalent=True)
+    edges = [images[:, k].mean(dim=1) for k in (0, -1)] + [images[:, :, k].mean(dim=1) for k in (0, -1)]
+    return float(torch.stack(edges).max() / images.max().clamp_min(torch.finfo(images.dtype).tiny))
 
 
 def _is_round(scene: Scene) -> bool:

@@ -1,0 +1,64 @@
+"""Patches of retro-reflections end where no network can see it, and hold what the simulator has there."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+import numpy as np
+import pytest
+import torch
+
+import tapetum as tp
+from tapetum.bench import Scene, with_values
+from tapetum.record.patch import Patch, add_patch
+from tapetum.record.returns import returns_of
+from tapetum.simulate import tilt_of_gaze
+from tapetum.simulate.radiometry import photoelectrons
+
+
+def patches(scene: Scene, gaze: np.ndarray) -> list[list[Patch]]:
+    still = np.zeros(len(gaze))
+    found = returns_of(scene, gaze, np.zeros_like(gaze), still, still + scene.distance)
+    return [list(chain.from_iterable(one.patches(i) for one in found)) for i in range(len(gaze))]
+
+
+@pytest.mark.parametrize("name", ["hand-held", "rotation"])
+def test_the_light_that_patches_leave_out_is_far_below_the_noise(name: str) -> None:
+    """It was 5e-4 of the peak, two electrons beside a background of 40: a network saw each patch's square by them."""
+    frames = patches(tp.load_scene(name), np.random.default_rng(0).uniform(-0.45, 0.45, (8, 2)))
+    peak = max(float(patch.light.max()) for patch in chain.from_iterable(frames))
+    for patch in chain.from_iterable(frames):
+        edges = [patch.light[k].mean() for k in (0, -1)] + [patch.light[:, k].mean() for k in (0, -1)]
+        assert max(edges) < 1.5e-4 * peak
+
+
+def test_a_filmed_frame_holds_what_the_simulator_computes_for_it() -> None:
+    scene = tp.load_scene("hand-held")
+    gaze = np.array([[0.2, 0.1], [-0.35, 0.4], [0.02, -0.01]])
+    turns = np.degrees(np.arcsin(tilt_of_gaze(scene, torch.from_numpy(gaze)).numpy()))
+    wanted = tp.retroreflect(scene, rotation=turns)
+    electrons = float(
+        photoelectrons(torch.ones((), dtype=torch.float64), scene.probe.sensor, scene.illumination.wavelength)
+    )
+    columns, rows = scene.probe.sensor.pixels
+    for own, image in zip(patches(scene, gaze), np.asarray(wanted), strict=True):
+        frame = np.zeros((rows, columns), np.float32)
+        for patch in own:
+            add_patch(frame, patch, 1.0)
+        left = frame - electrons * image
+        # Its places are whole pixels and parts of them, computed apart: 1 % of the peak is asked for, near it.
+        assert np.abs(left).max() < 0.01 * frame.max()
+        # In the mean over many pixels nothing is missing: 2 electrons were, beyond a square of 309 pixels.
+        blocks = left[:480, :640].reshape(24, 20, 32, 20).mean(axis=(1, 3))
+        assert np.abs(blocks).max() < 2e-4 * frame.max()
+
+
+def test_a_patch_is_no_larger_than_the_frame() -> None:
+    scene = with_values(tp.load_scene("hand-held"), {"probe.sensor.pixels": [200, 160]})
+    (one,) = returns_of(scene, np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1) + scene.distance)
+    usual = returns_of(tp.load_scene("hand-held"), np.zeros((1, 2)), np.zeros((1, 2)), np.zeros(1), np.zeros(1) + 5.5)[
+        0
+    ]
+    assert max(patch.light.shape[0] for patch in one.patches(0)) < max(
+        patch.light.shape[0] for patch in usual.patches(0)
+    )
