@@ -16,7 +16,7 @@ import argparse
 import hashlib
 import math
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -32,14 +32,14 @@ from tapetum.data.write import Rules
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.models import NetworkEstimator, load_model, model_card, pretrained, save_model
-from tapetum.models.architectures import ARCHITECTURES, Network
+from tapetum.models.architectures import Network
 from tapetum.models.augmentation import Augmentation
 from tapetum.models.domain import fit_domain, picture_features
 from tapetum.models.inputs import prepare
 from tapetum.models.intervals import Intervals
 from tapetum.models.last_layer import LastLayer, corrected
-from tapetum.models.losses import SmoothL1
 from tapetum.models.other_units import grouped_half_width
+from tapetum.models.own_layers import OwnLayers, beside_copies
 from tapetum.models.snr import crop_snr
 from tapetum.models.training import EpochReport, TrainingSettings, augment, train
 from tapetum.progress import Progress, bar
@@ -198,26 +198,11 @@ class Taught:
         return told.hexdigest()
 
 
-def outputs_of(network: torch.nn.Module, look: torch.Tensor) -> Array:
+def outputs_of(network: Callable[[torch.Tensor], torch.Tensor], look: torch.Tensor) -> Array:
     """Return a network's outputs [N, ...], computed as in use."""
     with torch.inference_mode():
         batches = [batch.contiguous(memory_format=torch.channels_last) for batch in look.split(64)]
         return np.concatenate([network(batch).double().numpy() for batch in batches])
-
-
-@dataclass(frozen=True)
-class OwnHeads:
-    """Smooth L1 of the first two outputs plus those of each image's camera, by whose number targets [N, 3] end.
-
-    No image tells how large a camera's sensor is and where its point of symmetry lies. Each camera's last layer adds to
-    that of all, so that the layers before it need not guess.
-    """
-
-    def __call__(self, output: torch.Tensor, target: torch.Tensor) -> torch.Tensor:
-        own = target[:, 2].long() + 1
-        each = output.view(len(output), -1, 2)
-        found = each[:, 0] + each[torch.arange(len(output), device=output.device), own]
-        return SmoothL1()(found, target[:, :2])
 
 
 def few_shot(
@@ -244,7 +229,9 @@ def taught_network(
     cameras, own = np.unique(taught.camera[fit], return_inverse=True)
     before = pretrained(START)
     assert isinstance(before, NetworkEstimator)
-    network = ARCHITECTURES["resnet18"](2 * (len(cameras) + 1), seed=0)
+    # No image tells how large a camera's sensor is and where its point of symmetry lies: each has a last layer of its
+    # own, which adds to that of all, so that the layers before it need not guess.
+    network = beside_copies("resnet18", 2, len(cameras), seed=0)
     weights = before.network_.state_dict()
     network.load_state_dict({**network.state_dict(), **{n: v for n, v in weights.items() if not n.startswith("fc.")}})
     features = outputs_of(network.eval().features, look)
@@ -261,8 +248,7 @@ def taught_network(
     # The last layer of all starts where a ridge regression puts it, each camera's own at 0.
     start = Ridge(0.1 * float(features[fit].var(axis=0).mean()) * len(fit)).fit(features[fit], wanted[fit])
     with torch.no_grad():
-        for one, value in ((network.fc.weight, start.coef_), (network.fc.bias, start.intercept_)):
-            one.zero_()
+        for one, value in ((network.head.weight, start.coef_), (network.head.bias, start.intercept_)):
             one[:2] = torch.from_numpy(np.asarray(value, np.float32))
     # bfloat16 halves the time on processors that have it.
     settings = TrainingSettings(epochs, BATCH, RATE, 0.05, 0, Augmentation(), None, "bf16")
@@ -278,9 +264,9 @@ def taught_network(
     train(
         network,
         look[places],
-        torch.from_numpy(np.concatenate([wanted[fit], own[:, None]], axis=1).astype(np.float32)),
+        torch.from_numpy(np.concatenate([wanted[fit], own[:, None] + 1], axis=1).astype(np.float32)),
         settings,
-        loss=OwnHeads(),
+        loss=OwnLayers(2),
         validate=validate,
         device="cpu",
         checkpoint=work / f"checkpoint-{taught.digest[:8]}-{epochs}",

@@ -10,6 +10,10 @@ kept for each unit: by how many stated deviations each parameter is off, the mis
 alike, so that their product is compared. Where photosites show, their place under the spot is not known to a hundredth
 of a micrometre, of the twin as of the camera: their phase is a nuisance then, of the fit and of the limit. What is done
 is in the file, and the same command goes on. Seeds below 100 served development; report others.
+
+With --networks FOLDER of thin units also what the bundled network errs on the test part of 130 s of labelled film
+of the unit: adapted to 100 s of that film; adapted to frames of the twin alone, no frame of the unit among them; and
+the latter adapted to 10 s of the film besides. Twins and films are kept in the folder.
 """
 
 from __future__ import annotations
@@ -26,21 +30,30 @@ from typing import Any
 import numpy as np
 import torch
 
-from tapetum.bench import Scene, Target, draw_unit, load_scene
+from measure_adapt import filmed
+from measure_adapt import load as bundled
+from tapetum.bench import Scene, Target, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import Twin, fit_twin
 from tapetum.calibrate.twin.parameters import chosen
+from tapetum.cli.memory import keep_big_blocks
+from tapetum.data import dataset_from_arrays
+from tapetum.data.write import Rules
+from tapetum.experiments.copies import film_copy
+from tapetum.experiments.pretrain import NAME
 from tapetum.files import atomic_file
-from tapetum.models import SimulationFit
+from tapetum.models import NetworkEstimator, SimulationFit, adapt
 from tapetum.models.simulation.pictures import period_of
 from tapetum.models.simulation.search import PHASE
 from tapetum.progress import bar
-from tapetum.record import Session, film, label_recording
+from tapetum.record import HandMotion, Session, film, label_recording
 from tapetum.simulate import expose, retroreflect, tilt_of_gaze
 
 SCENES = {"thin": "hand-held", "traced": "rotation"}
 # By how much finer than the scene asks its units are filmed. For a thin lens nothing is left out for speed then; of
 # a traced one the engine refuses much finer pictures.
 FINER = {"thin": 50, "traced": 10}
+# Of the unit's film that networks see, the last fifth tests; and frames of its twin.
+FILM_SECONDS, TWIN_FRAMES = 130.0, 4000
 # Gazes of the frames that SimulationFit reads lie within this part of the field.
 _FIELD = 0.35
 
@@ -57,6 +70,10 @@ def unit(kind: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
         start = time.process_time()
         found = fit_twin(path, nominal, frames=arguments.frames, progress=bar)
         seconds = time.process_time() - start
+    if arguments.networks is not None:
+        arguments.networks.mkdir(parents=True, exist_ok=True)
+        with atomic_file(twin_of(arguments.networks, kind, seed)) as part:
+            part.write_text(scene_yaml(found.scene), "utf-8")
     told = {
         "kind": kind,
         "seed": seed,
@@ -113,6 +130,38 @@ def reading(found: Twin, true: Scene, seed: int, count: int) -> dict[str, Any]:
     }
 
 
+def twin_of(folder: Path, kind: str, seed: int) -> Path:
+    return folder / f"twin-{kind}-{seed}.yaml"
+
+
+def networks(twin: Scene, seed: int, folder: Path) -> dict[str, Any]:
+    """MAE [2] of the bundled network on the unit's test frames, adapted in three ways, and what its intervals hold."""
+    film = filmed(folder, "another unit", seed, FILM_SECONDS)
+    shown, base = film.tp.test, bundled(NAME)
+    told: dict[str, Any] = {}
+
+    def score(name: str, model: NetworkEstimator) -> None:
+        found, truth = model.predict(shown, anyway=True, unit="own"), shown.tp.values(base.quantities)
+        held = (found.lower <= truth) & (truth <= found.upper)
+        told[name] = {"mae": np.abs(found.value - truth).mean(axis=0).tolist(), "held": held.mean(axis=0).tolist()}
+        print(
+            f"{seed}, {name}: MAE {np.round(told[name]['mae'], 4)}, held {np.round(held.mean(axis=0), 2)}", flush=True
+        )
+
+    start = time.process_time()
+    easier = with_values(twin, {"sampling.accuracy": 0.03})
+    path = folder / f"frames-{seed}-{TWIN_FRAMES}.npz"
+    images, gazes = film_copy(easier, 5_000_000 + seed, TWIN_FRAMES, path, Rules(side=base.crop), HandMotion())
+    labels = {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]}
+    drawn = dataset_from_arrays(images, labels, full_scale=float(2**twin.probe.sensor.bits - 1))
+    of_twin = adapt(base, drawn, precision="bf16", device="cpu", name=NAME)
+    told["processor_seconds"] = round(time.process_time() - start)
+    score("frames of the twin", of_twin)
+    score("and 10 s of film", adapt(of_twin, film, seconds=10, precision="bf16", device="cpu"))
+    score("100 s of film", adapt(base, film, seconds=100, precision="bf16", device="cpu", name=NAME))
+    return told
+
+
 def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
     """The shares that the rows reach, by kind."""
     told: dict[str, Any] = {}
@@ -132,6 +181,12 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "read_over_limit": [row.get("read_over_limit") for row in own],
             "seconds": float(np.median([row["seconds"] for row in own])),
         }
+        trained = [row["networks"] for row in own if "networks" in row]
+        if trained:
+            names = [name for name in trained[0] if name != "processor_seconds"]
+            told[kind]["networks_mae"] = {
+                name: np.mean([one[name]["mae"] for one in trained], axis=0).tolist() for name in names
+            }
     return told
 
 
@@ -143,17 +198,32 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=30.0, help="length of the recordings")
     parser.add_argument("--target-rate", type=float, default=60.0, help="frames a second of the target's camera")
     parser.add_argument("--read", type=int, default=6, help="frames that SimulationFit reads on the twin")
+    parser.add_argument("--networks", type=Path, metavar="FOLDER", help="adapt networks to thin twins, too")
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
+    keep_big_blocks()
     options = {name: getattr(arguments, name) for name in ("frames", "seconds", "target_rate", "read")}
     rows = json.loads(arguments.out.read_text("utf-8"))["units"] if arguments.out.exists() else []
-    for seed in arguments.seeds:
-        if any((row["kind"], row["seed"]) == (arguments.kind, seed) for row in rows):
-            continue
-        row = unit(arguments.kind, seed, arguments) | {"options": options}
-        rows.append(row)
+    if arguments.networks is not None and arguments.kind != "thin":
+        parser.error("--networks: is for thin units, whose network is bundled")
+
+    def keep() -> None:
         with atomic_file(arguments.out) as part:
             part.write_text(json.dumps({"summary": summary(rows), "units": rows}, indent=1) + "\n", "utf-8")
+
+    for seed in arguments.seeds:
+        done = [row for row in rows if (row["kind"], row["seed"]) == (arguments.kind, seed)]
+        row = done[0] if done else unit(arguments.kind, seed, arguments) | {"options": options}
+        if not done:
+            rows.append(row)
+            keep()
+        if arguments.networks is not None and "networks" not in row:
+            row["networks"] = networks(
+                load_scene(twin_of(arguments.networks, arguments.kind, seed)), seed, arguments.networks
+            )
+            keep()
+        if done:
+            continue
         worst = max(row["off"], key=lambda name: abs(row["off"][name]))
         ratio = row.get("read_over_limit", float("nan"))
         told = (

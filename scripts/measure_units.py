@@ -18,7 +18,7 @@ import xarray as xr
 from tapetum.bench import load_scene
 from tapetum.cli.memory import keep_big_blocks
 from tapetum.experiments.copies import film_copies
-from tapetum.experiments.pretrain import CROP, NAME, SCENE, UNIT_ACCURACY, UNIT_FRAMES, UNIT_SEEDS
+from tapetum.experiments.pretrain import COPY_ACCURACY, CROP, NAME, SCENE, UNIT_FRAMES, UNIT_SEEDS
 from tapetum.files import atomic_file
 from tapetum.models import pretrained
 from tapetum.progress import bar
@@ -56,7 +56,7 @@ def main() -> None:
         parser.error("these copies calibrated the intervals")
     keep_big_blocks()
     torch.set_num_threads(1)
-    scene = load_scene(SCENE, [f"sampling.accuracy={UNIT_ACCURACY}"])
+    scene = load_scene(SCENE, [f"sampling.accuracy={COPY_ACCURACY}"])
     seeds = range(options.first, options.first + options.units)
     data = film_copies(scene, seeds, UNIT_FRAMES, options.work / "copies", side=CROP, progress=bar)
     numbers = {"seeds": [seeds[0], seeds[-1]], **{unit: held_by(data, unit) for unit in ("own", "other")}}

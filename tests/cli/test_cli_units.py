@@ -74,6 +74,24 @@ def test_track_takes_the_intervals_that_are_asked_for(run, chain, copies: Path, 
     assert not np.isfinite(width("--unit", "own")) and not np.isfinite(width())
 
 
+def test_copies_train_a_network_with_their_camera(run, chain, copies: Path, tmp_path: Path) -> None:
+    tiny = ("--kind", "resnet18", "--crop", 32, "--size", 16, "--epochs", 1, "--device", "cpu")
+    ran = run("train", chain.dataset, *tiny, "--copies", copies, "-o", tmp_path / "m")
+    assert ran.code == 0, ran.err
+    frames = open_dataset(copies).tp.train.sizes["frame"]
+    card = json.loads((tmp_path / "m" / "model.json").read_text())
+    assert card["training"]["copies"] == {"copies": UNITS, "frames": frames}
+    assert load_model(tmp_path / "m").quantities == ("gaze_x", "gaze_y")
+    for words, why in (
+        ((*tiny, "--copies", chain.dataset), "copies: has no training frames whose copy of the camera is known"),
+        (("--copies", copies), "--copies: has no meaning for zernike"),
+        ((*tiny, "--copies", tmp_path / "none.zarr"), "none.zarr"),
+    ):
+        ran = run("train", chain.dataset, *words, "-o", tmp_path / "n")
+        assert ran.code == 2 and why in ran.err and "Traceback" not in ran.err
+        assert sorted(path.name for path in tmp_path.iterdir()) == ["m"]
+
+
 def test_what_calibrates_nothing(run, chain, copies: Path, tmp_path: Path) -> None:
     for words, why in (
         ((chain.model, chain.dataset), "does not distinguish copies of its camera"),

@@ -22,6 +22,9 @@ pytestmark = pytest.mark.usefixtures("narrow")
 @pytest.fixture
 def tiny(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(pretrain, "TRAIN_SEEDS", (101,))
+    monkeypatch.setattr(pretrain, "NEAR_AXIS", {107: 0.05})
+    monkeypatch.setattr(pretrain, "TEACHER_SEEDS", range(4_000_000, 4_000_002))
+    monkeypatch.setattr(pretrain, "TEACHER_FRAMES", 2)
     monkeypatch.setattr(pretrain, "SECONDS", 1.2)
     monkeypatch.setattr(pretrain, "UNIT_SEEDS", range(3_000_000, 3_000_010))
     monkeypatch.setattr(pretrain, "UNIT_FRAMES", 2)
@@ -38,7 +41,7 @@ def test_an_interrupted_making_goes_on_where_it_stopped(tmp_path: Path) -> None:
         pretrain.make_pretrained(work, out, epochs=2, on_epoch=stop)
     assert not out.exists()
     filmed = {file: file.stat().st_mtime_ns for file in work.rglob("*.mkv")}
-    assert len(filmed) == 4
+    assert len(filmed) == 6
 
     epochs: list[int] = []
     pretrain.make_pretrained(work, out, epochs=2, on_epoch=lambda report: epochs.append(report.epoch))
@@ -47,6 +50,8 @@ def test_an_interrupted_making_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert epochs == [2]
     card = model_card(out)
     assert card["notes"]["seeds"] == [101]
+    assert card["notes"]["near_axis"] == {"107": 0.05}
+    assert card["training"]["copies"] == {"copies": 2, "frames": 4}
     assert card["weights"]["precision"] == "half"
     assert set(card["metrics"]["targets"]) == {"gaze_x", "gaze_y"}
     model = load_model(out)

@@ -12,7 +12,7 @@ from tests.models.conftest import pictures
 
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
-from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, load_model, save_model
+from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, fine_tuning, load_model, save_model
 from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, epochs_of
 
 pytestmark = pytest.mark.usefixtures("narrow")
@@ -95,16 +95,35 @@ def test_what_tests_is_never_looked_at(base: NetworkEstimator) -> None:
         assert torch.equal(one, same)
 
 
-def test_many_frames_keep_a_part_aside(base: NetworkEstimator, tmp_path: Path) -> None:
+def test_many_frames_keep_a_part_aside(base: NetworkEstimator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    # A last layer that may hardly change: training all layers wins.
+    monkeypatch.setattr(fine_tuning, "PENALTIES", (1e9,))
+    monkeypatch.setattr(fine_tuning, "_RATE", 1e-4)
     data = other(300, 60, reach=0.05)
-    mine = adapt(base, data, epochs=2)
+    mine = adapt(base, data, epochs=4)
     told = mine.training_ or {}
+    assert told["chosen"]["fitted"].startswith(ALL)
     assert 0 < told["calibrated_on"] < 80 and told["fitted"] < 240 and told["embargo"] > 0
     assert "that neither fit nor calibrate" in told["chosen"]["fitted"] and "neither" in told["intervals"]
     save_model(mine, tmp_path / "m")
     again = load_model(tmp_path / "m")
     assert again.training_ == told
     np.testing.assert_array_equal(again.predict(data.tp.test).value, mine.predict(data.tp.test).value)
+
+
+def test_a_last_layer_that_wins_is_fitted_to_all_frames_and_calibrated_by_all(
+    base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of 300 frames a quarter neither fitted nor, but for a few, calibrated: its intervals rested on some 50."""
+    monkeypatch.setattr(fine_tuning, "_RATE", 0.05)
+    data = other(300, 60)
+    mine = adapt(base, data, epochs=1)
+    told = mine.training_ or {}
+    assert told["chosen"]["fitted"].startswith(LAST) and "frames that neither had fitted" in told["chosen"]["fitted"]
+    assert told["fitted"] == told["calibrated_on"] == 300 and told["embargo"] == 0
+    truth, found = data.tp.test.tp.values(("gaze_x", "gaze_y")), mine.predict(data.tp.test, anyway=True)
+    assert 0.8 <= ((found.lower <= truth) & (truth <= found.upper)).mean() <= 0.99
+    assert error(mine, data) < 0.75 * error(base, data)
 
 
 def test_seconds_choose_frames_spread_over_the_field_or_the_first_ones(base: NetworkEstimator) -> None:

@@ -55,6 +55,10 @@ def train(
         str | None, option("HOW", "networks: take the background off before the root (level) or after (root).")
     ] = None,
     gain: Annotated[float | None, option("X", "networks: how far brightness is varied, in parts of e.", min=0)] = None,
+    copies: Annotated[
+        Path | None,
+        option("COPIES", "networks: a set of further copies of the camera, which train all layers but the last too."),
+    ] = None,
     split: Split = "time",
     seed: SeedIfGiven = None,
     device: Device = "auto",
@@ -89,7 +93,8 @@ def train(
         "resume": resume or None,
     }
     options: dict[str, Any] = {name: value for name, value in networks_own.items() if value is not None}
-    foreign = [name for name, value in (("tuned", tuned), ("scales", scales)) if value] if network else list(options)
+    ridges_own = [name for name, value in (("tuned", tuned), ("scales", scales)) if value]
+    foreign = ridges_own if network else [*options, *(["copies"] if copies is not None else [])]
     if foreign:
         raise InputError(f"has no meaning for {kind}", where=f"--{foreign[0]}", remedy="leave it out")
     check_output(out, force, "tapetum-model")
@@ -109,7 +114,8 @@ def train(
     with sole_writer(out):
         fitted: ZernikeRidge | NetworkEstimator
         if network:
-            fitted = _fitted_network(kind, label, {"seed": SEED, **options}, data, checkpoint)
+            beside = None if copies is None else open_dataset(copies)
+            fitted = _fitted_network(kind, label, {"seed": SEED, **options}, data, beside, checkpoint)
         else:
             if tuned:
                 options |= {"alpha": "cv", "standardise": True}
@@ -125,7 +131,7 @@ def train(
 
 
 def _fitted_network(
-    kind: str, label: str, options: dict[str, Any], data: xr.Dataset, checkpoint: Path
+    kind: str, label: str, options: dict[str, Any], data: xr.Dataset, copies: xr.Dataset | None, checkpoint: Path
 ) -> NetworkEstimator:
     """Train a network; after Ctrl-C, report what is kept and how to resume."""
     from tapetum.models import NetworkEstimator
@@ -139,7 +145,9 @@ def _fitted_network(
         say_epoch(report)
 
     try:
-        return network.fit(data.tp.train, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told)
+        return network.fit(
+            data.tp.train, copies=copies, progress=bar, checkpoint=checkpoint, resume=resume, on_epoch=told
+        )
     except KeyboardInterrupt as error:
         if not checkpoint.exists():
             raise

@@ -48,7 +48,8 @@ def adapt(
     Kumar et al., ICLR (2022)). Frames that neither has fitted decide which of the two is kept. With up to 250 frames
     these are all frames in turn, in 4 folds: the errors of the folds also set the intervals (cross-conformal
     prediction, V. Vovk, Ann. Math. Artif. Intell. 74, 9 (2015)), and the network that is returned is fitted to every
-    frame. With more frames, 8 % of them decide, about the epoch too, and 17 % calibrate. Frames of different folds or
+    frame. With more frames, 8 % of them decide, about the epoch too, and 17 % calibrate; where the last layer wins, it
+    is fitted to all frames, and calibrated in folds. Frames of different folds or
     parts share no measurement of their labels, except where frames are spread over a film at least four times as long:
     these are divided one by one, and the labels' standard deviations are added to their errors. Test frames are never
     used.

@@ -27,6 +27,7 @@ from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
 from tapetum.models.losses import MixedLoss
 from tapetum.models.novelty import Novelty, fit_novelty
+from tapetum.models.own_layers import OwnLayers, beside_copies, copies_of, targets_beside, without_copies
 from tapetum.models.prediction import Prediction
 from tapetum.models.processes import training_device
 from tapetum.models.snr import crop_snr
@@ -153,6 +154,7 @@ class NetworkEstimator(Estimator):
         self,
         dataset: xr.Dataset,
         *,
+        copies: xr.Dataset | None = None,
         progress: Progress = quiet,
         checkpoint: str | Path | None = None,
         resume: bool = False,
@@ -164,6 +166,10 @@ class NetworkEstimator(Estimator):
         ----------
         dataset
             From `tapetum.data.open_dataset` or `tapetum.data.dataset_from_arrays`.
+        copies
+            Training frames of further copies of the camera, with the variable `unit`. They train the layers before the
+            last too; each copy has a last layer of its own, which is dropped in the end
+            (`tapetum.models.own_layers`). Intervals and where the model applies are learned from `dataset` alone.
         progress
             Shown over the reading and over the steps of each epoch.
         checkpoint
@@ -176,13 +182,17 @@ class NetworkEstimator(Estimator):
         Raises
         ------
         InputError
-            When there is too little to train on, or the checkpoint is of another training.
+            When there is too little to train on, the checkpoint is of another training, or copies cannot be used.
         """
         if resume and checkpoint is None:
             what = "resume needs the folder of a checkpoint"
             raise InputError(what, where="checkpoint", remedy="pass checkpoint=FOLDER")
         patience = self.settings.patience
         part = training_part(dataset, self.target_names, self.calibration_fraction, select=patience is not None)
+        if copies is not None and part.classes:
+            what = "frames of copies cannot train a model that recognises devices"
+            raise InputError(what, where="copies", remedy="put them into the set")
+        beside = None if copies is None else copies_of(copies, self.quantities)
         found = self._map_batches(self._read, "reading the images", part.dataset, progress=progress)
         images, snr = torch.cat([seen for seen, _ in found]), np.concatenate([one for _, one in found])
         self._centre, self._spread = part.targets[part.fit].mean(axis=0), part.targets[part.fit].std(axis=0)
@@ -192,14 +202,25 @@ class NetworkEstimator(Estimator):
         images /= self._unit
         self.classes_ = part.classes
         k, device = len(self.quantities), training_device(self.device)
-        network = ARCHITECTURES[self.kind](k + len(part.classes), seed=self.seed)
         columns = [(part.targets - self._centre) / self._spread]
         weights = part.weights
         if weights is not None:
             columns.append(weights)
         if part.camera is not None:
             columns.append(part.camera[:, None].astype(np.float64))
-        wanted = torch.from_numpy(np.concatenate(columns, axis=1).astype(np.float32))
+        fit = torch.from_numpy(part.fit)
+        shown, wanted = images[fit], torch.from_numpy(np.concatenate(columns, axis=1)[part.fit].astype(np.float32))
+        identity = {"kind": self.kind, **self.parameters(), "data": part.data_hash, "frames": len(part.targets)}
+        if beside is None:
+            network = ARCHITECTURES[self.kind](k + len(part.classes), seed=self.seed)
+            loss = MixedLoss(k, weights is not None)
+        else:
+            shots, labels, number = beside
+            more = self._map_batches(self._read, "reading the copies", shots, progress=progress)
+            shown = torch.cat([shown, *(seen / self._unit for seen, _ in more)])
+            wanted = targets_beside(wanted, (labels - self._centre) / self._spread, number)
+            network, loss = beside_copies(self.kind, k, number.max(), self.seed), OwnLayers(k, weights is not None)
+            identity["copies"] = shots.tp.hash
         # Without patience no frame chooses, so the calibration frames show the error.
         aside = part.calibrate if patience is None else part.choose
 
@@ -210,14 +231,12 @@ class NetworkEstimator(Estimator):
             assert part.camera is not None  # a model estimates one or the other
             return float((outputs.argmax(axis=1) != part.camera[aside]).mean())
 
-        identity = {"kind": self.kind, **self.parameters(), "data": part.data_hash, "frames": len(part.targets)}
-        fit = torch.from_numpy(part.fit)
         self.history_ = train(
             network,
-            images[fit],
-            wanted[fit],
+            shown,
+            wanted,
             self.settings,
-            loss=MixedLoss(k, weights is not None),
+            loss=loss,
             validate=validate if len(aside) else None,
             device=self.device,
             processes=self.processes,
@@ -227,7 +246,11 @@ class NetworkEstimator(Estimator):
             progress=progress,
             on_epoch=on_epoch,
         )
-        self.network_, self.data_hash_, self.training_ = network, part.data_hash, part.summary
+        self.data_hash_, self.training_ = part.data_hash, part.summary
+        if beside is not None:
+            network = without_copies(network, k)
+            self.training_["copies"] = {"copies": int(beside[2].max()), "frames": len(beside[2])}
+        self.network_ = network
         if patience is not None:
             kept = f"{kept_epoch(self.history_, patience)} of {len(self.history_)}"
             why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
