@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 import tapetum as tp
 from tapetum.data import crop, find_centre
@@ -13,6 +14,7 @@ from tapetum.experiments import pretrain
 from tapetum.models import ResNet18, model_card, pretrained, store
 from tapetum.record.marks import scene_mark
 from tapetum.record.source import Frame
+from tapetum.simulate import tilt_of_gaze
 
 FOLDER = Path(store.__file__).parent / "pretrained" / pretrain.NAME
 
@@ -37,6 +39,7 @@ def test_its_card_says_how_it_was_made_and_what_it_reached() -> None:
     assert notes["seeds"] == list(pretrain.TRAIN_SEEDS)
     assert notes["fresh_seed"] == pretrain.FRESH_SEED
     assert notes["command"] == "make models"
+    assert pretrain.is_made(FOLDER)
     assert notes["simulation_only"] is True
     for name in ("gaze_x", "gaze_y"):
         figures = card["metrics"]["targets"][name]
@@ -56,27 +59,32 @@ def test_it_promises_little_of_a_camera_that_it_does_not_know() -> None:
     np.testing.assert_array_equal(own.value[own.applies], other.value[own.applies])
 
 
+def gazes(seed: int, reach: float, count: int) -> np.ndarray:
+    """Gazes [count, 2] of what `shown` shows."""
+    return np.random.default_rng(seed).uniform(-reach, reach, (count, 2))
+
+
 def shown(seed: int, *changes: str, count: int = 12, reach: float = 0.3) -> np.ndarray:
     """Crops of the hand-held scene, as `track` cuts them, at gazes over the middle of the field."""
     scene = tp.load_scene(pretrain.SCENE, list(changes))
-    rng = np.random.default_rng(seed)
-    width = scene.target.sensor.pitch * np.array(scene.target.sensor.pixels)
-    turns = np.degrees(np.arctan(rng.uniform(-reach, reach, (count, 2)) * width / 0.1))
+    turns = np.degrees(np.arcsin(tilt_of_gaze(scene, torch.from_numpy(gazes(seed, reach, count))).numpy()))
     frames = np.asarray(tp.expose(tp.retroreflect(scene, rotation=turns), scene.probe, seed=seed))
     return np.stack([crop(frame, find_centre(frame), 400) for frame in frames])
 
 
 def test_it_answers_its_own_camera() -> None:
-    found = pretrained().predict(shown(1))
+    """Frames that no bench has filmed: a model that had learned where films cut an RR off erred by 0.1 here."""
+    found = pretrained().predict(shown(1), unit="own")
     assert found.described
     assert found.applies.mean() > 0.9
-    assert np.isfinite(found.value[found.applies]).all()
+    assert np.abs(found.value - gazes(1, 0.3, 12))[found.applies].mean() < 0.01
 
 
 def test_it_answers_a_camera_that_looks_straight_at_the_probe() -> None:
-    found = pretrained().predict(shown(3, reach=0.03))
+    found, gaze = pretrained().predict(shown(3, reach=0.03), anyway=True), gazes(3, 0.03, 12)
     assert found.applies.mean() > 0.9
-    assert np.abs(found.value[found.applies]).max() < 0.12
+    # A model without recordings of such a camera in its training errs by 0.015 and 0.018.
+    assert np.abs(found.value - gaze).mean() < 0.008
 
 
 @pytest.mark.parametrize(
