@@ -66,7 +66,7 @@ CROP = 320
 TEACHER_SEEDS = range(4_000_000, 4_000_128)
 TEACHER_FRAMES = 64
 # Copies of the camera on which the intervals for an unknown one are calibrated; no evaluation may use them.
-UNIT_SEEDS = range(3_000_000, 3_000_040)
+UNIT_SEEDS = range(3_000_000, 3_000_120)
 UNIT_FRAMES = 32
 COPY_ACCURACY = 0.03
 
