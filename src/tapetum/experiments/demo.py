@@ -94,7 +94,7 @@ def run_demo(
     "cuda:1"), and resumes after an interruption. Raises an InputError for a recording too short to split or a full
     disk.
     """
-    if seed in (*pretrain.TRAIN_SEEDS, pretrain.FRESH_SEED):
+    if seed in (*pretrain.recorded_seeds(), pretrain.FRESH_SEED):
         raise InputError(f"{seed} is one of the bundled model's own", where="seed", remedy="choose another")
     watch = _Stopwatch(say)
     begun = time.monotonic()
@@ -133,9 +133,9 @@ def run_demo(
         tracking = _track(recording, resnet, out / "tracks.parquet", progress)
     with watch.step("Asking what the sign rests on"):
         sign = _sign(scene, dataset, models, outcomes, seed)
-    seeds_used = ", ".join(map(str, pretrain.TRAIN_SEEDS))
+    seeds_used = ", ".join(map(str, pretrain.recorded_seeds()))
     trained = {
-        "ResNet-18": f"{origin} ({seeds_used})",
+        "ResNet-18": f"{origin} ({seeds_used}) and beside {len(pretrain.TEACHER_SEEDS)} copies of the camera",
         "Zernike + ridge": "the paper's protocol, fitted here to the first 80 % "
         f"({dataset.tp.train.sizes['frame']} frames)",
     }
@@ -306,7 +306,7 @@ def _content(
         sign=sign,
         tracking=tracking,
         timings=timings,
-        seeds=[("this recording", session.seed), *[("training recording", s) for s in pretrain.TRAIN_SEEDS]],
+        seeds=[("this recording", session.seed), *[("training recording", s) for s in pretrain.recorded_seeds()]],
         sizes=[
             ("frames filmed", str(counted.get("frames", ""))),
             (

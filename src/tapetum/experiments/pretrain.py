@@ -50,6 +50,7 @@ __all__ = [
     "is_made",
     "labelled_recording",
     "make_pretrained",
+    "recorded_seeds",
 ]
 
 NAME = "thin-lens-gaze"
@@ -69,6 +70,11 @@ TEACHER_FRAMES = 64
 UNIT_SEEDS = range(3_000_000, 3_000_120)
 UNIT_FRAMES = 32
 COPY_ACCURACY = 0.03
+
+
+def recorded_seeds() -> tuple[int, ...]:
+    """Seeds of the recordings of its own camera that the model learns from."""
+    return (*TRAIN_SEEDS, *NEAR_AXIS)
 
 
 def labelled_recording(path: Path, session: Session, scene: str = SCENE, *, progress: Progress = quiet) -> None:
@@ -140,8 +146,7 @@ def describe_pretrained(work: Path, out: Path, *, progress: Progress = quiet) ->
     train = _training_set(work, progress)
     model, card = load_model(out), model_card(out)
     assert isinstance(model, NetworkEstimator)
-    seeds = [*TRAIN_SEEDS, *NEAR_AXIS]
-    notes = {**card["notes"], "described_seeds": seeds, "described_frames": int(train.sizes["frame"])}
+    notes = {**card["notes"], "described_seeds": list(recorded_seeds()), "described_frames": int(train.sizes["frame"])}
     model.describe(train, progress=progress)
     save_model(model, out, metrics=card["metrics"], notes=notes, half=True, overwrite=True)
 

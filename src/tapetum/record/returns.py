@@ -37,17 +37,18 @@ _CAMERAS_KEPT, _BATCHES_KEPT = 64, 2
 _COARSE = 0.025
 # Fraction of a beam's peak below which its flank is not drawn.
 _FAINT = 1e-3
-# What an RR's light has left where its patch ends, in the mean along an edge, over the brightest peak: within crops a
-# hundredth of a digital number of 8 bits, beyond them three. More shows in the mean of many pixels, and networks learn
-# where patches end.
+# What an RR's light is to have left where its patch ends, in the mean along an edge, over the brightest peak: within
+# crops a hundredth of a digital number of 8 bits, beyond them three. Much more shows in the mean of many pixels, and
+# networks learn where patches end.
 _LEFT_IN_CROPS, _LEFT = 3e-5, 1e-4
 # Width of a crop of 400 pixels and of what it may be off the patch's middle.
 _CROPS = 481
 # Beyond the edge of a picture out of focus light falls with the square of the distance, of one in focus with the cube.
+# Far out of focus and behind traced lenses more is left than this foresees, in the Focusing set 7e-5 to 1.6e-4.
 _FALL = 2.5
 # A weaker beam has a window of its own where it is smaller than this.
 _SMALLER = 0.8
-# Tilts, over the steepest one, at which that is measured.
+# Tilts, over the steepest one, at which the light that is left is measured.
 _TRIED = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.7, 0.7), (1.0, 0.0))
 
 
@@ -233,7 +234,9 @@ def flashes_of(
 
 
 def windows_of(cameras: Sequence[Camera], steepest: float, away: float) -> dict[float, Grid]:
-    """Return windows so wide that where a beam's RR is cut off no network can see it, by the beam's share of the light.
+    """Return windows that cut a beam's RR off only where little of its light is left, by the beam's share of the light.
+
+    The light at the edges of the usual window is measured, and that farther out extrapolated by a power law.
 
     Parameters
     ----------
