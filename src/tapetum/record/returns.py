@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import math
 import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -37,16 +37,15 @@ _CAMERAS_KEPT, _BATCHES_KEPT = 64, 2
 _COARSE = 0.025
 # Fraction of a beam's peak below which its flank is not drawn.
 _FAINT = 1e-3
-# What an RR's light is to have left where its patch ends, in the mean along an edge, over the brightest peak: within
+# What an RR's light may have left where its patch ends, in the mean along an edge, over the brightest peak: within
 # crops a hundredth of a digital number of 8 bits, beyond them three. Much more shows in the mean of many pixels, and
 # networks learn where patches end.
 _LEFT_IN_CROPS, _LEFT = 3e-5, 1e-4
 # Width of a crop of 400 pixels and of what it may be off the patch's middle.
 _CROPS = 481
 # Beyond the edge of a picture out of focus light falls with the square of the distance, of one in focus with the cube.
-# Far out of focus and behind traced lenses more is left than this foresees, in the Focusing set 7e-5 to 1.6e-4.
-_FALL = 2.5
-# A weaker beam has a window of its own where it is smaller than this.
+_FALL, _WIDER = 2.5, (1.1, 1.5)
+# A window of its own pays, for a beam or beside the one on which light was measured, where it is smaller than this.
 _SMALLER = 0.8
 # Tilts, over the steepest one, at which the light that is left is measured.
 _TRIED = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.7, 0.7), (1.0, 0.0))
@@ -78,8 +77,13 @@ class Returns:
         if distance.min() < 4 * scene.target.lens.focal_length:
             what = f"the target comes as near as {distance.min():.3g} m, which its lens cannot be simulated at"
             raise InputError(what, where="motion", remedy="walk less far, or reach out less")
-        self._steepest, self._round = largest_sine(tilts), _is_round(scene)
-        self._windows, finite = self._widest()
+        self._round, steepest = _is_round(scene), largest_sine(tilts)
+        # On the CPU, as a GPU would round differently; "dimmed" lets a spot cross the sensor's edge.
+        whole = functools.lru_cache(1)(
+            lambda node: Camera(replace(scene, distance=node), steepest, edge="dimmed", device="cpu")
+        )
+        self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(lambda node, window: whole(node).on(window))
+        self._windows, finite = self._widest(whole, steepest)
         self._node = self._nodes(finite)
         # Spline errors stay below 1e-3 of the peak for fringes of 7 pixels (cubic) or 4 pixels (quintic).
         fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * scene.target.lens.aperture_radius)
@@ -89,22 +93,22 @@ class Returns:
             self._order = 0
         # A weak reference avoids a cycle that would keep the cameras until garbage collection.
         own = weakref.proxy(self)
-        self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
-            lambda node, window: _camera(replace(scene, distance=node), own._steepest, window)
-        )
         self._batch = functools.lru_cache(_BATCHES_KEPT)(lambda number: own._render(number))
 
     def patches(self, frame: int) -> list[Patch]:
         """Return the patch of every beam in a frame, at the scene's power and exposure."""
         return self._batch(frame // _BATCH)[frame % _BATCH]
 
-    def _widest(self) -> tuple[dict[float, Grid], bool]:
+    def _widest(self, whole: Callable[[float], Camera], steepest: float) -> tuple[dict[float, Grid], bool]:
         """Return the window that holds a beam's RR at every distance, by its share of the light, and whether the
         probe's aperture cuts it at any."""
-        ends = {float(self._distance.min()), float(self._distance.max())}
-        cameras = [_camera(replace(self.scene, distance=one), self._steepest) for one in ends]
-        windows = windows_of(cameras, self._steepest, float(self._centres.abs().max()))
-        return windows, any(camera.finite for camera in cameras)
+        away, windows, finite = float(self._centres.abs().max()), dict[float, Grid](), False
+        for end in {float(self._distance.min()), float(self._distance.max())}:
+            camera, on = whole(end), functools.partial(self._camera_at, end)
+            finite |= camera.finite
+            for share, window in windows_of(camera, steepest, away, on).items():
+                windows[share] = max(windows.get(share, window), window, key=lambda grid: grid.rows)
+        return windows, finite
 
     def _nodes(self, finite: bool) -> Array:
         """Return the distance at which each frame is simulated, [T] in metres."""
@@ -233,54 +237,68 @@ def flashes_of(
     return Flashes(scene, seconds, tilt_of_gaze(scene, torch.from_numpy(gaze)).numpy(), place, roll, distance)
 
 
-def windows_of(cameras: Sequence[Camera], steepest: float, away: float) -> dict[float, Grid]:
+def windows_of(
+    camera: Camera, steepest: float, away: float, on: Callable[[Grid], Camera] | None = None
+) -> dict[float, Grid]:
     """Return windows that cut a beam's RR off only where little of its light is left, by the beam's share of the light.
 
-    The light at the edges of the usual window is measured, and that farther out extrapolated by a power law.
+    The light is measured at several tilts, on a window that is widened until little is left at its edges.
 
     Parameters
     ----------
-    cameras
-        Of one scene, at several distances.
+    camera
+        What is to be rendered; its own pixels are not used.
     steepest
         Sine of the steepest tilt.
     away
         How far from the middle of the probe's sensor an RR may lie, in metres: no window is wider than the frame.
+    on
+        Returns the camera on a window; `camera.on` unless the caller keeps such cameras.
     """
-    sensor, none = cameras[0].scene.probe.sensor, torch.zeros((1, 2), dtype=torch.float64)
-    shares = {share for _, _, share in cameras[0].beams(none, none)}
+    sensor, none, on = camera.scene.probe.sensor, torch.zeros((1, 2), dtype=torch.float64), on or camera.on
+    shares = {share for _, _, share in camera.beams(none, none)}
+    most = _odd(max(sensor.pixels) + 2 * math.ceil(away / sensor.pitch))
+    usual = camera.window().rows
+    side = max(usual, min(_CROPS, most))
     with _one_thread():
-        left = [_left_at_edges(camera, steepest) for camera in cameras]
-    most = max(sensor.pixels) + 2 * math.ceil(away / sensor.pitch)
-    most += 1 - most % 2
-    usual = max(camera.window().rows for camera in cameras)
-    side: dict[float, int] = {}
+        left = _left_at_edges(on(Grid(side, side, sensor.pitch)), steepest)
+        while side < most and left[-1] > _LEFT:
+            wider = min(max((left[-1] / _LEFT) ** (1 / _FALL), _WIDER[0]), _WIDER[1])
+            side = min(_odd(math.ceil(wider * side)), most)
+            left = _left_at_edges(on(Grid(side, side, sensor.pitch)), steepest)
+    sides: dict[float, int] = {}
     for share in shares:
-        inside, outside = (
-            max(
-                camera.window(beyond=max(1.0, one * share / max(shares) / least) ** (1 / _FALL)).rows
-                for camera, one in zip(cameras, left, strict=True)
-            )
-            for least in (_LEFT_IN_CROPS, _LEFT)
-        )
-        side[share] = max(usual, min(inside, max(outside, _CROPS), most))
-    largest = max(side.values())
-    # Two windows are planned for apart, which pays where one is much smaller.
-    sides = {share: one if one < _SMALLER * largest else largest for share, one in side.items()}
+        inside, outside = (_least(left * share / max(shares), least) for least in (_LEFT_IN_CROPS, _LEFT))
+        sides[share] = max(usual, min(inside, max(outside, _CROPS), side))
+    for largest in (side, max(sides.values())):
+        sides = {share: one if one < _SMALLER * largest else largest for share, one in sides.items()}
     return {share: Grid(one, one, sensor.pitch) for share, one in sides.items()}
 
 
-def _camera(scene: Scene, steepest: float, window: Grid | None = None) -> Camera:
-    # On the CPU, as a GPU would round differently; "dimmed" lets a spot cross the sensor's edge.
-    return Camera(scene, steepest, output=window, edge="dimmed", device="cpu")
+def _odd(pixels: int) -> int:
+    return pixels + 1 - pixels % 2
 
 
-def _left_at_edges(camera: Camera, steepest: float) -> float:
-    """Mean light along the brightest edge of the usual window, over the brightest peak, of some tilts."""
+def _left_at_edges(camera: Camera, steepest: float) -> Array:
+    """Mean light along the brightest edge of squares in a window's middle, over the brightest peak, of some tilts.
+
+    The squares, [N], are 1, 3, 5 … pixels wide, the last as wide as the window.
+    """
     tilts = steepest * torch.tensor(_TRIED, dtype=torch.float64)
-    images = camera.on(camera.window()).render(tilts, torch.zeros_like(tilts), equivalent=True)
-    edges = [images[:, k].mean(dim=1) for k in (0, -1)] + [images[:, :, k].mean(dim=1) for k in (0, -1)]
-    return float(torch.stack(edges).max() / images.max().clamp_min(torch.finfo(images.dtype).tiny))
+    images = camera.render(tilts, torch.zeros_like(tilts), equivalent=True).double().numpy()
+    middle = images.shape[1] // 2
+    left = np.empty(middle + 1)
+    for half in range(middle + 1):
+        first, last = middle - half, middle + half
+        square = images[:, first : last + 1, first : last + 1]
+        left[half] = max(edge.mean(axis=1).max() for k in (0, -1) for edge in (square[:, k], square[:, :, k]))
+    return left / max(float(images.max()), np.finfo(np.float64).tiny)
+
+
+def _least(left: Array, most: float) -> int:
+    """Width of the smallest square at whose edges, and at those of all wider ones, at most so much light is left."""
+    above = np.flatnonzero(left > most)
+    return 2 * (int(above[-1]) + 1 if len(above) else 0) + 1
 
 
 def _is_round(scene: Scene) -> bool:

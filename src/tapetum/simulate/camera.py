@@ -561,12 +561,11 @@ class Camera:
             )
         return self._profiles[key]
 
-    def window(self, *, margin: bool = False, left_out: float | None = None, beyond: float = 1.0) -> Grid:
+    def window(self, *, margin: bool = False, left_out: float | None = None) -> Grid:
         """The smallest square of probe pixels that holds one beam's RR without its faintest rings.
 
         With `margin` it also holds the second beam's RR while the first lies within a quarter of the window. With
-        `left_out` it is so wide that rings and fringes beyond stay below this fraction of the peak. It holds `beyond`
-        times as many rings and fringes.
+        `left_out` it is so wide that rings and fringes beyond stay below this fraction of the peak.
         """
         g, second = self.geometry, self.scene.illumination.second_beam
         exit_angle = self._picture_angle() if self._lens is None else self._lens.exit_angle
@@ -576,7 +575,6 @@ class Camera:
             # λd/(2πx)².
             rings = max(rings, (8 / (math.pi * left_out)) ** (1 / 3) / math.pi)
             fringes = max(fringes, 1 / (2 * math.pi * math.sqrt(left_out)))
-        rings, fringes = beyond * rings, beyond * fringes
         angle = exit_angle + rings * g.wavelength / (2 * g.radius)
         if self._finite:
             # At most the width of the probe's aperture, and the fringes at its edge.
