@@ -2,8 +2,8 @@
 
 make models
 
-`--describe` keeps the weights and learns from the same recordings only where the model applies (some minutes);
-`--units` keeps them and calibrates the intervals for copies of the camera (ten minutes).
+`--describe` keeps the weights and learns from the same films only where the model applies and how copies differ (some
+minutes); `--units` keeps them and calibrates the intervals for copies of the camera (ten minutes).
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ def main() -> None:
     parser.add_argument("--work", type=Path, default=Path("models-work"), help="keeps what a later run goes on from")
     parser.add_argument("--out", type=Path, default=Path("src/tapetum/models/pretrained") / NAME)
     parser.add_argument("--epochs", type=int, default=EPOCHS)
-    parser.add_argument("--describe", action="store_true", help="learn only where the model applies")
+    parser.add_argument(
+        "--describe", action="store_true", help="learn only where the model applies and how copies differ"
+    )
     parser.add_argument("--units", action="store_true", help="calibrate only the intervals for copies of the camera")
     options = parser.parse_args()
     keep_big_blocks()

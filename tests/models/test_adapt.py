@@ -14,6 +14,7 @@ from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, fine_tuning, load_model, save_model
 from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, epochs_of
+from tapetum.models.last_layer import Correction
 
 pytestmark = pytest.mark.usefixtures("narrow")
 
@@ -97,7 +98,7 @@ def test_what_tests_is_never_looked_at(base: NetworkEstimator) -> None:
 
 def test_many_frames_keep_a_part_aside(base: NetworkEstimator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     # A last layer that may hardly change: training all layers wins.
-    monkeypatch.setattr(fine_tuning, "PENALTIES", (1e9,))
+    monkeypatch.setattr(fine_tuning, "PENALTIES", (Correction(1e9),))
     monkeypatch.setattr(fine_tuning, "_RATE", 1e-4)
     data = other(300, 60, reach=0.05)
     mine = adapt(base, data, epochs=4)

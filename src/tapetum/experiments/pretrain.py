@@ -141,13 +141,17 @@ def make_pretrained(
 
 
 def describe_pretrained(work: Path, out: Path, *, progress: Progress = quiet) -> None:
-    """Teach the model in `out` where it applies, from its training recordings, filmed again; its weights stay."""
+    """Teach the model in `out` where it applies and how copies differ; its weights stay.
+
+    What it learned from is filmed again.
+    """
     work.mkdir(parents=True, exist_ok=True)
     train = _training_set(work, progress)
     model, card = load_model(out), model_card(out)
     assert isinstance(model, NetworkEstimator)
     notes = {**card["notes"], "described_seeds": list(recorded_seeds()), "described_frames": int(train.sizes["frame"])}
     model.describe(train, progress=progress)
+    model.learn_copies(_copies(work / "teachers", TEACHER_SEEDS, TEACHER_FRAMES, progress), progress=progress)
     save_model(model, out, metrics=card["metrics"], notes=notes, half=True, overwrite=True)
 
 

@@ -22,6 +22,7 @@ from tapetum.models.architectures import ARCHITECTURES, Network
 from tapetum.models.augmentation import augment
 from tapetum.models.base import Estimator, TrainingPart, plain_target, quantities_of, target_names, training_part
 from tapetum.models.calibration import fit_temperature, probabilities
+from tapetum.models.copy_prior import CopyPrior, fit_copy_prior
 from tapetum.models.domain import Domain, fit_domain, picture_features, picture_width
 from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
@@ -101,6 +102,7 @@ class NetworkEstimator(Estimator):
     classes_: tuple[str, ...]
     temperature_: float
     novelty_: Novelty | None
+    prior_: CopyPrior | None = None
 
     def __init__(
         self,
@@ -250,7 +252,9 @@ class NetworkEstimator(Estimator):
         if beside is not None:
             network = without_copies(network, k)
             self.training_["copies"] = {"copies": int(beside[2].max()), "frames": len(beside[2])}
-        self.network_ = network
+        self.network_, self.prior_ = network, None
+        if beside is not None:
+            self._learn_copies(shown[len(part.fit) :], *beside[1:])
         if patience is not None:
             kept = f"{kept_epoch(self.history_, patience)} of {len(self.history_)}"
             why = f"least error on {len(aside)} training frames that neither fit nor calibrate"
@@ -274,6 +278,28 @@ class NetworkEstimator(Estimator):
         part = training_part(dataset, self.target_names, self.calibration_fraction)
         images, _ = self.read(part.dataset, progress=progress)
         self._describe(images, np.asarray(part.dataset["recording"].values))
+        return self
+
+    def learn_copies(self, copies: xr.Dataset, *, progress: Progress = quiet) -> Self:
+        """Learn from frames of copies what they add to the last layer, and change nothing else.
+
+        For a model of an older version; `adapt` begins from it where there are few frames.
+
+        Raises
+        ------
+        InputError
+            When the frames do not name their copy or lack the model's labels.
+        """
+        shots, labels, number = copies_of(copies, self.quantities)
+        return self._learn_copies(self.read(shots, progress=progress)[0], labels, number)
+
+    def _learn_copies(self, images: Tensor, labels: NDArray[np.float64], number: NDArray[np.int64]) -> Self:
+        device = training_device(self.device)
+        self.network_.to(device=device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        features = self.run(self.network_.eval().features, images, device)
+        weight, bias = (one.detach().double().cpu().numpy() for one in self.network_.head.parameters())
+        left = (labels - self._centre) / self._spread - features @ weight.T - bias
+        self.prior_ = fit_copy_prior(features, left, number)
         return self
 
     def _describe(self, images: Tensor, recording: NDArray[np.integer]) -> None:
@@ -378,7 +404,7 @@ class NetworkEstimator(Estimator):
             learned[f"scaling.{name}"] = torch.from_numpy(np.array(values, dtype=np.float64))
         learned |= self.intervals_.state("scaling.")
         learned |= {} if self.others_ is None else self.others_.state(OTHER)
-        for one in (self.novelty_, self.domain_):
+        for one in (self.novelty_, self.domain_, self.prior_):
             learned |= {} if one is None else one.state()
         return learned
 
@@ -423,6 +449,7 @@ class NetworkEstimator(Estimator):
         model.others_ = Intervals.from_state(state, k, OTHER) if has_intervals(state, OTHER) else None
         model.novelty_ = Novelty.from_state(state, len(classes), network.width) if classes else None
         model.domain_ = Domain.from_state(state, picture_width())
+        model.prior_ = CopyPrior.from_state(state, k, network.width)
         return model
 
 
