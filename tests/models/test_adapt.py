@@ -13,7 +13,7 @@ from tests.models.conftest import pictures
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, fine_tuning, load_model, save_model
-from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, epochs_of
+from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, better_of, epochs_of
 from tapetum.models.last_layer import Correction
 
 pytestmark = pytest.mark.usefixtures("narrow")
@@ -83,6 +83,12 @@ def test_the_card_says_what_an_adapted_network_has_to_beat(base: NetworkEstimato
     # Of labels that have nothing to do with the pictures neither learns anything.
     assert best[0] < 0.4 * guess[0] and best[1] > 0.9 * guess[1]
     assert ridge[0] < 0.7 * guess[0] and ridge[1] > 0.9 * guess[1]
+
+
+def test_all_layers_are_kept_where_they_are_clearly_better() -> None:
+    """They err more at the edges of the field than frames left out amid the others show."""
+    assert better_of({LAST: 1.0, ALL: 0.8}) == LAST == better_of({LAST: 1.0, ALL: 2.0})
+    assert better_of({LAST: 1.0, ALL: 0.7}) == ALL
 
 
 def test_what_tests_is_never_looked_at(base: NetworkEstimator) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -46,7 +46,7 @@ from tapetum.models.training import (
 from tapetum.models.zernike_ridge import ZernikeRidge, ridge_residuals
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "epochs_of", "ridge_scales"]
+__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "better_of", "epochs_of", "ridge_scales"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -278,7 +278,7 @@ class Adaptation:
             residuals[at] = kept
         everything = np.arange(len(self.targets))
         errors = {LAST: float(np.abs(last).mean()), ALL: float(np.abs(residuals).mean())}
-        best = _better(errors)
+        best = better_of(errors)
         head = self.head(everything, how)
         network = self._finished(best, everything, head)
         why = f"{self._said(errors)} on frames left out in turn, in {len(asides)} folds"
@@ -323,7 +323,7 @@ class Adaptation:
             LAST: float(np.abs(head(self.features[choose]) - self.targets[choose]).mean()),
             ALL: float(np.abs(self.outputs(network, choose) - self.targets[choose]).mean()),
         }
-        best = _better(errors)
+        best = better_of(errors)
         n = len(choose)
         why = f"{best}: {self._said(errors)} on {n} frames that neither"
         left_out = {**errors, **self.beside([chosen_mask], [fit])}
@@ -430,7 +430,8 @@ class Adaptation:
         return model
 
 
-def _better(errors: dict[str, float]) -> str:
+def better_of(errors: Mapping[str, float]) -> str:
+    """Return what is kept, `ALL` or `LAST`, by the errors of both on frames that neither has fitted."""
     return ALL if errors[ALL] < _CLEARLY * errors[LAST] else LAST
 
 
