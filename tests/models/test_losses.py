@@ -40,6 +40,16 @@ def test_a_weighted_loss_is_that_of_the_sure_labels() -> None:
     assert MixedLoss(2, True)(output, torch.cat([target, sure], 1)) == pytest.approx(float(alone))
 
 
+@pytest.mark.parametrize("weighted", [False, True])
+def test_a_class_is_the_last_column(weighted: bool) -> None:
+    output, quantities = torch.tensor([[0.3, 0.1, 0.2, 1.5, -0.4]]), torch.tensor([[0.0, 0.1]])
+    columns = [quantities, torch.full((1, 2), 0.7), torch.tensor([[1.0]])]
+    wanted = torch.cat(columns if weighted else [columns[0], columns[2]], 1)
+    alone = MixedLoss(2, weighted)(output[:, :2], wanted[:, :-1])
+    score = torch.nn.functional.cross_entropy(output[:, 2:], torch.tensor([1]))
+    assert float(MixedLoss(2, weighted)(output, wanted)) == pytest.approx(float(alone + score))
+
+
 def test_the_ridge_follows_sure_labels() -> None:
     """Wrong labels of wide deviation pull the fit aside only where they are not known to be wide."""
     rng = np.random.default_rng(1)

@@ -33,7 +33,10 @@ class MixedLoss:
     weighted: bool = False
 
     def __call__(self, output: Tensor, target: Tensor) -> Tensor:
-        """Return the mean loss of outputs [n, K + C] for targets [n, K] or [n, K + 1], with weights K columns more."""
+        """Return the mean loss of outputs [n, K + C] for targets [n, K] or [n, K + 1].
+
+        Weights are K columns more, before the class.
+        """
         k = self.quantities
         quantities = output.new_zeros(())
         if k and self.weighted:
@@ -43,4 +46,4 @@ class MixedLoss:
             quantities = SmoothL1()(output[:, :k], target[:, :k])
         if output.shape[1] == k:
             return quantities
-        return quantities + F.cross_entropy(output[:, k:], target[:, k].long())
+        return quantities + F.cross_entropy(output[:, k:], target[:, -1].long())
