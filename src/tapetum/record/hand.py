@@ -150,7 +150,7 @@ class Hands:
         corner = np.array([[-1.0, -1.0], [1.0, 1.0]]) * (1.3 * _REACH + 4 * _TREMBLE)
         steepest = largest_sine(tilt_of_gaze(self._scene, torch.from_numpy(corner)))
         camera = Camera(self._scene, steepest, edge="dimmed", device="cpu")
-        windows = windows_of(camera, steepest, float(np.abs(self._places).max()))
+        windows, _ = windows_of(camera, steepest, float(np.abs(self._places).max()))
         self._cameras = {share: camera.on(window) for share, window in windows.items()}
         one = torch.ones((), dtype=torch.float64)
         sensor = self._scene.probe.sensor

@@ -82,9 +82,16 @@ class Returns:
         whole = functools.lru_cache(1)(
             lambda node: Camera(replace(scene, distance=node), steepest, edge="dimmed", device="cpu")
         )
-        self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(lambda node, window: whole(node).on(window))
-        self._windows, finite = self._widest(whole, steepest)
+        self._windows, finite, planned = self._widest(whole, steepest)
         self._node = self._nodes(finite)
+        kept = {
+            (node, window): camera
+            for (node, window), camera in planned.items()
+            if window in self._windows.values() and node in self._node
+        }
+        self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
+            lambda node, window: kept.get((node, window)) or whole(node).on(window)
+        )
         # Spline errors stay below 1e-3 of the peak for fringes of 7 pixels (cubic) or 4 pixels (quintic).
         fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * scene.target.lens.aperture_radius)
         self._order = 3 if fringe >= 7 * sensor.pitch else 5
@@ -99,16 +106,21 @@ class Returns:
         """Return the patch of every beam in a frame, at the scene's power and exposure."""
         return self._batch(frame // _BATCH)[frame % _BATCH]
 
-    def _widest(self, whole: Callable[[float], Camera], steepest: float) -> tuple[dict[float, Grid], bool]:
-        """Return the window that holds a beam's RR at every distance, by its share of the light, and whether the
-        probe's aperture cuts it at any."""
+    def _widest(
+        self, whole: Callable[[float], Camera], steepest: float
+    ) -> tuple[dict[float, Grid], bool, dict[tuple[float, Grid], Camera]]:
+        """Return the window that holds a beam's RR at every distance, by its share of the light, whether the probe's
+        aperture cuts it at any, and the cameras that were planned for this, by distance and window."""
         away, windows, finite = float(self._centres.abs().max()), dict[float, Grid](), False
+        planned: dict[tuple[float, Grid], Camera] = {}
         for end in {float(self._distance.min()), float(self._distance.max())}:
-            camera, on = whole(end), functools.partial(self._camera_at, end)
+            camera = whole(end)
             finite |= camera.finite
-            for share, window in windows_of(camera, steepest, away, on).items():
+            found, tried = windows_of(camera, steepest, away)
+            planned |= {(end, one.output): one for one in tried}
+            for share, window in found.items():
                 windows[share] = max(windows.get(share, window), window, key=lambda grid: grid.rows)
-        return windows, finite
+        return windows, finite, planned
 
     def _nodes(self, finite: bool) -> Array:
         """Return the distance at which each frame is simulated, [T] in metres."""
@@ -237,12 +249,11 @@ def flashes_of(
     return Flashes(scene, seconds, tilt_of_gaze(scene, torch.from_numpy(gaze)).numpy(), place, roll, distance)
 
 
-def windows_of(
-    camera: Camera, steepest: float, away: float, on: Callable[[Grid], Camera] | None = None
-) -> dict[float, Grid]:
+def windows_of(camera: Camera, steepest: float, away: float) -> tuple[dict[float, Grid], list[Camera]]:
     """Return windows that cut a beam's RR off only where little of its light is left, by the beam's share of the light.
 
-    The light is measured at several tilts, on a window that is widened until little is left at its edges.
+    The light is measured at several tilts, on a window that is widened until little is left at its edges. The second
+    result are the cameras on which it was measured: planning for a traced lens takes seconds.
 
     Parameters
     ----------
@@ -252,27 +263,27 @@ def windows_of(
         Sine of the steepest tilt.
     away
         How far from the middle of the probe's sensor an RR may lie, in metres: no window is wider than the frame.
-    on
-        Returns the camera on a window; `camera.on` unless the caller keeps such cameras.
     """
-    sensor, none, on = camera.scene.probe.sensor, torch.zeros((1, 2), dtype=torch.float64), on or camera.on
+    sensor, none = camera.scene.probe.sensor, torch.zeros((1, 2), dtype=torch.float64)
     shares = {share for _, _, share in camera.beams(none, none)}
     most = _odd(max(sensor.pixels) + 2 * math.ceil(away / sensor.pitch))
     usual = camera.window().rows
-    side = max(usual, min(_CROPS, most))
+    side = max(usual, min(2 * usual - 1, _CROPS, most))
+    tried = [camera.on(Grid(side, side, sensor.pitch))]
     with _one_thread():
-        left = _left_at_edges(on(Grid(side, side, sensor.pitch)), steepest)
-        while side < most and left[-1] > _LEFT:
-            wider = min(max((left[-1] / _LEFT) ** (1 / _FALL), _WIDER[0]), _WIDER[1])
+        left = _left_at_edges(tried[-1], steepest)
+        while side < most and left[-1] > (least := _LEFT_IN_CROPS if side < _CROPS else _LEFT):
+            wider = min(max((left[-1] / least) ** (1 / _FALL), _WIDER[0]), _WIDER[1])
             side = min(_odd(math.ceil(wider * side)), most)
-            left = _left_at_edges(on(Grid(side, side, sensor.pitch)), steepest)
+            tried.append(camera.on(Grid(side, side, sensor.pitch)))
+            left = _left_at_edges(tried[-1], steepest)
     sides: dict[float, int] = {}
     for share in shares:
         inside, outside = (_least(left * share / max(shares), least) for least in (_LEFT_IN_CROPS, _LEFT))
         sides[share] = max(usual, min(inside, max(outside, _CROPS), side))
     for largest in (side, max(sides.values())):
         sides = {share: one if one < _SMALLER * largest else largest for share, one in sides.items()}
-    return {share: Grid(one, one, sensor.pitch) for share, one in sides.items()}
+    return {share: Grid(one, one, sensor.pitch) for share, one in sides.items()}, tried
 
 
 def _odd(pixels: int) -> int:
