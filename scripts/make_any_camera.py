@@ -37,7 +37,7 @@ from tapetum.models.augmentation import Augmentation
 from tapetum.models.domain import fit_domain, picture_features
 from tapetum.models.inputs import prepare
 from tapetum.models.intervals import Intervals
-from tapetum.models.last_layer import LastLayer, corrected
+from tapetum.models.last_layer import Correction, LastLayer, corrected
 from tapetum.models.other_units import grouped_half_width
 from tapetum.models.own_layers import OwnLayers, beside_copies
 from tapetum.models.snr import crop_snr
@@ -213,7 +213,7 @@ def few_shot(
     for number in np.unique(camera):
         x, y = features[camera == number], wanted[camera == number]
         if len(x) > shots:
-            errors.append(y[shots:] - corrected(layer, x[:shots], y[:shots], None, penalty)(x[shots:]))
+            errors.append(y[shots:] - corrected(layer, x[:shots], y[:shots], None, Correction(penalty))(x[shots:]))
     return np.concatenate(errors)
 
 
