@@ -6,7 +6,7 @@ our reading. Smoothing here is a 3 x 3 median, which removes hot pixels, followe
 In a lit room that point may lie on a wall or a lamp behind the target. The probe, focused at infinity, blurs those by
 its whole aperture, D f_p/d, while laser light from a lens has rings and lobes as fine as λ f_p/D. So light without fine
 structure is not taken for an RR if light with it exists (`find_centre`). This departs from the paper, whose recordings
-had no lit rooms.
+had no lit rooms. A little over 400 lines, as finding, centring and cutting share one smoothing.
 """
 
 from __future__ import annotations

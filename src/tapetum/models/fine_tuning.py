@@ -1,4 +1,7 @@
-"""The steps of an adaptation: which layers are fitted again, on which frames, and how wide the intervals become."""
+"""The steps of an adaptation: which layers are fitted again, on which frames, and how wide the intervals become.
+
+One file of more than 400 lines: few frames and many take the same steps on the same state, in another order.
+"""
 
 from __future__ import annotations
 
@@ -266,7 +269,7 @@ class Adaptation:
         names = np.unique(self.folds)
         asides = [self.folds == k for k in names]
         fits = [self.apart(aside) for aside in asides]
-        last, how = self._last_layer(asides, fits)
+        last, how = self.last_layer(asides, fits)
         residuals = np.full_like(self.targets, np.nan)
         for k, (aside, fit) in enumerate(zip(asides, fits, strict=True)):
             at = np.flatnonzero(aside)
@@ -316,7 +319,7 @@ class Adaptation:
         choose = self._away(choose, calibrate)
         chosen_mask = np.zeros(len(self.targets), bool)
         chosen_mask[choose] = True
-        _, how = self._last_layer([chosen_mask], [fit])
+        _, how = self.last_layer([chosen_mask], [fit])
         head = self.head(fit, how)
         network, history = self.trained(fit, head, WHOLE, choose)
         errors = {
@@ -348,7 +351,7 @@ class Adaptation:
     def _last_layer_of_all(self, why: str, left_out: dict[str, float], told: dict[str, Any]) -> NetworkEstimator:
         """The base with its last layer corrected by every frame: that takes no time, so each calibrates too."""
         asides = [self.folds == k for k in np.unique(self.folds)]
-        residuals, how = self._last_layer(asides, [self.apart(aside) for aside in asides])
+        residuals, how = self.last_layer(asides, [self.apart(aside) for aside in asides])
         n, folds = len(self.targets), f"in {len(asides)} folds"
         head = self.head(np.arange(n), how)
         summary = {
@@ -375,7 +378,7 @@ class Adaptation:
         kept = one & ~meeting(span, np.asarray(self.part.dataset["recording"].values), one, other)
         return np.flatnonzero(kept) if kept.any() else these
 
-    def _last_layer(self, asides: list[NDArray[np.bool_]], fits: list[NDArray[np.intp]]) -> tuple[Array, Correction]:
+    def last_layer(self, asides: list[NDArray[np.bool_]], fits: list[NDArray[np.intp]]) -> tuple[Array, Correction]:
         """Return the last layer's errors [N, K] on the frames left out, and the correction with the smallest ones."""
         best, least, chosen = np.empty(0), np.inf, PENALTIES[0]
         for how in PENALTIES if self.prior is None else (*PENALTIES, *FROM_COPIES):
