@@ -106,6 +106,7 @@ def test_many_frames_keep_a_part_aside(base: NetworkEstimator, tmp_path: Path, m
     # A last layer that may hardly change: training all layers wins.
     monkeypatch.setattr(fine_tuning, "PENALTIES", (Correction(1e9),))
     monkeypatch.setattr(fine_tuning, "_RATE", 1e-4)
+    monkeypatch.setattr(fine_tuning, "_UNLIKE", np.inf)
     data = other(300, 60, reach=0.05)
     mine = adapt(base, data, epochs=4)
     told = mine.training_ or {}
@@ -118,11 +119,40 @@ def test_many_frames_keep_a_part_aside(base: NetworkEstimator, tmp_path: Path, m
     np.testing.assert_array_equal(again.predict(data.tp.test).value, mine.predict(data.tp.test).value)
 
 
+@pytest.mark.parametrize(("frames", "unlike"), [(60, False), (60, True), (300, True)])
+def test_a_camera_unlike_the_bases_is_learned_from_a_last_layer_of_zeros(
+    base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch, frames: int, unlike: bool
+) -> None:
+    """From the corrected layer, which fits what is peculiar to its frames, no better features were found."""
+    # So small a network errs by 0.25 even on another copy.
+    monkeypatch.setattr(fine_tuning, "_UNLIKE", 0.5)
+    begun: list[tuple[float, float]] = []
+
+    def seen(network: torch.nn.Module, looks: torch.Tensor, *rest: object, **more: object) -> object:
+        settings = rest[1]
+        begun.append((float(network.head.weight.detach().abs().max()), settings.learning_rate))  # type: ignore[attr-defined]
+        return train(network, looks, *rest, **more)  # type: ignore[arg-type]
+
+    train = fine_tuning.train
+    monkeypatch.setattr(fine_tuning, "train", seen)
+    data = other(frames)
+    if unlike:
+        # No RR shows these gazes: the last layer cannot be corrected to them.
+        noise = np.random.default_rng(2).normal(0, 0.2, (len(data["frame"]), 2))
+        labels = {name: data[name] * 0 + noise[:, k] for k, name in enumerate(("gaze_x", "gaze_y"))}
+        data = data.assign(labels)
+    told = adapt(base, data, epochs=1).training_ or {}
+    assert ("start" in told["chosen"]) == unlike
+    assert begun and all((weight == 0.0) == unlike for weight, _ in begun)
+    assert {rate for _, rate in begun} == {2e-3 if unlike else 5e-4}
+
+
 def test_a_last_layer_that_wins_is_fitted_to_all_frames_and_calibrated_by_all(
     base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Of 300 frames a quarter neither fitted nor, but for a few, calibrated: its intervals rested on some 50."""
     monkeypatch.setattr(fine_tuning, "_RATE", 0.05)
+    monkeypatch.setattr(fine_tuning, "_UNLIKE", np.inf)
     data = other(300, 60)
     mine = adapt(base, data, epochs=1)
     told = mine.training_ or {}
