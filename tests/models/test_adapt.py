@@ -22,6 +22,12 @@ TINY = {"crop": 36, "size": 24, "epochs": 6, "batch": 20, "device": "cpu"}
 RATE = 15.0
 
 
+@pytest.fixture(autouse=True)
+def _another_copy_is_like_the_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    # So small a network errs by 0.25 of the labels' spread even on another copy.
+    monkeypatch.setattr(fine_tuning, "_UNLIKE", 0.5)
+
+
 @pytest.fixture(scope="module")
 def base(small: xr.Dataset) -> NetworkEstimator:
     return NetworkEstimator(**TINY).fit(small)
@@ -124,8 +130,6 @@ def test_a_camera_unlike_the_bases_is_learned_from_a_last_layer_of_zeros(
     base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch, frames: int, unlike: bool
 ) -> None:
     """From the corrected layer, which fits what is peculiar to its frames, no better features were found."""
-    # So small a network errs by 0.25 even on another copy.
-    monkeypatch.setattr(fine_tuning, "_UNLIKE", 0.5)
     begun: list[tuple[float, float]] = []
 
     def seen(network: torch.nn.Module, looks: torch.Tensor, *rest: object, **more: object) -> object:
@@ -152,7 +156,6 @@ def test_a_last_layer_that_wins_is_fitted_to_all_frames_and_calibrated_by_all(
 ) -> None:
     """Of 300 frames a quarter neither fitted nor, but for a few, calibrated: its intervals rested on some 50."""
     monkeypatch.setattr(fine_tuning, "_RATE", 0.05)
-    monkeypatch.setattr(fine_tuning, "_UNLIKE", np.inf)
     data = other(300, 60)
     mine = adapt(base, data, epochs=1)
     told = mine.training_ or {}
@@ -188,10 +191,15 @@ def interrupted(base: NetworkEstimator, data: xr.Dataset, folder: Path, after: i
         adapt(base, data, epochs=1, checkpoint=folder, progress=progress)
 
 
-@pytest.mark.parametrize("frames", [60, 300])
-def test_an_interrupted_adaptation_goes_on_to_the_same_result(base, tmp_path: Path, frames: int) -> None:
+@pytest.mark.parametrize(("frames", "unlike"), [(60, False), (300, False), (60, True), (300, True)])
+def test_an_interrupted_adaptation_goes_on_to_the_same_result(
+    base, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frames: int, unlike: bool
+) -> None:
     data, seen = other(frames, 10), list[str]()
+    if unlike:
+        monkeypatch.setattr(fine_tuning, "_UNLIKE", 0.0)
     whole = adapt(base, data, epochs=1)
+    assert ("start" in (whole.training_ or {})["chosen"]) == unlike
     interrupted(base, data, tmp_path / "kept", 2 if frames == 60 else 0)
 
     def progress(items, what, *, total=None):
