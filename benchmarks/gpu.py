@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import torch
 
 import tapetum as tp
+from tapetum.simulate.exposure import digitise
+from tapetum.simulate.radiometry import electrons
 
 from .measure import Contender, Effort, Figure, Row, in_turns, wait
 from .retroreflection import share_of_ceiling
@@ -18,42 +21,54 @@ _SCENES = {
     "thin-lens": ["target.object_distance=1 m", *_PIXELS],
     "rotation": _PIXELS,
 }
+_ONE_BEAM = {"thin-lens": [], "rotation": ["illumination.second_beam.ratio=0"]}
+_NAMES = {"thin-lens": "a thin lens", "rotation": "the Rotation set's lens, traced"}
 _SINE = math.sin(math.radians(0.5))
 
 
 def run(effort: Effort) -> list[Row]:
-    """Batches of frames on GPU and CPU in turns, then the hot loop beside its products; nothing without a GPU."""
+    """Batches of frames on GPU and CPU in turns, then the hot loops beside their products; nothing without a GPU."""
     if not torch.cuda.is_available():
         return []
-    rows = [_frames("thin-lens", "a thin lens", effort), _frames("rotation", "the Rotation set's lens, traced", effort)]
-    return [*rows, _share_of_ceiling(effort)]
+    rows = [_frames("thin-lens", effort), _frames("rotation", effort), _frames("rotation", effort, noise=True)]
+    return [*rows, *(_share_of_ceiling(scene, effort) for scene in _SCENES)]
 
 
-def _frames(scene: str, what: str, effort: Effort) -> Row:
-    """Images of a batch of gazes, the camera held."""
-    gazes, few = _gazes(effort.of(512, 8)).cuda(), _gazes(effort.of(32, 2))
-    cameras = {name: tp.Camera(tp.load_scene(scene, _SCENES[scene]), _SINE, device=name) for name in ("cuda", "cpu")}
+def _frames(scene: str, effort: Effort, *, noise: bool = False) -> Row:
+    """Images of a batch of gazes, the camera held; with `noise` as a sensor takes them, in the CPU's memory."""
+    gazes, few = _gazes(effort.of(2048, 8)).cuda(), _gazes(effort.of(32, 2))
+    held = tp.load_scene(scene, _SCENES[scene])
+    cameras = {name: tp.Camera(held, _SINE, device=name) for name in ("cuda", "cpu")}
+    sensor, wavelength, dice = held.probe.sensor, held.illumination.wavelength, np.random.default_rng(0)
+
+    def taken(name: str, tilts: torch.Tensor) -> None:
+        image = cameras[name](tilts)
+        if noise:
+            digitise(electrons(image, sensor, wavelength), sensor, dice)
+        else:
+            wait(image)
+
     contenders = {
-        "cuda": Contender(lambda: wait(cameras["cuda"](gazes)), work=len(gazes), repeats=effort.of(3, 1)),
-        "cpu": Contender(lambda: cameras["cpu"](few), work=len(few)),
+        "cuda": Contender(lambda: taken("cuda", gazes), work=len(gazes), repeats=effort.of(3, 1)),
+        "cpu": Contender(lambda: taken("cpu", few), work=len(few)),
     }
     timings = in_turns(contenders, effort.rounds)
     one, other = (cameras[name](few.to(name)).double().cpu() for name in ("cuda", "cpu"))
     return Row(
-        f"{what}, batches of {len(gazes)} gazes within ±0.5°",
+        f"{_NAMES[scene]}, {'with noise, ' if noise else ''}batches of {len(gazes)} gazes within ±0.5°",
         Figure.rate(timings.typical("cuda"), "frames"),
         f"the same on {torch.get_num_threads()} CPU threads",
         Figure.rate(timings.typical("cpu"), "frames"),
         timings.speed_up("cuda", "cpu"),
-        f"the two differ by {float((one - other).abs().max() / other.max()):.1g} of the peak",
+        f"without noise the two differ by {float((one - other).abs().max() / other.max()):.1g} of the peak",
     )
 
 
-def _share_of_ceiling(effort: Effort) -> Row:
-    camera = tp.Camera(tp.load_scene("thin-lens", _SCENES["thin-lens"]), _SINE, device="cuda")
-    case = "hot loop of the thin lens, in operations of the plain matrix transform"
+def _share_of_ceiling(scene: str, effort: Effort) -> Row:
+    camera = tp.Camera(tp.load_scene(scene, [*_SCENES[scene], *_ONE_BEAM[scene]]), _SINE, device="cuda")
+    case = f"hot loop of {_NAMES[scene]}, one beam, in operations of the plain matrix transform"
     note = f"{camera.plan.columns} × {camera.plan.rows} samples over the pupil"
-    return share_of_ceiling(camera, _gazes(effort.of(512, 8)).cuda(), effort, case, note)
+    return share_of_ceiling(camera, _gazes(effort.of(2048, 8)).cuda(), effort, case, note)
 
 
 def _gazes(count: int) -> torch.Tensor:

@@ -16,8 +16,8 @@ from torch.nn import functional as F
 
 from tapetum.errors import InputError
 from tapetum.models.augmentation import Augmentation
-from tapetum.models.busy import BusySample, covered
-from tapetum.models.checkpoint import CHECKPOINT, HISTORY
+from tapetum.models.busy import BusySample, busy_share, covered
+from tapetum.models.checkpoint import CHECKPOINT, HISTORY, KeptEpoch
 from tapetum.models.training import EpochReport, TrainingSettings, kept_epoch, train
 
 PLAIN = TrainingSettings(epochs=2, batch=8, learning_rate=1e-2, augmentation=Augmentation.none())
@@ -194,6 +194,12 @@ def test_busy_time_counts_overlaps_once():
     assert covered([]) == 0
 
 
+def test_the_busy_share_is_of_the_later_half():
+    assert busy_share([(0, 0.1), (5, 6), (8, 10)]) == pytest.approx(3 / 5)
+    assert busy_share([(4, 6), (9, 10)]) == pytest.approx(1 / 3)
+    assert busy_share([(3, 3)]) == 0
+
+
 def test_a_sample_of_busy_time():
     sample = BusySample(torch.device("cpu"), 1, 2)
     a = torch.randn(200, 200)
@@ -255,6 +261,46 @@ def test_half_a_checkpoint_is_told(data, checkpoint, tmp_path: Path):
     (tmp_path / CHECKPOINT).write_bytes(whole[: len(whole) // 2])
     with pytest.raises(InputError, match="damaged checkpoint"):
         resume(data, tmp_path)
+
+
+def test_quick_epochs_are_written_when_the_training_is_stopped(data, tmp_path: Path, monkeypatch):
+    """Not each of them, and none is lost, whether they end in the middle of an epoch or between two."""
+    written: list[int] = []
+    write = KeptEpoch.__init__.__globals__["_write"]
+
+    def counted(folder: Path, tensors, metadata) -> None:
+        write(folder, tensors, metadata)
+        written.append(len(json.loads(metadata["history"])))
+
+    monkeypatch.setattr("tapetum.models.checkpoint._write", counted)
+    validated: list[nn.Module] = []
+
+    def stopping(network: nn.Module) -> float:
+        validated.append(network)
+        if len(validated) == 4:
+            raise KeyboardInterrupt
+        return 1.0
+
+    with pytest.raises(KeyboardInterrupt):
+        train(tiny(), *data, VARIED, device="cpu", checkpoint=tmp_path, validate=stopping)
+    assert written == [1, 3]
+    resumed, whole = tiny(), tiny()
+    train(resumed, *data, VARIED, device="cpu", checkpoint=tmp_path, resume=True)
+    assert written == [1, 3, 4]
+    train(whole, *data, VARIED, device="cpu")
+    assert_equal(weights(resumed), weights(whole))
+
+
+def test_slow_epochs_are_all_written(data, tmp_path: Path, monkeypatch):
+    seconds = iter(range(0, 10_000, 11))
+    monkeypatch.setattr("tapetum.models.checkpoint.time.monotonic", lambda: next(seconds))
+    seen: list[int] = []
+
+    def look(report: EpochReport) -> None:
+        seen.append(len(json.loads((tmp_path / HISTORY).read_text(encoding="utf-8"))["epochs"]))
+
+    train(tiny(), *data, VARIED, device="cpu", checkpoint=tmp_path, on_epoch=look)
+    assert seen == [1, 2, 3, 4]
 
 
 def test_the_history_can_be_read(checkpoint):

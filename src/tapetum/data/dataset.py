@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,6 +20,7 @@ from pydantic import BaseModel, ConfigDict, PositiveFloat, ValidationError
 
 from tapetum.data.content import DIGEST, DIGEST_BYTES, hash_of, image_digests
 from tapetum.errors import InputError
+from tapetum.futures import in_order
 from tapetum.progress import Progress, quiet
 
 if TYPE_CHECKING:
@@ -65,6 +67,8 @@ DEVICE = "device"
 UNIT = "unit"
 """Variable that numbers the copies of a camera, where they are known: integers, named as those of `DEVICE`."""
 
+# Batches that are read at once: a part of the store that two of them share is then seldom read twice.
+_TOGETHER = 4
 _NEEDED = ("image", "split", "recording")
 _AGAIN = "build the dataset again"
 _BUILT = "give a folder that `tapetum dataset build` wrote"
@@ -107,8 +111,15 @@ def image_batches(dataset: xr.Dataset, size: int = 64) -> Iterator[NDArray[np.ge
     if size < 1:
         raise InputError(f"must be positive, is {size}", where="size", remedy="give a number of frames")
     image = _images_of(dataset)
-    for start in range(0, image.sizes["frame"], size):
-        yield _read(image.isel(frame=slice(start, start + size)), dataset)
+    together = _TOGETHER * size
+    with ThreadPoolExecutor(1, "images") as reader:
+        # The next part is read while one is used.
+        parts = (
+            reader.submit(_read, image.isel(frame=slice(start, start + together)), dataset)
+            for start in range(0, image.sizes["frame"], together)
+        )
+        for part in in_order(parts, 2):
+            yield from (part[start : start + size] for start in range(0, len(part), size))
 
 
 def _images_of(dataset: xr.Dataset) -> xr.DataArray:

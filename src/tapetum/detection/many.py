@@ -10,7 +10,6 @@ import contextlib
 import functools
 import multiprocessing
 import signal
-from collections import deque
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing.shared_memory import SharedMemory
@@ -25,6 +24,7 @@ from tapetum.blas import one_blas_thread
 from tapetum.detection.find import find_cameras
 from tapetum.detection.found import Found
 from tapetum.errors import InputError
+from tapetum.futures import in_order
 
 __all__ = ["find_each"]
 
@@ -68,25 +68,13 @@ def find_each(frames: Iterable[Pair], *, threads: int = 2, processes: int = 0, *
         raise InputError(f"must be at least 0, is {processes}", where="processes")
     with contextlib.ExitStack() as stack:
         submit = _by_processes(stack, processes, options) if processes else _by_threads(stack, threads, options)
-        yield from _in_order(frames, submit, 2 * (processes or threads))
+        held = 2 * (processes or threads)
+        # Each with the number of a place that is free.
+        found = (submit(number % held, lit, dark) for number, (lit, dark) in enumerate(frames))
+        yield from in_order(found, held)
 
 
 Submit = Callable[[int, NDArray[np.generic], NDArray[np.generic] | None], "Future[Found]"]
-
-
-def _in_order(frames: Iterable[Pair], submit: Submit, held: int) -> Generator[Found]:
-    """Hand frames on, with the number of a place that is free, and yield what was found in order."""
-    waiting: deque[Future[Found]] = deque()
-    try:
-        for number, (lit, dark) in enumerate(frames):
-            waiting.append(submit(number % held, lit, dark))
-            if len(waiting) >= held:
-                yield waiting.popleft().result()
-        while waiting:
-            yield waiting.popleft().result()
-    finally:
-        for one in waiting:
-            one.cancel()
 
 
 def _by_threads(stack: contextlib.ExitStack, threads: int, options: dict[str, Any]) -> Submit:

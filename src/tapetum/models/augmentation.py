@@ -60,9 +60,10 @@ def augment(images: Tensor, settings: Augmentation, generator: torch.Generator) 
         return (2 * torch.rand(*shape, generator=generator, device=generator.device) - 1).to(images)
 
     if settings.shift > 0:
+        across, down = (settings.shift * uniform(n, 2)).unbind(1)
         # affine_grid counts in half images: 2/width is a pixel.
-        offset = settings.shift * uniform(n, 2) * torch.tensor([2 / width, 2 / height]).to(images)
-        eye = torch.eye(2).to(images).expand(n, 2, 2)
+        offset = torch.stack([across * (2 / width), down * (2 / height)], 1)
+        eye = torch.eye(2, dtype=images.dtype, device=images.device).expand(n, 2, 2)
         grid = F.affine_grid(torch.cat([eye, offset[:, :, None]], dim=2), list(images.shape), align_corners=False)
         images = F.grid_sample(images, grid, mode="bilinear", padding_mode="border", align_corners=False)
     if settings.gain > 0:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 
 import torch
 from torch.profiler import ProfilerActivity, profile
 
-__all__ = ["BusySample", "covered"]
+__all__ = ["BusySample", "busy_share", "covered"]
 
-_STEPS = 8
+_STEPS = 32
 
 
 def covered(spans: Iterable[tuple[float, float]]) -> float:
@@ -20,6 +19,15 @@ def covered(spans: Iterable[tuple[float, float]]) -> float:
         total += max(0.0, end - max(start, reached))
         reached = max(reached, end)
     return total
+
+
+def busy_share(spans: Iterable[tuple[float, float]]) -> float:
+    """Return which share of the time spans cover, over the later half of it: the profiler slows what it begins with."""
+    spans = sorted(spans)
+    last = max(end for _, end in spans)
+    middle = (spans[0][0] + last) / 2
+    later = [(max(start, middle), end) for start, end in spans if end > middle]
+    return covered(later) / (last - middle) if later else 0.0
 
 
 class BusySample:
@@ -33,7 +41,6 @@ class BusySample:
     def __init__(self, device: torch.device, first: int, steps: int = _STEPS) -> None:
         self._device, self._first, self._after = device, first, first + steps
         self._profile: profile | None = None
-        self._start = 0.0
         self.share: float | None = None
 
     def before(self, step: int) -> None:
@@ -44,7 +51,6 @@ class BusySample:
             self._profile = profile(activities=kinds, acc_events=True)
             self._wait()
             self._profile.start()
-            self._start = time.perf_counter()
         elif step == self._after:
             self.end()
 
@@ -53,9 +59,7 @@ class BusySample:
         if self._profile is None:
             return
         self._wait()
-        seconds = time.perf_counter() - self._start
         self._profile.stop()
-        # The profiler counts in microseconds.
         spans = [
             (event.time_range.start, event.time_range.end)
             for event in self._profile.events() or ()
@@ -63,7 +67,7 @@ class BusySample:
         ]
         self._profile = None
         # Without kernels the profiler had no access to the GPU's counters: the share is unknown.
-        self.share = min(1.0, covered(spans) * 1e-6 / seconds) if spans else None
+        self.share = busy_share(spans) if spans else None
 
     def _wait(self) -> None:
         if self._device.type == "cuda":

@@ -74,14 +74,18 @@ def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) 
     `mean` excludes the electrons of hot pixels, which are added here; `rng` draws the noise, while the places of hot
     pixels belong to the sensor. Raises InputError where a sensor with hot pixels gets no whole frames [..., H, W].
     """
-    generator = torch.Generator().manual_seed(int(rng.integers(1 << 62)))
-    light = _with_hot_pixels(mean.detach().to("cpu", torch.float32), sensor)
+    generator = torch.Generator(mean.device).manual_seed(int(rng.integers(1 << 62)))
+    light = _with_hot_pixels(mean.detach().float(), sensor)
     counts = torch.poisson(light, generator=generator)
     if sensor.read_noise:
-        counts += sensor.read_noise * torch.randn(counts.shape, generator=generator)
+        counts += sensor.read_noise * torch.randn(counts.shape, generator=generator, device=counts.device)
     top = 2**sensor.bits - 1
     numbers = counts.clamp_(max=sensor.full_well).mul_(gain_of(sensor)).add_(sensor.offset)
-    return numbers.round_().clamp_(0, top).numpy().astype(np.uint8 if sensor.bits <= 8 else np.uint16)
+    numbers = numbers.round_().clamp_(0, top).to(torch.uint8 if sensor.bits <= 8 else torch.uint16)
+    if not numbers.is_cuda:
+        return numbers.numpy()
+    # Into memory that the GPU can write to directly, which is several times faster.
+    return torch.empty_like(numbers, device="cpu", pin_memory=True).copy_(numbers).numpy()
 
 
 def gain_of(sensor: ProbeSensor) -> float:

@@ -21,6 +21,8 @@ __all__ = ["TracedGrids", "TracedPass"]
 # Gazes computed together, and memory for them in bytes: of a sample of the pupils, of the probe's aperture, and of a
 # mask's.
 _AT_ONCE, AT_ONCE_BYTES, _SAMPLE, _CROSSING_SAMPLE, _MASK_SAMPLE = 32, 192 << 20, 96, 32, 48
+# The same on a GPU, which few gazes do not fill: at most, share of its free memory, and bytes of a pixel.
+_AT_ONCE_GPU, _SHARE_GPU, _PIXEL_GPU = 2048, 0.25, 32
 
 
 @dataclass(frozen=True)
@@ -118,7 +120,7 @@ class TracedPass(SampledPass[TracedPupil]):
             window,
             surface if mask is None else mask,
             wavelength=wavelength,
-            at_once=max(1, min(_AT_ONCE, AT_ONCE_BYTES // needed)),
+            at_once=_at_once(needed, path, torch.device(device)),
             dtype=dtype,
             device=device,
         )
@@ -128,6 +130,15 @@ class TracedPass(SampledPass[TracedPupil]):
         light = self.pupil.gazes(sines.to(self.device, torch.float64), self._own).entering()
         cell = (light.columns[:, 1] - light.columns[:, 0]) * (light.rows[:, 1] - light.rows[:, 0])
         return (light.strength**2).sum((1, 2)) / cell * 2 ** sum(light.mirrored)
+
+
+def _at_once(needed: int, path: ProbePath, device: torch.device) -> int:
+    """Gazes computed together, whose samples need so many bytes each."""
+    if device.type != "cuda":
+        return max(1, min(_AT_ONCE, AT_ONCE_BYTES // needed))
+    free, _ = torch.cuda.mem_get_info(device)
+    rows, columns = path.shape
+    return max(1, min(_AT_ONCE_GPU, int(_SHARE_GPU * free / (needed + _PIXEL_GPU * rows * columns))))
 
 
 def _is_faster(length: int, grids: TracedGrids, straight: bool) -> bool:
