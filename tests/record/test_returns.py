@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import chain
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from tapetum.bench import Scene, with_values
 from tapetum.data.synth import make_plan
 from tapetum.record.patch import Patch, add_patch
 from tapetum.record.returns import returns_of
-from tapetum.simulate import tilt_of_gaze
+from tapetum.simulate import tilt_of_gaze, traced_lens
 from tapetum.simulate.radiometry import photoelectrons
 
 
@@ -77,3 +78,17 @@ def test_a_patch_is_no_larger_than_the_frame() -> None:
     assert max(patch.light.shape[0] for patch in one.patches(0)) < max(
         patch.light.shape[0] for patch in usual.patches(0)
     )
+
+
+def test_all_beams_of_a_traced_lens_share_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each window was planned by itself: at 135 mm a minute passed before the first frame."""
+    scene, planned = bench_scene("focusing-50mm-3.5m"), []
+    plan = traced_lens.traced_group
+
+    def counted(*given: Any, **way: Any) -> Any:
+        planned.append(given)
+        return plan(*given, **way)
+
+    monkeypatch.setattr(traced_lens, "traced_group", counted)
+    assert len(patches(scene, np.array([[0.1, 0.05]]))[0]) == 2
+    assert len(planned) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
+from typing import Any
 
 import pytest
 import torch
@@ -12,6 +13,7 @@ import yaml
 
 from tapetum.bench import PhoneTarget, Scene, load_scene, with_values
 from tapetum.optics.grid import Grid
+from tapetum.simulate import traced_lens
 from tapetum.simulate.camera import Camera
 from tapetum.simulate.phone import PhoneCamera, open_camera, phone_scenes, seen_from_probe
 
@@ -145,3 +147,40 @@ def test_windows_hold_what_the_whole_sensor_sees(accuracy: float) -> None:
     assert float(camera(TILT, torch.tensor([[0.1, 0.0]], dtype=torch.float64)).max()) == 0
     # A tenth of the accuracy for each camera and beam.
     assert 0 < apart < 0.2 * accuracy
+
+
+def test_a_plan_for_a_wide_picture_serves_a_narrow_one_of_all_planes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Through the probe's aperture, of a sensor and its filter; a wider picture is planned by itself."""
+    unit = PhoneCamera(phone("phone-03"), 0.05, device="cpu").units[0][0]
+    assert unit.finite and len(unit.scene.target.sensor.layers) > 0
+    planned = []
+    plan = traced_lens.traced_group
+
+    def counted(*given: Any, **way: Any) -> Any:
+        planned.append(given)
+        return plan(*given, **way)
+
+    monkeypatch.setattr(traced_lens, "traced_group", counted)
+    pitch, tilts = unit.output.pitch, torch.tensor([[0.01, -0.004], [0.0, 0.03]], dtype=torch.float64)
+    wide = unit.on(Grid(321, 321, pitch))
+    whole = wide(tilts)
+    assert len(planned) == 1
+    narrow = wide.on(Grid(161, 201, pitch))
+    found = narrow(tilts)
+    assert len(planned) == 1 and narrow.plan == wide.plan
+    assert float((found - whole[:, 80:-80, 60:-60]).abs().max()) < 3e-4 * float(whole.max())
+    alone = unit.on(Grid(161, 201, pitch))
+    again = alone(tilts)
+    assert len(planned) == 2
+    assert float((found - again).abs().max()) <= wide.accuracy * float(again.max())
+    assert narrow.on(Grid(181, 201, pitch))(tilts).shape == (2, 181, 201)
+    assert len(planned) == 3
+
+
+def test_to_the_far_field_a_much_narrower_picture_is_planned_by_itself() -> None:
+    camera = Camera(with_values(load_scene("rotation"), {"sampling.accuracy": 0.1}), 0.01, device="cpu")
+    assert not camera.finite
+    wide = camera.on(Grid(401, 401, 2.2e-6))
+    samples = wide.plan
+    near, far = wide.on(Grid(321, 321, 2.2e-6)), wide.on(Grid(201, 201, 2.2e-6))
+    assert near.plan is samples and far.plan is not samples

@@ -176,7 +176,7 @@ class NetworkEstimator(Estimator):
         progress
             Shown over the reading and over the steps of each epoch.
         checkpoint
-            Folder for a checkpoint after every epoch; after an interruption it holds the last complete epoch.
+            Folder for checkpoints; after an interruption it holds the last complete epoch.
         resume
             Continue from the checkpoint, if there is one; the result is that of an uninterrupted run.
         on_epoch

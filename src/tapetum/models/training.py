@@ -1,4 +1,4 @@
-"""Resumable training in epochs, on CPU or GPUs; every epoch writes a complete checkpoint."""
+"""Resumable training in epochs, on CPU or GPUs; a checkpoint holds the last whole one."""
 
 from __future__ import annotations
 
@@ -88,7 +88,8 @@ def train(
     settings
         How to train.
     loss
-        ``loss(output, target)``, a mean over the images. Several processes need one that can be pickled.
+        ``loss(output, target)``, a mean over the images. Several processes need one that can be pickled; on a GPU it
+        must not read numbers back, as `item` does, because its kernels are recorded (`tapetum.models.steps`).
     validate
         Returns the validation error (lower is better) of the network in evaluation mode. Called in this process only.
     device
@@ -294,7 +295,7 @@ def _optimiser(network: nn.Module, settings: TrainingSettings) -> torch.optim.Ad
     matrices = [p for p in network.parameters() if p.ndim >= 2]
     vectors = [p for p in network.parameters() if p.ndim < 2]
     groups = [{"params": matrices, "weight_decay": settings.weight_decay}, {"params": vectors, "weight_decay": 0.0}]
-    # On a GPU the rate is a tensor, which a recorded step reads anew.
+    # On a GPU the rate is a tensor, which recorded steps read.
     on_gpu = any(parameter.is_cuda for parameter in vectors + matrices)
     rate = torch.tensor(settings.learning_rate, device=vectors[0].device) if on_gpu else settings.learning_rate
     # Fused: one pass over 11 million weights instead of a dozen, 2 to 5 times faster on the CPU.

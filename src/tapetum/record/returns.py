@@ -45,6 +45,8 @@ _LEFT_IN_CROPS, _LEFT = 3e-5, 1e-4
 _CROPS = 481
 # Beyond the edge of a picture out of focus light falls with the square of the distance, of one in focus with the cube.
 _FALL, _WIDER = 2.5, (1.1, 1.5)
+# Width behind the probe's aperture, over the usual one, that is nearly always enough.
+_AT_ONCE = 1.4
 # A window of its own pays, for a beam or beside the one on which light was measured, where it is smaller than this.
 _SMALLER = 0.8
 # Tilts, over the steepest one, at which the light that is left is measured.
@@ -84,13 +86,9 @@ class Returns:
         )
         self._windows, finite, planned = self._widest(whole, steepest)
         self._node = self._nodes(finite)
-        kept = {
-            (node, window): camera
-            for (node, window), camera in planned.items()
-            if window in self._windows.values() and node in self._node
-        }
+        kept = {node: camera for node, camera in planned.items() if node in self._node}
         self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
-            lambda node, window: kept.get((node, window)) or whole(node).on(window)
+            lambda node, window: _on(kept[node] if node in kept else whole(node), window)
         )
         # Spline errors stay below 1e-3 of the peak for fringes of 7 pixels (cubic) or 4 pixels (quintic).
         fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * scene.target.lens.aperture_radius)
@@ -108,16 +106,15 @@ class Returns:
 
     def _widest(
         self, whole: Callable[[float], Camera], steepest: float
-    ) -> tuple[dict[float, Grid], bool, dict[tuple[float, Grid], Camera]]:
+    ) -> tuple[dict[float, Grid], bool, dict[float, Camera]]:
         """Return the window that holds a beam's RR at every distance, by its share of the light, whether the probe's
-        aperture cuts it at any, and the cameras that were planned for this, by distance and window."""
+        aperture cuts it at any, and the cameras that were planned for this, by distance."""
         away, windows, finite = float(self._centres.abs().max()), dict[float, Grid](), False
-        planned: dict[tuple[float, Grid], Camera] = {}
+        planned: dict[float, Camera] = {}
         for end in {float(self._distance.min()), float(self._distance.max())}:
             camera = whole(end)
             finite |= camera.finite
-            found, tried = windows_of(camera, steepest, away)
-            planned |= {(end, one.output): one for one in tried}
+            found, planned[end] = windows_of(camera, steepest, away)
             for share, window in found.items():
                 windows[share] = max(windows.get(share, window), window, key=lambda grid: grid.rows)
         return windows, finite, planned
@@ -249,11 +246,12 @@ def flashes_of(
     return Flashes(scene, seconds, tilt_of_gaze(scene, torch.from_numpy(gaze)).numpy(), place, roll, distance)
 
 
-def windows_of(camera: Camera, steepest: float, away: float) -> tuple[dict[float, Grid], list[Camera]]:
+def windows_of(camera: Camera, steepest: float, away: float) -> tuple[dict[float, Grid], Camera]:
     """Return windows that cut a beam's RR off only where little of its light is left, by the beam's share of the light.
 
     The light is measured at several tilts, on a window that is widened until little is left at its edges. The second
-    result are the cameras on which it was measured: planning for a traced lens takes seconds.
+    result is the camera on which it was measured: planning for a traced lens takes seconds, and serves what is
+    narrower.
 
     Parameters
     ----------
@@ -269,14 +267,17 @@ def windows_of(camera: Camera, steepest: float, away: float) -> tuple[dict[float
     most = _odd(max(sensor.pixels) + 2 * math.ceil(away / sensor.pitch))
     usual = camera.window().rows
     side = max(usual, min(2 * usual - 1, _CROPS, most))
-    tried = [camera.on(Grid(side, side, sensor.pitch))]
+    if camera.finite:
+        # Behind the probe's aperture a wide window takes no more planning than a narrow one, and serves any narrower.
+        side = max(side, min(_odd(math.ceil(_AT_ONCE * usual)), most))
+    tried = camera.on(Grid(side, side, sensor.pitch))
     with _one_thread():
-        left = _left_at_edges(tried[-1], steepest)
+        left = _left_at_edges(tried, steepest)
         while side < most and left[-1] > (least := _LEFT_IN_CROPS if side < _CROPS else _LEFT):
             wider = min(max((left[-1] / least) ** (1 / _FALL), _WIDER[0]), _WIDER[1])
             side = min(_odd(math.ceil(wider * side)), most)
-            tried.append(camera.on(Grid(side, side, sensor.pitch)))
-            left = _left_at_edges(tried[-1], steepest)
+            tried = camera.on(Grid(side, side, sensor.pitch))
+            left = _left_at_edges(tried, steepest)
     sides: dict[float, int] = {}
     for share in shares:
         inside, outside = (_least(left * share / max(shares), least) for least in (_LEFT_IN_CROPS, _LEFT))
@@ -284,6 +285,10 @@ def windows_of(camera: Camera, steepest: float, away: float) -> tuple[dict[float
     for largest in (side, max(sides.values())):
         sides = {share: one if one < _SMALLER * largest else largest for share, one in sides.items()}
     return {share: Grid(one, one, sensor.pitch) for share, one in sides.items()}, tried
+
+
+def _on(camera: Camera, window: Grid) -> Camera:
+    return camera if camera.output == window else camera.on(window)
 
 
 def _odd(pixels: int) -> int:

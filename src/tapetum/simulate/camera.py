@@ -74,6 +74,9 @@ _LEAST_WIDTH = 5
 # Share of the accuracy that the sensor's edges may take from a spot's outer rings before they are computed.
 _EDGE_SHARE = 0.5
 
+# Share of a picture's width from which on its plan serves a narrower one to the far field.
+_AS_WIDE = 0.75
+
 # Steps in which the reach of the scattered light's tables grows.
 _FARTHER = 1.2
 
@@ -167,6 +170,8 @@ class Camera:
         self._directions = directions(light, light.wavelength / (2 * target.lens.aperture_radius))
         self._lens: TracedLens | None = None
         self._like: Camera | None = None
+        # Lines that were planned for more pixels.
+        self._wider: list[_Line] | None = None
         if isinstance(target.lens, PrescriptionLens):
             for name, forced in (("pupil", scene.sampling.pupil), ("sensor", scene.sampling.sensor)):
                 if forced is not None:
@@ -215,7 +220,8 @@ class Camera:
         rings = first.exit_angle / (light.wavelength / (2 * first.radius)) + _RINGS_SHOWN
         path = longest_path(self.scene)
         lines = wavelengths(light, rings, path)
-        likes = _as_many([] if self._like is None else self._like._lines, len(lines))
+        planned = self._wider or ([] if self._like is None else self._like._lines)
+        likes = _as_many(planned, len(lines))
         return [
             self._line(length, watts, self._steepest, like) for (length, watts), like in zip(lines, likes, strict=True)
         ]
@@ -309,7 +315,9 @@ class Camera:
         def opened(group: Sequence[Surface]) -> TracedGroup:
             return lens.group(group, self.output, wavelength, self._accuracy, distance, **where)
 
-        if isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
+        if self._wider is not None and isinstance(planned, TracedGroup) and planned.passes[0].wavelength == wavelength:
+            one = lens.on(planned, self.output, wavelength, distance, **where)
+        elif self._wider is None and isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
             one = lens.again(planned, group, self.output, wavelength, distance, **where)
         else:
             one = opened(group)
@@ -586,8 +594,16 @@ class Camera:
         return Grid(side, side, self.output.pitch)
 
     def on(self, output: Grid) -> Camera:
-        """The same on other pixels, planned for them at the first use."""
+        """The same on other pixels, planned for them at the first use.
+
+        Behind a traced lens, whose planning takes seconds, a plan holds for fewer pixels about the same middle too.
+        """
         other = copy.copy(self)
+        # To the far field a wider picture needs more samples; behind the probe's aperture none does.
+        least = 0.0 if self._finite else _AS_WIDE
+        sides = ((output.rows, self.output.rows), (output.columns, self.output.columns))
+        held = output.pitch == self.output.pitch and all(least * wide <= own <= wide for own, wide in sides)
+        other._wider = self.__dict__.get("_lines") if held and self._lens is not None else None
         for planned in ("_lines", "plan"):
             other.__dict__.pop(planned, None)
         other.output, other._plans, other._masks, other._profiles, other._edge_error = output, [], [], {}, 0.0

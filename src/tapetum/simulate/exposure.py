@@ -44,7 +44,7 @@ def expose(
     probe
         The probe, or a scene, or a scene's name or path.
     seed
-        Of the noise; the same seed gives the same frames.
+        Of the noise; the same seed gives the same frames of images on the same kind of device, where it is drawn.
 
     Returns
     -------
@@ -71,8 +71,9 @@ def expose(
 def digitise(mean: torch.Tensor, sensor: ProbeSensor, rng: np.random.Generator) -> npt.NDArray[np.uint8 | np.uint16]:
     """Draw digital numbers (uint8 up to 8 bits, else uint16) for mean electrons a pixel and frame, of any shape.
 
-    `mean` excludes the electrons of hot pixels, which are added here; `rng` draws the noise, while the places of hot
-    pixels belong to the sensor. Raises InputError where a sensor with hot pixels gets no whole frames [..., H, W].
+    `mean` excludes the electrons of hot pixels, which are added here; `rng` draws the noise, where `mean` lies, while
+    the places of hot pixels belong to the sensor. Raises InputError where a sensor with hot pixels gets no whole frames
+    [..., H, W].
     """
     generator = torch.Generator(mean.device).manual_seed(int(rng.integers(1 << 62)))
     light = _with_hot_pixels(mean.detach().float(), sensor)

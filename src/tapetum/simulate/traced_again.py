@@ -22,7 +22,7 @@ from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.traced_return import corrected
 
-__all__ = ["group_again", "pass_again", "tilts_like"]
+__all__ = ["group_again", "group_on", "pass_again", "tilts_like"]
 
 # Newton's steps, and the step of their slopes in sines.
 _STEPS, _SMALL = 5, 1e-6
@@ -53,6 +53,11 @@ def group_again(
         at, plane = in_air(scene, surface)
         made.append(pass_again(one, _fits(at, one), plane, scene.path))
     return TracedGroup(made, group.plan)
+
+
+def group_on(group: TracedGroup, path: ProbePath) -> TracedGroup:
+    """The same passes on another way to the probe, such as to other pixels."""
+    return TracedGroup([pass_again(one, one.fits, one.surface, path) for one in group.passes], group.plan)
 
 
 def pass_again(one: TracedPass, fits: PupilFits, surface: Surface, path: ProbePath) -> TracedPass:
