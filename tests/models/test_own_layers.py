@@ -56,6 +56,7 @@ def test_copies_start_alike_and_go() -> None:
     assert network.head.out_features == 2
 
 
+@pytest.mark.usefixtures("narrow")
 def test_labels_of_copies_do_not_move_the_cameras_own(small: xr.Dataset, tmp_path: Path) -> None:
     """Where copies share the last layer, gazes between theirs and the camera's own come out."""
     copies, test = copies_set(2, 200, 0.3), small.tp.test
