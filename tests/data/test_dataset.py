@@ -109,3 +109,14 @@ def test_arrays_make_a_dataset():
 def test_bad_arrays_are_told(images, targets, how, word: str):
     with pytest.raises(InputError, match=word):
         dataset_from_arrays(images, targets, **how)
+
+
+def test_batches_are_cut_from_what_is_read_at_once() -> None:
+    """Four batches are read at once, and the last of them may be short."""
+    images = np.arange(11 * 8 * 8, dtype=np.uint16).reshape(11, 8, 8)
+    labels = {"gaze_x": np.zeros(11), "gaze_y": np.zeros(11)}
+    dataset = dataset_from_arrays(images, labels, full_scale=65535)
+    for size in (1, 2, 3, 64):
+        batches = list(image_batches(dataset, size))
+        assert [len(one) for one in batches] == [size] * (11 // size) + ([11 % size] if 11 % size else [])
+        np.testing.assert_array_equal(np.concatenate(batches), images)

@@ -8,12 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import xarray as xr
 
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
-from tapetum.models import ResNet18, ResNet18Network
+from tapetum.models import ResNet18, ResNet18Network, crop_snr
+from tapetum.models.base import training_part
 from tapetum.models.inputs import prepare
 from tapetum.models.training import CHECKPOINT, HISTORY, Augmentation, augment
+from tapetum.progress import quiet
 
 TINY = {"crop": 36, "size": 24, "epochs": 2, "batch": 20, "device": "cpu"}
 
@@ -236,3 +239,15 @@ def test_a_card_that_does_not_name_the_background_means_the_root(whole):
     old = {name: value for name, value in model.parameters().items() if name != "background"}
     assert ResNet18.from_state(old, model.state()).background == "root"
     assert ResNet18.from_state(model.parameters(), model.state()).background == "level"
+
+
+def test_the_snr_is_that_of_the_frames_that_calibrate(small: xr.Dataset) -> None:
+    """Only theirs is computed; it takes longer than all else of reading."""
+    model = ResNet18(epochs=1, crop=40, size=24, device="cpu")
+    part = training_part(small, model.target_names, 0.1)
+    images, snr = model._read_part(part, quiet)
+    data = part.dataset
+    assert torch.equal(images, model._prepared(data["image"].values, data.tp.full_scale))
+    wanted = crop_snr(data["image"].values, data.tp.full_scale)
+    np.testing.assert_array_equal(snr[part.calibrate], wanted[part.calibrate])
+    assert np.isnan(np.delete(snr, part.calibrate)).all() and 0 < len(part.calibrate) < len(snr) / 5

@@ -45,7 +45,7 @@ _LEFT_IN_CROPS, _LEFT = 3e-5, 1e-4
 _CROPS = 481
 # Beyond the edge of a picture out of focus light falls with the square of the distance, of one in focus with the cube.
 _FALL, _WIDER = 2.5, (1.1, 1.5)
-# Width behind the probe's aperture, over the usual one, that is nearly always enough.
+# Width behind the probe's aperture, over the usual one: what the widest return of the Focusing set needs, at 135 mm.
 _AT_ONCE = 1.4
 # A window of its own pays, for a beam or beside the one on which light was measured, where it is smaller than this.
 _SMALLER = 0.8
@@ -88,7 +88,7 @@ class Returns:
         self._node = self._nodes(finite)
         kept = {node: camera for node, camera in planned.items() if node in self._node}
         self._camera_at = functools.lru_cache(_CAMERAS_KEPT)(
-            lambda node, window: _on(kept[node] if node in kept else whole(node), window)
+            lambda node, window: (kept.get(node) or whole(node)).on(window)
         )
         # Spline errors stay below 1e-3 of the peak for fringes of 7 pixels (cubic) or 4 pixels (quintic).
         fringe = scene.illumination.wavelength * scene.probe.lens.focal_length / (2 * scene.target.lens.aperture_radius)
@@ -285,10 +285,6 @@ def windows_of(camera: Camera, steepest: float, away: float) -> tuple[dict[float
     for largest in (side, max(sides.values())):
         sides = {share: one if one < _SMALLER * largest else largest for share, one in sides.items()}
     return {share: Grid(one, one, sensor.pitch) for share, one in sides.items()}, tried
-
-
-def _on(camera: Camera, window: Grid) -> Camera:
-    return camera if camera.output == window else camera.on(window)
 
 
 def _odd(pixels: int) -> int:

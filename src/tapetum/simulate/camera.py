@@ -220,8 +220,11 @@ class Camera:
         rings = first.exit_angle / (light.wavelength / (2 * first.radius)) + _RINGS_SHOWN
         path = longest_path(self.scene)
         lines = wavelengths(light, rings, path)
-        planned = self._wider or ([] if self._like is None else self._like._lines)
-        likes = _as_many(planned, len(lines))
+        if self._wider is not None:
+            before = {line.wavelength: line for line in self._wider}
+            likes = [before.get(length) for length, _ in lines]
+        else:
+            likes = _as_many([] if self._like is None else self._like._lines, len(lines))
         return [
             self._line(length, watts, self._steepest, like) for (length, watts), like in zip(lines, likes, strict=True)
         ]
@@ -315,10 +318,9 @@ class Camera:
         def opened(group: Sequence[Surface]) -> TracedGroup:
             return lens.group(group, self.output, wavelength, self._accuracy, distance, **where)
 
-        if self._wider is not None and isinstance(planned, TracedGroup) and planned.passes[0].wavelength == wavelength:
-            one = lens.on(planned, self.output, wavelength, distance, **where)
-        elif self._wider is None and isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
-            one = lens.again(planned, group, self.output, wavelength, distance, **where)
+        if isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
+            others = group if self._wider is None else None
+            one = lens.again(planned, others, self.output, wavelength, distance, **where)
         else:
             one = opened(group)
         return one, traced_end(group, opened, self.output)
@@ -598,6 +600,8 @@ class Camera:
 
         Behind a traced lens, whose planning takes seconds, a plan holds for fewer pixels about the same middle too.
         """
+        if output == self.output:
+            return self
         other = copy.copy(self)
         # To the far field a wider picture needs more samples; behind the probe's aperture none does.
         least = 0.0 if self._finite else _AS_WIDE

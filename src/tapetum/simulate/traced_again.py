@@ -22,7 +22,7 @@ from tapetum.simulate.traced_pass import TracedPass
 from tapetum.simulate.traced_plan import TracedGroup
 from tapetum.simulate.traced_return import corrected
 
-__all__ = ["group_again", "group_on", "pass_again", "tilts_like"]
+__all__ = ["group_again", "pass_again", "tilts_like"]
 
 # Newton's steps, and the step of their slopes in sines.
 _STEPS, _SMALL = 5, 1e-6
@@ -32,7 +32,7 @@ def group_again(
     group: TracedGroup,
     focused: FocusedLens,
     fits: PupilFits,
-    surfaces: Sequence[Surface],
+    surfaces: Sequence[Surface] | None,
     output: Grid,
     *,
     same_lens: bool,
@@ -41,10 +41,13 @@ def group_again(
     """The passes of another lens, or of as many other planes, on the samples of `group`.
 
     Arguments are those of `traced_group`; `fits` have the tilts of those that `group` was planned with. `same_lens`
-    says that lens, focus and wavelength are those of `group`. Raises as `traced_scene`, and an InputError where too
+    says that lens, focus and wavelength are those of `group`. Without `surfaces` lens and planes are its own, and only
+    the pixels are others. Raises as `traced_scene`, and an InputError where too
     little light comes back.
     """
     scene = traced_scene(focused, fits, output, **way)
+    if surfaces is None:
+        return TracedGroup([pass_again(one, one.fits, one.surface, scene.path) for one in group.passes], group.plan)
     made: list[TracedPass] = []
     for one, surface in zip(group.passes, surfaces, strict=True):
         if same_lens and not surface.depth:
@@ -53,11 +56,6 @@ def group_again(
         at, plane = in_air(scene, surface)
         made.append(pass_again(one, _fits(at, one), plane, scene.path))
     return TracedGroup(made, group.plan)
-
-
-def group_on(group: TracedGroup, path: ProbePath) -> TracedGroup:
-    """The same passes on another way to the probe, such as to other pixels."""
-    return TracedGroup([pass_again(one, one.fits, one.surface, path) for one in group.passes], group.plan)
 
 
 def pass_again(one: TracedPass, fits: PupilFits, surface: Surface, path: ProbePath) -> TracedPass:

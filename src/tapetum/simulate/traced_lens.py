@@ -19,9 +19,9 @@ from tapetum.simulate.pupil_fits import PupilFits, TiltNodes, fit_pupils, rounde
 from tapetum.simulate.radiometry import beam_radius, illumination_curvature
 from tapetum.simulate.reflections import glinting
 from tapetum.simulate.surfaces import Mask, Surface
-from tapetum.simulate.traced_again import group_again, group_on
+from tapetum.simulate.traced_again import group_again
 from tapetum.simulate.traced_bundle import trace_bundle
-from tapetum.simulate.traced_light import Way, any_angle, return_angle, traced_scene
+from tapetum.simulate.traced_light import Way, any_angle, return_angle
 from tapetum.simulate.traced_plan import TracedGroup, TracedMask, traced_group, traced_mask
 
 __all__ = ["TracedLens"]
@@ -134,7 +134,7 @@ class TracedLens:
     def again(
         self,
         group: TracedGroup,
-        surfaces: Sequence[Surface],
+        surfaces: Sequence[Surface] | None,
         output: Grid,
         wavelength: float,
         distance: float | None,
@@ -142,23 +142,10 @@ class TracedLens:
         dtype: torch.dtype,
         device: torch.device,
     ) -> TracedGroup:
-        """As `group`, on the samples of one that was planned for the lens before it was set."""
+        """As `group`, on the samples of one that was planned for the lens before it was set, or without `surfaces` for
+        this lens and other pixels."""
         way = self._way(output, wavelength, distance, dtype, device)
         return group_again(group, *self._at(wavelength), surfaces, output, same_lens=self._is_planned, **way)
-
-    def on(
-        self,
-        group: TracedGroup,
-        output: Grid,
-        wavelength: float,
-        distance: float | None,
-        *,
-        dtype: torch.dtype,
-        device: torch.device,
-    ) -> TracedGroup:
-        """A group that was planned for this lens, to other pixels."""
-        way = self._way(output, wavelength, distance, dtype, device)
-        return group_on(group, traced_scene(*self._at(wavelength), output, **way).path)
 
     def mask(
         self,
