@@ -6,6 +6,7 @@ import json
 import math
 import os
 from collections.abc import Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -84,6 +85,7 @@ class DatasetWriter:
 
     `told` becomes the store's attribute ``recordings``: what became of each recording's frames. `attributes` are
     further JSON attributes of the store; `units` are the names of the numbers in the column `unit`, if it is added.
+    `pool` compresses a chunk while the next one is added; what is raised there is raised with the next chunk.
     """
 
     def __init__(
@@ -94,7 +96,10 @@ class DatasetWriter:
         classes: list[str],
         full_scale: int,
         dtype: np.dtype[Any],
+        pool: Executor,
     ) -> None:
+        self._pool, self._written = pool, Future[Any]()
+        self._written.set_result(None)
         self.told: list[dict[str, Any]] = []
         self.attributes: dict[str, Any] = {}
         self.units: list[str] = []
@@ -123,12 +128,16 @@ class DatasetWriter:
 
     def _flush(self) -> None:
         if self._buffer:
-            self._array.append(np.stack(self._buffer))
+            chunk = np.stack(self._buffer)
             self._buffer.clear()
+            # One after another: each append makes the array longer.
+            self._written.result()
+            self._written = self._pool.submit(self._array.append, chunk)
 
     def finish(self) -> None:
         """Write the rest of the store; raise an InputError when no frame is left to train or to test with."""
         self._flush()
+        self._written.result()
         rules, names = self._rules, self._names
         self._set_embargo()
         self._check_parts()
@@ -225,8 +234,9 @@ def dataset_writer(
     accordingly. Raises an InputError when a store exists, or as `DatasetWriter.finish`.
     """
     kind = np.dtype(np.uint8 if full_scale <= 255 else np.uint16) if dtype is None else dtype
-    with atomic_folder(out, overwrite=overwrite) as folder:
-        writer = DatasetWriter(zarr.create_group(str(folder), zarr_format=3), rules, names, classes, full_scale, kind)
+    with atomic_folder(out, overwrite=overwrite) as folder, ThreadPoolExecutor(1, "chunk") as pool:
+        group = zarr.create_group(str(folder), zarr_format=3)
+        writer = DatasetWriter(group, rules, names, classes, full_scale, kind, pool)
         yield writer
         writer.finish()
 

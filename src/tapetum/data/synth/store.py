@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import shutil
 import uuid
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,11 +20,14 @@ from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.write import dataset_writer
 from tapetum.errors import InputError
 from tapetum.files import atomic_file, atomic_folder
+from tapetum.futures import in_order
 from tapetum.progress import Progress, quiet
 
 __all__ = ["Made", "Staging"]
 
 _PLAN, _DONE = "plan.json", "done"
+# Parts that are read before the first of them is needed.
+_AHEAD = 2
 
 
 @dataclass
@@ -97,8 +101,8 @@ class Staging:
         try:
             table = pq.read_table(file, page_checksum_verification=True)
             about = json.loads((table.schema.metadata or {})[b"about"])
-            columns: dict[str, Any] = {name: table[name].to_pylist() for name in table.column_names}
-            crops = [np.frombuffer(raw, about["dtype"]).reshape(about["shape"]) for raw in columns.pop("crop")]
+            crops = [np.frombuffer(raw.as_buffer(), about["dtype"]).reshape(about["shape"]) for raw in table["crop"]]
+            columns: dict[str, Any] = {name: table[name].to_pylist() for name in table.column_names if name != "crop"}
             return Made(crops, columns, about["told"], about["parameters"])
         except (pa.ArrowException, OSError, ValueError, KeyError, TypeError) as error:
             remedy = "remove this file and run the same command again: it makes the part again"
@@ -118,11 +122,16 @@ class Staging:
         """
         labels = {"gaze_x", "gaze_y"} | {name for video in plan.videos for name, _ in video.labels}
         names = tuple(name for name in (*QUANTITIES, DEVICE) if name in labels)
-        with dataset_writer(out, plan.rules, names, plan.classes, plan.full_scale, overwrite=overwrite) as writer:
+        with (
+            dataset_writer(out, plan.rules, names, plan.classes, plan.full_scale, overwrite=overwrite) as writer,
+            ThreadPoolExecutor(1, "part") as pool,
+        ):
             writer.told = [_heading(plan, number) for number in range(len(plan.videos))]
             writer.units = list(plan.units)
-            for part in progress(plan.parts, "putting the set together", total=len(plan.parts)):
-                made, unit = self.read(part), plan.videos[part.video].unit
+            read = in_order((pool.submit(self.read, part) for part in plan.parts), _AHEAD)
+            parts = progress(zip(plan.parts, read, strict=True), "putting the set together", total=len(plan.parts))
+            for part, made in parts:
+                unit = plan.videos[part.video].unit
                 own = {} if unit is None else {UNIT: unit}
                 for n, crop in enumerate(made.crops):
                     writer.add(crop, **{name: values[n] for name, values in made.columns.items()}, **own)
