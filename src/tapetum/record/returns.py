@@ -22,6 +22,7 @@ from tapetum.optics.grid import Grid
 from tapetum.record.patch import Patch
 from tapetum.simulate import Camera, tilt_of_gaze
 from tapetum.simulate import dots as dot_light
+from tapetum.simulate.foreshortening import turned
 from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.phone import phone_scenes, seen_from_probe
 from tapetum.simulate.radiometry import photoelectrons, photon_energy
@@ -146,7 +147,7 @@ class Returns:
     def _render_at(self, node: float, frames: npt.NDArray[np.int64]) -> Iterator[tuple[int, Patch]]:
         sensor = self.scene.probe.sensor
         gain = self._electrons * self.scene.illumination.spread(self._distance[frames], node)
-        turned = not self._round and bool(self._roll[frames].any())
+        rolled = not self._round and bool(self._roll[frames].any())
         middle = (np.array(sensor.pixels) - 1) / 2
         widest = self._camera_at(node, max(self._windows.values(), key=lambda grid: grid.rows))
         for tilts, places, share in widest.beams(self._sines[frames], self._centres[frames]):
@@ -155,13 +156,16 @@ class Returns:
             # Patches start on whole pixels; the sub-pixel rest of the place is rendered.
             corner = np.rint(middle + places.numpy() / sensor.pitch - half)
             rest = middle + places.numpy() / sensor.pitch - half - corner
-            if turned:
+            offset = torch.from_numpy(rest * sensor.pitch)
+            if rolled and camera.takes_roll:
+                roll = torch.from_numpy(self._roll[frames])
+                images = camera.render(tilts, offset, share, equivalent=True, roll=roll).numpy()
+            elif rolled:
                 own = _turned(tilts, -self._roll[frames])
                 images = camera.render(own, torch.zeros_like(places), share, equivalent=True).numpy()
                 turns = zip(images, self._roll[frames], rest, strict=True)
                 images = [_turn(one, roll, shift, self._order) for one, roll, shift in turns]
             else:
-                offset = torch.from_numpy(rest * sensor.pitch)
                 images = camera.render(tilts, offset, share, equivalent=True).numpy()
             for frame, image, scale, (left, top) in zip(frames, images, gain, corner, strict=True):
                 yield int(frame), Patch(int(left), int(top), np.asarray(image * np.float32(scale), np.float32))
@@ -173,11 +177,11 @@ def returns_of(scene: Scene, gaze: Array, place: Array, roll: Array, distance: A
     `gaze` [T, 2] is the laser's place in the target's field, in fractions of it; all else as for `Returns`.
     """
     tilts = tilt_of_gaze(scene, torch.from_numpy(gaze))
-    turned = _turned(tilts, roll)
+    rolled = _turned(tilts, roll)
     found: list[Returns] = []
     for unit in sorted(phone_scenes(scene), key=lambda unit: unit.place != (0.0, 0.0)):
         on_plate = _turned(torch.tensor([unit.place], dtype=torch.float64).expand(len(gaze), -1), roll)
-        seen = seen_from_probe(on_plate, turned).numpy()
+        seen = seen_from_probe(on_plate, rolled).numpy()
         found.append(Returns(unit.scene, unit.sines(tilts), place + seen, roll, distance))
     return found
 
@@ -322,10 +326,7 @@ def _is_round(scene: Scene) -> bool:
 
 def _turned(sines: torch.Tensor, angle: Array) -> torch.Tensor:
     """Return vectors [T, 2] rotated from x to y by angles [T]."""
-    if not angle.any():
-        return sines
-    c, s = torch.from_numpy(np.cos(angle)), torch.from_numpy(np.sin(angle))
-    return torch.stack([c * sines[:, 0] - s * sines[:, 1], s * sines[:, 0] + c * sines[:, 1]], dim=-1)
+    return turned(sines, torch.from_numpy(angle)) if angle.any() else sines
 
 
 def _turn(image: npt.NDArray[np.float32], angle: float, shift: Array, order: int) -> npt.NDArray[np.float32]:

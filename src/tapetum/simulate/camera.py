@@ -33,7 +33,7 @@ from tapetum.optics.sampling import (
 from tapetum.simulate.diffuse import DiffuseProfile, corner, diffuse_profile
 from tapetum.simulate.double_pass import DoublePass
 from tapetum.simulate.faint import FaintPass, Pass
-from tapetum.simulate.foreshortening import cosines, off_axis
+from tapetum.simulate.foreshortening import cosines, off_axis, turned
 from tapetum.simulate.gaze import spot_places
 from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
@@ -476,21 +476,39 @@ class Camera:
                 found.append((off_axis(sines.to(angle), angle), place, ratio * share))
         return found
 
+    @property
+    def takes_roll(self) -> bool:
+        """Whether `render` computes a roll of the target: behind a traced lens without a mask."""
+        return self._lens is not None and self.scene.target.sensor.mask is None
+
     def render(
-        self, sines: torch.Tensor, centres: torch.Tensor, share: float = 1.0, *, equivalent: bool = False
+        self,
+        sines: torch.Tensor,
+        centres: torch.Tensor,
+        share: float = 1.0,
+        *,
+        equivalent: bool = False,
+        roll: torch.Tensor | None = None,
     ) -> torch.Tensor:
-        """Irradiance [B, H, W] in W/m² of one beam that carries `share` of the first one's power."""
+        """Irradiance [B, H, W] in W/m² of one beam that carries `share` of the first one's power.
+
+        `roll` [B], where `takes_roll`, turns the target about its optical axis, in radians from x to y.
+        """
         middle = not bool(centres.any()) and not centres.requires_grad
         scale, total = self._scale() * share, None
+        places, rolled = None if middle else centres, () if roll is None else (roll,)
         for line in self._lines:
             weight = scale * line.power
             narrow = beam_radius(self.scene) < line.geometry.radius
             if equivalent:
                 weight = weight * (line.wavelength / self.scene.illumination.wavelength)
-            spots = self._spots(line, sines) if line.ends or line.scatterers else None
+            own = sines if roll is None else turned(sines, -roll)
+            spots = self._spots(line, own) if line.ends or line.scatterers else None
             for one, end in itertools.zip_longest(line.passes, line.ends):
-                given = sines, None if middle else centres
-                image = one(*given) if end is None or spots is None else end.seen(one, spots, self._edge_rule, *given)
+                if end is None or spots is None:
+                    image = one(sines, places, *rolled)
+                else:
+                    image = end.seen(one, spots, self._edge_rule, sines, places, *rolled)
                 if end is not None:
                     self._edge_error = max(self._edge_error, end.missed)
                 if end is not None and spots is not None and end.open_beside is None and bool(spots.beside.any()):
@@ -516,7 +534,7 @@ class Camera:
                 total = part if total is None else _sum(total, part)
             if line.glints is not None:
                 beside = None if total is None else total.detach().amax((1, 2)) / weight.detach()
-                part = weight.to(self.real) * line.glints(sines, None if middle else centres, beside).to(self._device)
+                part = weight.to(self.real) * line.glints(sines, places, beside).to(self._device)
                 total = part if total is None else _sum(total, part)
         if total is None:
             total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)

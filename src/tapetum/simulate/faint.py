@@ -16,7 +16,8 @@ from tapetum.errors import InputError
 
 __all__ = ["FAINT", "FaintPass", "Pass"]
 
-Pass = Callable[[torch.Tensor, torch.Tensor | None], torch.Tensor]
+Pass = Callable[..., torch.Tensor]
+"""Of tilts [B, 2] and places [B, 2] or None, to irradiances [B, H, W]; traced lenses also take a roll [B]."""
 
 # Peak over a mirror's below which a picture counts as faint: there a mirror's error counts 30 times.
 FAINT = 1e-3

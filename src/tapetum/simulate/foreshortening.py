@@ -10,7 +10,7 @@ import torch
 
 from tapetum.optics.sampling import DoublePassGeometry
 
-__all__ = ["Tilted", "Tilts", "cosines", "flattest", "foreshortening", "foreshortens", "off_axis", "tangents"]
+__all__ = ["Tilted", "Tilts", "cosines", "flattest", "foreshortening", "foreshortens", "off_axis", "tangents", "turned"]
 
 
 class _Plan(Protocol):
@@ -50,6 +50,12 @@ def off_axis(sines: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     across = slopes * along
     share = (sines * across).sum(-1, keepdim=True) / (1 + cosines(sines)[:, None])
     return across + sines * (along - share)
+
+
+def turned(vectors: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
+    """Vectors [B, 2] turned from x to y by angles [B], in radians."""
+    c, s, (x, y) = torch.cos(angles), torch.sin(angles), vectors.unbind(-1)
+    return torch.stack([c * x - s * y, s * x + c * y], -1)
 
 
 def foreshortens(one: Tilted, sines: torch.Tensor) -> torch.Tensor:

@@ -154,6 +154,10 @@ class Pupil(Protocol):
         """Which tilts [B, 2] are drawn in another way than the others, and so not together with them."""
         ...
 
-    def gazes(self, sines: torch.Tensor, own: bool) -> Gazes:
-        """Itself under tilts [B, 2], in the sensor's `own` columns and rows or in those that suit it."""
+    def gazes(self, sines: torch.Tensor, own: bool, roll: torch.Tensor | None = None) -> Gazes:
+        """Itself under tilts [B, 2], in the sensor's `own` columns and rows or in those that suit it.
+
+        `roll` [B] turns the lens and what is behind it about the optical axis, in radians from x to y; only traced
+        lenses take it.
+        """
         ...

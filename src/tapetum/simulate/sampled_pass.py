@@ -87,17 +87,22 @@ class SampledPass(Generic[Lens]):
             self._spot = self._entered(at, precise).to(dtype)
             self._kernels = self._back(at.leaving())
 
-    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+    def __call__(
+        self, sines: torch.Tensor, centres: torch.Tensor | None = None, roll: torch.Tensor | None = None
+    ) -> torch.Tensor:
         """Irradiance [B, H, W] on the probe's pixels, in W/m² for 1 W/m² at the target; arguments as for `field`."""
-        return self._images(sines, centres, squared=True)
+        return self._images(sines, centres, roll, squared=True)
 
-    def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+    def field(
+        self, sines: torch.Tensor, centres: torch.Tensor | None = None, roll: torch.Tensor | None = None
+    ) -> torch.Tensor:
         """Complex amplitude on the probe's pixels for 1 W/m² at the target, [B, H, W], in W^½/m.
 
         `sines` [B, 2] are those of the tilt along x and y; `centres` [B, 2] place the RR's own centre on the probe's
-        sensor, in metres, by default in the middle.
+        sensor, in metres, by default in the middle. `roll` [B] turns the target about its optical axis, in radians
+        from x to y, for pupils that take one (`Pupil.gazes`).
         """
-        return self._images(sines, centres, squared=False)
+        return self._images(sines, centres, roll, squared=False)
 
     def exit_pupil(self, sines: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Field that leaves the lens, tilt removed, [B, m, n], at columns x [B or 1, n] and rows y [B or 1, m].
@@ -106,10 +111,14 @@ class SampledPass(Generic[Lens]):
         """
         return self._left(self.pupil.gazes(sines.to(self.device, torch.float64), self._own))
 
-    def _images(self, sines: torch.Tensor, centres: torch.Tensor | None, *, squared: bool) -> torch.Tensor:
+    def _images(
+        self, sines: torch.Tensor, centres: torch.Tensor | None, roll: torch.Tensor | None, *, squared: bool
+    ) -> torch.Tensor:
         sines = sines.to(self.device, torch.float64)
         if centres is not None:
             centres = centres.to(self.device, torch.float64)
+        if roll is not None:
+            roll = roll.to(self.device, torch.float64)
         # Most gazes of a phone return nothing: they are not computed.
         lit = self.pupil.returns(sines).nonzero()[:, 0]
         dtype = self.dtype.to_real() if squared else self.dtype
@@ -119,7 +128,7 @@ class SampledPass(Generic[Lens]):
         for group in (lit[apart], lit[~apart]):
             for i in range(0, len(group), self._at_once):
                 some = group[i : i + self._at_once]
-                at = self.pupil.gazes(sines[some], self._own)
+                at = self.pupil.gazes(sines[some], self._own, None if roll is None else roll[some])
                 moved = None if centres is None else centres[some]
                 images[some] = at.to_probe(*self._left(at), moved, squared=squared)
         return images

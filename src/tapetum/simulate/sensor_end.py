@@ -54,18 +54,28 @@ class SensorEnd:
         return self.open_across()
 
     def seen(
-        self, whole: Pass, spots: Spots, rule: EdgeRule, sines: torch.Tensor, centres: torch.Tensor | None
+        self,
+        whole: Pass,
+        spots: Spots,
+        rule: EdgeRule,
+        sines: torch.Tensor,
+        centres: torch.Tensor | None,
+        *roll: torch.Tensor,
     ) -> torch.Tensor:
-        """Irradiance [B, H, W] of the group for 1 W/m², `whole` being its pass for spots that the sensor holds."""
+        """Irradiance [B, H, W] of the group for 1 W/m², `whole` being its pass for spots that the sensor holds.
+
+        `spots` are those of the gazes; a `roll` [B] is given where the passes take one.
+        """
         if bool(spots.whole.all()):
-            return whole(sines, centres)
+            return whole(sines, centres, *roll)
         parts: list[tuple[torch.Tensor, torch.Tensor]] = []
         cut = ~(spots.whole | spots.beside)
         for some, kind in ((spots.whole, "whole"), (spots.beside, "beside"), (cut, "cut")):
             which = torch.nonzero(some)[:, 0]
             if not len(which):
                 continue
-            given = sines[which.to(sines.device)], None if centres is None else centres[which.to(centres.device)]
+            moved = None if centres is None else centres[which.to(centres.device)]
+            given = sines[which.to(sines.device)], moved, *(one[which.to(one.device)] for one in roll)
             if kind == "whole":
                 image = whole(*given)
             elif kind == "beside":
@@ -81,9 +91,9 @@ class SensorEnd:
         like = max((image for _, image in parts), key=lambda image: image.is_cuda)
         return torch.cat([image.to(like.device) for _, image in parts])[order.to(like.device)]
 
-    def _layers(self, sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
+    def _layers(self, sines: torch.Tensor, centres: torch.Tensor | None, *roll: torch.Tensor) -> torch.Tensor:
         if self._beside is not None:
-            return self._beside(sines, centres)
+            return self._beside(sines, centres, *roll)
         # Zero, with a gradient where one is asked for.
         return 0 * sines.sum(-1)[:, None, None] * torch.ones(self.output.rows, self.output.columns).to(sines)
 

@@ -79,8 +79,10 @@ class ThinPupil:
         """Which tilts [B, 2] are drawn foreshortened."""
         return foreshortens(self, sines)
 
-    def gazes(self, sines: torch.Tensor, own: bool) -> _ThinGazes:
-        """Itself under tilts [B, 2]."""
+    def gazes(self, sines: torch.Tensor, own: bool, roll: torch.Tensor | None = None) -> _ThinGazes:
+        """Itself under tilts [B, 2]; its pictures are turned after they are computed, so there is no `roll`."""
+        if roll is not None:
+            raise NotImplementedError("a thin lens takes no roll")
         return _ThinGazes(self, sines, own)
 
 

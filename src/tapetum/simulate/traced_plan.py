@@ -118,20 +118,24 @@ class TracedGroup:
     def __init__(self, passes: Sequence[TracedPass], plan: TracedPlan) -> None:
         self.passes, self.plan = tuple(passes), plan
 
-    def __call__(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+    def __call__(
+        self, sines: torch.Tensor, centres: torch.Tensor | None = None, roll: torch.Tensor | None = None
+    ) -> torch.Tensor:
         """Irradiance [B, H, W] in W/m² for 1 W/m² at the target; arguments as for `TracedPass.field`."""
         # Beyond a filter's cut-off a sensor's light is left alone.
         lit = [one for one in self.passes if bool(one.pupil.returns(sines).any())] or self.passes[:1]
         if len(lit) == 1:
-            return lit[0](sines, centres)
-        u = self.field(sines, centres)
+            return lit[0](sines, centres, roll)
+        u = self.field(sines, centres, roll)
         return u.real**2 + u.imag**2
 
-    def field(self, sines: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+    def field(
+        self, sines: torch.Tensor, centres: torch.Tensor | None = None, roll: torch.Tensor | None = None
+    ) -> torch.Tensor:
         """Complex amplitude [B, H, W] on the probe's pixels."""
-        total = self.passes[0].field(sines, centres)
+        total = self.passes[0].field(sines, centres, roll)
         for one in self.passes[1:]:
-            total = total + one.field(sines, centres)
+            total = total + one.field(sines, centres, roll)
         return total
 
 

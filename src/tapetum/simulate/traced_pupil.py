@@ -14,7 +14,7 @@ import math
 import torch
 
 from tapetum.optics.fourier import phasor
-from tapetum.simulate.foreshortening import foreshortening
+from tapetum.simulate.foreshortening import foreshortening, turned
 from tapetum.simulate.probe_path import ProbePath
 from tapetum.simulate.pupil_fits import PupilFits, edge_weights, on_grid, on_tilt_grid, open_share
 from tapetum.simulate.pupils import Entering, Leaving
@@ -93,18 +93,23 @@ class TracedPupil:
         """Which tilts [B, 2] are drawn foreshortened: all, by their rays."""
         return torch.ones(len(sines), dtype=torch.bool, device=sines.device)
 
-    def gazes(self, sines: torch.Tensor, own: bool) -> _TracedGazes:
-        """Itself under tilts [B, 2]."""
-        return _TracedGazes(self, sines, own)
+    def gazes(self, sines: torch.Tensor, own: bool, roll: torch.Tensor | None = None) -> _TracedGazes:
+        """Itself under tilts [B, 2], turned about its axis by `roll` [B] in radians from x to y."""
+        return _TracedGazes(self, sines, own, roll)
 
 
 class _TracedGazes:
-    """A traced lens under a batch of tilts. A mirror's frame has columns across the tilt and rows along it."""
+    """A traced lens under a batch of tilts. A mirror's frame has columns across the tilt and rows along it.
 
-    def __init__(self, pupil: TracedPupil, sines: torch.Tensor, own: bool) -> None:
+    The lens is round: a roll only turns the tilt against what the sensor holds. What leaves the lens is in the probe's
+    frame.
+    """
+
+    def __init__(self, pupil: TracedPupil, sines: torch.Tensor, own: bool, roll: torch.Tensor | None) -> None:
         fits = pupil.fits
         self._pupil, self._sines, self._own = pupil, sines, own
-        size, self._toward = _tilt_and_azimuth(sines)
+        size, self._seen = _tilt_and_azimuth(sines)
+        self._toward = self._seen if roll is None else turned(self._seen, -roll)
         self._returns = pupil.returns(sines).to(torch.float64)
         self._size = size.clamp_max(fits.nodes.steepest)
         self._tilt = fits.nodes.terms(self._size)
@@ -162,8 +167,8 @@ class _TracedGazes:
         """The pupil on the way out, on columns and rows of the probe's picture."""
         one, fits, chief = self._pupil, self._pupil.fits, self._chief
         rotation, _ = foreshortening(self._sines)
-        turned = (rotation.mT @ self._toward[..., None])[..., 0]
-        x, y, path, even, odd, inside = on_grid(fits.leaving, self._tilt, turned, one.samples[2], one.real)
+        toward = (rotation.mT @ self._seen[..., None])[..., 0]
+        x, y, path, even, odd, inside = on_grid(fits.leaving, self._tilt, toward, one.samples[2], one.real)
         out = torch.sqrt(even[:, 1].clamp_min(_DARK))
         if odd.shape[1] > 1:
             out = out * edge_weights(open_share(even[:, 3:], inside)) * self._accept(even[:, 2], odd[:, 1])

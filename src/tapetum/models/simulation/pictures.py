@@ -17,6 +17,7 @@ from tapetum.bench import PhoneTarget, PrescriptionLens, Scene
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid, lens_numbers
 from tapetum.simulate.camera import Camera
+from tapetum.simulate.foreshortening import turned as rotated
 from tapetum.simulate.gaze import largest_sine, tilt_of_gaze
 from tapetum.simulate.radiometry import dark_electrons, photoelectrons
 
@@ -105,13 +106,13 @@ class Pictures:
     def render_each(self, poses: Sequence[Pose]) -> Array:
         """Return electrons [B, side, side] at the scene's laser power, for poses of one focus and focal length."""
         turned = any(pose.roll != 0 for pose in poses)
-        side = self.side + 2 * _MARGIN if turned else self.side
+        aside = turned and not isinstance(self.scene.target.lens, PrescriptionLens)
+        side = self.side + 2 * _MARGIN if aside else self.side
         scene, camera = self._cameras(poses[0].object_distance, poses[0].focal_length, side)
         gazes = np.array([pose.gaze for pose in poses])
         sines = self._tilts(scene, camera, torch.from_numpy(np.clip(gazes, -_EDGE, _EDGE)), side)
         places = torch.tensor([pose.place for pose in poses], dtype=torch.float64)
         angles = torch.tensor([pose.roll for pose in poses], dtype=torch.float64)
-        c, s = torch.cos(angles), torch.sin(angles)
         total = np.zeros((len(sines), self.side, self.side))
         with torch.no_grad():
             for tilts, centres, share in camera.beams(sines, places):
@@ -119,8 +120,13 @@ class Pictures:
                     total += camera.render(tilts, centres, share, equivalent=True).double().cpu().numpy()
                     continue
                 # The RR turns with the target; further beams come from the probe and do not.
-                x, y = (tilts - sines).unbind(-1)
-                own = sines + torch.stack([c * x + s * y, c * y - s * x], -1)
+                further = tilts - sines
+                if not aside:
+                    seen = rotated(sines, angles) + further
+                    made = camera.render(seen, centres, share, equivalent=True, roll=angles)
+                    total += made.double().cpu().numpy()
+                    continue
+                own = sines + rotated(further, -angles)
                 made = camera.render(own, torch.zeros_like(centres), share, equivalent=True).double().cpu().numpy()
                 shifts = centres.numpy() / self.pitch
                 rolled = zip(made, poses, shifts, strict=True)
