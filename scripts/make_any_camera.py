@@ -52,14 +52,22 @@ from tapetum.simulate.exposure import gain_of
 
 NAME = "any-camera"
 START = "thin-lens-gaze"
-SEED = 20261124
+SEED = 20261127
 UNITS, FRAMES = 300, 64
 FIRST_UNIT = 2_000_000
 HELD_OUT = ("compact-6mm-f1.9", "photo-50mm-f1.8")
 CROP, SIZE, EPOCHS, BATCH, RATE = 288, 96, 8, 32, 5e-4
 # Of five cameras one trains nothing and sets the intervals.
 _ASIDE = 5
-_PHONES = ("phone-a", "phone-b", "phone-c", "phone-d", "phone-e")
+_PHONES = ("phone-a", "phone-b", "phone-c", "phone-d", "phone-e", "phone-f")
+# Traced lenses with their shares, and the focal lengths in metres that they are drawn at: zooms are set to them, prime
+# lenses scaled, so that the six designs of phones stand for compact cameras of any size.
+_TRACED = {
+    "zoom-5-15mm": (0.25, 0.0053, 0.0145),
+    "zoom-18-140mm": (0.1, 0.0186, 0.026),
+    "cmount-12mm-f1.4": (0.17, 0.004, 0.012),
+    **dict.fromkeys(_PHONES, (0.08, 0.005, 0.012)),
+}
 # Largest gaze of the lenses of phones, which lose the light earlier; the others reach the field's edge.
 _WIDE, _NARROW = 0.48, 0.3
 
@@ -85,7 +93,7 @@ def drawn_camera(number: int) -> Drawn:
     def log(low: float, high: float) -> float:
         return float(np.exp(rng.uniform(math.log(low), math.log(high))))
 
-    family = str(rng.choice(["hand-held", "rotation", "thin", "traced"], p=[0.5, 0.25, 0.1, 0.15]))
+    family = str(rng.choice(["hand-held", "rotation", "thin", "traced"], p=[0.25, 0.2, 0.1, 0.45]))
     changes: dict[str, Any] = {"sampling.accuracy": 0.03, "probe.sensor.pixels": [480, 480]}
     extent = _WIDE
     if family == "thin":
@@ -93,12 +101,9 @@ def drawn_camera(number: int) -> Drawn:
     elif family == "hand-held" and rng.random() < 0.3:
         changes["target.lens.aperture_radius"] = log(0.0035, 0.0045)
     elif family == "traced":
-        name = str(
-            rng.choice(["zoom-5-15mm", "cmount-12mm-f1.4", *_PHONES], p=[0.4, 0.2, 0.08, 0.08, 0.08, 0.08, 0.08])
-        )
-        own = {"zoom-5-15mm": log(0.0053, 0.0145), "cmount-12mm-f1.4": log(0.004, 0.012)}
+        name = str(rng.choice(list(_TRACED), p=[share for share, _, _ in _TRACED.values()]))
         extent = _NARROW if name in _PHONES else _WIDE
-        changes |= {"target.lens.name": name, "target.lens.focal_length": own.get(name)}
+        changes |= {"target.lens.name": name, "target.lens.focal_length": log(*_TRACED[name][1:])}
         if name in _PHONES:
             changes |= {"target.sensor.pixels": [640, 480], "target.sensor.pitch": 5.6e-6}
     scene = load_scene("hand-held" if family in ("hand-held", "thin") else "rotation")

@@ -37,7 +37,7 @@ from tapetum.record import HandMotion
 from tapetum.report.evaluation import novelty_auroc
 
 # Seeds of the copies of the training sets, and of those that are only tested on.
-TRAIN, TEST = 4_100_000, 4_200_000
+TRAIN, TEST = 4_100_000, 4_300_000
 CROP, BATCH = 400, 16
 # Of so many frames of a copy in a training set, one is tested on.
 EVERY = 5
