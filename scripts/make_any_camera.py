@@ -1,4 +1,4 @@
-"""Make the bundled backbone `any-camera`: gaze, learned from many lenses, copies, distances, focus and light.
+"""Make the backbone `any-camera`: gaze, learned from many lenses, copies, distances, focus and light.
 
 make any-camera (about an hour of one quiet core)
 

@@ -7,8 +7,9 @@ ResNet-18 on the first 1, 2, 4, ... copies of eight phones, the paper page's thr
 copies of all eleven with --whole, each with as many passes over frames. Each network is scored on other frames of the
 copies that it was trained on ("same"), and on copies with other seeds ("other"): the share of frames in which the
 likeliest phone is the true one, the area under the ROC curve of recognising the phones left out as unknown, and the
-error of the gaze, with 90 % intervals by drawing whole copies anew. Copies and models stay in the folder, so that the
-same command continues an interrupted run. The numbers go to docs/numbers/phones-copies.json, or -o.
+error of the gaze, with 90 % intervals by drawing whole copies anew; and for phones that are taken for each other how
+near their frames come. Copies and models stay in the folder, so that the same command continues an interrupted run. The
+numbers go to docs/numbers/phones-copies.json, or -o.
 """
 
 from __future__ import annotations
@@ -41,8 +42,12 @@ TRAIN, TEST = 4_100_000, 4_300_000
 CROP, BATCH = 400, 16
 # Of so many frames of a copy in a training set, one is tested on.
 EVERY = 5
+# Phones that are taken for each other, the one that is confused first.
+ALIKE = (("phone-01", "phone-02"), ("phone-02", "phone-01"))
 # Most repetitions of a frame of a rare phone.
 MOST = 6
+# Side of the crops' middle in pixels, and counts of the brightest pixel, of frames that are compared with each other.
+MIDDLE, BRIGHT = 100, 60
 # Draws of copies that intervals are made of.
 DRAWS = 1000
 _RECIPE = SETS["phones"]
@@ -69,11 +74,11 @@ def filmed(seeds: Sequence[int], frames: int, work: Path) -> xr.Dataset:
     return dataset_from_arrays(np.concatenate(images), labels, split=split, recording=np.array(copies))
 
 
-def trained(data: xr.Dataset, path: Path, size: int, passes: int) -> Any:
+def trained(data: xr.Dataset, path: Path, size: int, passes: int, precision: str) -> Any:
     """Return the network of a training set, from its folder where it was trained before."""
     if not path.exists():
         epochs = max(1, round(passes / data.tp.train.sizes["frame"]))
-        model = ResNet18("phone", crop=CROP, size=size, epochs=epochs, batch=BATCH, seed=1)
+        model = ResNet18("phone", crop=CROP, size=size, epochs=epochs, batch=BATCH, seed=1, precision=precision)
         kept = path.with_suffix(".part")
         model.fit(data.tp.train, progress=bar, checkpoint=kept, resume=kept.exists())
         save_model(model, path)
@@ -105,6 +110,32 @@ def with_interval(score: Callable[[np.ndarray], float | None], copies: np.ndarra
     return [score(np.arange(len(copies))), *(np.quantile(known, [0.05, 0.95]).tolist() if known else (None, None))]
 
 
+def alike(data: xr.Dataset, one: str, other: str) -> dict[str, Any]:
+    """How far a phone's bright frames are from the nearest one of its other copies, and from that of another phone.
+
+    Distances are those of the middles of crops above their background, each of them of power 1.
+    """
+    names = np.array(data[DEVICE].attrs["classes"])[data[DEVICE].values]
+    found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for name in (one, other):
+        rows = np.flatnonzero(names == name)
+        images = data["image"].isel(frame=rows).values.astype(np.float32)
+        first = (images.shape[-1] - MIDDLE) // 2
+        images = images[:, first : first + MIDDLE, first : first + MIDDLE]
+        images = images - np.median(images[:, :10], axis=(1, 2), keepdims=True)
+        bright = images.max(axis=(1, 2)) > BRIGHT
+        flat = images[bright].reshape(int(bright.sum()), -1)
+        found[name] = flat / np.linalg.norm(flat, axis=1, keepdims=True), data["recording"].values[rows][bright]
+
+    def nearest(name: str) -> list[float]:
+        (own, copies), (others, their) = found[one], found[name]
+        apart = np.sqrt(np.maximum(2 - 2 * own @ others.T, 0))
+        apart[copies[:, None] == their] = np.inf
+        return np.quantile(apart.min(axis=1), [0.1, 0.5, 0.9]).tolist()
+
+    return {"phone": one, "other": other, "nearest_of_own": nearest(one), "nearest_of_other": nearest(other)}
+
+
 def told(model: Any, frames: xr.Dataset) -> dict[str, Any]:
     """The scores that the table shows."""
     said = model.predict(frames, anyway=True, unit="own", progress=bar)
@@ -126,6 +157,7 @@ def told(model: Any, frames: xr.Dataset) -> dict[str, Any]:
             for rows in [known | (names == one)]
         },
         "none_of_these": {str(one): float((said.novelty[names == one] > 1).mean()) for one in np.unique(names)},
+        "frames_by_phone": dict(Counter(names.tolist())),
         "refused": int((~said.applies).sum()),
         "gaze_mae": [with_interval(lambda rows, k=k: float(off[known][rows, k].mean()), copies[known]) for k in (0, 1)],
         "gaze_held": held[known].mean(axis=0).tolist(),
@@ -149,13 +181,16 @@ def main() -> None:
     parser.add_argument("--balanced", action="store_true", help="repeat training frames of rare phones")
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/numbers/phones-copies.json"))
     parser.add_argument("--passes", type=int, default=40_000, help="passes over frames of each training")
+    parser.add_argument("--precision", default="float32", choices=["float32", "bf16"])
+    parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--test-from", type=int, default=TEST, help="first seed of the copies to test on")
     parser.add_argument("--films", action="store_true", help="only film")
     options = parser.parse_args()
     keep_big_blocks()
-    torch.set_num_threads(1)
+    torch.set_num_threads(options.threads)
     options.work.mkdir(parents=True, exist_ok=True)
     data = filmed(range(TRAIN, TRAIN + options.copies[-1]), options.frames, options.work)
-    test = filmed(range(TEST, TEST + options.tested), options.frames, options.work)
+    test = filmed(range(options.test_from, options.test_from + options.tested), options.frames, options.work)
     if options.films:
         return
     names = np.array(data[DEVICE].attrs["classes"])
@@ -168,15 +203,15 @@ def main() -> None:
         path = options.work / f"model-{count}-without-{len(left)}-{options.size}-{options.passes}"
         if options.balanced:
             train, path = balanced(train), path.with_name(f"{path.name}-balanced")
-        model = trained(train, path, options.size, options.passes)
+        model = trained(train, path, options.size, options.passes, options.precision)
         row = {"copies": count, "left_out": list(left), "training_frames": int(train.tp.train.sizes["frame"])}
         rows.append(row | {"same": told(model, picked(data, own).tp.test), "other": told(model, test)})
         print(json.dumps(rows[-1]), flush=True)
         with atomic_file(options.out) as part:
-            given = {name: getattr(options, name) for name in ("frames", "tested", "size", "passes", "balanced")}
-            part.write_text(
-                json.dumps({"seeds": [TRAIN, TEST], **given, "rows": rows}, indent=1) + "\n", encoding="utf-8"
-            )
+            named = ("frames", "tested", "size", "passes", "balanced", "precision")
+            compared = [alike(data, *pair) for pair in ALIKE]
+            given = {"seeds": [TRAIN, options.test_from], **{name: getattr(options, name) for name in named}}
+            part.write_text(json.dumps({**given, "alike": compared, "rows": rows}, indent=1) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

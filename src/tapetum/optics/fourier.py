@@ -199,19 +199,11 @@ class BandLimitedFourier:
         if self._lift_x is not None:
             nodes = real_times(self._lift_x, nodes.mT).mT
         # Real parts beside each other, then imaginary ones: the squares are then of contiguous numbers.
-        parts, columns, lift = torch.cat([nodes.real, nodes.imag], -1), nodes.shape[-1], self._lift_y
-        tracked = parts.requires_grad or (lift is not None and lift.requires_grad)
-        if lift is None or tracked or parts.dim() != 3 or parts.device.type != "cpu":
-            parts = parts if lift is None else lift @ parts
-            return parts[..., :columns].square() + parts[..., columns:].square()
-        # Some pictures at a time, which fit into the processor's caches.
-        found = parts.new_empty(len(parts), len(lift), columns)
-        some = max(1, _BYTES_AT_ONCE // (parts.element_size() * len(lift) * parts.shape[-1]))
-        for i in range(0, len(parts), some):
-            lifted = lift @ parts[i : i + some]
-            one = torch.square(lifted[..., :columns], out=found[i : i + some])
-            one.addcmul_(lifted[..., columns:], lifted[..., columns:])
-        return found
+        parts = torch.cat([nodes.real, nodes.imag], -1)
+        if self._lift_y is not None:
+            parts = self._lift_y @ parts
+        parts = parts.square() if parts.requires_grad else parts.square_()
+        return parts[..., : nodes.shape[-1]] + parts[..., nodes.shape[-1] :]
 
     def __call__(self, field: torch.Tensor) -> torch.Tensor:
         """Transform [..., Y, X] to [..., V, U]."""

@@ -122,9 +122,7 @@ class SampledPass(Generic[Lens]):
         # Most gazes of a phone return nothing: they are not computed.
         lit = self.pupil.returns(sines).nonzero()[:, 0]
         dtype = self.dtype.to_real() if squared else self.dtype
-        # What nothing returns to is dark.
-        made = torch.zeros if len(lit) < len(sines) else torch.empty
-        images = made(len(sines), *self.pupil.path.shape, dtype=dtype, device=self.device)
+        images = torch.zeros(len(sines), *self.pupil.path.shape, dtype=dtype, device=self.device)
         apart = self.pupil.foreshortens(sines)[lit]
         # Two groups, so that an image is the same whichever gazes are drawn with it.
         for group in (lit[apart], lit[~apart]):

@@ -114,19 +114,16 @@ class Pictures:
         places = torch.tensor([pose.place for pose in poses], dtype=torch.float64)
         angles = torch.tensor([pose.roll for pose in poses], dtype=torch.float64)
         total = np.zeros((len(sines), self.side, self.side))
+        seen = rotated(sines, angles) if turned and not aside else sines
         with torch.no_grad():
-            for tilts, centres, share in camera.beams(sines, places):
-                if not turned:
-                    total += camera.render(tilts, centres, share, equivalent=True).double().cpu().numpy()
-                    continue
-                # The RR turns with the target; further beams come from the probe and do not.
-                further = tilts - sines
+            for tilts, centres, share in camera.beams(seen, places):
                 if not aside:
-                    seen = rotated(sines, angles) + further
-                    made = camera.render(seen, centres, share, equivalent=True, roll=angles)
+                    roll = angles if turned else None
+                    made = camera.render(tilts, centres, share, equivalent=True, roll=roll)
                     total += made.double().cpu().numpy()
                     continue
-                own = sines + rotated(further, -angles)
+                # The RR turns with the target; further beams come from the probe and do not.
+                own = sines + rotated(tilts - sines, -angles)
                 made = camera.render(own, torch.zeros_like(centres), share, equivalent=True).double().cpu().numpy()
                 shifts = centres.numpy() / self.pitch
                 rolled = zip(made, poses, shifts, strict=True)
