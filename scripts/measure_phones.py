@@ -200,7 +200,7 @@ def main() -> None:
     for count, left in cases:
         own = copy < count
         train = picked(data, own & ~np.isin(device, left))
-        path = options.work / f"model-{count}-without-{len(left)}-{options.size}-{options.passes}"
+        path = options.work / f"model-{count}-without-{len(left)}-{options.size}-{options.passes}-{options.precision}"
         if options.balanced:
             train, path = balanced(train), path.with_name(f"{path.name}-balanced")
         model = trained(train, path, options.size, options.passes, options.precision)

@@ -11,6 +11,7 @@ import torch
 from scipy.ndimage import affine_transform
 
 from tapetum.bench import Scene, load_scene, with_values
+from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.record.returns import returns_of
 from tapetum.simulate import Camera, tilt_of_gaze
@@ -94,6 +95,13 @@ def test_the_sensors_edge_turns_with_it() -> None:
     quarter = torch.full((1,), math.pi / 2, dtype=torch.float64)
     assert float(camera.render(tilt, place).max()) == 0
     assert float(camera.render(tilt, place, roll=quarter).max()) > 0
+
+
+def test_a_roll_that_is_not_computed_is_refused() -> None:
+    camera = Camera(load_scene("thin-lens"), 0.01, output=Grid(33, 33, 2.2e-6))
+    assert not camera.takes_roll
+    with pytest.raises(InputError, match="roll: is computed with the picture only behind a traced lens"):
+        camera.render(TILTS[:1], PLACES[:1], roll=torch.zeros(1))
 
 
 def test_films_compute_the_roll_of_a_traced_lens() -> None:

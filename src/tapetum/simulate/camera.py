@@ -492,8 +492,12 @@ class Camera:
     ) -> torch.Tensor:
         """Irradiance [B, H, W] in W/m² of one beam that carries `share` of the first one's power.
 
-        `roll` [B], where `takes_roll`, turns the target about its optical axis, in radians from x to y.
+        `roll` [B], where `takes_roll`, turns the target about its optical axis, in radians from x to y; elsewhere it
+        raises an InputError.
         """
+        if roll is not None and not self.takes_roll:
+            what = "is computed with the picture only behind a traced lens without a mask"
+            raise InputError(what, where="roll", remedy="turn the tilt the other way, and the picture afterwards")
         middle = not bool(centres.any()) and not centres.requires_grad
         scale, total = self._scale() * share, None
         places, rolled = None if middle else centres, () if roll is None else (roll,)

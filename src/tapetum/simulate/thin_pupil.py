@@ -81,8 +81,7 @@ class ThinPupil:
 
     def gazes(self, sines: torch.Tensor, own: bool, roll: torch.Tensor | None = None) -> _ThinGazes:
         """Itself under tilts [B, 2]; its pictures are turned after they are computed, so there is no `roll`."""
-        if roll is not None:
-            raise NotImplementedError("a thin lens takes no roll")
+        assert roll is None, "Camera.render refuses it"
         return _ThinGazes(self, sines, own)
 
 
