@@ -132,10 +132,10 @@ def test_a_filter_shows_the_probe_s_own_aperture(distance: float, validated: Any
 
 def test_a_wide_source_blurs_and_keeps_the_power(validated: Any) -> None:
     sharp, wide = scene(), scene(illumination__source_size=4 * WAVELENGTH / (2 * RADIUS))
-    error = abs(watts(wide) / watts(sharp) - 1)
+    blurred, point = image(wide), image(sharp)
+    error = abs(float(blurred.sum() / point.sum()) - 1)
     validated(SECTION, f"power of a source 4 λ/2r wide, {TARGET}", error, 0.01, "a point source's", "relative")
-    blurred = image(wide)
-    assert float(blurred.max()) < 0.4 * float(image(sharp).max())
+    assert float(blurred.max()) < 0.4 * float(point.max())
     # An even disc of four rings' width: its middle is flat.
     middle = blurred[29:35, 29:35]
     assert float(middle.min()) > 0.8 * float(middle.max())
@@ -194,7 +194,7 @@ def test_the_focus_moves_with_the_wavelength(validated: Any) -> None:
     assert Camera(scene(**changed), 0.0).geometry.focal_length == pytest.approx(focal, rel=1e-9)
     # A ray's slope after its way back, 1/f - v + (1 - 2z(1/f - v))/f, is zero.
     want = 1 / focal + 1 / (focal - 2 * FOCAL)
-    found = _best_vergence(changed, want + np.linspace(-0.12, 0.12, 13))
+    found = _best_vergence(changed, want + np.linspace(-0.12, 0.12, 9))
     validated(SECTION, "vergence of the brightest return, N-BK7, f = 20 mm at 532 nm, light of 785 nm",
               abs(found - want), 0.01, "1/f + 1/(f - 2z)", "1/m")  # fmt: skip
     assert abs(want) > 0.5
@@ -222,7 +222,7 @@ def test_a_vergence_scan_finds_the_sensor_and_a_layer(validated: Any) -> None:
         "illumination__coherence_length": 1e-6,
     }
     layer = 1 / FOCAL - 1 / (FOCAL - 2 * depth)
-    step = np.linspace(-0.12, 0.12, 13)
+    step = np.linspace(-0.12, 0.12, 9)
     for name, want in (("sensor", 0.0), ("layer 0.1 mm before it", layer)):
         found = _best_vergence(both, want + step)
         validated(SECTION, f"vergence of the brightest return, {name}, f = 20 mm, r = 3 mm", abs(found - want), 0.01,
@@ -327,7 +327,7 @@ def test_a_spot_beside_a_mask_states_what_its_faint_picture_is_off_by(tmp_path: 
     one = scene(target__sensor__mask={"file": str(path), "pitch": 10e-6}, sampling__propagation="far field")
     # The mask reaches 225 um from the axis, a dark ring takes 6.4 um.
     sines = torch.tensor([[0.0, 0.0], [0.0, 270e-6 / FOCAL]], dtype=torch.float64)
-    rough, fine = (Camera(one, 0.02, accuracy=a, dtype=torch.complex128, device="cpu") for a in (3e-2, 6e-4))
+    rough, fine = (Camera(one, 0.02, accuracy=a, device="cpu") for a in (3e-2, 1e-3))
     middle, beside = rough(sines[:1])[0], rough(sines[1:])[0]
     assert float(beside.max()) < 1e-4 * float(middle.max())
     want = fine(sines[1:])[0]
@@ -342,9 +342,7 @@ def test_a_spot_beside_the_sensor_states_what_its_faint_picture_is_off_by(rings:
     one = scene(target__sensor__pixels=[100, 100], target__sensor__pitch=2e-6, sampling__propagation="far field")
     across = 100e-6 + rings * WAVELENGTH * FOCAL / (2 * RADIUS)
     sines = torch.tensor([[0.0, math.sin(math.atan(across / FOCAL))]], dtype=torch.float64)
-    rough, fine = (
-        Camera(one, float(sines.max()), accuracy=a, dtype=torch.complex128, device="cpu") for a in (1e-2, 1e-3)
-    )
+    rough, fine = (Camera(one, float(sines.max()), accuracy=a, device="cpu") for a in (1e-2, 1e-3))
     found, want = rough(sines)[0], fine(sines)[0]
     error, stated = float((found - want).abs().max() / want.max()), rough.metadata()["expected_error"]
     assert 0 < error < stated < math.inf and stated > 2 * rough.plan.expected_error
