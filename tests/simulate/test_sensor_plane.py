@@ -56,13 +56,13 @@ def geometry(focal: float, radius: float, distance: float, sine: float, output: 
     )
 
 
-def by_orders(g: DoublePassGeometry, output: Grid, orders: tuple[Order, ...], accuracy: float = 1e-3) -> RoundPass:
+def by_orders(g: DoublePassGeometry, output: Grid, orders: tuple[Order, ...], accuracy: float = 3e-3) -> RoundPass:
     plan = plan_round(g, accuracy, pixels=output.rows * output.columns)
     return RoundPass(g, plan, output, [Surface(g.image_distance, orders)], dtype=torch.complex128)
 
 
 def by_samples(
-    g: DoublePassGeometry, output: Grid, one: TargetSensor, finest: float, accuracy: float = 3e-3
+    g: DoublePassGeometry, output: Grid, one: TargetSensor, finest: float, accuracy: float = 1e-2
 ) -> DoublePass:
     plan = plan_double_pass(g, accuracy, pixels=output.rows * output.columns, finest=finest)
     return DoublePass(g, plan, output, mask=reflectance_at(one, WAVELENGTH), dtype=torch.complex128)
