@@ -89,7 +89,7 @@ def test_a_tilt_and_its_opposite_are_each_other_turned(validated: Any) -> None:
 
 def test_the_azimuth_turns_the_image(validated: Any) -> None:
     g = geometry(distance=2.0, sine=0.02)
-    one = RoundPass(g, plan_round(g, 1e-4), Grid(65, 65, 8e-6), dtype=torch.complex128)
+    one = RoundPass(g, plan_round(g, 3e-4), Grid(65, 65, 8e-6), dtype=torch.complex128)
     upright, lying = one(torch.tensor([[0.0, 0.012], [0.012, 0.0]], dtype=torch.float64))
     error = (upright - lying.T).abs().max() / upright.max()
     validated("Double pass", f"azimuth of 90° turns the image, {PAPER}, x_d = 2 m", error, 2e-4, "symmetry")
@@ -100,7 +100,7 @@ def test_single_precision_agrees_with_double(validated: Any) -> None:
     for distance in (1.0, math.inf):
         g = geometry(distance=distance, sine=0.02)
         single, double = (
-            RoundPass(g, plan_round(g, 1e-4), Grid(64, 64, 8e-6), dtype=dtype)(sines((0.3, 0.6)))
+            RoundPass(g, plan_round(g, 3e-4), Grid(64, 64, 8e-6), dtype=dtype)(sines((0.3, 0.6)))
             for dtype in (torch.complex64, torch.complex128)
         )
         worst = max(worst, float((single - double).abs().max() / double.max()))
@@ -247,23 +247,21 @@ def test_a_spherical_wave_meets_a_foreshortened_pupil(validated: Any) -> None:
     field, x, y, weights = RoundPass(g, plan_round(g, 1e-4), Grid(4, 4, 1e-5), dtype=torch.complex128).exit_pupil(tilt)
     slope = tilt[0] / torch.sqrt(1 - (tilt**2).sum())
     disc = disc_quadrature(radius, 1700, 1750)
-    inside = disc.weights != 0
-    place = torch.stack([disc.x.expand(1750, -1)[inside], disc.y[:, None].expand(-1, 1700)[inside]], -1)
-    along, square = place @ tilt[0], (place**2).sum(-1)
+    across, down = disc.x, disc.y[:, None]
+    along, square = across * tilt[0, 0] + down * tilt[0, 1], across**2 + down**2
     sphere = (torch.sqrt(1 + 2 * curvature * along + curvature**2 * square) - 1) / curvature
-    path = sphere - along + place @ slope - square / (2 * g.focal_length)
-    ours, want = [], []
-    rows = torch.linspace(0.05, 0.95, 6) * (len(y) - 1)
-    for row in rows.long():
-        for column in (torch.linspace(0.1, 0.9, 5) * (len(x) - 1)).long():
-            if weights[row, column] == 0:
-                continue
-            at = torch.stack([x[column], y[row]])
-            way = path + ((at - place) ** 2).sum(-1) / (4 * g.image_distance)
-            light = (phasor(K * way) * disc.weights[inside]).sum() / (2 * WAVELENGTH * g.image_distance)
-            want.append(light * phasor(K * (at @ slope - (at**2).sum() / (2 * g.focal_length))))
-            ours.append(field[0, row, column])
-    got, known = torch.stack(ours), torch.stack(want) * (1 - float((tilt**2).sum())) ** 0.25
+    path = sphere - along + across * slope[0] + down * slope[1] - square / (2 * g.focal_length)
+    # Of the way |at - place|²/4z what mixes both separates into columns and rows.
+    light = phasor(K * (path + square / (4 * g.image_distance))) * disc.weights
+    rows = (torch.linspace(0.05, 0.95, 6) * (len(y) - 1)).long()
+    columns = (torch.linspace(0.1, 0.9, 5) * (len(x) - 1)).long()
+    turn = -K / (2 * g.image_distance)
+    light = phasor(turn * y[rows, None] * disc.y) @ light @ phasor(turn * disc.x[:, None] * x[columns])
+    bend = 1 / (4 * g.image_distance) - 1 / (2 * g.focal_length)
+    leaving = K * (x[columns] * slope[0] + y[rows, None] * slope[1] + bend * (x[columns] ** 2 + y[rows, None] ** 2))
+    light = light * phasor(leaving) / (2 * WAVELENGTH * g.image_distance)
+    inside = weights[rows][:, columns] != 0
+    got, known = field[0][rows][:, columns][inside], light[inside] * (1 - float((tilt**2).sum())) ** 0.25
     error = (without_phase(got, known) - known).square().abs().mean().sqrt() / known.abs().max()
     what = "field (RMS), f/1.5, f = 1.6 mm, 14°, source at 0.2 m"
     validated("Double pass", what, error, 8e-3, "Huygens' sum by exact distances")
@@ -285,9 +283,9 @@ def test_the_way_to_a_near_probe_goes_by_exact_distances(curvature: float, valid
     cosine = math.sqrt(1 - float((tilt**2).sum()))
     matrix = torch.eye(2, dtype=torch.float64) - tilt.T @ tilt / (1 + cosine)
     farther, seen = distance + place @ tilt[0], place @ matrix
-    stop = disc_quadrature(radius, 110, 115)
+    stop = disc_quadrature(radius, 80, 85)
     inside = stop.weights != 0
-    far = torch.stack([stop.x.expand(115, -1)[inside], stop.y[:, None].expand(-1, 110)[inside]], -1)
+    far = torch.stack([stop.x.expand(85, -1)[inside], stop.y[:, None].expand(-1, 80)[inside]], -1)
     arriving = []
     for some in far.split(256):
         square = torch.cdist(some, seen) ** 2
@@ -310,7 +308,7 @@ def _covered(rho_squared: torch.Tensor, radius: float, pitch: float) -> torch.Te
 def test_gradients_of_every_continuous_parameter() -> None:
     """Gradcheck in double precision. The grids stay as planned: a planner that follows would move its error too."""
     g = geometry(0.1, 0.5e-3, 3.0, sine=0.01, curvature=0.2)
-    plan, output = plan_round_with(g, RoundEffort(1.0, 30, 1.5, 3.0)), Grid(3, 4, 30e-6)
+    plan, output = plan_round_with(g, RoundEffort(1.0, 30, 1.5, 3.0)), Grid(2, 3, 30e-6)
 
     def image(tilt: torch.Tensor, **values: torch.Tensor) -> torch.Tensor:
         z = 1 / (1 / values["focal_length"] - 1 / values.pop("object_distance"))
