@@ -66,7 +66,7 @@ TILTS = torch.tensor([[0.0, 0.0], [0.004, 0.011], [-0.009, 0.003], [0.006, -0.00
 
 @pytest.mark.parametrize(("name", "f_number"), [("phone-d", 4.0), ("compact-6mm-f1.9", 5.6)])
 def test_a_uniform_mask_is_a_plain_reflectance(name: str, f_number: float, tmp_path: Path, validated: Any) -> None:
-    mask = saved(tmp_path, np.ones((120, 120)), 4e-6)
+    mask = saved(tmp_path, np.ones((60, 60)), 8e-6)
     plain = camera_of(scene_of(traced(name, f_number), f_number))
     masked = camera_of(scene_of(traced(name, f_number), f_number, mask))
     want, ours = plain(TILTS), masked(TILTS)
@@ -80,7 +80,7 @@ def test_a_uniform_mask_is_a_plain_reflectance(name: str, f_number: float, tmp_p
 def test_a_mask_behind_a_nearly_perfect_lens_is_the_thin_lenss(distance: float, tmp_path: Path, validated: Any) -> None:
     """A plano-convex lens at f/25, f = 20 mm; its sensor stands where a thin lens of that focal length is sharp."""
     focal, f_number = 0.02, 25.0
-    mask = saved(tmp_path, pattern(24), WAVELENGTH * f_number)
+    mask = saved(tmp_path, pattern(12), 2 * WAVELENGTH * f_number)
     given = {"focal_length": focal, "design_wavelength": WAVELENGTH}
     lens = {"kind": "prescription", "name": "la1509", "f_number": f_number, **given}
     thin = {"focal_length": focal, "aperture_radius": focal / 2 / f_number}
@@ -93,9 +93,9 @@ def test_a_mask_behind_a_nearly_perfect_lens_is_the_thin_lenss(distance: float, 
 
 def test_a_mirrored_mask_returns_the_mirrored_picture(tmp_path: Path, validated: Any) -> None:
     """With the tilt mirrored too; a mask read the wrong way round would not."""
-    pitch, lens = WAVELENGTH * 8, traced("phone-d", 8.0)
-    want = camera_of(scene_of(lens, 8.0, saved(tmp_path, pattern(24), pitch)))(TILTS[1:2])[0]
-    mirrored = camera_of(scene_of(lens, 8.0, saved(tmp_path, pattern(24)[:, ::-1], pitch)))
+    pitch, lens = WAVELENGTH * 16, traced("phone-d", 8.0)
+    want = camera_of(scene_of(lens, 8.0, saved(tmp_path, pattern(12), pitch)))(TILTS[1:2])[0]
+    mirrored = camera_of(scene_of(lens, 8.0, saved(tmp_path, pattern(12)[:, ::-1], pitch)))
     ours = mirrored(TILTS[1:2] * torch.tensor([-1.0, 1.0]).double())[0].flip(1)
     # Columns and rows of the pupil on the way out are turned with the tilt, so the samples are not mirrored.
     error = float((ours - want).abs().max() / want.max())
@@ -106,7 +106,7 @@ def test_a_mirrored_mask_returns_the_mirrored_picture(tmp_path: Path, validated:
 def test_a_faint_picture_states_its_error(tmp_path: Path) -> None:
     """A spot some 15 rings beside a small mask: computed by the finer pass, with the difference stated."""
     lens, tilt = traced("phone-d", 4.0), torch.tensor([[0.0, 0.022]], dtype=torch.float64)
-    camera = camera_of(scene_of(lens, 4.0, saved(tmp_path, np.ones((24, 24)), 4e-6)), 0.025)
+    camera = camera_of(scene_of(lens, 4.0, saved(tmp_path, np.ones((12, 12)), 8e-6)), 0.025)
     bright = camera(torch.zeros(1, 2, dtype=torch.float64))
     planned = camera.metadata()["expected_error"]
     assert planned <= 3e-3
@@ -114,7 +114,7 @@ def test_a_faint_picture_states_its_error(tmp_path: Path) -> None:
     assert 0 < float(faint.max()) < 1e-3 * float(bright.max())
     stated = camera.metadata()["expected_error"]
     assert planned < stated < 1
-    finer = camera_of(scene_of(lens, 4.0, saved(tmp_path, np.ones((24, 24)), 4e-6), accuracy=3e-4), 0.025)
+    finer = camera_of(scene_of(lens, 4.0, saved(tmp_path, np.ones((12, 12)), 8e-6), accuracy=3e-4), 0.025)
     assert float((finer(tilt) - faint).abs().max() / faint.max()) < stated
 
 
