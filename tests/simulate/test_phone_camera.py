@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -56,7 +57,7 @@ def test_each_return_lies_where_the_probe_sees_its_camera() -> None:
     scene = phone(several())
     # Fewer pixels, and the plane mirrors alone: places are what is asked for.
     units = phone_scenes(scene)[:2]
-    grid = Grid(81, 81, 8e-6)
+    grid = Grid(65, 65, 8e-6)
     camera = PhoneCamera.__new__(PhoneCamera)
     camera.scene, camera.output = scene, grid
     bare = [replace(unit.scene, target=replace(unit.scene.target, sensor=_mirror(unit.scene))) for unit in units]
@@ -129,18 +130,23 @@ def test_one_camera_and_a_phone_open_alike() -> None:
 @pytest.mark.parametrize("accuracy", [0.1, 1e-2])
 def test_windows_hold_what_the_whole_sensor_sees(accuracy: float) -> None:
     """Each return on its own pixels, against all cameras on all pixels; off the middle, and partly off the sensor."""
-    grid = Grid(420, 420, 4.4e-6)
-    beam = {"angle": ["0.12 deg", "-0.1 deg"], "ratio": 0.3}
+    grid = Grid(290, 290, 4.4e-6)
+    beam = {"angle": ["0.06 deg", "-0.05 deg"], "ratio": 0.3}
     scene = phone(several(), **{"sampling.accuracy": accuracy, "illumination.second_beam": beam})
-    camera = PhoneCamera(scene, 0.05, output=grid, device="cpu")
+    # As steep as elsewhere here, the second beam included: the lenses are traced once.
+    camera = PhoneCamera(scene, 0.05 - math.radians(math.hypot(0.06, 0.05)), output=grid, device="cpu")
     assert all(one.output.rows < grid.rows for one, _ in camera.units)
     whole = PhoneCamera.__new__(PhoneCamera)
     whole.scene, whole.output = scene, grid
     whole.units = [(one.on(grid), unit) for one, unit in camera.units]
     tilts = TILT.expand(3, 2)
-    centres = torch.tensor([[0.0, 0.0], [1.234e-4, -2.5e-4], [9.3e-4, 1e-5]], dtype=torch.float64)
-    found, like = camera(tilts, centres), whole(tilts, centres)
-    assert found.shape == like.shape == (3, 420, 420)
+    centres = torch.tensor([[0.0, 0.0], [1.234e-4, -2.5e-4], [6.4e-4, 1e-5]], dtype=torch.float64)
+    like = whole(tilts, centres)
+    # The plan for all pixels serves the windows: what they leave out is meant here, no other plan's error.
+    all_pixels = [one for one, _ in whole.units]
+    camera.units = [(one.on(own.output), unit) for one, (own, unit) in zip(all_pixels, camera.units, strict=True)]
+    found = camera(tilts, centres)
+    assert found.shape == like.shape == (3, 290, 290)
     apart = float(((found - like).abs().amax((1, 2)) / like.amax((1, 2))).max())
     assert float(found[2].max()) > 0
     # Far beyond the sensor nothing is computed.
@@ -169,18 +175,16 @@ def test_a_plan_for_a_wide_picture_serves_a_narrow_one_of_all_planes(monkeypatch
     found = narrow(tilts)
     assert len(planned) == 1 and narrow.plan == wide.plan
     assert float((found - whole[:, 80:-80, 60:-60]).abs().max()) < 3e-4 * float(whole.max())
-    alone = unit.on(Grid(161, 201, pitch))
+    alone = narrow.on(Grid(181, 201, pitch))
     again = alone(tilts)
-    assert len(planned) == 2
-    assert float((found - again).abs().max()) <= wide.accuracy * float(again.max())
-    assert narrow.on(Grid(181, 201, pitch))(tilts).shape == (2, 181, 201)
-    assert len(planned) == 3
+    assert len(planned) == 2 and again.shape == (2, 181, 201)
+    assert float((found - again[:, 10:-10]).abs().max()) <= wide.accuracy * float(again.max())
 
 
 def test_to_the_far_field_a_much_narrower_picture_is_planned_by_itself() -> None:
     camera = Camera(with_values(load_scene("rotation"), {"sampling.accuracy": 0.1}), 0.01, device="cpu")
     assert not camera.finite
-    wide = camera.on(Grid(401, 401, 2.2e-6))
+    wide = camera.on(Grid(201, 201, 2.2e-6))
     samples = wide.plan
-    near, far = wide.on(Grid(321, 321, 2.2e-6)), wide.on(Grid(201, 201, 2.2e-6))
+    near, far = wide.on(Grid(161, 161, 2.2e-6)), wide.on(Grid(101, 101, 2.2e-6))
     assert near.plan is samples and far.plan is not samples
