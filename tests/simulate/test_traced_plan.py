@@ -109,7 +109,6 @@ def test_samples_that_change_no_picture_are_left_out(monkeypatch: pytest.MonkeyP
     output = picture(case, 31)
     few = planned(case, output, accuracy)
     monkeypatch.setattr(traced_plan, "_SHARES", ())
-    traced.cache_clear()
     many = planned(case, output, accuracy)
     assert few.plan.columns < 0.8 * many.plan.columns and few.plan.sensor < many.plan.sensor
     sines = torch.linspace(0, math.sin(math.radians(14)), 12, dtype=torch.float64)
