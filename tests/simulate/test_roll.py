@@ -32,7 +32,7 @@ def wide(**changes: Any) -> Scene:
 
 def phone() -> Scene:
     """A camera of a phone with a filter before its sensor."""
-    scene = with_values(load_scene("phones"), {"target.name": "phone-06", "sampling.accuracy": 0.03})
+    scene = with_values(load_scene("phones"), {"target.name": "phone-01", "sampling.accuracy": 0.03})
     return phone_scenes(scene)[0].scene
 
 
