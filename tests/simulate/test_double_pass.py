@@ -225,6 +225,16 @@ def test_symmetries_of_a_round_lens() -> None:
     assert torch.allclose(diagonal, mirrored.T, atol=1e-3 * peak)
 
 
+def _summed(one: DoublePass, pupil: torch.Tensor, shear: torch.Tensor) -> torch.Tensor:
+    """Field on the pixels, sheared: of each pixel the sum over all of the exit pupil."""
+    y, x = torch.meshgrid(one.output.y(), one.output.x(), indexing="ij")
+    u, w = shear @ torch.stack([x.flatten(), y.flatten()])
+    columns, rows = (
+        phasor(-K / PROBE_FOCAL * torch.outer(at, axis)) for at, axis in ((u, one.pupil.x), (w, one.pupil.y))
+    )
+    return ((rows @ pupil) * columns).sum(-1).reshape(x.shape)
+
+
 def test_foreshortening_in_any_direction(validated: Validated) -> None:
     """The fast way (QR factors), and the one for masks, against a plain sum over the exit pupil."""
     output = Grid(9, 9, 60e-6)
@@ -242,13 +252,7 @@ def test_foreshortening_in_any_direction(validated: Validated) -> None:
     pupil = (to_pupil[0] @ spot[0] @ to_pupil[1].T) * one.pupil.exit * cosine
 
     def plain(shear: torch.Tensor) -> torch.Tensor:
-        values = torch.empty(9, 9, dtype=torch.float64)
-        for i, y in enumerate(output.y()):
-            for j, x in enumerate(output.x()):
-                u, w = shear @ torch.stack([x, y])
-                phase = -K / PROBE_FOCAL * (one.pupil.x[None, :] * u + one.pupil.y[:, None] * w)
-                values[i, j] = (pupil * phasor(phase)).sum().abs() ** 2
-        return values
+        return _summed(one, pupil, shear).abs() ** 2
 
     peak, foreshortened = float(fast.max()), plain(matrix)
     what = "Foreshortened picture, tilt (0.045, 0.04): irradiance"
@@ -298,13 +302,7 @@ def test_a_mask_lies_in_the_sensors_own_coordinates(validated: Validated) -> Non
     pupil = torch.einsum("yv,vu,xu->yx", to_y, seen, to_x) * one.pupil.exit * cosine
     unit = tilt[0] / tilt[0].norm()
     matrix = torch.eye(2, dtype=torch.float64) - (1 - cosine) * unit[:, None] * unit[None, :]
-    want = torch.empty_like(got)
-    for i, y in enumerate(output.y()):
-        for j, x in enumerate(output.x()):
-            u, w = matrix @ torch.stack([x, y])
-            want[i, j] = (
-                pupil * phasor(-K / PROBE_FOCAL * (one.pupil.x[None, :] * u + one.pupil.y[:, None] * w))
-            ).sum()
+    want = _summed(one, pupil, matrix)
     error = (got - want).abs().max() / want.abs().max()
     validated(SECTION, "A mask under the tilt (0.045, 0.03): complex field", error, 1e-9, "sums term by term")
     # Another gaze sees another piece of it.
