@@ -43,7 +43,7 @@ def test_of_a_spot_only_what_reaches_the_picture_is_sampled(tilt: tuple[float, f
     assert one.fits.part is not None and one.grids.half_width < blur
     # All of the spot, about its own middle.
     whole = 1.5 * blur
-    grids = TracedGrids(400, 700, whole, 0.9 * whole, 1200, 160)
+    grids = TracedGrids(320, 560, whole, 0.9 * whole, 900, 160)
     ours, all_of_it = (
         bare(fits, of, output, one.surface, one.accepted)
         for fits, of in ((one.fits, one.grids), (replace(one.fits, part=None), grids))
