@@ -6,9 +6,11 @@
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from scipy.special import j0, j1
 
@@ -98,10 +100,16 @@ def share_in_disc(disc: float, radius: float, spread: float, wavelength: float, 
     if v + turns > _MOST_RADIANS:
         by_rays = min(1.0, (disc / spread) ** 2) if spread > 0 else 1.0
         return by_rays * encircled_energy(disc, radius, wavelength, distance)
-    nodes, weights = np.polynomial.legendre.leggauss(40 + int(0.8 * (v + turns)))
-    x, w = (nodes + 1) / 2, weights / 2
+    x, w = _gauss(40 + int(0.8 * (v + turns)))
     field = j0(v * x[:, None] * x[None, :]) @ (np.exp(1j * turns * x**2) * x * w)
     return float((np.abs(field) ** 2 * x * w).sum() * 2 * v**2)
+
+
+@functools.lru_cache(maxsize=256)
+def _gauss(count: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Places in 0 … 1 and weights of Gauss-Legendre quadrature; finding them takes as long as the integral."""
+    nodes, weights = np.polynomial.legendre.leggauss(count)
+    return (nodes + 1) / 2, weights / 2
 
 
 def line_of(scene: Scene, wavelength: float | None = None) -> tuple[float, float]:
