@@ -6,6 +6,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from scipy.optimize import isotonic_regression, linprog
 
 from tapetum.bench import Target
 from tapetum.errors import InputError
-from tapetum.simulate.constellation.light import irradiance, signal
+from tapetum.simulate.constellation.light import irradiance, paraxial_reach, signal
 from tapetum.simulate.constellation.room import Array, Constellation, Point, ProbeKit, Rail, Volume, between, whole
 
 __all__ = ["Design", "design", "single_probe"]
@@ -180,8 +181,9 @@ class _Problem:
         self.high = irradiance(probes, points, margin=margin)
         self.unit = float(self.high.max()) or 1.0
         self.low, self.high = self.low / self.unit, self.high / self.unit
-        seen = signal(probes, target, points, volume.facing(points))
-        self.gain, self.noise = seen.electrons, seen.noise
+        paraxial_reach(probes, target, points)
+        # The links take longest, and an SNR of weight 0 does not need them.
+        self._seen = functools.cache(lambda: signal(probes, target, points, volume.facing(points)))
 
     def capped(self, power: Array) -> Array:
         """Powers in watts at which the largest illumination, with the wider cones, is the cap."""
@@ -245,6 +247,7 @@ class _Problem:
         watts = self.capped(power)
         # Probes without power count as if they had the median power of the others.
         usual = float(np.median(watts[watts > 1e-6 * watts.max()]))
-        counts = self.gain * np.where(watts > 1e-6 * watts.max(), watts, usual)
-        rows = self.gain * counts / (counts + self.noise)
+        seen = self._seen()
+        counts = seen.electrons * np.where(watts > 1e-6 * watts.max(), watts, usual)
+        rows = seen.electrons * counts / (counts + seen.noise)
         return rows / float((rows @ power).mean())

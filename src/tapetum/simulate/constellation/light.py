@@ -133,12 +133,8 @@ def signal(
     InputError
         When a point is nearer to a probe than ten focal lengths of the target, where the paraxial return fails.
     """
-    reach = _geometry(constellation, points)[1]
+    reach = paraxial_reach(constellation, target, points)
     lens, sensor = target.lens, constellation.sensor
-    if (reach < 10 * lens.focal_length).any():
-        raise InputError(
-            f"a point is {reach.min():.3g} m from a probe", where="points", remedy="keep ten focal lengths away"
-        )
     sine = np.zeros_like(reach)
     if facing is not None:
         sine = np.sqrt(np.clip(1 - np.clip(_cosine(constellation, points, facing), 0.0, 1.0) ** 2, 0.0, 1.0))
@@ -156,6 +152,16 @@ def signal(
     dark = dark_electrons(sensor)
     noise = pixels * max(dark + readout_variance(sensor), 1e-12)
     return Signals(count, noise, pixels, full > most_electrons(sensor) - dark)
+
+
+def paraxial_reach(constellation: Constellation, target: Target, points: npt.ArrayLike) -> Array:
+    """Distances of points and probes, [N, P]; InputError where a point is too near for a paraxial return."""
+    reach = _geometry(constellation, points)[1]
+    if (reach < 10 * target.lens.focal_length).any():
+        raise InputError(
+            f"a point is {reach.min():.3g} m from a probe", where="points", remedy="keep ten focal lengths away"
+        )
+    return reach
 
 
 def _links(target: Target, probe: Probe, wavelength: float, reach: Array, sine: Array) -> Array:
