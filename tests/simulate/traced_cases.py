@@ -220,17 +220,24 @@ def huygens(
         back, _, p_back = _kernel_parts(focused, out.e, sine, 0.0, y0)
     step = 2 * half_width / sensor
     line = (torch.arange(sensor, dtype=torch.float64) - (sensor - 1) / 2) * step
+    # Left is right, mirrored: half of the sensor tells of both, and of the middle column, if there is one, each half.
+    right = line[line > -step / 4]
+    share = torch.where(right < step / 4, 0.5, 1.0)
     total = torch.zeros(len(out.e), dtype=torch.complex128)
     weights = into.weights * (1 - sine**2) ** 0.25
     for v in line:
-        places = torch.stack([line, v + torch.zeros_like(line)], -1)
+        places = torch.stack([right, v + torch.zeros_like(right)], -1)
         fade = ((torch.linalg.vector_norm(places, dim=-1) / half_width - 0.75) / 0.25).clamp(0, 1)
         lit = fade < 1
         u = torch.cat([places[lit], torch.zeros_like(places[lit][:, :1])], -1) + y0
         to = phasor(K * _beyond(u, p_forth, y0)) * forth
-        spot = to @ weights.to(to.dtype) * torch.cos(fade[lit] * math.pi / 2) ** 2
+        spot = to @ weights.to(to.dtype) * torch.cos(fade[lit] * math.pi / 2) ** 2 * share[lit]
         fro = to if p_back is p_forth else phasor(K * _beyond(u, p_back, y0)) * back
         total += fro.T @ spot
+    # Spokes lie mirrored about x = 0 where their number is even.
+    assert around % 2 == 0
+    mirrored = (around // 2 - 1 - torch.arange(around)) % around
+    total = total + total.reshape(around, radial)[mirrored].flatten()
     return Huygens(out, total * step**2 / (1j * WAVELENGTH) ** 2, sine)
 
 
