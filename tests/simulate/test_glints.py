@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import replace
 from typing import Any
@@ -31,8 +32,14 @@ WAVELENGTH, DISTANCE, APERTURE, FOCAL = 785e-9, 5.5, 5e-3, 0.1
 PIXELS = Grid(160, 160, 2.2e-6)
 
 
+@functools.cache
 def focused(name: str) -> FocusedLens:
     return PrescriptionLens(name).focused(WAVELENGTH, math.inf)
+
+
+@functools.cache
+def tables_of(name: str) -> list[GlintTable]:
+    return glint_tables(focused(name), WAVELENGTH)
 
 
 def at(table: GlintTable, *degrees: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -84,19 +91,19 @@ def test_the_back_of_a_lens_is_a_mirror_seen_through_its_front(validated: Any) -
 
 
 def test_a_lens_of_glass_has_a_glint_for_every_surface_in_air() -> None:
-    doublet = glint_tables(focused("photo-50mm-f1.8"), WAVELENGTH)
+    doublet = tables_of("photo-50mm-f1.8")
     surfaces = focused("photo-50mm-f1.8").lens
     assert surfaces.stop not in [one.surface for one in doublet]
     # Plane plates before the sensor are its layers.
     phone = focused("phone-f")
-    told = [one.surface for one in glint_tables(phone, WAVELENGTH)]
+    told = [one.surface for one in tables_of("phone-f")]
     assert len(phone.lens) - 1 not in told and len(phone.lens) - 2 not in told and 0 in told
     # The plane back of a lens is none.
-    assert [one.surface for one in glint_tables(focused("la1509"), WAVELENGTH)] == [0, 1]
+    assert [one.surface for one in tables_of("la1509")] == [0, 1]
 
 
 def test_each_glint_wanders_its_own_way_and_mirrored_gazes_have_mirrored_ones() -> None:
-    tables = glint_tables(focused("phone-b"), WAVELENGTH)
+    tables = tables_of("phone-b")
     slopes: list[float] = []
     for table in tables:
         which, e, _ = table.at(along_y(0.5, 1.0)[:, 1])
@@ -110,7 +117,7 @@ def test_each_glint_wanders_its_own_way_and_mirrored_gazes_have_mirrored_ones() 
 
 def test_a_glint_is_the_probe_s_aperture_out_of_focus(validated: Any) -> None:
     """All that the aperture takes of R dA/dΩ watts a steradian lands, in a disc of its shadow."""
-    tables = glint_tables(focused("phone-b"), WAVELENGTH)[:1]
+    tables = tables_of("phone-b")[:1]
     one = glints(tables, 0.02, Grid(400, 400, 2.2e-6))
     sines = along_y(3.0)
     which, place, area = one.places(sines)
@@ -129,7 +136,7 @@ def test_a_glint_is_the_probe_s_aperture_out_of_focus(validated: Any) -> None:
 
 
 def test_only_rings_far_below_the_accuracy_are_left_out() -> None:
-    tables, grid = glint_tables(focused("phone-b"), WAVELENGTH), Grid(500, 500, 2.2e-6)
+    tables, grid = tables_of("phone-b"), Grid(500, 500, 2.2e-6)
     tilts = along_y(3.0, 8.0)
     whole, drawn = (glints(tables, output=grid, accuracy=accuracy)(tilts) for accuracy in (1e-12, 0.1))
     count = len(tables)
@@ -149,7 +156,7 @@ def test_only_rings_far_below_the_accuracy_are_left_out() -> None:
 @pytest.mark.parametrize("grid", [Grid(241, 301, 2.2e-6), Grid(60, 45, 9e-6)], ids=["fine", "coarse"])
 def test_glints_drawn_at_once_are_those_drawn_one_by_one(grid: Grid, validated: Any) -> None:
     """Against the profile of each glint at every pixel's distance; gazes of many glints, of few, and off the pixels."""
-    tables = glint_tables(focused("phone-b"), WAVELENGTH)
+    tables = tables_of("phone-b")
     one = glints(tables, output=grid, accuracy=1e-2)
     sines = torch.cat([along_y(0.0, 3.0, 8.0, 80.0), along_y(5.0)])
     centres = 1e-4 * torch.tensor([[0, 0], [1.23, -2], [-0.7, 0.4], [0, 0], [4, 1]], dtype=torch.float64)
@@ -173,7 +180,7 @@ def test_glints_drawn_at_once_are_those_drawn_one_by_one(grid: Grid, validated: 
 
 def test_glints_that_all_lie_beside_the_sensor_leave_it_dark() -> None:
     """As those of a phone's camera beside the one that a small sensor looks at."""
-    one = glints(glint_tables(focused("phone-b"), WAVELENGTH), output=Grid(64, 64, 2.2e-6))
+    one = glints(tables_of("phone-b"), output=Grid(64, 64, 2.2e-6))
     picture = one(along_y(0.0), torch.tensor([[0.05, 0.0]], dtype=torch.float64))
     assert picture.shape == (1, 64, 64) and not picture.any()
 
@@ -266,14 +273,15 @@ def test_glints_want_a_probe_of_finite_size() -> None:
 
 def test_glints_are_carried_over_the_distance_whatever_the_return() -> None:
     """A sensor in focus sends back no more than the probe's aperture takes: its lens's glints still do."""
-    scene = load_scene("rotation", ["target.lens.coating=0.01", "probe.lens.aperture_radius=40 mm"])
+    lens = "target.lens={kind: prescription, name: la1509, f_number: 16, coating: 0.01}"
+    scene = load_scene("rotation", [lens, "probe.lens.aperture_radius=40 mm"])
     auto = with_values(scene, {"sampling.propagation": "auto"})
     bare = with_values(auto, {"target.lens.coating": 0.0})
     assert Camera(auto, 0.01, output=PIXELS).finite and not Camera(bare, 0.01, output=PIXELS).finite
 
 
 def test_the_gradient_of_the_tilt_is_that_of_differences() -> None:
-    one = glints(glint_tables(focused("phone-b"), WAVELENGTH)[:2])
+    one = glints(tables_of("phone-b")[:2])
     weights = torch.linspace(0, 1, PIXELS.columns, dtype=torch.float64)
     tilt = torch.tensor([[0.02, 0.05]], dtype=torch.float64, requires_grad=True)
     (one(tilt)[0] * weights).sum().backward()

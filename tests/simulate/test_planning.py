@@ -24,9 +24,9 @@ from tapetum.simulate.retroreflect import plan_scene
 
 TWO_LINES = [{"wavelength": "532 nm", "power": "2 mW"}, {"wavelength": "850 nm", "power": "3 mW"}]
 # What a traced lens is planned with here: the same numbers are asked for several times, and none of them is judged.
-ROUGH = {"sampling.accuracy": 0.3, "probe.sensor.pixels": [40, 32]}
+ROUGH = {"sampling.accuracy": 0.3, "probe.sensor.pixels": [24, 20]}
 # A zoom lens costs the most, at long focal lengths and over the distance above all.
-SHORT = {"target.lens.focal_length": "20 mm", "target.lens.f_number": 8, "sampling.propagation": "far field"}
+SHORT = {"target.lens.focal_length": "20 mm", "target.lens.f_number": 16, "sampling.propagation": "far field"}
 ROUGH_OF = {"focusing": {**ROUGH, **SHORT}, "phones": ROUGH, "rotation": ROUGH}
 
 
