@@ -53,13 +53,14 @@ def index_by_abbe(nd: float, vd: float, wavelength: float) -> float:
 
 @dataclass(frozen=True)
 class Bundle:
-    """Rays where they end: positions and directions [N, 3], path from where they began, and the greatest height on
-    their way (below 1 they pass)."""
+    """Rays where they end: positions and directions [N, 3], path from where they began, the greatest height on their
+    way (below 1 they pass), and positions in the stop [N, 3]."""
 
     position: Real
     direction: Real
     path: Real
     height: Real
+    stop: Real
 
 
 @dataclass(frozen=True)
@@ -98,35 +99,43 @@ class Traced:
 
     def trace(self, position: Real, direction: Real, stop_at: int | None = None) -> Bundle:
         """Rays [N, 3] through all surfaces; they may begin within the lens, as if there were none."""
-        p, d, path = position.copy(), direction.copy(), np.zeros(len(position))
-        height = np.zeros(len(position))
+        # Components first: each is summed over all rays.
+        p, d, path = position.T.copy(), direction.T.copy(), np.zeros(len(position))
+        height, stop = np.zeros(len(position)), p
         with np.errstate(invalid="ignore", divide="ignore"):
             for i in range(len(self.z)):
-                way = (self.z[i] - p[:, 2]) / d[:, 2]
+                way = (self.z[i] - p[2]) / d[2]
+                # Most rays are there after some steps; a few at the rim take many, and go on without the others.
+                start, along, far, left = p, d, way, np.arange(len(way))
                 for _ in range(30):
-                    at = p + way[:, None] * d
-                    r2 = np.maximum(at[:, 0] ** 2 + at[:, 1] ** 2, 1e-30)
-                    value, slope = self.sag(i, r2)
-                    miss = at[:, 2] - self.z[i] - value
-                    step = miss / (d[:, 2] - 2 * slope * (at[:, 0] * d[:, 0] + at[:, 1] * d[:, 1]))
-                    way = way - step
-                    if not np.nanmax(np.abs(step), initial=0.0) > 1e-13:
+                    at = start + far * along
+                    value, slope = self.sag(i, np.maximum(at[0] ** 2 + at[1] ** 2, 1e-30))
+                    miss = at[2] - self.z[i] - value
+                    step = miss / (along[2] - 2 * slope * (at[0] * along[0] + at[1] * along[1]))
+                    far = far - step
+                    way[left] = far
+                    going = np.flatnonzero(np.abs(step) > 1e-13)
+                    if not len(going):
                         break
+                    if len(going) < len(left) / 2:
+                        start, along, far, left = start[:, going], along[:, going], far[going], left[going]
                 path = path + self.index[i] * way
-                p = p + way[:, None] * d
-                r2 = np.maximum(p[:, 0] ** 2 + p[:, 1] ** 2, 1e-30)
+                p = p + way * d
+                r2 = np.maximum(p[0] ** 2 + p[1] ** 2, 1e-30)
                 height = np.fmax(height, r2 / self.opening[i] ** 2)
+                if self.stop == i:
+                    stop = p
                 if stop_at == i:
-                    return Bundle(p, d, path, height)
+                    return Bundle(p.T, d.T, path, height, stop.T)
                 _, slope = self.sag(i, r2)
-                normal = np.stack([-2 * slope * p[:, 0], -2 * slope * p[:, 1], np.ones(len(p))], 1)
-                normal /= np.linalg.norm(normal, axis=1)[:, None]
+                normal = np.stack([-2 * slope * p[0], -2 * slope * p[1], np.ones_like(slope)])
+                normal /= np.sqrt((normal**2).sum(0))
                 ratio = self.index[i] / self.index[i + 1]
-                cosine = (normal * d).sum(1)
+                cosine = (normal * d).sum(0)
                 inner = np.sqrt(1 - ratio**2 * (1 - cosine**2))
-                d = ratio * d + (inner - ratio * cosine)[:, None] * normal
-        height = np.where(np.isfinite(p.sum(1) + d.sum(1)), height, np.inf)
-        return Bundle(p, d, path, height)
+                d = ratio * d + (inner - ratio * cosine) * normal
+        height = np.where(np.isfinite(p.sum(0) + d.sum(0)), height, np.inf)
+        return Bundle(p.T, d.T, path, height, stop.T)
 
     def heights(self, start: Real) -> Real:
         """Paraxial heights and slopes of rays [2, m] that begin before the first surface: behind the last one."""

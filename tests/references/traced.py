@@ -10,8 +10,7 @@ leave. What each pixel receives is the sum of both fields' product over the sens
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +18,7 @@ from tapetum.bench import PrescriptionLens, Scene
 
 from .plane import Plane, Points, TooLargeError, points
 from .quadrature import Complex, Real, interpolation, legendre, phasor
-from .rays import Traced, focused
+from .rays import Bundle, Traced, focused
 from .thin import Beam, Effort
 from .way import Probe
 
@@ -29,6 +28,8 @@ __all__ = ["rim_curvatures", "traced_amplitudes"]
 _RINGS = 14.0
 _MOST_RAYS, _MOST_POINTS = 30_000, 700_000
 _AT_ONCE = 1 << 20
+# Differences are taken over so many focal lengths, and over such sines.
+_STEP = 1e-4
 
 
 @dataclass(frozen=True)
@@ -147,8 +148,14 @@ def _outer(lens: Traced, s: Real) -> float:
 
 
 def _height(lens: Traced, s: Real, curvature: float, e: Real) -> Real:
-    position, direction, _, _ = _started(lens, s, curvature, e)
-    return lens.trace(position, np.ascontiguousarray(direction)).height
+    return _through(lens, s, curvature, e).height
+
+
+def _through(lens: Traced, s: Real, curvature: float, e: Real) -> Bundle:
+    """Rays through the whole lens, with their path so far."""
+    position, direction, before, _ = _started(lens, s, curvature, e)
+    rays = lens.trace(position, direction)
+    return replace(rays, path=before + rays.path)
 
 
 def _wave(lens: Traced, s: Real, curvature: float, spokes: int, rings: int, k: float) -> _Wave:
@@ -160,20 +167,17 @@ def _wave(lens: Traced, s: Real, curvature: float, spokes: int, rings: int, k: f
     e = np.stack([middle[0] + away * np.cos(turn), middle[1] + away * np.sin(turn)], -1).reshape(-1, 2)
     area = (away * edge[:, None] / 2 * weights * (2 * math.pi / spokes)).ravel()
     toward = np.stack([np.cos(turn), np.sin(turn)], -1).repeat(rings, 1).reshape(-1, 2)
-    reference = _stop_images(lens, s, curvature, e, toward)
+    h = _STEP * lens.focal_length
+    beside = [[_through(lens, s, curvature, e + sign * h * one) for sign in (1, -1)] for one in np.eye(2)]
+    reference = _stop_images(lens, s, curvature, e, toward, beside)
 
-    def ends(at: Real) -> tuple[Real, Real, Real]:
-        position, direction, before, _ = _started(lens, s, curvature, at)
-        rays = lens.trace(position, np.ascontiguousarray(direction))
+    def ends(rays: Bundle) -> tuple[Real, Real, Real]:
         way = (reference - rays.position[:, 2]) / rays.direction[:, 2]
-        return rays.position + way[:, None] * rays.direction, rays.direction, before + rays.path + way
+        return rays.position + way[:, None] * rays.direction, rays.direction, rays.path + way
 
-    position, direction, path = ends(e)
+    position, direction, path = ends(_through(lens, s, curvature, e))
     # ∂(place on the plane)/∂e by differences: what area a bundle takes there.
-    h = 1e-4 * lens.focal_length
-    along, down = np.array([h, 0.0]), np.array([0.0, h])
-    dx = (ends(e + along)[0] - ends(e - along)[0]) / (2 * h)
-    dy = (ends(e + down)[0] - ends(e - down)[0]) / (2 * h)
+    dx, dy = ((ends(after)[0] - ends(before)[0]) / (2 * h) for after, before in beside)
     grown = np.abs(dx[:, 0] * dy[:, 1] - dx[:, 1] * dy[:, 0])
     _, _, _, power = _started(lens, s, curvature, e)
     # √(power · area · cosine of the ray on both planes): of a power-normalised wave.
@@ -182,29 +186,32 @@ def _wave(lens: Traced, s: Real, curvature: float, spokes: int, rings: int, k: f
     return _Wave(position[good], direction[good], path[good], strength[good])
 
 
-def _stop_images(lens: Traced, s: Real, curvature: float, e: Real, toward: Real) -> Real:
+def _stop_images(
+    lens: Traced, s: Real, curvature: float, e: Real, toward: Real, beside: list[list[Bundle]] | None = None
+) -> Real:
     """z where each ray crosses the one from the same place in the stop under a direction turned `toward` [N, 2].
 
+    `beside` are the rays from places _STEP focal lengths after and before e along x, and along y.
     A place in the sensor beside another by v is reached from there by a way longer by s·v + v²/2R, R the distance of
     this crossing: the paraxial image of the stop gives it for the light near the axis only.
     """
     paraxial = lens.exit_pupil()
 
-    def ray(at: Real, direction: Real) -> Real:
+    def ray(end: Bundle) -> Real:
         """Place in the stop, place on the paraxial image's plane and slopes, [N, 6]."""
-        position, towards, _, _ = _started(lens, direction, curvature, at)
-        towards = np.ascontiguousarray(towards)
-        stop, end = lens.trace(position, towards, stop_at=lens.stop), lens.trace(position, towards)
         slope = end.direction[:, :2] / end.direction[:, 2:]
         place = end.position[:, :2] + (paraxial - end.position[:, 2:]) * slope
-        return np.concatenate([stop.position[:, :2], place, slope], 1)
+        return np.concatenate([end.stop[:, :2], place, slope], 1)
 
-    def changes(of: Callable[[Real], Real], step: float) -> Real:
+    def changes(ends: list[list[Bundle]], step: float) -> Real:
         """By differences along x and y: [N, 6, 2]."""
-        return np.stack([(of(step * one) - of(-step * one)) / (2 * step) for one in np.eye(2)], -1)
+        return np.stack([(ray(after) - ray(before)) / (2 * step) for after, before in ends], -1)
 
-    by_place = changes(lambda by: ray(e + by, s), 1e-4 * lens.focal_length)
-    by_turn = changes(lambda by: ray(e, s + by), 1e-4)
+    h, both = _STEP * lens.focal_length, (1, -1)
+    if beside is None:
+        beside = [[_through(lens, s, curvature, e + sign * h * one) for sign in both] for one in np.eye(2)]
+    turned = [[_through(lens, s + sign * _STEP * one, curvature, e) for sign in both] for one in np.eye(2)]
+    by_place, by_turn = changes(beside, h), changes(turned, _STEP)
     with np.errstate(invalid="ignore", divide="ignore"):
         a, b, c, d = by_place[:, 0, 0], by_place[:, 0, 1], by_place[:, 1, 0], by_place[:, 1, 1]
         x, y = -np.einsum("nij,nj->in", by_turn[:, :2], toward)
@@ -223,8 +230,7 @@ def rim_curvatures(lens: Traced, s: Real, spokes: int) -> Real:
     turn = 2 * math.pi * np.arange(spokes) / spokes
     toward = np.stack([np.cos(turn), np.sin(turn)], 1)
     e = middle + edge[:, None] * toward
-    position, direction, _, _ = _started(lens, s, 0.0, e)
-    cosine = lens.trace(position, np.ascontiguousarray(direction)).direction[:, 2]
+    cosine = _through(lens, s, 0.0, e).direction[:, 2]
     return cosine**3 / (lens.image - _stop_images(lens, s, 0.0, e, toward))
 
 
