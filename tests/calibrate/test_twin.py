@@ -240,6 +240,7 @@ def test_a_traced_lens_is_differentiated_on_the_same_samples(seed: int, name: st
 def test_labels_hold_the_gazes_while_the_scene_is_wrong(bench: Scene, filmed: Path) -> None:
     parameters = chosen(bench, FREE)
     _, frames = frames_of(filmed, bench, 20)
+    frames = frames[:6]
     normal = Normal(bench, parameters, frames)
     at = np.array([one.read(bench) for one in parameters])
     labels = np.array([one.gaze for one in frames])
@@ -268,7 +269,7 @@ def test_pictures_become_finer_until_their_error_moves_nothing(
 ) -> None:
     parameters = chosen(bench, FREE)
     _, frames = frames_of(filmed, bench, 20)
-    coarse = Normal(bench, parameters, frames[:8], accuracy=0.3)
+    coarse = Normal(bench, parameters, frames[:4], accuracy=0.3)
     true = np.array([one.read(with_values(bench, UNIT)) for one in parameters])
     first, converged = climb(coarse, settle(coarse, placed_in(coarse, true), 2).state)
     deviations = np.sqrt(covariance(first.information, []).diagonal())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from itertools import chain
 from typing import Any
 
@@ -24,13 +25,30 @@ def patches(scene: Scene, gaze: np.ndarray) -> list[list[Patch]]:
     return [list(chain.from_iterable(one.patches(i) for one in found)) for i in range(len(gaze))]
 
 
+@functools.cache
 def bench_scene(name: str) -> Scene:
-    videos = {video.name: video.scene for video in make_plan("focusing", "laptop").videos}
     if name == "out of focus":
         return with_values(
             tp.load_scene("hand-held"), {"target.object_distance": 4.0, "probe.sensor.pixels": [1400, 1200]}
         )
-    return videos[name] if name in videos else tp.load_scene(name)
+    if name.startswith("focusing"):
+        return next(video.scene for video in make_plan("focusing", "laptop").videos if video.name == name)
+    return tp.load_scene(name)
+
+
+@functools.cache
+def seen(name: str, extent: float) -> tuple[list[list[Patch]], int]:
+    """Patches of a bench scene's cameras all over the field, and how often a traced lens was planned for them."""
+    gaze = extent * np.array([[0, 0], [0.5, 0], [0, 0.5], [-0.7, 0.7], [1, 0], [0, 1], [-0.4, -0.8]])
+    planned, plan = [], traced_lens.traced_group
+
+    def counted(*given: Any, **way: Any) -> Any:
+        planned.append(given)
+        return plan(*given, **way)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(traced_lens, "traced_group", counted)
+        return patches(bench_scene(name), gaze), len(planned)
 
 
 @pytest.mark.parametrize(
@@ -39,8 +57,7 @@ def bench_scene(name: str) -> Scene:
 )
 def test_the_light_that_patches_leave_out_is_far_below_the_noise(name: str, extent: float) -> None:
     """It was 5e-4 of the peak, two electrons beside a background of 40: a network saw each patch's square by them."""
-    gaze = extent * np.array([[0, 0], [0.5, 0], [0, 0.5], [-0.7, 0.7], [1, 0], [0, 1], [-0.4, -0.8]])
-    frames = patches(bench_scene(name), gaze)
+    frames, _ = seen(name, extent)
     peak = max(float(patch.light.max()) for patch in chain.from_iterable(frames))
     for patch in chain.from_iterable(frames):
         edges = [patch.light[k].mean() for k in (0, -1)] + [patch.light[:, k].mean() for k in (0, -1)]
@@ -80,15 +97,8 @@ def test_a_patch_is_no_larger_than_the_frame() -> None:
     )
 
 
-def test_all_beams_of_a_traced_lens_share_a_plan(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_beams_of_a_traced_lens_share_a_plan() -> None:
     """Each window was planned by itself: at 135 mm a minute passed before the first frame."""
-    scene, planned = bench_scene("focusing-50mm-3.5m"), []
-    plan = traced_lens.traced_group
-
-    def counted(*given: Any, **way: Any) -> Any:
-        planned.append(given)
-        return plan(*given, **way)
-
-    monkeypatch.setattr(traced_lens, "traced_group", counted)
-    assert len(patches(scene, np.array([[0.1, 0.05]]))[0]) == 2
-    assert len(planned) == 1
+    frames, planned = seen("focusing-50mm-3.5m", 0.2)
+    assert all(len(frame) == 2 for frame in frames)
+    assert planned == 1
