@@ -39,7 +39,7 @@ def test_a_tremor_of_unknown_spectrum_is_followed(rate: float, most: float) -> N
     errors, scores = [], []
     for seed in (21, 22, 23):
         # Few frames a second take longer to show the spectrum.
-        samples, asked, true = sampled(rate, seed, seconds=24 if rate < 20 else 14)
+        samples, asked, true = sampled(rate, seed, seconds={15: 24, 30: 14, 60: 9}[rate])
         found = smooth(samples, asked, rate)
         error = found.places - true
         line = np.stack([np.interp(asked, samples.times, axis) for axis in samples.places.T], axis=1)
@@ -69,7 +69,7 @@ def test_what_no_frame_tells_has_a_wide_deviation() -> None:
 
 
 def test_the_exposure_and_the_rows_count() -> None:
-    samples, asked, true = sampled(60, 23, seconds=14, readout=0.012, exposure=0.015)
+    samples, asked, true = sampled(60, 23, seconds=9, readout=0.012, exposure=0.015)
     ignored = Samples(samples.times, samples.places, samples.deviations, 0.0)
     good, bad = (rms(smooth(one, asked, 60).places - true) for one in (samples, ignored))
     # The mean over 15 ms loses 4 % of a tremor at 10 Hz.
@@ -80,7 +80,7 @@ def test_the_exposure_and_the_rows_count() -> None:
 
 
 def test_strays_gaps_and_blinks_spoil_only_themselves() -> None:
-    samples, asked, true = sampled(30, 24)
+    samples, asked, true = sampled(30, 24, seconds=16)
     places, kept = samples.places.copy(), np.ones(len(samples), bool)
     places[[100, 333]] += 0.02
     kept[200:230] = kept[401] = False
@@ -106,7 +106,7 @@ def test_a_pose_that_stays_and_too_few_samples() -> None:
 
 
 def test_a_part_of_a_recording_gives_the_whole_s_path() -> None:
-    samples, asked, _ = sampled(30, 25)
+    samples, asked, _ = sampled(30, 25, seconds=16)
     length, back, ahead = block_seconds(30)
     whole = smooth(samples, asked, 30)
     inside = (asked >= 2 * length) & (asked < 4 * length)
