@@ -44,7 +44,7 @@ def test_the_benchs_second_beam_is_found_and_read_by_tracker_and_scene(tmp_path:
     scene = load_scene("hand-held", ["second_beam={ratio: 0.2, angle: ['1.1 mrad', '-0.9 mrad']}"])
     beam = scene.illumination.second_beam
     assert beam is not None
-    camera = Shot(scene, Session(seconds=4, seed=11)).cameras["probe"]
+    camera = Shot(scene, Session(seconds=2.5, seed=11)).cameras["probe"]
     lens, sensor = scene.probe.lens, scene.probe.sensor
     got = calibrate_second_beam(iter(camera), focal_length=lens.focal_length, pitch=sensor.pitch)
     true = Ghost.of(scene)
@@ -66,7 +66,7 @@ def test_the_benchs_second_beam_is_found_and_read_by_tracker_and_scene(tmp_path:
 def test_a_ghost_that_touches_its_bright_spot_is_said() -> None:
     """The scene's own: 90 px away from spots of 120 px. The bright one cuts it, and only its far side is seen."""
     scene = load_scene("hand-held")
-    got = calibrate_second_beam(iter(Shot(scene, Session(seconds=3, seed=11)).cameras["probe"]))
+    got = calibrate_second_beam(iter(Shot(scene, Session(seconds=2, seed=11)).cameras["probe"]))
     assert "offset over the spots' diameter" in got.verdict
     true = Ghost.of(scene)
     assert abs(got.dx.value - true.dx) > 20 and abs(got.dx.value - true.dx) < 2 * got.dx.error
