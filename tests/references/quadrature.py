@@ -83,16 +83,30 @@ def region_weights(count: int, radius: float, chords: Chords | None = None, fine
     region, of the polynomial that is 1 at its point and 0 at all others. The disc of the radius when no chords are
     given.
     """
+    if chords is None:
+        return radius**2 * _disc(count)
     fine = 2 * count + 40 if fine is None else fine
+    return radius**2 * _within(count, lambda y: tuple(one / radius for one in chords(y * radius)), fine)
+
+
+@functools.lru_cache(maxsize=8)
+def _disc(count: int) -> Real:
+    """Weights for the disc of radius 1."""
+
+    def chords(y: Real) -> tuple[Real, Real]:
+        high = np.sqrt(np.maximum(1 - y**2, 0.0))
+        return -high, high
+
+    return _within(count, chords, 2 * count + 40)
+
+
+def _within(count: int, chords: Chords, fine: int) -> Real:
+    """Weights for a region in [-1, 1]², by so many of its chords."""
     turns, weights = legendre(fine)
     y = np.sin(math.pi / 2 * turns)
     shares = weights * math.pi / 2 * np.cos(math.pi / 2 * turns)
-    if chords is None:
-        high = np.sqrt(np.maximum(1 - y**2, 0.0))
-        low = -high
-    else:
-        low, high = (one / radius for one in chords(y * radius))
-        high = np.maximum(low, high)
+    low, high = chords(y)
+    high = np.maximum(low, high)
     # ∫ P_m = (P_(m+1) - P_(m-1))/(2m + 1).
     ends = []
     for end in (high, low):
@@ -103,7 +117,7 @@ def region_weights(count: int, radius: float, chords: Chords | None = None, fine
         whole[1:] = (p[2 : count + 1] - p[0 : count - 1]) / (2 * m + 1)
         ends.append(whole)
     across = (ends[0] - ends[1]).T @ _cardinal(count)
-    return radius**2 * (cardinals(count, y) * shares[:, None]).T @ across
+    return (cardinals(count, y) * shares[:, None]).T @ across
 
 
 def interpolation(low: float, high: float, count: int, at: Real) -> tuple[Real, list[Real]]:
