@@ -150,10 +150,16 @@ def test_what_is_amiss_is_named(tmp_path: Path, how: dict[str, object], amiss: s
     assert got.verdict.startswith("to correct: ")
 
 
-def changed(folder: Path, change) -> SensorCalibration:
-    dark, flats = files(folder, sensor_of(3), np.random.default_rng(1))
-    for file in (*dark, *flats):
-        np.save(file, change(np.load(file)))
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> tuple[list[str], list[str]]:
+    """Dark and flat stacks with which nothing is amiss; no test writes to them."""
+    return files(tmp_path_factory.mktemp("good"), sensor_of(3), np.random.default_rng(1))
+
+
+def changed(good: tuple[list[str], list[str]], folder: Path, change) -> SensorCalibration:
+    dark, flats = ([str(folder / Path(file).name) for file in part] for part in good)
+    for file, own in zip((*good[0], *good[1]), (*dark, *flats), strict=True):
+        np.save(own, change(np.load(file)))
     return calibrate_sensor(dark, flats)
 
 
@@ -175,8 +181,10 @@ def smoothed(images: np.ndarray) -> np.ndarray:
         (lambda images: np.rint(4000 * (images / 4095) ** 0.45).astype(np.uint16), "straightness of the variance"),
     ],
 )
-def test_frames_that_were_worked_on_are_found_out(tmp_path: Path, change, amiss: str) -> None:
-    got = changed(tmp_path, change)
+def test_frames_that_were_worked_on_are_found_out(
+    good: tuple[list[str], list[str]], tmp_path: Path, change, amiss: str
+) -> None:
+    got = changed(good, tmp_path, change)
     assert amiss in [check.what for check in got.checks() if not check.good], got.verdict
 
 
@@ -225,8 +233,10 @@ def test_names_state_exposures() -> None:
     assert exposure_in("flats.npy") is None and exposure_in("12.mkv") is None
 
 
-def test_the_command_and_its_misuse(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    dark, flats = files(tmp_path, sensor_of(3), np.random.default_rng(1))
+def test_the_command_and_its_misuse(
+    good: tuple[list[str], list[str]], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    dark, flats = good
     out = tmp_path / "s.yaml"
 
     def run(*words: object) -> tuple[int, str, str]:
