@@ -39,10 +39,9 @@ def test_an_hour_of_scripted_events_is_found_within_a_second_with_at_most_one_fa
     false_until, false_track = -1.0, 1000
     for k in range(round(3600 * RATE)):
         time, rows = k / RATE, []
-        for n, start in enumerate(starts):
-            if start <= time < start + 20:
-                gaze = (0.0 if 6 <= time - start < 14 else 0.4) + rng.normal(0, NOISE)
-                rows.append(row(k, time, n + 1, bool(rng.random() > MISSED), gaze))
+        for n in np.flatnonzero((starts <= time) & (time < starts + 20)).tolist():
+            gaze = (0.0 if 6 <= time - starts[n] < 14 else 0.4) + rng.normal(0, NOISE)
+            rows.append(row(k, time, n + 1, bool(rng.random() > MISSED), gaze))
         if rng.random() < 0.005:
             false_until, false_track = time + 0.3, false_track + 1
         if time < false_until:
