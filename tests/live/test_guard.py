@@ -36,7 +36,7 @@ def test_an_hour_of_scripted_events_is_found_within_a_second_with_at_most_one_fa
     starts = 36.0 * np.arange(EVENTS // 2) + rng.uniform(2, 8, EVENTS // 2)
     due = [(start, "here") for start in starts] + [(start + 6, "looks") for start in starts]
     said: list[tuple[float, str]] = []
-    false_until, false_track = -1.0, 1000
+    false_until, false_track, nothing = -1.0, 1000, Detections.empty()
     for k in range(round(3600 * RATE)):
         time, rows = k / RATE, []
         for n in np.flatnonzero((starts <= time) & (time < starts + 20)).tolist():
@@ -46,7 +46,7 @@ def test_an_hour_of_scripted_events_is_found_within_a_second_with_at_most_one_fa
             false_until, false_track = time + 0.3, false_track + 1
         if time < false_until:
             rows.append(row(k, time, false_track, True, 0.0))
-        events = watch.update(TrackedFrame(k, time, "", tuple(rows), Detections.empty(), ()), round(time * 1e9))
+        events = watch.update(TrackedFrame(k, time, "", tuple(rows), nothing, ()), round(time * 1e9))
         state = State("", k, round(time * 1e9), (640, 480), watch.cameras, Health())
         said += [(time, alert.rule) for alert in guard.update(state, events)]
     found = [
