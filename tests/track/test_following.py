@@ -79,7 +79,8 @@ def scored(targets: int, rms: float, seeds: int = 3, **options) -> list[TrackSco
 @pytest.mark.parametrize("rms", [0.0, 5.0, 60.0])
 @pytest.mark.parametrize(("targets", "least"), [(1, 0.98), (5, 0.97), (30, 0.93)])
 def test_identities_hold_in_the_hand(targets: int, least: float, rms: float, validated) -> None:
-    scores = scored(targets, rms)
+    # One film of thirty shows as many places as six of five.
+    scores = scored(targets, rms, 1 if targets == 30 else 3)
     what = f"identities (1 - IDF1) of {targets} target{'s' if targets > 1 else ''}, common motion of {rms:g} px RMS"
     validated(SECTION, what, 1 - np.mean([one.idf1 for one in scores]), 1 - least, TRUTH, "of the places")
     validated(
@@ -92,7 +93,7 @@ def test_it_is_the_common_motion_that_holds_them() -> None:
 
 
 def test_thirty_under_a_perfect_detector_never_change(validated) -> None:
-    for seed in range(5):
+    for seed in range(2):
         truth, found = filmed(np.random.default_rng(seed), 30, 60.0, frames=60, missed=0.0, false=0.0)
         changes = score_tracks(truth, followed(found), reach=20).changes
         validated(SECTION, "changes of identity of 30 in 60 frames at 60 px, no miss", changes, 0, TRUTH, "")
@@ -242,7 +243,7 @@ def test_nothing_scores_nothing() -> None:
 def test_three_cameras_of_the_virtual_bench_keep_their_numbers(shake: float) -> None:
     """Cameras whose gaze wanders, each now bright and now dim, before a probe that stands or shakes in the hand."""
     scene = with_values(
-        load_scene("hand-held"), {"target.lens.aperture_radius": 2e-3, "probe.sensor.pixels": [1000, 800]}
+        load_scene("hand-held"), {"target.lens.aperture_radius": 2e-3, "probe.sensor.pixels": [640, 512]}
     )
     motion = HandMotion(extent=0.25, sway=1e-3)
     places = [(-0.008, 0.006), (0.009, -0.005)]
