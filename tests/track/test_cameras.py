@@ -64,7 +64,7 @@ def modulated(count: int, first_lit: bool, known: bool = True, full: int = 255) 
 @pytest.mark.parametrize("first_lit", [True, False], ids=["lit first", "dark first"])
 @pytest.mark.parametrize("full", [255, 4095])
 def test_a_modulated_video_is_compared_lit_with_dark(first_lit: bool, full: int) -> None:
-    frames, shifts = modulated(24, first_lit, full=full)
+    frames, shifts = modulated(16, first_lit, full=full)
     detector = CameraDetector()
     ids: dict[int, set[int]] = {}
     for one in track(frames, detector=detector):
