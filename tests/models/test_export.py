@@ -11,16 +11,17 @@ from typing import Any
 
 import numpy as np
 import onnx
-import onnxruntime
 import pytest
 import torch
 
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError, MissingExtraError
-from tapetum.models import ResNet18, ZernikeRidge, pretrained, save_model
+from tapetum.models import ResNet18, ZernikeRidge, save_model
 from tapetum.models.architectures import ResNet18Network
 from tapetum.models.export import export_onnx, onnx_bytes, onnx_card
 from tapetum.models.fast import FastResNet18
+
+pytestmark = pytest.mark.usefixtures("narrow")
 
 DEVICES = ("a phone", "another", "a third")
 
@@ -117,27 +118,6 @@ def test_images_differ_in_what_they_give():
     given = fast(made(target="phone")).predict(crops(7), anyway=True)
     assert np.ptp(given.value, axis=0).min() > 1e-3 and np.ptp(given.novelty) > 1e-3
     assert len(np.unique(given.upper - given.value)) > 2  # several classes of SNR
-
-
-def test_the_bundled_model_in_another_program(tmp_path: Path):
-    """What its file says is enough to use it without Tapetum."""
-    model = pretrained()
-    assert isinstance(model, ResNet18)
-    path = export_onnx(model, tmp_path / "deep" / "gaze.onnx")
-    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
-    card = json.loads(session.get_modelmeta().custom_metadata_map["tapetum"])
-    assert card["units"]["gaze_x"] == "fraction of the field of view" and "full_scale" in card["use"]
-    noise = np.random.default_rng(1).integers(0, 256, (2, card["crop"], card["crop"]), dtype=np.uint8)
-    images = np.concatenate([crops(5, side=card["crop"]), noise])
-    wanted = model.predict(images, anyway=True)
-    for count in (1, 7):
-        feed = {"counts": images[:count].astype(np.float32), "full_scale": np.array(255, np.float32)}
-        (value,) = session.run(["value"], feed)
-        np.testing.assert_allclose(value, wanted.value[:count], rtol=0, atol=1e-5)
-    widths = np.array(card["half_width"])
-    np.testing.assert_array_equal(widths, model.intervals_.half_width)
-    read = FastResNet18(path, threads=1).predict(images, anyway=True)
-    np.testing.assert_allclose(read.upper, wanted.upper, rtol=0, atol=1e-5)
 
 
 def test_the_file_is_plain_onnx():

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
+import onnxruntime
 import pytest
 import torch
+from tests.models.test_export import crops as spots
 
 import tapetum as tp
 from tapetum.data import crop, find_centre
 from tapetum.experiments import pretrain
 from tapetum.models import ResNet18, model_card, pretrained, store
+from tapetum.models.export import export_onnx
+from tapetum.models.fast import FastResNet18
 from tapetum.record.marks import scene_mark
 from tapetum.record.source import Frame
 from tapetum.simulate import tilt_of_gaze
@@ -133,3 +138,24 @@ def test_walls_and_lamps_in_a_tracked_frame_get_a_reason_and_no_number() -> None
     for row in one.rows:
         assert row.estimates["applies"] is False and row.estimates["reason"]
         assert all(np.isnan(row.estimates[name]) for name in ("gaze_x", "gaze_x_low", "gaze_y", "gaze_y_high"))
+
+
+def test_the_bundled_model_in_another_program(tmp_path: Path):
+    """What its file says is enough to use it without Tapetum."""
+    model = pretrained()
+    assert isinstance(model, ResNet18)
+    path = export_onnx(model, tmp_path / "deep" / "gaze.onnx")
+    session = onnxruntime.InferenceSession(str(path), providers=["CPUExecutionProvider"])
+    card = json.loads(session.get_modelmeta().custom_metadata_map["tapetum"])
+    assert card["units"]["gaze_x"] == "fraction of the field of view" and "full_scale" in card["use"]
+    noise = np.random.default_rng(1).integers(0, 256, (2, card["crop"], card["crop"]), dtype=np.uint8)
+    images = np.concatenate([spots(5, side=card["crop"]), noise])
+    wanted = model.predict(images, anyway=True)
+    for count in (1, 7):
+        feed = {"counts": images[:count].astype(np.float32), "full_scale": np.array(255, np.float32)}
+        (value,) = session.run(["value"], feed)
+        np.testing.assert_allclose(value, wanted.value[:count], rtol=0, atol=1e-5)
+    widths = np.array(card["half_width"])
+    np.testing.assert_array_equal(widths, model.intervals_.half_width)
+    read = FastResNet18(path, threads=1).predict(images, anyway=True)
+    np.testing.assert_allclose(read.upper, wanted.upper, rtol=0, atol=1e-5)
