@@ -65,8 +65,8 @@ def lamps(count: int) -> NDArray[np.uint8]:
 
 @pytest.fixture(scope="module")
 def trained() -> xr.Dataset:
-    images, gaze = filmed(300, 1)
-    return dataset_from_arrays(images, {"gaze_x": gaze[:, 0], "gaze_y": gaze[:, 1]}, recording=np.arange(300) // 100)
+    images, gaze = filmed(200, 1)
+    return dataset_from_arrays(images, {"gaze_x": gaze[:, 0], "gaze_y": gaze[:, 1]}, recording=np.arange(200) // 100)
 
 
 @pytest.fixture(scope="module", params=["zernike", "resnet18"])
@@ -77,7 +77,7 @@ def model(request, trained) -> ZernikeRidge | ResNet18:
 
 
 def test_it_answers_frames_like_those_it_learned_from(model):
-    found = model.predict(filmed(200, 2)[0])
+    found = model.predict(filmed(120, 2)[0])
     assert found.described
     assert found.applies.mean() > 0.94
     assert np.isfinite(found.value[found.applies]).all()
