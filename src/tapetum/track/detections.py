@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, fields
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -63,12 +64,13 @@ class Detections:
     ghost: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
+        count = len(np.atleast_1d(self.x))
         for name, kind in self.types().items():
             array = np.asarray(getattr(self, name), dtype=kind)
-            if array.ndim != 1 or len(array) != len(np.atleast_1d(self.x)):
+            if array.ndim != 1 or len(array) != count:
                 what = f"has the shape {array.shape}, x has {np.shape(self.x)}"
                 raise InputError(what, where=f"Detections.{name}", remedy="give one value a spot")
-            if not np.isfinite(array).all():
+            if kind is np.float64 and not np.isfinite(array).all():
                 raise InputError("holds a value that is not finite", where=f"Detections.{name}")
             object.__setattr__(self, name, array)
 
@@ -83,6 +85,7 @@ class Detections:
         return cls(**{name: np.asarray(columns[name]) for name in cls.names()})
 
     @classmethod
+    @cache
     def names(cls) -> tuple[str, ...]:
         """Return the names of the columns."""
         return tuple(field.name for field in fields(cls))
