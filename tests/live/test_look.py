@@ -16,7 +16,7 @@ from tapetum.live.loop import Watch
 from tapetum.live.state import State
 from tapetum.record.source import Frame
 
-RATE = 15
+RATE = 10
 
 
 _REACH = 48
