@@ -29,8 +29,11 @@ def tiny_plan() -> Plan:
     values = {
         "probe.sensor.pixels": [96, 80],
         "probe.sensor.pitch": "4.4 um",
+        "probe.sensor.exposure": "800 us",
+        "target.lens.aperture_radius": "2 mm",
         "target.sensor.pixels": [162, 122],
-        "target.sensor.pitch": "35.2 um",
+        "target.sensor.pitch": "17.6 um",
+        "sampling.accuracy": 0.1,
     }
     plan = sealed_plan("small", SALT, with_values(load_scene("hand-held"), values))
     # A hand so quiet that the little frame holds what it shows, before a wall that is no brighter than the set's.
@@ -61,8 +64,10 @@ def ridge(tmp_path_factory: pytest.TempPathFactory) -> ZernikeRidge:
 
 
 def test_recordings_are_drawn_from_the_salt_within_what_makers_allow() -> None:
-    plan, again, other = (sealed_plan("paper", salt) for salt in (SALT, SALT, "another"))
-    assert plan.digest == again.digest != other.digest and len(plan.videos) == 12
+    first, again, other = (sealed_plan("small", salt) for salt in (SALT, SALT, "another"))
+    assert first.digest == again.digest != other.digest
+    plan = sealed_plan("paper", SALT)
+    assert len(plan.videos) == 12
     scenes = [video.scene for video in plan.videos]
     tilt = np.degrees([np.hypot(*one.target.sensor.tilt) for one in scenes])
     decentre = np.array([np.hypot(*one.target.sensor.decentre) for one in scenes])
