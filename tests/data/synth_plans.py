@@ -16,8 +16,11 @@ def little_scene() -> Scene:
     values = {
         "probe.sensor.pixels": [96, 80],
         "probe.sensor.pitch": "4.4 um",
+        "probe.sensor.exposure": "800 us",
+        "target.lens.aperture_radius": "2 mm",
         "target.sensor.pixels": [162, 122],
-        "target.sensor.pitch": "35.2 um",
+        "target.sensor.pitch": "17.6 um",
+        "sampling.accuracy": 0.1,
     }
     return with_values(load_scene("hand-held"), values)
 
