@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -67,25 +69,33 @@ TIMES = {
 }
 
 
-@pytest.mark.parametrize(
-    ("pair", "frames"),
-    [({"align": "blink"}, 1.0), (TIMES, 0.0), ({"offset": LATE}, 0.0)],
-    ids=["blink", "times", "same"],
-)
-def test_the_gaze_is_right_however_the_clocks_are_aligned(
-    pair: dict[str, Any], frames: float, two: Path, tmp_path: Path
-):
-    told = import_dataset(
-        mapping(**pair, labels={"device": "phone-01", "object_distance": "4 m"}), two, tmp_path / "s.zarr"
-    )
+PAIRS: dict[str, dict[str, Any]] = {"blink": {"align": "blink"}, "times": TIMES, "same": {"offset": LATE}}
+
+
+@pytest.fixture(scope="module")
+def imported(two: Path, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], tuple[Path, list[str]]]:
+    """The folder of a set from the two videos, aligned as one of `PAIRS`, and what was told of it; made once."""
+
+    @functools.cache
+    def made(how: str) -> tuple[Path, list[str]]:
+        folder = tmp_path_factory.mktemp(how)
+        pair = mapping(**PAIRS[how], labels={"device": "phone-01", "object_distance": "4 m"})
+        return folder, import_dataset(pair, two, folder / "s.zarr")
+
+    return made
+
+
+@pytest.mark.parametrize(("how", "frames"), [("blink", 1.0), ("times", 0.0), ("same", 0.0)], ids=list(PAIRS))
+def test_the_gaze_is_right_however_the_clocks_are_aligned(how: str, frames: float, two: Path, imported):
+    folder, told = imported(how)
     assert len(told) == 1 and told[0].startswith("walk.rec: ")
-    recording = open_recording(tmp_path / "s-recordings" / "walk.rec")
+    recording = open_recording(folder / "s-recordings" / "walk.rec")
     assert recording.finished
     starts = [recording.utc_ns(name)[0] / 1e9 for name in ("probe", "target")]
     assert abs(starts[1] - starts[0] - LATE) <= (frames + 0.01) / RATE
     copied = list(read_video(recording.video("probe")))
     np.testing.assert_array_equal(copied, list(read_video(two / "walk_probe.mkv")))
-    dataset = open_dataset(tmp_path / "s.zarr")
+    dataset = open_dataset(folder / "s.zarr")
     assert dataset.tp.targets == ("gaze_x", "gaze_y", "object_distance", "device")
     assert dataset.tp.classes == ("phone-01",)
     assert dataset.sizes["frame"] > 60
@@ -95,9 +105,9 @@ def test_the_gaze_is_right_however_the_clocks_are_aligned(
     assert np.median(off) < 0.004 + 0.27 * frames / RATE
 
 
-def test_dates_become_the_recordings_utc(two: Path, tmp_path: Path):
-    import_dataset(mapping(**TIMES), two, tmp_path / "s.zarr")
-    recording = open_recording(tmp_path / "s-recordings" / "walk.rec")
+def test_dates_become_the_recordings_utc(imported):
+    folder, _ = imported("times")
+    recording = open_recording(folder / "s-recordings" / "walk.rec")
     assert recording.meta["start_utc"] == "2026-05-04T08:00:00.000000Z"
     assert recording.meta["imported"]["align"] == "timestamps"
 
