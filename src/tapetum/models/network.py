@@ -451,10 +451,11 @@ class NetworkEstimator(Estimator):
         # On the meta device no random initial weights are drawn, which would take most of the time.
         with torch.device("meta"):
             network = ARCHITECTURES[architecture](k + len(classes))
-        network.to_empty(device="cpu")
-        own = {name: state[name] for name in network.state_dict() if name in state}
+        # As copies, so that no later training changes `state`; in the network's precision, as weights may be half.
+        layers = network.state_dict()
+        own = {name: state[name].to(one.dtype, copy=True) for name, one in layers.items() if name in state}
         try:
-            network.load_state_dict(own)
+            network.load_state_dict(own, assign=True)
         except RuntimeError as error:
             what = f"weights do not fit a {network.title} of this card"
             raise InputError(what, where="weights", remedy=MISMATCH) from error
