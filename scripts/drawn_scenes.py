@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-__all__ = ["KINDS", "Drawn", "draw", "with_camera"]
+__all__ = ["KINDS", "Drawn", "draw", "fractal", "room", "with_camera", "write"]
 
 Array = np.ndarray
 _MARGIN = 48
@@ -37,7 +37,7 @@ class Drawn:
     snr: Array
 
 
-def _room(rng: np.random.Generator, shape: tuple[int, int], count: int = 70) -> Array:
+def room(rng: np.random.Generator, shape: tuple[int, int], count: int = 70) -> Array:
     height, width = shape
     picture = np.full(shape, rng.uniform(30, 120), np.float32)
     for _ in range(count):
@@ -51,7 +51,7 @@ def _room(rng: np.random.Generator, shape: tuple[int, int], count: int = 70) -> 
     return picture
 
 
-def _fractal(rng: np.random.Generator, shape: tuple[int, int], power: float) -> Array:
+def fractal(rng: np.random.Generator, shape: tuple[int, int], power: float) -> Array:
     """Texture whose amplitude falls as frequency to a power, of unit standard deviation."""
     fy, fx = np.fft.fftfreq(shape[0])[:, None], np.fft.rfftfreq(shape[1])[None]
     size = np.maximum(np.hypot(fy, fx), 1 / max(shape)) ** -power
@@ -60,7 +60,7 @@ def _fractal(rng: np.random.Generator, shape: tuple[int, int], power: float) -> 
 
 
 def _noise(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
-    flat = np.full(shape, rng.uniform(5, 160), np.float32) + 3 * _fractal(rng, shape, 2.0)
+    flat = np.full(shape, rng.uniform(5, 160), np.float32) + 3 * fractal(rng, shape, 2.0)
     return flat, flat
 
 
@@ -79,12 +79,12 @@ def _bricks(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Ar
         for left in range(-w, shape[1], w):
             at = left + (row % 2) * w // 2
             cv2.rectangle(picture, (at, top), (at + w - gap, top + h - gap), float(rng.uniform(40, 110)), -1)
-    picture += 6 * _fractal(rng, shape, 0.8)
+    picture += 6 * fractal(rng, shape, 0.8)
     return picture, picture
 
 
 def _leaves(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
-    picture = 70 + 25 * _fractal(rng, shape, rng.uniform(0.7, 1.2))
+    picture = 70 + 25 * fractal(rng, shape, rng.uniform(0.7, 1.2))
     for _ in range(500):
         x, y = rng.uniform(0, shape[1]), rng.uniform(0, shape[0])
         axes = int(rng.uniform(2, 12)), int(rng.uniform(1, 5))
@@ -93,7 +93,7 @@ def _leaves(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Ar
     return picture, _bent(picture, rng, 1.5, 40)
 
 
-def _write(picture: Array, text: str, at: tuple[int, int], font: int, size: float, level: float, thick: int) -> None:
+def write(picture: Array, text: str, at: tuple[int, int], font: int, size: float, level: float, thick: int) -> None:
     mask = np.zeros(picture.shape, np.uint8)
     cv2.putText(mask, text, at, font, size, 255.0, thick, cv2.LINE_AA)
     share = mask / np.float32(255)
@@ -110,13 +110,13 @@ def _lettering(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array,
         text = "".join(rng.choice(letters, int(rng.integers(2, 18))))
         at = int(rng.uniform(-20, shape[1])), int(rng.uniform(0, shape[0]))
         size, thick = float(rng.uniform(0.25, 1.6)), int(rng.integers(1, 4))
-        _write(picture, text, at, int(rng.integers(0, 8)), size, float(rng.uniform(0, 255)), thick)
+        write(picture, text, at, int(rng.integers(0, 8)), size, float(rng.uniform(0, 255)), thick)
     return picture, picture
 
 
 def _screens(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
     """Screens with a grid of pixels, whose content changes between the two frames."""
-    lit = _room(rng, shape, 40)
+    lit = room(rng, shape, 40)
     dark = lit.copy()
     for _ in range(int(rng.integers(2, 5))):
         w, h = int(rng.integers(80, 260)), int(rng.integers(60, 180))
@@ -126,19 +126,19 @@ def _screens(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, A
         grid = (
             1 - 0.4 * (np.abs(np.sin(math.pi * along / period)) < 0.3) - 0.3 * (np.sin(math.pi * down / period) < -0.8)
         )
-        content = 130 + 40 * cv2.resize(_fractal(rng, (32, 32), 1.2), (w, h))
+        content = 130 + 40 * cv2.resize(fractal(rng, (32, 32), 1.2), (w, h))
         for picture in (lit, dark):
             shown = content.copy()
             for _ in range(int(rng.integers(0, 12))):
                 at = int(rng.uniform(0, w)), int(rng.uniform(0, h))
                 size = float(rng.uniform(0.25, 0.7))
-                _write(shown, "abc xy 123", at, 0, size, float(rng.choice([0, 250])), 1)
+                write(shown, "abc xy 123", at, 0, size, float(rng.choice([0, 250])), 1)
             picture[y : y + h, x : x + w] = shown * grid
     return lit, dark
 
 
 def _windows(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
-    picture = _room(rng, shape, 30) * 0.6
+    picture = room(rng, shape, 30) * 0.6
     for _ in range(int(rng.integers(1, 5))):
         w, h = int(rng.integers(60, 260)), int(rng.integers(60, 220))
         x, y = int(rng.uniform(-30, shape[1])), int(rng.uniform(-30, shape[0]))
@@ -154,7 +154,7 @@ def _windows(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, A
 
 
 def _lamps(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
-    picture = _room(rng, shape, 40) * 0.7
+    picture = room(rng, shape, 40) * 0.7
     y, x = np.mgrid[: shape[0], : shape[1]].astype(np.float32)
     for _ in range(int(rng.integers(1, 7))):
         at = rng.uniform(0, shape[1]), rng.uniform(0, shape[0])
@@ -172,13 +172,13 @@ def _blocks(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Ar
 
 def _people(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
     """Silhouettes in clothes, with buttons, glasses and shoes, that walk between the two frames."""
-    base = _room(rng, shape, 50)
+    base = room(rng, shape, 50)
     lit, dark = base.copy(), base.copy()
     for _ in range(int(rng.integers(1, 4))):
         x, y, tall = rng.uniform(60, shape[1] - 60), rng.uniform(140, shape[0]), rng.uniform(90, 300)
         moved = rng.normal(0, 12, 2) * (1, 0.2)
         clothes, skin = rng.uniform(15, 160, 2)
-        weave = 8 * _fractal(rng, shape, 0.5)
+        weave = 8 * fractal(rng, shape, 0.5)
         details = rng.normal(0, 0.09, (6, 2)) * tall
         bright = rng.uniform(0, 255, 6)
         for picture, (dx, dy) in ((lit, (0.0, 0.0)), (dark, moved)):
@@ -199,7 +199,7 @@ def _people(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Ar
 
 
 def _furniture(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
-    picture = _room(rng, shape)
+    picture = room(rng, shape)
     return picture, picture
 
 
@@ -271,7 +271,7 @@ def draw(
     if rng.random() < 0.6:
         dark = _by_hand(dark, rng)
     # The probe's light falls on what is near.
-    lit = lit * (1 + rng.uniform(0, 0.15) * np.clip(0.5 + 0.5 * _fractal(rng, wide, 2.0), 0, 1))
+    lit = lit * (1 + rng.uniform(0, 0.15) * np.clip(0.5 + 0.5 * fractal(rng, wide, 2.0), 0, 1))
     lit, dark = (one[_MARGIN:-_MARGIN, _MARGIN:-_MARGIN].copy() for one in (lit, dark))
     if tape and rng.random() < 0.2:
         box = cv2.boxPoints(

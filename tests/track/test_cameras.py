@@ -95,6 +95,20 @@ def test_no_camera_is_a_row_before_it_persisted(tmp_path: Path, rate: float | No
     assert sum(not row["seen"] for row in rows if row["lit"]) <= missed
 
 
+def test_a_dim_camera_is_found_as_it_persists() -> None:
+    """In single pairs one that chance makes as bright is expected in every third to every hundredth frame."""
+    picture, dim = room(1), (120.0, 80.0, 30.0)
+    shifts = np.random.default_rng(7).normal(0, 6, (40, 2)).tolist()
+    frames = [
+        Frame(n, n / 30, shot(picture, n % 2 == 1, (x, y), n, cameras=[dim]), full_scale=255, lit=n % 2 == 1)
+        for n, (x, y) in enumerate(shifts)
+    ]
+    seen = [(one.frame, row) for one in track(frames, detector="cameras") for row in one.rows if row.seen]
+    assert len(seen) >= 15 and len({row.track for _, row in seen}) == 1
+    for n, row in seen:
+        assert math.dist((row.x, row.y), np.add(dim[:2], shifts[n])) < 1.5
+
+
 def test_a_dark_frame_that_does_not_suit_is_said_and_left() -> None:
     detector = CameraDetector()
     dark, other = shot(room(1), False, (0, 0), 0), shot(room(2), False, (0, 0), 0)
@@ -129,12 +143,11 @@ def test_a_wall_patch_is_no_camera() -> None:
     picture[200:700, 300:800] = 150
     lit, dark = picture.copy(), np.full_like(picture, 30.0)
     lit[100:103, 1000:1003] += 120
-    pair = [
-        Frame(0, 0.0, shot(dark, False, (0, 0), 1), lit=False),
-        Frame(1, 0.03, shot(lit, False, (0, 0), 2), lit=True),
-    ]
-    (found,) = [one.detections for one in track(pair, detector="cameras") if one.moment["lit"]]
-    assert found.x == pytest.approx([1001], abs=0.5) and found.y == pytest.approx([101], abs=0.5)
+    film = [Frame(n, n / 30, shot(lit if n % 2 else dark, False, (0, 0), n), lit=n % 2 == 1) for n in range(12)]
+    seen = [row for one in track(film, detector="cameras") for row in one.rows if row.seen]
+    assert len(seen) == 4 and {row.track for row in seen} == {1}
+    for row in seen:
+        assert (row.x, row.y) == pytest.approx((1001, 101), abs=0.5)
 
 
 def ghosted(x: float, y: float, height: float = 150.0, more: tuple = ()) -> list[tuple[float, float, float]]:

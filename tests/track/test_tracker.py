@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -28,7 +29,7 @@ def spots(*places: tuple[float, ...], diameter: float = 20.0) -> Detections:
     columns = {name: np.full(len(full), 10.0) for name in Detections.names()}
     columns |= {"x": np.array([p[0] for p in full]), "y": np.array([p[1] for p in full])}
     columns |= {"peak": np.array([p[2] for p in full]), "diameter": np.full(len(full), diameter)}
-    return Detections.of(columns | {"ghost": np.zeros(len(full), bool), "edge": np.zeros(len(full), bool)})
+    return Detections.of(columns | dict.fromkeys(("ghost", "edge", "weak"), np.zeros(len(full), bool)))
 
 
 def test_two_that_cross_keep_their_numbers():
@@ -199,7 +200,7 @@ def test_a_wrong_answer_ends_no_track():
     tracker = Tracker()
     numbers = set()
     for n in range(30):
-        columns = dict.fromkeys(Detections.names(), np.full(1, 50.0)) | {"ghost": np.zeros(1)}
+        columns = dict.fromkeys(Detections.names(), np.full(1, 50.0)) | {"ghost": np.zeros(1), "weak": np.zeros(1)}
         said: list[str | None] = ["phone" if n % 3 else "webcam"]
         numbers |= {point.track for point in tracker.update(Detections.of(columns), n / 30, devices=said) if point.seen}
     assert numbers == {1}
@@ -215,6 +216,15 @@ def test_a_track_that_could_be_anywhere_takes_no_spot_from_one_that_is_there():
         points = tracker.update(spots(*camera, *glint, diameter=6.0), n / 15)
         if n > 2 and camera:
             assert [one.track for one in points if one.seen and one.y < 150] == [1], n
+
+
+def test_weak_spots_continue_a_track_and_give_it_no_number():
+    for plain, begins in (([], None), ([1, 4], None), ([1, 4, 5], 5), ([0, 1, 2], 2), ([0, 1, 5], None)):
+        tracker = Tracker(ghost_ratio=0.0, persist=(3, 5))
+        for n in range(12):
+            points = tracker.update(replace(spots((50.0, 40.0)), weak=np.array([n not in plain])), n / 15)
+            assert bool(points) == (begins is not None and n >= begins), (plain, n)
+            assert all(one.seen and one.since == plain[0] / 15 for one in points)
 
 
 def test_a_jump_to_a_glint_is_taken_back():

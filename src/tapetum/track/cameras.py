@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from tapetum.track.tracker import Tracker
 __all__ = ["CameraDetector"]
 
 _EIGHT_BITS = 255.0
+# Of a pair, how many times the false alarms that are allowed a spot may cost without being weak, or be kept at all; and
+# up to how many a frame. What chance shows rarely persists: tracks with a number that are none are far fewer. What
+# shines back and is no camera does persist, which is why ten times is not more.
+_PLAIN, _KEPT = (10.0, 1.0), (100.0, 3.0)
 
 
 class CameraDetector:
@@ -32,7 +36,9 @@ class CameraDetector:
     Parameters
     ----------
     false_alarms
-        Expected false alarms a frame: what scores lower is left out.
+        Expected false alarms a frame among tracks that have their number. Of a frame alone what scores lower is left
+        out. Of a pair, spots that cost ten times as many begin a track, as they must persist for that, and spots that
+        cost up to a hundred times as many continue one.
     largest
         Largest diameter of a spot in pixels.
     min_snr
@@ -83,8 +89,9 @@ class CameraDetector:
     def tracker(self) -> Tracker:
         """Return a tracker for a room, where there are false alarms.
 
-        A track gets its number when it was seen in three of five frames, and its end is an event. The tracker's own
-        guard against ghosts is not used: it is for detectors that drop ghosts by their brightness alone, on a bench.
+        A track gets its number when it was seen in three of five frames by spots that are not weak, and its end is an
+        event. The tracker's own guard against ghosts is not used: it is for detectors that drop ghosts by their
+        brightness alone, on a bench.
         """
         return Tracker(ghost_ratio=0.0, persist=(3, 5), endings=True)
 
@@ -109,14 +116,19 @@ class CameraDetector:
                 self.notes[reason], dark, self._dark = self.notes[reason] + 1, None, None
         elif frame.lit:
             self.notes["no dark frame came before"] += 1
-        options: dict[str, Any] = {"false_alarms": self.false_alarms, "largest": self.largest, "most": self.most}
         try:
-            return find_cameras(image, dark, swaps=False, **options)
+            return self._search(image, dark, self.false_alarms if dark is None else self._rate(*_KEPT))
         except InputError as error:
             if dark is None or error.where != "dark":
                 raise
             self.notes["the dark frame cannot be registered"] += 1
-            return find_cameras(image, **options)
+            return self._search(image, None, self.false_alarms)
+
+    def _rate(self, times: float, most: float) -> float:
+        return max(self.false_alarms, min(times * self.false_alarms, most))
+
+    def _search(self, image: NDArray[np.generic], dark: NDArray[np.generic] | None, false_alarms: float) -> Found:
+        return find_cameras(image, dark, swaps=False, false_alarms=false_alarms, largest=self.largest, most=self.most)
 
     def _detections(self, frame: Frame, found: Found) -> Detections:
         image = frame.image
@@ -143,6 +155,7 @@ class CameraDetector:
             "saturated": found.saturated.astype(np.int64),
             "edge": margin < found.diameter / 2,
             "ghost": ghost,
+            "weak": found.false_alarms > self._rate(*_PLAIN),
         }
         # Brightest first.
         spots = Detections.of(columns)[np.argsort(-peak, kind="stable")]

@@ -19,7 +19,7 @@ from tapetum.files import atomic_file
 
 __all__ = ["Detections"]
 
-_OTHERS = {"area": np.int64, "saturated": np.int64, "edge": np.bool_, "ghost": np.bool_}
+_OTHERS = {"area": np.int64, "saturated": np.int64, "edge": np.bool_, "ghost": np.bool_, "weak": np.bool_}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +49,9 @@ class Detections:
         True where the spot touches the frame's edge, so that part of it may lie outside.
     ghost
         True where the spot looks like a reflection that accompanies a brighter one (see `tapetum.track.detect`).
+    weak
+        True where the spot may continue a track but gives it no number (see `tapetum.track.cameras`); where the column
+        is missing, none is.
     """
 
     x: NDArray[np.float64]
@@ -62,6 +65,7 @@ class Detections:
     saturated: NDArray[np.int64]
     edge: NDArray[np.bool_]
     ghost: NDArray[np.bool_]
+    weak: NDArray[np.bool_]
 
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.x))
@@ -81,8 +85,9 @@ class Detections:
 
     @classmethod
     def of(cls, columns: Mapping[str, Any]) -> Detections:
-        """Return the spots of columns by name: arrays or lists, [N] each."""
-        return cls(**{name: np.asarray(columns[name]) for name in cls.names()})
+        """Return the spots of columns by name: arrays or lists, [N] each; `weak` may be missing."""
+        given = {"weak": np.zeros(np.shape(columns["x"]), bool), **columns}
+        return cls(**{name: np.asarray(given[name]) for name in cls.names()})
 
     @classmethod
     @cache
@@ -126,13 +131,15 @@ class Detections:
         InputError
             When a column is missing or holds a null.
         """
-        if missing := [name for name in cls.names() if name not in table.column_names]:
+        # Tables of older versions lack `weak`.
+        names = [name for name in cls.names() if name != "weak" or name in table.column_names]
+        if missing := [name for name in names if name not in table.column_names]:
             remedy = "give a table that Tapetum wrote"
             raise InputError(f"no column {', '.join(missing)}", where="detections", remedy=remedy)
-        for name in cls.names():
+        for name in names:
             if table[name].null_count:
                 raise InputError("holds an empty cell", where=f"detections, column {name}")
-        return cls.of({name: table[name].to_numpy(zero_copy_only=False) for name in cls.names()})
+        return cls.of({name: table[name].to_numpy(zero_copy_only=False) for name in names})
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the spots to a Parquet file."""

@@ -229,8 +229,9 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
     for _, group in groupby(rows_of_table(table), key=lambda row: row["frame"]):
         rows = list(group)
         spots = [row for row in rows if row["x"] is not None]
+        # Tables of older versions lack which spots are weak, and whether the models apply.
+        spots = [{**row, "weak": bool(row.get("weak"))} for row in spots]
         found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
-        # Tables of older versions lack whether the models apply.
         answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
         moment = {name: rows[0].get(name) for name in MOMENT}
         frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}

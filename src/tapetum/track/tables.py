@@ -45,7 +45,9 @@ SIZE = {"width": pa.int64(), "height": pa.int64()}
 _EVENT = {"event": pa.string()}
 # Of a detection: see `tapetum.track.activity`.
 _ASYMMETRY = {"asymmetry": pa.float64()}
-_LATER = {**MOMENT, **SIZE, **_EVENT, **_ASYMMETRY}
+# Of a detection: see `Detections`.
+_WEAK = {"weak": pa.bool_()}
+_LATER = {**MOMENT, **SIZE, **_EVENT, **_ASYMMETRY, **_WEAK}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 # Of a live watch's rows: the camera's stay, as its events name it.
 _STAY = {"id": pa.string()}

@@ -88,16 +88,20 @@ class TrackPoint:
 class _Track:
     """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size.
 
-    `number` is None until the spot persisted; `lately` holds when it was seen, by frame, None where it was not.
+    `number` is None until the spot persisted; `lately` holds when it was seen, by frame, None where it was not, and
+    `plain` whether its spot was not weak then.
     """
 
-    def __init__(self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float) -> None:
+    def __init__(
+        self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float, weak: bool
+    ) -> None:
         self.number: int | None = None
         self.state = np.stack([place, np.zeros(2)])
         self.covariance = np.diag([noise**2, speed**2])
         self.peak, self.diameter, self.now, self.last = peak, diameter, peak, place
         self.hits, self.misses, self.since, self.seen_at = 1, 0, time, time
         self.lately: list[float | None] = [time]
+        self.plain = [not weak]
         self.hidden: int | None = None
         # Where it would be had it not followed a jump, and for how many frames that is remembered.
         self.home: Array | None = None
@@ -183,7 +187,8 @@ class Tracker:
     shake
         Largest motion in pixels that the tracks share between two frames. 0: none is sought.
     persist
-        (K, N): a track gets its number, and is returned, once it was seen in K of its first or latest N frames.
+        (K, N): a track gets its number, and is returned, once it was seen in K of its first or latest N frames by
+        a spot that is not `weak` (see `Detections`).
     endings
         Whether a track that ends is returned once more, unseen, with the reason as its event.
 
@@ -304,6 +309,7 @@ class Tracker:
             other = [[one is not None and two is not None and one != two for two in told] for one in own]
             costs += _OTHER_DEVICE * np.array(other, dtype=float).reshape(costs.shape)
         pairs = {int(r): int(c) for r, c in zip(*linear_sum_assignment(costs), strict=True) if costs[r, c] < _NEVER}
+        weak = detections.weak[numbers].tolist()
         looks = list(zip(place, peak.tolist(), diameter.tolist(), noise.tolist(), strict=True))
         seen: dict[_Track, int] = {}
         events: dict[_Track, str] = {}
@@ -318,6 +324,7 @@ class Tracker:
                 track.misses += 1
             if row in pairs or not dark:
                 track.lately = [*track.lately, time if row in pairs else None][-self.persist[1] :]
+                track.plain = [*track.plain, row in pairs and not weak[pairs[row]]][-self.persist[1] :]
         steps = [math.dist(place[seen[track]], at) for track, at in alone.items() if track in seen]
         self._steps += [float(np.median(steps))] if steps else []
         taken = [n for track, n in seen.items() if self._well_known(track)]
@@ -327,10 +334,10 @@ class Tracker:
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
             # A spot like the ghost of a track, even of a new one, begins no track.
             if not self._fit(*(one[n : n + 1] for one in (place, peak, diameter, noise)))[1].any():
-                self._tracks.append(_Track(*looks[n], time, self.speed))
+                self._tracks.append(_Track(*looks[n], time, self.speed, weak[n]))
                 seen[self._tracks[-1]] = n
         for track in self._tracks:
-            times = [one for one in track.lately if one is not None]
+            times = [one for one, plain in zip(track.lately, track.plain, strict=True) if one is not None and plain]
             if track.number is None and len(times) >= self.persist[0]:
                 # Of a jump that was guessed, what came before may have been another spot.
                 track.since = min([one for one in times if one >= track.guessed], default=time)

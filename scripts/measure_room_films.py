@@ -1,0 +1,272 @@
+"""What `tapetum track --detector cameras` finds in drawn films of rooms, by hand, every other frame lit.
+
+    python scripts/measure_room_films.py [FIRST [COUNT [RATE ...]]]
+
+COUNT films of each of the twelve kinds of drawn_scenes.py from seed FIRST on, two seconds at 30 frames a second, with
+three cameras of 8 to 60 times the noise, tape left out. What moves there between two frames moves through the film:
+people walk, leaves swing, screens show something else every third of a second, lamps flicker; and the probe shakes in
+the hand. Prints, for each rate of false alarms that is asked for, which share of the cameras has a number after half a
+second and at the end, in which share of the later half's lit frames each is seen under a number, and how many numbered
+rows of a lit frame are no camera; and the same where every spot may cost only what is asked for. Nothing here is a
+photograph.
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+import drawn_scenes as drawn
+from tapetum.detection import Found, find_cameras
+from tapetum.record.source import Frame
+from tapetum.track import Detections, track
+from tapetum.track.cameras import CameraDetector
+
+RATE, SECONDS, CAMERAS = 30.0, 2.0, 3
+SHAPE, MARGIN = (480, 640), 48
+SHAKE, TURN = 6.0, 0.3
+"""Of the hand along each axis: RMS in pixels, and in degrees; at 8 to 12 Hz."""
+REACH, SETTLED = 6.0, 0.5
+"""Pixels within which a row is a camera; seconds in which one should have its number."""
+OVEREXPOSED, LOOSEST = 235, 3.0
+"""Grey level from which a camera is hidden; and the rate of false alarms up to which spots are kept."""
+
+Array = np.ndarray
+Moving = Callable[[float], Array]
+
+
+@dataclass(frozen=True)
+class Film:
+    """Frames, dark first, and where the cameras are in each, [frames, cameras, 2]."""
+
+    kind: str
+    frames: list[Frame]
+    places: Array
+
+
+def _swinging(rng: np.random.Generator, picture: Array) -> Moving:
+    h, w = picture.shape
+    bends = rng.normal(0, 1.5, (2, max(3, h // 40), max(3, w // 40), 2)).astype(np.float32)
+    y, x = np.mgrid[:h, :w].astype(np.float32)
+
+    def at(time: float) -> Array:
+        turn = 2 * math.pi * 2.0 * time
+        bend = cv2.resize(bends[0] * math.cos(turn) + bends[1] * math.sin(turn), (w, h), interpolation=cv2.INTER_CUBIC)
+        return cv2.remap(picture, x + bend[..., 0], y + bend[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
+
+    return at
+
+
+def _changing(rng: np.random.Generator, shape: tuple[int, int]) -> Moving:
+    """Screens whose content changes every third of a second."""
+    room, screens = drawn.room(rng, shape, 40), []
+    for _ in range(int(rng.integers(2, 5))):
+        w, h = int(rng.integers(80, 260)), int(rng.integers(60, 180))
+        x, y, period = int(rng.uniform(0, shape[1] - w)), int(rng.uniform(0, shape[0] - h)), rng.uniform(2.2, 6)
+        down, along = np.mgrid[:h, :w]
+        bars = 0.4 * (np.abs(np.sin(math.pi * along / period)) < 0.3) + 0.3 * (np.sin(math.pi * down / period) < -0.8)
+        content = 130 + 40 * cv2.resize(drawn.fractal(rng, (32, 32), 1.2), (w, h))
+        screens.append((x, y, 1 - bars, content, int(rng.integers(2**31))))
+
+    def at(time: float) -> Array:
+        picture = room.copy()
+        for x, y, grid, content, seed in screens:
+            own, shown = np.random.default_rng([seed, int(3 * time)]), content.copy()
+            h, w = shown.shape
+            for _ in range(int(own.integers(0, 12))):
+                place = int(own.uniform(0, w)), int(own.uniform(0, h))
+                size, level = float(own.uniform(0.25, 0.7)), float(own.choice([0, 250]))
+                drawn.write(shown, "abc xy 123", place, 0, size, level, 1)
+            picture[y : y + h, x : x + w] = shown * grid
+        return picture
+
+    return at
+
+
+def _walking(rng: np.random.Generator, shape: tuple[int, int]) -> Moving:
+    """People who cross the room, with a bright button or two."""
+    room, people = drawn.room(rng, shape, 50), []
+    for _ in range(int(rng.integers(1, 4))):
+        start, tall = rng.uniform((60, 140), (shape[1] - 60, shape[0])), rng.uniform(90, 300)
+        speed, phase = rng.normal(0, 120) * np.array([1, 0.1]), rng.uniform(0, 2 * math.pi)
+        details = rng.normal(0, 0.09, (6, 2)) * tall, rng.uniform(0, 255, 6)
+        people.append((start, speed, phase, tall, rng.uniform(15, 160, 2), 8 * drawn.fractal(rng, shape, 0.5), details))
+
+    def at(time: float) -> Array:
+        picture = room.copy()
+        for start, speed, phase, tall, (clothes, skin), weave, (details, bright) in people:
+            way = speed * time + (0, 2 * math.sin(2 * math.pi * 2 * time + phase))
+            here, stride = start + way, 0.1 * tall * math.sin(2 * math.pi * time + phase)
+            mask = np.zeros(shape, np.uint8)
+            cv2.ellipse(mask, here.astype(int).tolist(), (int(0.13 * tall), int(0.3 * tall)), 0, 0, 360, 1, -1)
+            for side in (-1, 1):
+                foot = here + np.array([side * (0.1 * tall + stride), 0.55 * tall])
+                cv2.line(mask, here.astype(int).tolist(), foot.astype(int).tolist(), 1, max(2, int(0.09 * tall)))
+            moved = np.roll(weave, (round(way[1]), round(way[0])), (0, 1))
+            picture[mask > 0] = clothes + moved[mask > 0]
+            head = (here - (0, 0.38 * tall)).astype(int).tolist()
+            cv2.circle(picture, head, max(3, int(0.07 * tall)), float(skin), -1, cv2.LINE_AA)
+            for (px, py), level in zip(details, bright, strict=True):
+                spot = int(here[0] + px), int(here[1] + 1.5 * py)
+                cv2.circle(picture, spot, max(1, int(0.006 * tall)), float(level), -1, cv2.LINE_AA)
+        return picture
+
+    return at
+
+
+def _scene(kind: str, rng: np.random.Generator, shape: tuple[int, int]) -> Moving:
+    if kind == "screens":
+        return _changing(rng, shape)
+    if kind == "people":
+        return _walking(rng, shape)
+    picture = drawn.KINDS[kind](rng, shape)[0]
+    if kind == "leaves":
+        return _swinging(rng, picture)
+    if kind == "lamps":
+        # The mains' hundred hertz, as 30 frames a second see them.
+        return lambda time: picture * (1 + 0.15 * math.sin(2 * math.pi * 100 * time))
+    return lambda time: picture
+
+
+def _tremor(rng: np.random.Generator, times: Array, size: float) -> Array:
+    rates, phases, parts = rng.uniform(8, 12, 5), rng.uniform(0, 2 * math.pi, 5), rng.normal(0, 1, 5)
+    waves = parts[:, None] * np.cos(2 * math.pi * rates[:, None] * times + phases[:, None])
+    return size * waves.sum(0) * math.sqrt(2 / np.square(parts).sum())
+
+
+def film(kind: str, seed: int) -> Film:
+    """Draw a film of a room of a kind."""
+    rng = np.random.default_rng([31, list(drawn.KINDS).index(kind), seed])
+    wide = SHAPE[0] + 2 * MARGIN, SHAPE[1] + 2 * MARGIN
+    scene = _scene(kind, rng, wide)
+    soft, near = rng.uniform(0.6, 1.1), np.clip(0.5 + 0.5 * drawn.fractal(rng, wide, 2.0), 0, 1)
+    light = 1 + rng.uniform(0, 0.15) * near
+    spread = rng.uniform(1.0, 2.5) if kind != "noise" else rng.uniform(3, 10)
+    where = rng.uniform((70, 70), (wide[1] - 70, wide[0] - 70), (CAMERAS, 2))
+    sizes, ratios = (np.exp(rng.uniform(math.log(a), math.log(b), CAMERAS)) for a, b in ((0.6, 4.0), (8, 60)))
+    times = np.arange(round(RATE * SECONDS)) / RATE
+    shifts = np.stack([_tremor(rng, times, SHAKE) for _ in range(2)], 1)
+    turns = _tremor(rng, times, TURN)
+    quality = int(rng.integers(15, 60)) if kind == "blocks" else 0
+    hot = rng.uniform((0, 0), SHAPE[::-1], (40, 2)).astype(int), rng.uniform(30, 255, 40)
+    frames, places = [], np.empty((len(times), CAMERAS, 2))
+    for n, time in enumerate(times.tolist()):
+        lit = n % 2 == 1
+        picture = cv2.GaussianBlur(scene(time).astype(np.float32), (0, 0), soft)
+        if lit:
+            picture = picture * np.float32(light)
+            for (x, y), size, ratio in zip(where, sizes, ratios, strict=True):
+                drawn.with_camera(picture, x, y, ratio * spread, size)
+        way = cv2.getRotationMatrix2D((wide[1] / 2, wide[0] / 2), turns[n], 1)
+        way[:, 2] += shifts[n]
+        moved = cv2.warpAffine(picture, way, wide[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
+        seen = moved[MARGIN:-MARGIN, MARGIN:-MARGIN]
+        places[n] = where @ way[:, :2].T + way[:, 2] - MARGIN
+        taken = seen + rng.normal(0, spread, SHAPE) * np.sqrt(0.4 + 0.6 * np.clip(seen, 0, 255) / 128)
+        if kind == "hot pixels":
+            taken[hot[0][:, 1], hot[0][:, 0]] += hot[1]
+        image = np.clip(taken, 0, 255).round().astype(np.uint8)
+        if quality:
+            coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+            image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE))
+        frames.append(Frame(n, time, image, full_scale=255, lit=lit))
+    # What is overexposed shows no camera: those that it hides are left out.
+    first = cv2.GaussianBlur(scene(0.0).astype(np.float32), (0, 0), soft)
+    kept = [float(first[int(y), int(x)]) < OVEREXPOSED for x, y in where]
+    return Film(kind, frames, places[:, kept])
+
+
+class Cached(CameraDetector):
+    """Searches each frame once, whatever rate is asked for afterwards."""
+
+    def __init__(self, known: dict[int, Found], false_alarms: float) -> None:
+        super().__init__(false_alarms=false_alarms)
+        self.known, self.number = known, 0
+
+    def __call__(self, frame: Frame, /) -> Detections:
+        self.number = frame.index
+        return super().__call__(frame)
+
+    def _search(self, image: NDArray[np.generic], dark: NDArray[np.generic] | None, false_alarms: float) -> Found:
+        if self.number not in self.known:
+            self.known[self.number] = find_cameras(image, dark, swaps=False, false_alarms=LOOSEST)
+        found = self.known[self.number]
+        return found[found.false_alarms <= false_alarms]
+
+
+class Strict(Cached):
+    """The same where every spot may cost only what is allowed."""
+
+    def _rate(self, times: float, most: float) -> float:
+        return self.false_alarms
+
+
+def judged(one: Film, detector: Cached) -> dict[str, float]:
+    """Counts of a film: cameras, numbered early and at the end, sightings, and rows that are none."""
+    numbered, sightings, false, late = np.full(one.places.shape[1], math.inf), 0, 0, 0
+    last = len(one.frames) // 2
+    wrong: set[int] = set()
+    for told in track(one.frames, detector=detector):
+        if not told.moment["lit"]:
+            continue
+        rows = [row for row in told.rows if row.seen]
+        at = np.array([(row.x, row.y) for row in rows]).reshape(-1, 2)
+        apart = np.linalg.norm(at[:, None] - one.places[told.frame][None], axis=2)
+        for n, row in enumerate(rows):
+            if not (apart[n] <= REACH).any():
+                false += 1
+                wrong.add(row.track)
+        found = (apart <= REACH).any(0)
+        numbered[found] = np.minimum(numbered[found], told.time)
+        if told.frame >= last:
+            sightings, late = sightings + int(found.sum()), late + 1
+    return {
+        "cameras": len(numbered),
+        "early": int((numbered <= SETTLED).sum()),
+        "end": int(np.isfinite(numbered).sum()),
+        "seen": sightings,
+        "of": late * len(numbered),
+        "false": false,
+        "tracks": len(wrong),
+        "lit": len(one.frames) // 2,
+    }
+
+
+def told(name: str, counts: list[dict[str, float]]) -> str:
+    total = {key: sum(one[key] for one in counts) for key in counts[0]}
+    n = max(1, total["cameras"])
+    shares = f"{total['early'] / n:.2f} | {total['end'] / n:.2f} | {total['seen'] / max(1, total['of']):.2f}"
+    return f"| {name} | {n} | {shares} | {total['false'] / total['lit']:.4f} | {total['tracks']} |"
+
+
+RULES = {Cached: "", Strict: ", of every spot"}
+
+
+def main() -> None:
+    cv2.setNumThreads(1)
+    first, count = (int(one) for one in (sys.argv[1:3] + ["91000", "4"][len(sys.argv[1:3]) :]))
+    rates = [float(one) for one in sys.argv[3:]] or [0.01, 0.1]
+    rules = {f"{rate:g} asked{also}": (kind, rate) for rate in rates for kind, also in RULES.items()}
+    results: dict[str, list[tuple[str, dict[str, float]]]] = {name: [] for name in rules}
+    for kind in drawn.KINDS:
+        for seed in range(first, first + count):
+            one, known = film(kind, seed), {}
+            for name, (rule, rate) in rules.items():
+                results[name].append((kind, judged(one, rule(known, rate))))
+        print(f"{kind} done", file=sys.stderr, flush=True)
+    for name, counts in results.items():
+        print(f"\n{name}\n| | cameras | after {SETTLED:g} s | at the end | seen | false a lit frame | tracks |")
+        print("|---|---|---|---|---|---|---|")
+        for kind in drawn.KINDS:
+            print(told(kind, [own for of, own in counts if of == kind]))
+        print(told("all", [own for _, own in counts]), flush=True)
+
+
+if __name__ == "__main__":
+    main()
