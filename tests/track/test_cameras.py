@@ -11,14 +11,16 @@ import av
 import cv2
 import numpy as np
 import pytest
+from pyarrow.parquet import write_table
 
 from tapetum.cli.app import main
 from tapetum.errors import InputError
 from tapetum.record.recording import RecordingWriter, StreamInfo
 from tapetum.record.source import Frame
-from tapetum.track import Detections, detect, read_tracks, track, track_to_file
+from tapetum.track import Detections, detect, read_tracks, retrack, track, track_to_file
 from tapetum.track.cameras import CameraDetector
 from tapetum.track.ghosts import Ghost, calibrate_ghost
+from tapetum.track.tables import detections_schema, read_table
 
 CAMERAS = [(120.0, 80.0, 150.0), (300.0, 210.0, 110.0), (230.0, 120.0, 75.0)]
 
@@ -95,9 +97,9 @@ def test_no_camera_is_a_row_before_it_persisted(tmp_path: Path, rate: float | No
     assert sum(not row["seen"] for row in rows if row["lit"]) <= missed
 
 
-def test_a_dim_camera_is_found_as_it_persists() -> None:
-    """In single pairs one that chance makes as bright is expected in every third to every hundredth frame."""
-    picture, dim = room(1), (120.0, 80.0, 30.0)
+def test_a_dim_camera_is_found_as_it_persists(tmp_path: Path) -> None:
+    """In single pairs one that chance makes as bright is expected in every fifth to every fiftieth frame."""
+    picture, dim = room(1), (120.0, 80.0, 26.0)
     shifts = np.random.default_rng(7).normal(0, 6, (40, 2)).tolist()
     frames = [
         Frame(n, n / 30, shot(picture, n % 2 == 1, (x, y), n, cameras=[dim]), full_scale=255, lit=n % 2 == 1)
@@ -107,6 +109,16 @@ def test_a_dim_camera_is_found_as_it_persists() -> None:
     assert len(seen) >= 15 and len({row.track for _, row in seen}) == 1
     for n, row in seen:
         assert math.dist((row.x, row.y), np.add(dim[:2], shifts[n])) < 1.5
+    # What was weak is kept, and followed in the same way again; of older tables, which do not know, all counts.
+    files = [tmp_path / name for name in ("t.parquet", "d.parquet", "old.parquet")]
+    track_to_file(frames, files[0], detector="cameras", detections=files[1])
+    detections = read_table(files[1], detections_schema())
+    assert 0 < sum(one is True for one in detections["weak"].to_pylist()) < 15
+    again = retrack(files[1], tracker=CameraDetector().tracker())
+    assert again.to_pylist() == read_tracks(files[0]).to_pylist()
+    write_table(detections.drop_columns(["weak"]), files[2])
+    old = retrack(files[2], tracker=CameraDetector().tracker())
+    assert len(old) >= len(again)
 
 
 def test_a_dark_frame_that_does_not_suit_is_said_and_left() -> None:
