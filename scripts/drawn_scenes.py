@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-__all__ = ["KINDS", "Drawn", "draw", "fractal", "room", "with_camera", "write"]
+__all__ = ["KINDS", "Drawn", "Person", "draw", "fractal", "lettered", "room", "screen", "with_camera"]
 
 Array = np.ndarray
 _MARGIN = 48
@@ -93,7 +93,7 @@ def _leaves(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Ar
     return picture, _bent(picture, rng, 1.5, 40)
 
 
-def write(picture: Array, text: str, at: tuple[int, int], font: int, size: float, level: float, thick: int) -> None:
+def _write(picture: Array, text: str, at: tuple[int, int], font: int, size: float, level: float, thick: int) -> None:
     mask = np.zeros(picture.shape, np.uint8)
     cv2.putText(mask, text, at, font, size, 255.0, thick, cv2.LINE_AA)
     share = mask / np.float32(255)
@@ -110,8 +110,28 @@ def _lettering(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array,
         text = "".join(rng.choice(letters, int(rng.integers(2, 18))))
         at = int(rng.uniform(-20, shape[1])), int(rng.uniform(0, shape[0]))
         size, thick = float(rng.uniform(0.25, 1.6)), int(rng.integers(1, 4))
-        write(picture, text, at, int(rng.integers(0, 8)), size, float(rng.uniform(0, 255)), thick)
+        _write(picture, text, at, int(rng.integers(0, 8)), size, float(rng.uniform(0, 255)), thick)
     return picture, picture
+
+
+def screen(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[int, int, Array, Array]:
+    """Where a screen stands, x and y of its corner, the grid of its pixels and what it shows, [h, w] each."""
+    w, h = int(rng.integers(80, 260)), int(rng.integers(60, 180))
+    x, y = int(rng.uniform(0, shape[1] - w)), int(rng.uniform(0, shape[0] - h))
+    period = rng.uniform(2.2, 6)
+    down, along = np.mgrid[:h, :w]
+    grid = 1 - 0.4 * (np.abs(np.sin(math.pi * along / period)) < 0.3) - 0.3 * (np.sin(math.pi * down / period) < -0.8)
+    return x, y, grid, 130 + 40 * cv2.resize(fractal(rng, (32, 32), 1.2), (w, h))
+
+
+def lettered(rng: np.random.Generator, content: Array) -> Array:
+    """What a screen shows with some lines of text."""
+    shown, (h, w) = content.copy(), content.shape
+    for _ in range(int(rng.integers(0, 12))):
+        at = int(rng.uniform(0, w)), int(rng.uniform(0, h))
+        size = float(rng.uniform(0.25, 0.7))
+        _write(shown, "abc xy 123", at, 0, size, float(rng.choice([0, 250])), 1)
+    return shown
 
 
 def _screens(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
@@ -119,21 +139,9 @@ def _screens(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, A
     lit = room(rng, shape, 40)
     dark = lit.copy()
     for _ in range(int(rng.integers(2, 5))):
-        w, h = int(rng.integers(80, 260)), int(rng.integers(60, 180))
-        x, y = int(rng.uniform(0, shape[1] - w)), int(rng.uniform(0, shape[0] - h))
-        period = rng.uniform(2.2, 6)
-        down, along = np.mgrid[:h, :w]
-        grid = (
-            1 - 0.4 * (np.abs(np.sin(math.pi * along / period)) < 0.3) - 0.3 * (np.sin(math.pi * down / period) < -0.8)
-        )
-        content = 130 + 40 * cv2.resize(fractal(rng, (32, 32), 1.2), (w, h))
+        x, y, grid, content = screen(rng, shape)
         for picture in (lit, dark):
-            shown = content.copy()
-            for _ in range(int(rng.integers(0, 12))):
-                at = int(rng.uniform(0, w)), int(rng.uniform(0, h))
-                size = float(rng.uniform(0.25, 0.7))
-                write(shown, "abc xy 123", at, 0, size, float(rng.choice([0, 250])), 1)
-            picture[y : y + h, x : x + w] = shown * grid
+            picture[y : y + len(grid), x : x + grid.shape[1]] = lettered(rng, content) * grid
     return lit, dark
 
 
@@ -170,6 +178,44 @@ def _blocks(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Ar
     return KINDS[kind](rng, shape)
 
 
+@dataclass(frozen=True)
+class Person:
+    """A silhouette so tall in pixels; levels of clothes and skin, the cloth's weave [H, W], and small bright details.
+
+    `details` are their places about the middle, [N, 2], and `bright` their levels, [N].
+    """
+
+    tall: float
+    clothes: float
+    skin: float
+    weave: Array
+    details: Array
+    bright: Array
+
+    @classmethod
+    def drawn(cls, rng: np.random.Generator, shape: tuple[int, int], tall: float) -> Person:
+        """Draw what somebody wears."""
+        clothes, skin = rng.uniform(15, 160, 2)
+        weave = 8 * fractal(rng, shape, 0.5)
+        return cls(tall, clothes, skin, weave, rng.normal(0, 0.09, (6, 2)) * tall, rng.uniform(0, 255, 6))
+
+    def paint(self, picture: Array, start: Array, way: Array, feet: tuple[float, float]) -> None:
+        """Paint the person who went from a place along a way; `feet` is how far each foot is aside of the middle."""
+        at, mask = start + way, np.zeros(picture.shape, np.uint8)
+        middle = at.astype(int).tolist()
+        cv2.ellipse(mask, middle, (int(0.13 * self.tall), int(0.3 * self.tall)), 0, 0, 360, 1, -1)
+        for aside in feet:
+            foot = at + np.array([aside, 0.55 * self.tall])
+            cv2.line(mask, middle, foot.astype(int).tolist(), 1, max(2, int(0.09 * self.tall)))
+        cloth = np.roll(self.weave, (round(way[1]), round(way[0])), (0, 1))
+        picture[mask > 0] = self.clothes + cloth[mask > 0]
+        head = (at - (0, 0.38 * self.tall)).astype(int).tolist()
+        cv2.circle(picture, head, max(3, int(0.07 * self.tall)), float(self.skin), -1)
+        for (px, py), level in zip(self.details, self.bright, strict=True):
+            spot = int(at[0] + px), int(at[1] + 1.5 * py)
+            cv2.circle(picture, spot, max(1, int(0.006 * self.tall)), float(level), -1, cv2.LINE_AA)
+
+
 def _people(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Array]:
     """Silhouettes in clothes, with buttons, glasses and shoes, that walk between the two frames."""
     base = room(rng, shape, 50)
@@ -177,24 +223,10 @@ def _people(rng: np.random.Generator, shape: tuple[int, int]) -> tuple[Array, Ar
     for _ in range(int(rng.integers(1, 4))):
         x, y, tall = rng.uniform(60, shape[1] - 60), rng.uniform(140, shape[0]), rng.uniform(90, 300)
         moved = rng.normal(0, 12, 2) * (1, 0.2)
-        clothes, skin = rng.uniform(15, 160, 2)
-        weave = 8 * fractal(rng, shape, 0.5)
-        details = rng.normal(0, 0.09, (6, 2)) * tall
-        bright = rng.uniform(0, 255, 6)
-        for picture, (dx, dy) in ((lit, (0.0, 0.0)), (dark, moved)):
-            mask = np.zeros(shape, np.uint8)
-            at = np.array([x + dx, y + dy])
-            cv2.ellipse(mask, at.astype(int).tolist(), (int(0.13 * tall), int(0.3 * tall)), 0, 0, 360, 1, -1)
-            for side in (-1, 1):
-                foot = at + np.array([side * 0.1 * tall + 0.05 * dx, 0.55 * tall])
-                cv2.line(mask, at.astype(int).tolist(), foot.astype(int).tolist(), 1, max(2, int(0.09 * tall)))
-            shifted = np.roll(weave, (round(dy), round(dx)), (0, 1))
-            picture[mask > 0] = clothes + shifted[mask > 0]
-            head = (at - (0, 0.38 * tall)).astype(int).tolist()
-            cv2.circle(picture, head, max(3, int(0.07 * tall)), float(skin), -1)
-            for (px, py), level in zip(details, bright, strict=True):
-                spot = int(at[0] + px), int(at[1] + 1.5 * py)
-                cv2.circle(picture, spot, max(1, int(0.006 * tall)), float(level), -1, cv2.LINE_AA)
+        one = Person.drawn(rng, shape, tall)
+        for picture, way in ((lit, np.zeros(2)), (dark, moved)):
+            feet = (0.05 * way[0] - 0.1 * tall, 0.05 * way[0] + 0.1 * tall)
+            one.paint(picture, np.array([x, y]), way, feet)
     return lit, dark
 
 

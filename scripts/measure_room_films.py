@@ -65,56 +65,33 @@ def _swinging(rng: np.random.Generator, picture: Array) -> Moving:
 
 def _changing(rng: np.random.Generator, shape: tuple[int, int]) -> Moving:
     """Screens whose content changes every third of a second."""
-    room, screens = drawn.room(rng, shape, 40), []
-    for _ in range(int(rng.integers(2, 5))):
-        w, h = int(rng.integers(80, 260)), int(rng.integers(60, 180))
-        x, y, period = int(rng.uniform(0, shape[1] - w)), int(rng.uniform(0, shape[0] - h)), rng.uniform(2.2, 6)
-        down, along = np.mgrid[:h, :w]
-        bars = 0.4 * (np.abs(np.sin(math.pi * along / period)) < 0.3) + 0.3 * (np.sin(math.pi * down / period) < -0.8)
-        content = 130 + 40 * cv2.resize(drawn.fractal(rng, (32, 32), 1.2), (w, h))
-        screens.append((x, y, 1 - bars, content, int(rng.integers(2**31))))
+    room = drawn.room(rng, shape, 40)
+    screens = [(*drawn.screen(rng, shape), int(rng.integers(2**31))) for _ in range(int(rng.integers(2, 5)))]
 
     def at(time: float) -> Array:
         picture = room.copy()
         for x, y, grid, content, seed in screens:
-            own, shown = np.random.default_rng([seed, int(3 * time)]), content.copy()
-            h, w = shown.shape
-            for _ in range(int(own.integers(0, 12))):
-                place = int(own.uniform(0, w)), int(own.uniform(0, h))
-                size, level = float(own.uniform(0.25, 0.7)), float(own.choice([0, 250]))
-                drawn.write(shown, "abc xy 123", place, 0, size, level, 1)
-            picture[y : y + h, x : x + w] = shown * grid
+            shown = drawn.lettered(np.random.default_rng([seed, int(3 * time)]), content)
+            picture[y : y + len(grid), x : x + grid.shape[1]] = shown * grid
         return picture
 
     return at
 
 
 def _walking(rng: np.random.Generator, shape: tuple[int, int]) -> Moving:
-    """People who cross the room, with a bright button or two."""
+    """People who cross the room."""
     room, people = drawn.room(rng, shape, 50), []
     for _ in range(int(rng.integers(1, 4))):
         start, tall = rng.uniform((60, 140), (shape[1] - 60, shape[0])), rng.uniform(90, 300)
         speed, phase = rng.normal(0, 120) * np.array([1, 0.1]), rng.uniform(0, 2 * math.pi)
-        details = rng.normal(0, 0.09, (6, 2)) * tall, rng.uniform(0, 255, 6)
-        people.append((start, speed, phase, tall, rng.uniform(15, 160, 2), 8 * drawn.fractal(rng, shape, 0.5), details))
+        people.append((start, speed, phase, drawn.Person.drawn(rng, shape, tall)))
 
     def at(time: float) -> Array:
         picture = room.copy()
-        for start, speed, phase, tall, (clothes, skin), weave, (details, bright) in people:
-            way = speed * time + (0, 2 * math.sin(2 * math.pi * 2 * time + phase))
-            here, stride = start + way, 0.1 * tall * math.sin(2 * math.pi * time + phase)
-            mask = np.zeros(shape, np.uint8)
-            cv2.ellipse(mask, here.astype(int).tolist(), (int(0.13 * tall), int(0.3 * tall)), 0, 0, 360, 1, -1)
-            for side in (-1, 1):
-                foot = here + np.array([side * (0.1 * tall + stride), 0.55 * tall])
-                cv2.line(mask, here.astype(int).tolist(), foot.astype(int).tolist(), 1, max(2, int(0.09 * tall)))
-            moved = np.roll(weave, (round(way[1]), round(way[0])), (0, 1))
-            picture[mask > 0] = clothes + moved[mask > 0]
-            head = (here - (0, 0.38 * tall)).astype(int).tolist()
-            cv2.circle(picture, head, max(3, int(0.07 * tall)), float(skin), -1, cv2.LINE_AA)
-            for (px, py), level in zip(details, bright, strict=True):
-                spot = int(here[0] + px), int(here[1] + 1.5 * py)
-                cv2.circle(picture, spot, max(1, int(0.006 * tall)), float(level), -1, cv2.LINE_AA)
+        for start, speed, phase, one in people:
+            turn = 2 * math.pi * time + phase
+            stride = 0.1 * one.tall * (1 + math.sin(turn))
+            one.paint(picture, start, speed * time + (0, 2 * math.sin(2 * turn)), (-stride, stride))
         return picture
 
     return at

@@ -67,8 +67,8 @@ def watched(opens: Callable[[], Source], **options: Any) -> Watch:
 
 @pytest.fixture(scope="session")
 def some_seconds() -> list[Frame]:
-    """Twenty frames: nearly all of a watch's time is the search in its frames."""
-    return room_frames(2.0, rate=10.0)
+    """Frames enough for cameras to be seen before the source ends: nearly all of a watch's time is the search."""
+    return room_frames(2.4, rate=15.0)
 
 
 @pytest.fixture(scope="session")

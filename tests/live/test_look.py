@@ -149,7 +149,7 @@ def test_the_list_is_kept_and_undone_one_by_one(named: Path) -> None:
 
 def test_a_return_that_is_too_small_is_no_look(some_seconds: list[Frame]) -> None:
     one = Watch(lambda: Scripted(some_seconds), mode="all")
-    names = Names(one, 18)
+    names = Names(one, 32)
     one.listeners.append(names)
     one.start()
     assert one.join(60)

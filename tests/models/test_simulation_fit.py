@@ -56,7 +56,7 @@ def filmed(scene: Scene, gazes: np.ndarray, seed: int, side: int = 150, roll: fl
 
 def test_reaches_the_bound_and_knows_how_sure_it_is(scene: Scene, model: SimulationFit):
     # In the centre half of the field.
-    gazes = np.random.default_rng(3).uniform(-0.25, 0.25, (12, 2))
+    gazes = np.random.default_rng(3).uniform(-0.25, 0.25, (18, 2))
     one_start = SimulationFit(scene, nodes=13, starts=1, window=128)
     one_start._pictures = model._pictures
     found = one_start.predict(filmed(scene, gazes, 4))

@@ -93,7 +93,7 @@ def test_it_is_the_common_motion_that_holds_them() -> None:
 
 
 def test_thirty_under_a_perfect_detector_never_change(validated) -> None:
-    for seed in range(2):
+    for seed in range(5):
         truth, found = filmed(np.random.default_rng(seed), 30, 60.0, frames=60, missed=0.0, false=0.0)
         changes = score_tracks(truth, followed(found), reach=20).changes
         validated(SECTION, "changes of identity of 30 in 60 frames at 60 px, no miss", changes, 0, TRUTH, "")

@@ -88,8 +88,8 @@ class TrackPoint:
 class _Track:
     """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size.
 
-    `number` is None until the spot persisted; `lately` holds when it was seen, by frame, None where it was not, and
-    `plain` whether its spot was not weak then.
+    `number` is None until the spot persisted; `lately` holds when it was seen and whether the spot was weak, by frame,
+    None where it was not.
     """
 
     def __init__(
@@ -100,8 +100,7 @@ class _Track:
         self.covariance = np.diag([noise**2, speed**2])
         self.peak, self.diameter, self.now, self.last = peak, diameter, peak, place
         self.hits, self.misses, self.since, self.seen_at = 1, 0, time, time
-        self.lately: list[float | None] = [time]
-        self.plain = [not weak]
+        self.lately: list[tuple[float, bool] | None] = [(time, weak)]
         self.hidden: int | None = None
         # Where it would be had it not followed a jump, and for how many frames that is remembered.
         self.home: Array | None = None
@@ -323,8 +322,8 @@ class Tracker:
             elif not dark:
                 track.misses += 1
             if row in pairs or not dark:
-                track.lately = [*track.lately, time if row in pairs else None][-self.persist[1] :]
-                track.plain = [*track.plain, row in pairs and not weak[pairs[row]]][-self.persist[1] :]
+                own = (time, weak[pairs[row]]) if row in pairs else None
+                track.lately = [*track.lately, own][-self.persist[1] :]
         steps = [math.dist(place[seen[track]], at) for track, at in alone.items() if track in seen]
         self._steps += [float(np.median(steps))] if steps else []
         taken = [n for track, n in seen.items() if self._well_known(track)]
@@ -337,7 +336,7 @@ class Tracker:
                 self._tracks.append(_Track(*looks[n], time, self.speed, weak[n]))
                 seen[self._tracks[-1]] = n
         for track in self._tracks:
-            times = [one for one, plain in zip(track.lately, track.plain, strict=True) if one is not None and plain]
+            times = [one[0] for one in track.lately if one is not None and not one[1]]
             if track.number is None and len(times) >= self.persist[0]:
                 # Of a jump that was guessed, what came before may have been another spot.
                 track.since = min([one for one in times if one >= track.guessed], default=time)
@@ -363,7 +362,7 @@ class Tracker:
             x, y = _within(track.state[0], size) if n is None else place[n].tolist()
             vx, vy = track.state[1].tolist()
             detection = None if n is None else int(numbers[n])
-            lately = tuple(one is not None and one >= track.guessed for one in track.lately)
+            lately = tuple(one is not None and one[0] >= track.guessed for one in track.lately)
             points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, ""), track.since, lately))
         return sorted(points, key=lambda point: point.track)
 
