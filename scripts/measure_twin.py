@@ -63,7 +63,7 @@ def unit(kind: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
     nominal = load_scene(SCENES[kind])
     true = draw_unit(nominal, None, seed)
     shown = replace(true, sampling=replace(true.sampling, accuracy=true.sampling.accuracy / FINER[kind]))
-    session = Session(arguments.seconds, 15.0, seed, target_rate=arguments.target_rate)
+    session = Session(arguments.seconds, arguments.rate, seed, target_rate=arguments.target_rate)
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "unit.rec"
         label_recording(film(shown, path, session, progress=bar), bar)
@@ -196,13 +196,14 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", required=True)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--seconds", type=float, default=30.0, help="length of the recordings")
+    parser.add_argument("--rate", type=float, default=15.0, help="frames a second of the probe")
     parser.add_argument("--target-rate", type=float, default=60.0, help="frames a second of the target's camera")
     parser.add_argument("--read", type=int, default=6, help="frames that SimulationFit reads on the twin")
     parser.add_argument("--networks", type=Path, metavar="FOLDER", help="adapt networks to thin twins, too")
     parser.add_argument("-o", "--out", type=Path, required=True)
     arguments = parser.parse_args()
     keep_big_blocks()
-    options = {name: getattr(arguments, name) for name in ("frames", "seconds", "target_rate", "read")}
+    options = {name: getattr(arguments, name) for name in ("frames", "seconds", "rate", "target_rate", "read")}
     rows = json.loads(arguments.out.read_text("utf-8"))["units"] if arguments.out.exists() else []
     if arguments.networks is not None and arguments.kind != "thin":
         parser.error("--networks: is for thin units, whose network is bundled")

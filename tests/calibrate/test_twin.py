@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -16,7 +16,7 @@ import torch
 
 from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
-from tapetum.calibrate.twin.fit import _grain, _refined
+from tapetum.calibrate.twin.fit import _from_starts, _grain, _refined
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
 from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels
 from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
@@ -116,6 +116,39 @@ def test_an_interrupted_search_goes_on(bench: Scene, filmed: Path, tmp_path: Pat
     assert found.converged and found.explains
     with pytest.raises(InputError, match="another recording, scene or options"):
         fit_twin(filmed, bench, **(options | {"free": ["aperture"]}))  # pyright: ignore[reportArgumentType]
+
+
+def test_scenes_that_the_engine_refuses_are_gone_around(
+    bench: Scene, filmed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = ["aperture", "tilt", "light"]
+    parameters = chosen(bench, free)
+    (aperture,) = (n for n, one in enumerate(parameters) if one.name == "aperture")
+    own, most, refused = parameters[aperture].read(bench), 3.95e-3, list[float]()
+    assert parameters[aperture].read(with_values(bench, UNIT)) < most < own
+    usual = {"linear": Normal.linear, "left": Normal.left}
+
+    def but_wide_ones(name: str) -> Callable[..., Any]:
+        def asked(self: Normal, *given: Any, **more: Any) -> Any:
+            at = float(given[-1].coordinates[aperture])
+            # Wide apertures, and the first step whichever it is.
+            if most < at != own or (name == "left" and not refused):
+                refused.append(at)
+                raise InputError("its light passes beside the lens")
+            return usual[name](self, *given, **more)
+
+        return asked
+
+    for name in usual:
+        monkeypatch.setattr(Normal, name, but_wide_ones(name))
+    # All starts are searched from, not only until one explains the frames.
+    monkeypatch.setattr("tapetum.calibrate.twin.fit._EXPLAINED", 0.0)
+    used = frames_of(filmed, bench, 20)[1][::4]
+    kept = Kept(None, "")
+    found = _from_starts(Normal(bench, parameters, used), kept, 2, 4, quiet)
+    assert found[aperture] == pytest.approx(3.9e-3, rel=1e-3)
+    # The second start was at a wide one.
+    assert len(refused) == 2 and kept.searched[1][1] < kept.searched[0][1]
 
 
 def test_what_two_parameters_change_alike_is_not_told() -> None:
@@ -306,16 +339,19 @@ class Ragged:
 
     information = np.array([[400.0, 100.0], [100.0, 900.0]])
 
-    def __init__(self, scene: Scene, kick: float) -> None:
-        self.scene, self.kick, self.frames = scene, kick, ()
+    def __init__(self, scene: Scene, kick: float, refused: tuple[float, ...] = ()) -> None:
+        self.scene, self.kick, self.refused, self.frames = scene, kick, refused, ()
+        self.accuracy = scene.sampling.accuracy
         self.parameters = chosen(scene, ["aperture", "focal_length"])
         self.spread = np.array([one.spread for one in self.parameters])
         self.own = np.array([one.read(scene) for one in self.parameters])
         self.at = [one.name for one in self.parameters].index("aperture")
 
-    def over(self, frames: object, *, near: float) -> Ragged:
+    def over(self, frames: object, *, accuracy: float, near: float) -> Ragged:
         assert near >= 0.2
-        return self
+        other = Ragged(self.scene, self.kick, self.refused if accuracy < 2 * self.accuracy else ())
+        other.accuracy = accuracy
+        return other
 
     def moved(self, state: object, coordinates: np.ndarray) -> SimpleNamespace:
         return SimpleNamespace(coordinates=coordinates)
@@ -325,6 +361,8 @@ class Ragged:
 
     def linear(self, state: SimpleNamespace, **_: object) -> SimpleNamespace:
         away = (state.coordinates - self.own) / self.spread
+        if any(abs(away[self.at] - by) < 1e-6 for by in self.refused):
+            raise InputError("its light passes beside the lens")
         score = -self.information @ away
         score[self.at] += self.kick * np.sign(away[self.at])
         told = {"score": score, "information": self.information, "state": state}
@@ -344,6 +382,9 @@ def test_what_the_choice_of_rays_leaves_unsure_is_in_the_deviations() -> None:
     kicked = 3.0 * (np.arange(2) == ragged.at)
     missed = np.linalg.solve(ragged.information, kicked)
     assert np.allclose(grain(ragged), np.outer(missed, missed) / 2)
+    # Apertures that the engine refuses are left out; all of them, and coarser pictures serve.
+    for refused in ((0.1, 0.2), (-0.2, -0.1, 0.1, 0.2)):
+        assert np.allclose(grain(Ragged(traced, 3.0, refused)), np.outer(missed, missed) / 2)
     # It is the aperture that chooses rays, and a thin lens has none.
     assert not grain(ragged, (ragged.at,)).any()
     assert not grain(Ragged(load_scene("hand-held"), 3.0)).any()

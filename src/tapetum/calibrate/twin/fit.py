@@ -39,6 +39,8 @@ _EXPLAINED = 1.05
 _STEADY, _LOOSE = 3e-3, 0.3
 # Pictures are computed so much finer, so often, until that moves no parameter by more than so many deviations.
 _FINER, _LEVELS, _MOVED = 3.0, 3, 0.3
+# Misfit of a start that the engine refuses; JSON has no infinity.
+_REFUSED = 1e300
 # Usual offset that a recording's labels have in common, in pixels of the target's camera.
 _COMMON = 0.05
 # Spreads by which the aperture is moved to see what the choice of rays does.
@@ -159,10 +161,18 @@ def _from_starts(normal: Normal, kept: Kept, starts: int, seed: int, progress: P
     for n in range(len(kept.searched), len(kept.starts)):
         if kept.searched and kept.searched[-1][2] < _EXPLAINED:
             break
-        first = placed_in(few, kept.starts[n]) if kept.search is None else kept.search
-        state = settle(few, first, 3, doubt=_TIED).state if kept.search is None else first
         what = f"start {n + 1} of {len(kept.starts)}"
-        linear, _ = climb(few, state, steps=_STEPS, enough=_ROUGHLY, after=kept.searching, progress=progress, what=what)
+        try:
+            first = placed_in(few, kept.starts[n]) if kept.search is None else kept.search
+            state = settle(few, first, 3, doubt=_TIED).state if kept.search is None else first
+            after = kept.searching
+            linear, _ = climb(few, state, steps=_STEPS, enough=_ROUGHLY, after=after, progress=progress, what=what)
+        except InputError:
+            # The engine refuses some scenes, and a start at random may be one; the first is the scene given.
+            if not n:
+                raise
+            kept.done(kept.starts[n], -_REFUSED, _REFUSED)
+            continue
         kept.done(linear.state.coordinates, linear.log_likelihood, linear.misfit(lit=True))
     return max(kept.searched, key=lambda one: one[1])[0]
 
@@ -276,17 +286,29 @@ def _grain(normal: Normal, linear: Linear, held: Sequence[int], progress: Progre
         return found
     own = linear.state.coordinates
     apertures = {normal.parameters[n].clipped(float(own[n] + by * normal.spread[n])) for by in _APERTURES} - {own[n]}
-    # The derivatives serve over all of these.
-    wide = normal.over(normal.frames, near=2 * max(_APERTURES))
     inverse = np.linalg.inv(linear.information[np.ix_(free, free)])
-    for at in progress(sorted(apertures), "varying the rays"):
-        coordinates = own.copy()
-        coordinates[n] = at
-        state = wide.moved(linear.state, coordinates)
-        state = wide.stepped(wide.linear(state, shared=False), np.zeros(0))
-        missed = (coordinates - own) / normal.spread
-        missed[free] += inverse @ wide.linear(state, near=linear).score[free]
-        found += np.outer(missed, missed) / (2 * len(apertures))
+    for level in range(_LEVELS + 1):
+        # Where the engine refuses every moved aperture, coarser pictures say more than enough.
+        coarser = _FINER**level * _accuracy(normal)
+        # The derivatives serve over all of these.
+        wide = normal.over(normal.frames, accuracy=coarser, near=2 * max(_APERTURES))
+        moved = list[Array]()
+        for at in progress(sorted(apertures), "varying the rays"):
+            coordinates = own.copy()
+            coordinates[n] = at
+            try:
+                state = wide.moved(linear.state, coordinates)
+                state = wide.stepped(wide.linear(state, shared=False), np.zeros(0))
+                score = wide.linear(state, near=linear).score
+            except InputError:
+                if level == _LEVELS and not moved:
+                    raise
+                continue
+            missed = (coordinates - own) / normal.spread
+            missed[free] += inverse @ score[free]
+            moved.append(np.outer(missed, missed) / 2)
+        if moved:
+            return np.mean(moved, axis=0)
     return found
 
 

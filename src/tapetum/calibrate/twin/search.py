@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.calibrate.twin.normal_equations import Linear, Normal, State
+from tapetum.errors import InputError
 from tapetum.progress import Progress, quiet
 
 __all__ = ["LIMIT", "Untold", "climb", "covariance", "settle", "two_groups", "untold"]
@@ -55,6 +56,8 @@ def climb(
 ) -> tuple[Linear, bool]:
     """Return the maximum near a state, and whether the search converged.
 
+    A step to where the engine refuses the scene is taken shorter, as one that fits worse is.
+
     Parameters
     ----------
     normal, state
@@ -80,19 +83,24 @@ def climb(
         damped = matrix + np.diag(hardness * matrix.diagonal() + _SLOW * linear.doubt)
         step = np.zeros(len(linear.score))
         step[free] = np.clip(np.linalg.solve(damped, score), -_FARTHEST, _FARTHEST)
-        new = normal.stepped(linear, step)
-        if normal.sites_wander:
-            new = normal.stepped(normal.linear(new, shared=False, doubt=linear.doubt), np.zeros(0))
-        gain = linear.objective - normal.left(linear, new)
-        if gain < -1e-3:
+        try:
+            new = normal.stepped(linear, step)
+            if normal.sites_wander:
+                new = normal.stepped(normal.linear(new, shared=False, doubt=linear.doubt), np.zeros(0))
+            gain = linear.objective - normal.left(linear, new)
+            better = normal.linear(new, near=linear, doubt=linear.doubt) if gain >= -1e-3 else None
+        except InputError:
+            # The engine refuses the scene there, such as light beside the lens: a shorter step.
+            better = None
+        if better is None:
             hardness *= 10
             if hardness > _HARDEST:
                 return linear, False
             continue
         hardness = max(hardness / 10, 1e-9)
-        linear = _doubted(normal.linear(new, near=linear, doubt=linear.doubt), linear.doubt)
+        linear = _doubted(better, linear.doubt)
         if after is not None:
-            after(new)
+            after(linear.state)
         free = _movable(normal, linear, held)
         matrix, score = linear.information[np.ix_(free, free)], linear.score[free]
         if float(score @ np.linalg.solve(_sure(matrix), score)) < enough:
