@@ -154,11 +154,11 @@ def networks(twin: Scene, seed: int, folder: Path) -> dict[str, Any]:
     images, gazes = film_copy(easier, 5_000_000 + seed, TWIN_FRAMES, path, Rules(side=base.crop), HandMotion())
     labels = {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]}
     drawn = dataset_from_arrays(images, labels, full_scale=float(2**twin.probe.sensor.bits - 1))
-    of_twin = adapt(base, drawn, precision="bf16", device="cpu", name=NAME)
+    of_twin = adapt(base, drawn, device="cpu", name=NAME)
     told["processor_seconds"] = round(time.process_time() - start)
     score("frames of the twin", of_twin)
-    score("and 10 s of film", adapt(of_twin, film, seconds=10, precision="bf16", device="cpu"))
-    score("100 s of film", adapt(base, film, seconds=100, precision="bf16", device="cpu", name=NAME))
+    score("and 10 s of film", adapt(of_twin, film, seconds=10, device="cpu"))
+    score("100 s of film", adapt(base, film, seconds=100, device="cpu", name=NAME))
     return told
 
 

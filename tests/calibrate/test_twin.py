@@ -16,7 +16,7 @@ import torch
 
 from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
-from tapetum.calibrate.twin.fit import _from_starts, _grain, _refined
+from tapetum.calibrate.twin.fit import _bent, _from_starts, _grain, _refined
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
 from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels
 from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
@@ -332,6 +332,43 @@ def test_pictures_become_finer_until_their_error_moves_nothing(
     monkeypatch.setattr(Normal, "linear", usual)
     monkeypatch.setattr("tapetum.calibrate.twin.fit._LEVELS", 1)
     assert unsure == pytest.approx(refined()[1] / 2, abs=1e-6)
+
+
+class Bent:
+    """Squared residuals of three parameters, of which the noise takes a part away along the weakest combination."""
+
+    information = np.array([[400.0, 390.0, 0.0], [390.0, 400.0, 0.0], [0.0, 0.0, 2500.0]])
+    weak = np.array([1.0, -1.0, 0.0]) / np.sqrt(2)
+    sites_wander = False
+
+    def __init__(self, away: float) -> None:
+        self.curvature = self.information - away * 10.0 * np.outer(self.weak, self.weak)
+        own = {"score": np.zeros(3), "information": self.information, "objective": 7.0}
+        self.best = SimpleNamespace(**own, misfit=lambda lit: 1.0)
+
+    def stepped(self, linear: SimpleNamespace, step: np.ndarray) -> np.ndarray:
+        assert linear is self.best
+        return step
+
+    def left(self, linear: SimpleNamespace, step: np.ndarray) -> float:
+        # A slope that is left over, and an odd part, say nothing of the curvature.
+        odd = 0.3 * (step @ self.weak) + 0.2 * (step @ self.weak) ** 3
+        return float(linear.objective + step @ self.curvature @ step + odd)
+
+
+def test_deviations_follow_the_likelihood_where_noise_bends_it() -> None:
+    def bent(away: float, held: tuple[int, ...] = ()) -> np.ndarray:
+        normal = Bent(away)
+        return _bent(normal, normal.best, held)  # pyright: ignore[reportArgumentType]
+
+    for away in (0.0, 0.5, 0.8):
+        want = np.linalg.inv(Bent(away).curvature)
+        assert np.allclose(np.linalg.inv(Bent.information) + bent(away), want)
+    # More curvature than the pictures' derivatives have is not believed, nor a tenth of it and less.
+    assert not np.abs(bent(-1.0)).max() > 1e-12
+    assert np.allclose(bent(2.0), 9 / 10 * np.outer(Bent.weak, Bent.weak))
+    # One of the two that make up for each other is held: nothing is weak any more.
+    assert np.abs(bent(0.8, (1,))).max() < 0.1 * np.abs(bent(0.8)).max()
 
 
 class Ragged:

@@ -39,6 +39,8 @@ _EXPLAINED = 1.05
 _STEADY, _LOOSE = 3e-3, 0.3
 # Pictures are computed so much finer, so often, until that moves no parameter by more than so many deviations.
 _FINER, _LEVELS, _MOVED = 3.0, 3, 0.3
+# Directions in which the likelihood's own curvature is measured, and the least share of the linear one believed.
+_WEAKEST, _FLATTEST = 3, 0.1
 # Misfit of a start that the engine refuses; JSON has no infinity.
 _REFUSED = 1e300
 # Usual offset that a recording's labels have in common, in pixels of the target's camera.
@@ -113,7 +115,7 @@ def fit_twin(
     The simulation's own error must not move the result: pictures become three times finer, at most three times, until
     that moves no parameter by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the
     deviations, and behind a traced lens what the choice of rays does; so does an offset of 0.05 pixels that all labels
-    may have in common.
+    may have in common. Along the directions that the frames determine least the likelihood's own curvature counts.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -134,7 +136,8 @@ def fit_twin(
     if linear.misfit(lit=True) > LIMIT:
         _refuse_two(normal, linear, opened.path, progress)
     normal, linear, converged, left = _refined(normal, linear, converged, held, kept, progress)
-    unsure = np.outer(left, left) + _grain(normal, linear, held, progress) + _of_labels(normal, linear, held)
+    unsure = np.outer(left, left) + _of_labels(normal, linear, held)
+    unsure += _grain(normal, linear, held, progress) + _bent(normal, linear, held)
     options |= {"accuracy": _accuracy(normal), "starts": starts, "seed": seed}
     return twin_of(normal, linear, held, before, converged, opened, options, unsure)
 
@@ -266,6 +269,28 @@ def _of_labels(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
         moved = np.zeros(len(found))
         moved[free] = inverse @ push[free] * (_COMMON / pixels)
         found += np.outer(moved, moved)
+    return found
+
+
+def _bent(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
+    """Return the covariance [P, P], in squared spreads, by which the likelihood's own curvature exceeds the linear one.
+
+    Along the directions that the frames determine least, several parameters move far and nearly make up for each other.
+    What their second derivatives leave of it multiplies the noise of every pixel, which may take most of the curvature
+    away. So it is found from the likelihood itself, a deviation to either side (observed information: B. Efron and D.
+    V. Hinkley, Biometrika 65, 457 (1978)). Where photosites wander the likelihood is too rough for that.
+    """
+    found = np.zeros((len(linear.score), len(linear.score)))
+    free = np.setdiff1d(np.arange(len(found)), held)
+    if normal.sites_wander or not len(free) or linear.misfit(lit=True) > LIMIT:
+        return found
+    variances, directions = np.linalg.eigh(np.linalg.inv(linear.information[np.ix_(free, free)]))
+    for variance, direction in list(zip(variances, directions.T, strict=True))[-_WEAKEST:]:
+        one = np.zeros(len(found))
+        one[free] = np.sqrt(variance) * direction
+        there, back = (normal.left(linear, normal.stepped(linear, step)) for step in (one, -one))
+        curvature = (there + back) / 2 - linear.objective
+        found += np.outer(one, one) * (1 / np.clip(curvature, _FLATTEST, 1) - 1)
     return found
 
 
