@@ -340,11 +340,14 @@ class Bent:
     information = np.array([[400.0, 390.0, 0.0], [390.0, 400.0, 0.0], [0.0, 0.0, 2500.0]])
     weak = np.array([1.0, -1.0, 0.0]) / np.sqrt(2)
     sites_wander = False
+    spread = np.array([1e-3, 2e-3, 5e-4])
 
-    def __init__(self, away: float) -> None:
+    def __init__(self, away: float, most: float = 1.0) -> None:
         self.curvature = self.information - away * 10.0 * np.outer(self.weak, self.weak)
+        self.parameters = [SimpleNamespace(clipped=lambda x: min(x, most))] * 3
         own = {"score": np.zeros(3), "information": self.information, "objective": 7.0}
-        self.best = SimpleNamespace(**own, misfit=lambda lit: 1.0)
+        state = SimpleNamespace(coordinates=np.full(3, 0.1))
+        self.best = SimpleNamespace(**own, misfit=lambda lit: 1.0, state=state)
 
     def stepped(self, linear: SimpleNamespace, step: np.ndarray) -> np.ndarray:
         assert linear is self.best
@@ -361,12 +364,20 @@ def test_deviations_follow_the_likelihood_where_noise_bends_it() -> None:
         normal = Bent(away)
         return _bent(normal, normal.best, held)  # pyright: ignore[reportArgumentType]
 
+    def refuses(*_: object) -> float:
+        raise InputError("its light passes beside the lens")
+
     for away in (0.0, 0.5, 0.8):
         want = np.linalg.inv(Bent(away).curvature)
         assert np.allclose(np.linalg.inv(Bent.information) + bent(away), want)
     # More curvature than the pictures' derivatives have is not believed, nor a tenth of it and less.
     assert not np.abs(bent(-1.0)).max() > 1e-12
     assert np.allclose(bent(2.0), 9 / 10 * np.outer(Bent.weak, Bent.weak))
+    # Of a parameter at the end of its range, or where the engine refuses the scene, the linear model has to serve.
+    ended, refused = Bent(0.8, most=0.1), Bent(0.8)
+    refused.left = refuses  # pyright: ignore[reportAttributeAccessIssue]
+    for normal in (ended, refused):
+        assert not _bent(normal, normal.best, ()).any()  # pyright: ignore[reportArgumentType]
     # One of the two that make up for each other is held: nothing is weak any more.
     assert np.abs(bent(0.8, (1,))).max() < 0.1 * np.abs(bent(0.8)).max()
 

@@ -288,7 +288,15 @@ def _bent(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
     for variance, direction in list(zip(variances, directions.T, strict=True))[-_WEAKEST:]:
         one = np.zeros(len(found))
         one[free] = np.sqrt(variance) * direction
-        there, back = (normal.left(linear, normal.stepped(linear, step)) for step in (one, -one))
+        ends = [linear.state.coordinates + step * normal.spread for step in (one, -one)]
+        if any(part.clipped(x) != x for end in ends for part, x in zip(normal.parameters, end, strict=True)):
+            # A parameter at an end of its range has no other side.
+            continue
+        try:
+            there, back = (normal.left(linear, normal.stepped(linear, step)) for step in (one, -one))
+        except InputError:
+            # Nor has a scene that the engine refuses.
+            continue
         curvature = (there + back) / 2 - linear.objective
         found += np.outer(one, one) * (1 / np.clip(curvature, _FLATTEST, 1) - 1)
     return found
