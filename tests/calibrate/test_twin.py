@@ -16,7 +16,7 @@ import torch
 
 from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
-from tapetum.calibrate.twin.fit import _bent, _from_starts, _grain, _refined
+from tapetum.calibrate.twin.fit import _from_starts, _grain, _refined
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
 from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels
 from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
@@ -314,6 +314,9 @@ def test_pictures_become_finer_until_their_error_moves_nothing(
 
     # A thin lens's pictures are far better than asked for.
     accuracy, left = refined()
+    assert accuracy == pytest.approx(0.3 / 27) and not left.any()
+    monkeypatch.setattr("tapetum.calibrate.twin.fit._alike", lambda *_: False)
+    accuracy, left = refined()
     assert accuracy == 0.3 and 0 < np.abs(left).max() < 0.3
     monkeypatch.setattr("tapetum.calibrate.twin.fit._MOVED", 0.0)
     accuracy, last = refined()
@@ -334,52 +337,20 @@ def test_pictures_become_finer_until_their_error_moves_nothing(
     assert unsure == pytest.approx(refined()[1] / 2, abs=1e-6)
 
 
-class Bent:
-    """Squared residuals of three parameters, of which the noise takes a part away along the weakest combination."""
-
-    information = np.array([[400.0, 390.0, 0.0], [390.0, 400.0, 0.0], [0.0, 0.0, 2500.0]])
-    weak = np.array([1.0, -1.0, 0.0]) / np.sqrt(2)
-    sites_wander = False
-    spread = np.array([1e-3, 2e-3, 5e-4])
-
-    def __init__(self, away: float, most: float = 1.0) -> None:
-        self.curvature = self.information - away * 10.0 * np.outer(self.weak, self.weak)
-        self.parameters = [SimpleNamespace(clipped=lambda x: min(x, most))] * 3
-        own = {"score": np.zeros(3), "information": self.information, "objective": 7.0}
-        state = SimpleNamespace(coordinates=np.full(3, 0.1))
-        self.best = SimpleNamespace(**own, misfit=lambda lit: 1.0, state=state)
-
-    def stepped(self, linear: SimpleNamespace, step: np.ndarray) -> np.ndarray:
-        assert linear is self.best
-        return step
-
-    def left(self, linear: SimpleNamespace, step: np.ndarray) -> float:
-        # A slope that is left over, and an odd part, say nothing of the curvature.
-        odd = 0.3 * (step @ self.weak) + 0.2 * (step @ self.weak) ** 3
-        return float(linear.objective + step @ self.curvature @ step + odd)
-
-
-def test_deviations_follow_the_likelihood_where_noise_bends_it() -> None:
-    def bent(away: float, held: tuple[int, ...] = ()) -> np.ndarray:
-        normal = Bent(away)
-        return _bent(normal, normal.best, held)  # pyright: ignore[reportArgumentType]
-
-    def refuses(*_: object) -> float:
-        raise InputError("its light passes beside the lens")
-
-    for away in (0.0, 0.5, 0.8):
-        want = np.linalg.inv(Bent(away).curvature)
-        assert np.allclose(np.linalg.inv(Bent.information) + bent(away), want)
-    # More curvature than the pictures' derivatives have is not believed, nor a tenth of it and less.
-    assert not np.abs(bent(-1.0)).max() > 1e-12
-    assert np.allclose(bent(2.0), 9 / 10 * np.outer(Bent.weak, Bent.weak))
-    # Of a parameter at the end of its range, or where the engine refuses the scene, the linear model has to serve.
-    ended, refused = Bent(0.8, most=0.1), Bent(0.8)
-    refused.left = refuses  # pyright: ignore[reportAttributeAccessIssue]
-    for normal in (ended, refused):
-        assert not _bent(normal, normal.best, ()).any()  # pyright: ignore[reportArgumentType]
-    # One of the two that make up for each other is held: nothing is weak any more.
-    assert np.abs(bent(0.8, (1,))).max() < 0.1 * np.abs(bent(0.8)).max()
+def test_what_an_error_of_the_pictures_seems_to_tell_is_not_believed(
+    bench: Scene, filmed: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The error of a picture may depend on the focal length by more than the retro-reflection does."""
+    parameters = chosen(bench, ["focal_length", "focus", "tilt", "aperture"])
+    (at,) = (n for n, one in enumerate(parameters) if one.name == "focal_length")
+    rough = Normal(bench, parameters, frames_of(filmed, bench, 20)[1][::5])
+    true = np.array([one.read(with_values(bench, UNIT)) for one in parameters])
+    first, converged = climb(rough, settle(rough, placed_in(rough, true), 2).state)
+    # The first level's pictures are the same, those of the second are finer.
+    monkeypatch.setattr("tapetum.calibrate.twin.fit._LEVELS", 2)
+    normal, found, _, _ = _refined(rough, first, converged, [], Kept(None, ""), quiet)
+    told, right = (covariance(one.information, []).diagonal()[at] ** 0.5 for one in (first, found))
+    assert normal.accuracy == pytest.approx(0.05 / 9) and right > 1.3 * told
 
 
 class Ragged:

@@ -37,10 +37,9 @@ _TIED = 1e4
 _EXPLAINED = 1.05
 # Least scatter of the frames' brightness: pictures are not more accurate.
 _STEADY, _LOOSE = 3e-3, 0.3
-# Pictures are computed so much finer, so often, until that moves no parameter by more than so many deviations.
-_FINER, _LEVELS, _MOVED = 3.0, 3, 0.3
-# Directions in which the likelihood's own curvature is measured, and the least share of the linear one believed.
-_WEAKEST, _FLATTEST = 3, 0.1
+# Pictures are computed so much finer, so often, until that moves no parameter by more than so many deviations, and
+# changes no deviation by more than such a part.
+_FINER, _LEVELS, _MOVED, _CHANGED = 3.0, 3, 0.3, 0.15
 # Misfit of a start that the engine refuses; JSON has no infinity.
 _REFUSED = 1e300
 # Usual offset that a recording's labels have in common, in pixels of the target's camera.
@@ -113,9 +112,9 @@ def fit_twin(
     with all nuisances unknown, times the misfit where that exceeds 1. A parameter that the frames determine no better
     than the usual spread between copies keeps the scene's value; its uncertainty enters the deviations of the others.
     The simulation's own error must not move the result: pictures become three times finer, at most three times, until
-    that moves no parameter by more than 0.3 deviations, or the engine refuses. What may be left of its error enters the
-    deviations, and behind a traced lens what the choice of rays does; so does an offset of 0.05 pixels that all labels
-    may have in common. Along the directions that the frames determine least the likelihood's own curvature counts.
+    that moves no parameter by more than 0.3 deviations and changes no deviation by more than 15 %, or the engine
+    refuses. What may be left of its error enters the deviations, and behind a traced lens what the choice of rays does;
+    so does an offset of 0.05 pixels that all labels may have in common.
     """
     scene = as_scene(scene)
     parameters = chosen(scene, free)
@@ -136,8 +135,7 @@ def fit_twin(
     if linear.misfit(lit=True) > LIMIT:
         _refuse_two(normal, linear, opened.path, progress)
     normal, linear, converged, left = _refined(normal, linear, converged, held, kept, progress)
-    unsure = np.outer(left, left) + _of_labels(normal, linear, held)
-    unsure += _grain(normal, linear, held, progress) + _bent(normal, linear, held)
+    unsure = np.outer(left, left) + _grain(normal, linear, held, progress) + _of_labels(normal, linear, held)
     options |= {"accuracy": _accuracy(normal), "starts": starts, "seed": seed}
     return twin_of(normal, linear, held, before, converged, opened, options, unsure)
 
@@ -235,9 +233,12 @@ def _refined(
         return normal, linear, converged, left
     for _ in range(_LEVELS):
         finer = normal.over(normal.frames, accuracy=_accuracy(normal) / _FINER)
+        if _alike(normal, finer, linear.state):
+            normal = finer
+            continue
         try:
-            # The derivatives by the shared parameters are those of the coarser pictures.
-            told = finer.linear(linear.state, near=linear, doubt=linear.doubt, progress=progress)
+            # With derivatives of its own: what the frames seem to tell of the weakest parameters may be the error's.
+            told = finer.linear(linear.state, doubt=linear.doubt, progress=progress)
         except InputError:
             # The engine cannot compute finer ones: its error falls with what is asked, or faster.
             left /= _FINER - 1
@@ -245,14 +246,30 @@ def _refined(
         information = told.information[np.ix_(free, free)]
         left = np.zeros(len(left))
         left[free] = np.linalg.solve(information, told.score[free])
-        if (np.abs(left[free]) <= _MOVED * np.sqrt(np.linalg.inv(information).diagonal())).all():
+        deviations = np.sqrt(np.linalg.inv(information).diagonal())
+        before = np.sqrt(np.linalg.inv(linear.information[np.ix_(free, free)]).diagonal())
+        changed = float(np.abs(deviations / before - 1).max())
+        if changed <= _CHANGED and (np.abs(left[free]) <= _MOVED * deviations).all():
             break
-        normal, before = finer, linear.state.coordinates
+        normal, own = finer, linear.state.coordinates
         linear, converged = climb(
             normal, linear.state, held=held, after=kept.wholly, progress=progress, what="more finely", begin=told
         )
-        left = (linear.state.coordinates - before) / normal.spread
+        left = (linear.state.coordinates - own) / normal.spread
+        if changed <= _FINER * _CHANGED and (np.abs(left[free]) <= _FINER * _MOVED * deviations).all():
+            # The next level would change a third of that, which is little enough.
+            left /= _FINER - 1
+            break
     return normal, linear, converged, left
+
+
+def _alike(normal: Normal, finer: Normal, state: State) -> bool:
+    """Return whether finer pictures are the same, as a thin lens's are where far better ones cost nothing."""
+    try:
+        own, other = (one.pictures(state.coordinates).render_each(state.poses[:1]) for one in (normal, finer))
+    except InputError:
+        return False
+    return np.array_equal(own, other)
 
 
 def _of_labels(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
@@ -269,36 +286,6 @@ def _of_labels(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
         moved = np.zeros(len(found))
         moved[free] = inverse @ push[free] * (_COMMON / pixels)
         found += np.outer(moved, moved)
-    return found
-
-
-def _bent(normal: Normal, linear: Linear, held: Sequence[int]) -> Array:
-    """Return the covariance [P, P], in squared spreads, by which the likelihood's own curvature exceeds the linear one.
-
-    Along the directions that the frames determine least, several parameters move far and nearly make up for each other.
-    What their second derivatives leave of it multiplies the noise of every pixel, which may take most of the curvature
-    away. So it is found from the likelihood itself, a deviation to either side (observed information: B. Efron and D.
-    V. Hinkley, Biometrika 65, 457 (1978)). Where photosites wander the likelihood is too rough for that.
-    """
-    found = np.zeros((len(linear.score), len(linear.score)))
-    free = np.setdiff1d(np.arange(len(found)), held)
-    if normal.sites_wander or not len(free) or linear.misfit(lit=True) > LIMIT:
-        return found
-    variances, directions = np.linalg.eigh(np.linalg.inv(linear.information[np.ix_(free, free)]))
-    for variance, direction in list(zip(variances, directions.T, strict=True))[-_WEAKEST:]:
-        one = np.zeros(len(found))
-        one[free] = np.sqrt(variance) * direction
-        ends = [linear.state.coordinates + step * normal.spread for step in (one, -one)]
-        if any(part.clipped(x) != x for end in ends for part, x in zip(normal.parameters, end, strict=True)):
-            # A parameter at an end of its range has no other side.
-            continue
-        try:
-            there, back = (normal.left(linear, normal.stepped(linear, step)) for step in (one, -one))
-        except InputError:
-            # Nor has a scene that the engine refuses.
-            continue
-        curvature = (there + back) / 2 - linear.objective
-        found += np.outer(one, one) * (1 / np.clip(curvature, _FLATTEST, 1) - 1)
     return found
 
 
