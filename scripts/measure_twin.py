@@ -9,7 +9,7 @@ kept for each unit: by how many stated deviations each parameter is off, the mis
 `SimulationFit` on the twin for fresh frames of the true unit, over the Cramér-Rao limit. Reflectance and power act
 alike, so that their product is compared. Where photosites show, their place under the spot is not known to a hundredth
 of a micrometre, of the twin as of the camera: their phase is a nuisance then, of the fit and of the limit. What is done
-is in the file, and the same command goes on. Seeds below 100 served development; report others.
+is in the file, and the same command goes on. Seeds below 100 served development, and 108 and 112; report others.
 
 With --networks FOLDER of thin units also what the bundled network errs on the test part of 130 s of labelled film
 of the unit: adapted to 100 s of that film; adapted to frames of the twin alone, no frame of the unit among them; and
