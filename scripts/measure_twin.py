@@ -111,14 +111,16 @@ def reading(found: Twin, true: Scene, seed: int, count: int) -> dict[str, Any]:
     gazes = rng.uniform(-_FIELD, _FIELD, (count, 2))
     unknown = ("power", "place_x", "place_y", *(PHASE if period_of(true) is not None else ()))
     ideal = SimulationFit(true, nuisances=unknown, starts=2, nodes=2)
-    model = SimulationFit(found.scene, nuisances=unknown, starts=2)
-    errors, limits = [], []
+    model = SimulationFit(found.scene, nuisances=unknown, starts=2, systematic=found.systematic)
+    errors, limits, stated, held = [], [], [], []
     for number, gaze in enumerate(gazes):
         sines = tilt_of_gaze(true, torch.tensor(gaze)).numpy()
         scene = replace(true, target=replace(true.target, rotation=tuple(np.arcsin(sines).tolist())))
         frame = expose(retroreflect(scene), scene.probe, seed=seed * 1000 + number)[0]
         read = model.fit_image(frame)
         errors.append((read.values - gaze).tolist())
+        stated.append(np.sqrt(read.covariance.diagonal()).tolist())
+        held.append([bool(one) for one in (read.lower <= gaze) & (gaze <= read.upper)])
         limits.append(list(ideal.bounds((float(gaze[0]), float(gaze[1]))).values()))
     rms, limit = (float(np.sqrt(np.square(one).mean())) for one in (errors, limits))
     return {
@@ -127,6 +129,9 @@ def reading(found: Twin, true: Scene, seed: int, count: int) -> dict[str, Any]:
         "read_over_limit": rms / limit,
         "gazes": gazes.tolist(),
         "errors": errors,
+        "stated": stated,
+        "held": held,
+        "systematic": list(found.systematic),
     }
 
 
@@ -179,6 +184,7 @@ def summary(rows: Sequence[dict[str, Any]]) -> dict[str, Any]:
             "untold": sorted({name for row in own for name in row["untold"]}),
             "misfit_lit_most": max(row["misfit_lit"] for row in own),
             "read_over_limit": [row.get("read_over_limit") for row in own],
+            "read_held": [float(np.mean(row["held"])) for row in own if "held" in row],
             "seconds": float(np.median([row["seconds"] for row in own])),
         }
         trained = [row["networks"] for row in own if "networks" in row]

@@ -197,3 +197,18 @@ def test_pupils_of_fewer_tilts_are_the_same_pupils() -> None:
         assert float((own - theirs)[bundle.passing].abs().max()) < 1e-3 * WAVELENGTH
     assert part.misfit < 1.1 * fits.misfit
     assert part.aperture[0] == pytest.approx(fits.aperture[0], rel=1e-3)
+
+
+@pytest.mark.parametrize("degrees", [1.8, 6.0, 10.0])
+def test_rims_that_cut_between_the_rays_are_found(degrees: float) -> None:
+    # Rims of this lens nearly coincide with its stop: where only those that stop a ray of 37 x 37 counted, up to 0.55 %
+    # of the pupil was taken to be open that is not, and pictures were off by up to 0.03 of the peak.
+    lens = PrescriptionLens("cmount-12mm-f1.4", focal_length=3.8e-3, design_wavelength=WAVELENGTH)
+    focused = lens.focused(WAVELENGTH, 5.5)
+    sines = torch.sin(torch.tensor([degrees / 2, degrees], dtype=torch.float64) * math.pi / 180)
+    rims = limiting_surfaces(trace_bundle(focused, sines))
+    assert len(rims) < 10
+    dense = trace_bundle(focused, sines, count=161, sloped=False)
+    open_to_these = dense.good & (dense.height[..., rims] <= 1).all(-1)
+    wrongly = (open_to_these & ~dense.passing).sum(1) / dense.passing.sum(1)
+    assert float(wrongly.max()) < 2e-4

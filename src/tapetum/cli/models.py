@@ -14,14 +14,15 @@ __all__ = ["find_model"]
 
 
 def find_model(name: str, device: str = "auto", unit: str | None = None) -> Predictor:
-    """Load a model by its folder, by its exported file NAME.onnx or by the name of a bundled one.
+    """Load a model by its folder, its exported file NAME.onnx, a scene NAME.yaml, or the name of a bundled one.
 
     A network computes on `device`, and has the intervals of `unit` (`tapetum.models.base.UNIT_CHOICES`). Raises an
     InputError for an unknown model, one that runs on the CPU only, and one without intervals for another copy.
     """
     from tapetum.models import NetworkEstimator, load_predictor, pretrained
+    from tapetum.models.simulation import SCENE_SUFFIXES
 
-    if Path(name).exists() or Path(name).suffix.lower() == ".onnx" or Path(name).name != name:
+    if Path(name).exists() or Path(name).suffix.lower() in (".onnx", *SCENE_SUFFIXES) or Path(name).name != name:
         model = load_predictor(name)
     else:
         try:

@@ -22,7 +22,7 @@ def option(metavar: str, told: str, *spellings: str, **limits: Any) -> Any:
 WAYS = ("live", "whole")
 """What `--smooth` takes."""
 _SCENES = f"A bundled scene ({', '.join(scene_names())}) or a YAML file."
-_MODELS = "A model's folder, a network exported to NAME.onnx, or the bundled thin-lens-gaze"
+_MODELS = "A model's folder, a network exported to NAME.onnx, a twin NAME.yaml, or the bundled thin-lens-gaze"
 _SEED = option("N", f"Seed of everything random; {SEED} by default.", "--seed", min=0)
 
 SceneName = Annotated[str, typer.Argument(metavar="SCENE", help=_SCENES)]

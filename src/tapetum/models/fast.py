@@ -19,6 +19,7 @@ from tapetum.models.inputs import central
 from tapetum.models.intervals import Intervals
 from tapetum.models.network import NetworkEstimator
 from tapetum.models.prediction import Prediction
+from tapetum.models.simulation import SCENE_SUFFIXES, read_by_scene
 from tapetum.models.snr import crop_snr
 from tapetum.models.store import load_model
 
@@ -137,16 +138,21 @@ class FastResNet18(Predictor):
 
 
 def load_predictor(path: str | Path) -> Predictor:
-    """Load a model's folder, or a network exported to NAME.onnx, which is faster on a CPU.
+    """Load a model's folder, a network exported to NAME.onnx, which is faster on a CPU, or a scene, NAME.yaml.
+
+    A scene, such as a twin, reads frames by simulation (`tapetum.models.simulation.read_by_scene`).
 
     Raises
     ------
     InputError
-        As `load_model` and `FastResNet18`.
+        As `load_model`, `FastResNet18` and `read_by_scene`.
     MissingExtraError
         For an .onnx file when the extra `fast` is not installed.
     """
-    return FastResNet18(path) if Path(path).suffix.lower() == ".onnx" else load_model(path)
+    ending = Path(path).suffix.lower()
+    if ending in SCENE_SUFFIXES:
+        return read_by_scene(path)
+    return FastResNet18(path) if ending == ".onnx" else load_model(path)
 
 
 def _content(model: str | Path | NetworkEstimator) -> tuple[bytes | str, object]:

@@ -42,6 +42,8 @@ _BESIDE = 3e-6
 _FEW = 21
 # How far rays extend beyond the pupil's edge, so that its polynomials hold on both sides of it.
 BEYOND = 1.06
+# Places between two rays, along either axis, where rims are compared.
+_BETWEEN = 8
 # Farthest exit pupil before the sensor, in focal lengths, in place of one farther away or behind it.
 _FARTHEST_PUPIL = 40.0
 # Sine of the tilts between which rays from a place of the rim cross, and steps of the search for these rays.
@@ -445,13 +447,36 @@ def length(vectors: torch.Tensor) -> torch.Tensor:
 
 
 def limiting_surfaces(bundle: Bundle) -> list[int]:
-    """Numbers of the surfaces whose rims bound the pupil: the fewest that together stop every stopped ray."""
-    left = bundle.good[..., None] & (bundle.height > 1)
-    chosen: list[int] = []
-    while True:
-        stopped = left.sum((0, 1))
-        most = int(stopped.argmax())
-        if int(stopped[most]) == 0:
-            return sorted(chosen)
-        chosen.append(most)
-        left = left & ~left[..., most : most + 1]
+    """Numbers of the surfaces whose rims bound the pupil: few that together stop what is stopped.
+
+    In many designs rims nearly coincide, so that one of them cuts off slivers that lie between the rays. Heights are
+    interpolated there.
+    """
+    rays = bundle.good[..., None] & (bundle.height > 1)
+    chosen = _covering(rays, [])
+    return sorted(_covering(_stopped_between(bundle, chosen), chosen)) if chosen else chosen
+
+
+def _covering(stopped: torch.Tensor, chosen: list[int]) -> list[int]:
+    """`chosen` and the fewest surfaces that stop all else of what surfaces stop, [F, N, S]."""
+    left = stopped & ~stopped[..., chosen].any(-1, keepdim=True)
+    while int((count := left.sum((0, 1))).max()):
+        chosen = [*chosen, int(count.argmax())]
+        left = left & ~left[..., chosen[-1:]]
+    return chosen
+
+
+def _stopped_between(bundle: Bundle, chosen: list[int]) -> torch.Tensor:
+    """Which surfaces stop places between neighbouring rays that those `chosen` may not all stop, [M, P, S]."""
+    count = math.isqrt(bundle.height.shape[1])
+
+    def corners_of(rays: torch.Tensor) -> torch.Tensor:
+        square, ends = rays.reshape(len(rays), count, count, -1), (slice(None, -1), slice(1, None))
+        return torch.stack([square[:, row, column] for row in ends for column in ends])
+
+    corners, whole = corners_of(bundle.height), corners_of(bundle.good).all(0)[..., 0]
+    some = whole & (corners.amax(0) > 1).any(-1) & (corners.amin(0)[..., chosen] <= 1).all(-1)
+    at = (torch.arange(_BETWEEN, dtype=torch.float64) + 0.5) / _BETWEEN
+    line = torch.stack([1 - at, at])
+    weights = torch.einsum("ai,bj->abij", line, line).flatten(2).flatten(0, 1)
+    return torch.einsum("cms,cp->mps", corners[:, some], weights) > 1

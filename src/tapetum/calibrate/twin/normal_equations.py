@@ -31,7 +31,7 @@ from tapetum.models.simulation.pictures import Pictures, Pose, period_of
 from tapetum.models.simulation.search import PHASE, SLOW, Search
 from tapetum.progress import Progress, quiet
 
-__all__ = ["Linear", "Normal", "State", "by_labels"]
+__all__ = ["Linear", "Normal", "State", "by_labels", "by_parameters"]
 
 Array = NDArray[np.float64]
 # Frames whose pictures are held at once.
@@ -426,6 +426,20 @@ def by_labels(normal: Normal, linear: Linear) -> Array:
         inverse, cross = _inverse(matrix[shared:, shared:]), matrix[:shared, shared:]
         # The gaze comes first among a frame's nuisances.
         found -= ((cross @ inverse)[:, :2] * (one.doubt / frame.deviation**2)).T
+    return found
+
+
+def by_parameters(linear: Linear) -> Array:
+    """Return the derivatives [N, 2, P] of the gaze that is read from each frame alone by the shared parameters.
+
+    The frame's own place, brightness and, where photosites show, phase are unknown too, and it has no label.
+    """
+    shared = len(linear.score)
+    found = np.zeros((len(linear.frames), 2, shared))
+    for n, one in enumerate(linear.frames):
+        matrix = one.pixels_told[0]
+        # The gaze comes first among a frame's nuisances.
+        found[n] = -(_inverse(matrix[shared:, shared:]) @ matrix[shared:, :shared])[:2]
     return found
 
 

@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tapetum.bench import Scene, scene_yaml
-from tapetum.calibrate.twin.normal_equations import Linear, Normal
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, by_parameters
 from tapetum.calibrate.twin.search import LIMIT, covariance, untold
 from tapetum.files import atomic_file
+from tapetum.record.marks import scene_mark
 from tapetum.record.recording import Recording
 
 __all__ = ["Before", "Fitted", "Seen", "Twin", "twin_of"]
@@ -102,6 +103,9 @@ class Twin:
         their usual spread.
     frames
         The frames used; some with pictures.
+    systematic
+        Standard deviations of the gaze's x and y, in fractions of the field, that frames read with this twin have in
+        common, since its parameters are not exactly known.
     recording, options
         Name and uuid of the recording, and how it was fitted.
     """
@@ -116,6 +120,7 @@ class Twin:
     converged: bool
     covariance: Array
     frames: tuple[Seen, ...]
+    systematic: tuple[float, float]
     recording: Mapping[str, str]
     options: Mapping[str, Any]
 
@@ -155,6 +160,8 @@ class Twin:
             "scatter": self.scatter,
             "parameters": [_plain(one) for one in self.parameters],
             "covariance": self.covariance.tolist(),
+            "systematic": list(self.systematic),
+            "scene": scene_mark(self.scene),
             "frames": [
                 {"index": one.index, "label": one.label.tolist(), "gaze": one.gaze.tolist(), "misfit": one.misfit}
                 for one in self.frames
@@ -239,9 +246,17 @@ def twin_of(
         converged,
         known * np.outer(normal.spread, normal.spread),
         _seen(normal, linear),
+        _systematic(linear, known),
         {"name": recording.name, "uuid": recording.uuid},
         options,
     )
+
+
+def _systematic(linear: Linear, known: Array) -> tuple[float, float]:
+    """Return the standard deviations of the gaze, x and y, by the parameters' covariance in squared spreads."""
+    slopes = by_parameters(linear)
+    x, y = np.sqrt(np.mean(np.einsum("nip,pq,niq->ni", slopes, known, slopes), axis=0))
+    return float(x), float(y)
 
 
 def _seen(normal: Normal, linear: Linear) -> tuple[Seen, ...]:

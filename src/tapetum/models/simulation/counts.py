@@ -56,11 +56,18 @@ class CountModel:
         slope = np.gradient(numbers, self._nodes)
         # Rounding errors would leave a slope in saturation.
         self._slope = np.where(slope > 1e-6 * gain, slope, 0.0)
+        self._steps = tuple(np.diff(table) for table in (self._expected, self._slope, self._variance))
 
     def __call__(self, mean: Array) -> tuple[Array, Array, Array]:
         """Return expected digital numbers, their derivative by the mean electrons, and their variance; any shape."""
+        # The nodes are evenly spaced in the root, so that none has to be searched for.
+        inside = np.clip(mean, 0.0, self._nodes[-1])
+        below = np.minimum((np.sqrt(inside) * (1 / _STEP)).astype(np.intp), len(self._nodes) - 2)
+        start = self._nodes[below]
+        share = (inside - start) / (self._nodes[below + 1] - start)
         expected, slope, variance = (
-            np.interp(mean, self._nodes, table) for table in (self._expected, self._slope, self._variance)
+            table[below] + share * steps[below]
+            for table, steps in zip((self._expected, self._slope, self._variance), self._steps, strict=True)
         )
         return expected, slope, variance
 

@@ -69,6 +69,9 @@ class SimulationFit(Estimator):
         RMS of the pixels' relative sensitivities.
     offsets
         RMS of the offsets of the sensor's columns and rows, in electrons. Intervals are too narrow if they are ignored.
+    systematic
+        Standard deviations of gaze x and y, in fractions of the field, by what of the scene is not exactly known: those
+        of a twin (`tapetum.calibrate.Twin.systematic`). They widen the intervals.
     nodes
         Of the bank along an edge of the field: by default 25, or 9 where photosites show.
     seed
@@ -111,6 +114,7 @@ class SimulationFit(Estimator):
         window: int = _WINDOW,
         unevenness: float = 0.0,
         offsets: Sequence[float] = (0.0, 0.0),
+        systematic: Sequence[float] = (0.0, 0.0),
         nodes: int | None = None,
         seed: int = 0,
     ) -> None:
@@ -134,10 +138,8 @@ class SimulationFit(Estimator):
         if "object_distance" in every and np.isinf(scene.target.object_distance):
             what = "the search for a focus cannot begin at infinity"
             raise InputError(what, where="scene.target.object_distance", remedy="start from a distance in metres")
-        if len(offsets) != 2 or not all(np.isfinite(one) and one >= 0 for one in offsets):
-            what = f"must be two numbers of electrons, 0 or more, is {list(offsets)}"
-            raise InputError(what, where="offsets", remedy="give those of columns and of rows: 0.5, 0.2")
-        self.offsets = (float(offsets[0]), float(offsets[1]))
+        self.offsets = _two(offsets, "offsets", "of electrons", "give those of columns and of rows: 0.5, 0.2")
+        self.systematic = _two(systematic, "systematic", "of the field", "give those of gaze x and y: 1e-4, 1e-4")
         self._free = tuple(name for name in (*self.quantities, *self.nuisances) if name not in (*SLOW, *PHASE))
         self._model = CountModel(scene.probe.sensor, unevenness)
         self._pictures: dict[int, tuple[Pictures, Bank]] = {}
@@ -221,7 +223,10 @@ class SimulationFit(Estimator):
             poses = [replace(pose, power=self.scene.illumination.power) for pose in poses]
         tops = self._climbed(search, poses)
         rivals = [top for top in tops[1:] if not same_top(top, tops[0])]
-        return result_of(self.quantities, self._periods(search, tops[0]), rivals, len(tops), middle)
+        periods = self._periods(search, tops[0])
+        return result_of(
+            self.quantities, periods, rivals, len(tops), middle, dict(zip(SLOW, self.systematic, strict=True))
+        )
 
     def bounds(self, gaze: tuple[float, float]) -> dict[str, float]:
         """Return the Cramér-Rao bound on each parameter's standard deviation, for one crop.
@@ -245,7 +250,8 @@ class SimulationFit(Estimator):
 
     def parameters(self) -> dict[str, Any]:
         names = ("starts", "accuracy", "window", "unevenness", "nodes", "seed")
-        lists = {"parameters": list(self.quantities), "nuisances": list(self.nuisances), "offsets": list(self.offsets)}
+        lists = {name: list(getattr(self, name)) for name in ("nuisances", "offsets", "systematic")}
+        lists["parameters"] = list(self.quantities)
         return {"scene": scene_dict(self.scene), **lists, **{name: getattr(self, name) for name in names}}
 
     def state(self) -> dict[str, torch.Tensor]:
@@ -272,7 +278,7 @@ class SimulationFit(Estimator):
         if side not in self._pictures:
             pictures = Pictures(self.scene, side, self.accuracy)
             nodes = self.nodes or (_NODES if pictures.period is None else _NODES_SLOW)
-            self._pictures[side] = pictures, Bank(pictures, [pictures.start()], nodes, progress)
+            self._pictures[side] = pictures, Bank(pictures, nodes, progress)
         pictures, bank = self._pictures[side]
         if pictures.period is None and set(PHASE) & set(self.nuisances):
             what = "no photosites show in this scene's pictures"
@@ -281,23 +287,27 @@ class SimulationFit(Estimator):
 
     def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
         """Return the maxima near the poses, best first; more than `starts` only while all explain the image badly."""
-        tops: list[Top] = []
-        for pose in poses[: self.starts]:
-            tops += [self._top(search, pose, tops)]
+        tops = [self._top(search, poses[0])]
+        for pose in poses[1 : self.starts]:
+            # The opposite of a maximum is nearly one itself, so that one step shows how high it is.
+            mirrored = tops[0].misfit <= _LOST and np.allclose(np.add(pose.gaze, poses[0].gaze), 0.0)
+            pose = replace(pose, gaze=_opposite(tops[0])) if mirrored else pose
+            tops.append(self._top(search, pose, tops, 1 if mirrored else _FIRST_STEPS))
         best = max(tops, key=lambda top: top.log_likelihood)
         # The best maximum gives the opposite gaze more precisely than the bank.
-        x, y = np.clip(np.array(best.pose.gaze) + best.slow, -0.48, 0.48)
-        for pose in [replace(best.pose, gaze=(-float(x), -float(y))), *poses[self.starts :]]:
+        for pose in [replace(best.pose, gaze=_opposite(best)), *poses[self.starts :]]:
             if min(top.misfit for top in tops) <= _LOST:
                 break
             tops.append(self._top(search, pose, tops))
         return sorted(tops, key=lambda top: -top.log_likelihood)
 
-    def _top(self, search: Search, pose: Pose, others: list[Top]) -> Top:
-        """Return the maximum near a pose; a search that falls far behind others stops after a few steps."""
-        phase = search.pictures.period is not None
-        top = search.climb(search.in_phase(pose), phase=phase, steps=_FIRST_STEPS)
-        best = max((one.log_likelihood for one in others), default=-np.inf)
+    def _top(self, search: Search, pose: Pose, others: Sequence[Top] = (), first: int = _FIRST_STEPS) -> Top:
+        """Return the maximum near a pose; a search that falls far behind others stops after its `first` steps."""
+        phase, pose = search.pictures.period is not None, search.in_phase(pose)
+        if not others:
+            return search.climb(pose, phase=phase)
+        top = search.climb(pose, phase=phase, steps=first)
+        best = max(one.log_likelihood for one in others)
         if top.settled or top.log_likelihood <= best - _HOPELESS:
             return top
         return search.climb(top.pose, phase=phase, slow=top.slow)
@@ -321,6 +331,19 @@ class SimulationFit(Estimator):
             at = replace(top.pose, gaze=(float(gaze[0]), float(gaze[1])))
             found.append(search.climb(at, phase=False, steps=8))
         return sorted(found, key=lambda one: -one.log_likelihood)
+
+
+def _opposite(top: Top) -> tuple[float, float]:
+    """Return the gaze opposite to a maximum's, within the bank's field."""
+    x, y = np.clip(np.array(top.pose.gaze) + top.slow, -0.48, 0.48)
+    return -float(x), -float(y)
+
+
+def _two(values: Sequence[float], where: str, what: str, remedy: str) -> tuple[float, float]:
+    """Return two numbers, 0 or more."""
+    if len(values) != 2 or not all(np.isfinite(one) and one >= 0 for one in values):
+        raise InputError(f"must be two numbers {what}, 0 or more, is {list(values)}", where=where, remedy=remedy)
+    return float(values[0]), float(values[1])
 
 
 def _check_names(parameters: tuple[str, ...], nuisances: tuple[str, ...]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,7 +35,8 @@ class SimulationFitResult:
     names, values
         P parameters, and their values [P] at the maximum, in SI units and fractions of the field.
     covariance
-        [P, P] inverse Fisher information with unknown nuisances, times the misfit where that is above 1.
+        [P, P] inverse Fisher information with unknown nuisances, times the misfit where that is above 1; with the
+        squares of the systematic deviations.
     lower, upper
         [P] ends of 90 % intervals: 1.645 standard deviations around the modes that make up 90 % of the likelihood.
     log_likelihood
@@ -68,16 +70,23 @@ class SimulationFitResult:
 
 
 def result_of(
-    names: tuple[str, ...], periods: list[Top], rivals: list[Top], starts: int, middle: Array
+    names: tuple[str, ...],
+    periods: list[Top],
+    rivals: list[Top],
+    starts: int,
+    middle: Array,
+    systematic: Mapping[str, float],
 ) -> SimulationFitResult:
     """Return the result of one crop: maxima of its photosite `periods`, best first, and the `rivals` of other starts.
 
-    `middle` [2] is that of the fitted window from the image's, in metres.
+    `middle` [2] is that of the fitted window from the image's, in metres; `systematic` are further standard deviations
+    of some parameters.
     """
     best = periods[0]
     misfit = max(1.0, best.misfit)
     chosen = [best.names.index(name) for name in names]
     covariance = best.covariance[np.ix_(chosen, chosen)] * misfit
+    covariance = covariance + np.diag([systematic.get(name, 0.0) ** 2 for name in names])
     modes = [Mode(_values(one, names, middle), one.log_likelihood) for one in (*periods, *rivals)]
     # The interval covers the most likely modes up to 90 % of the total likelihood.
     share = np.exp(np.minimum([(one.log_likelihood - best.log_likelihood) / misfit for one in modes], 0.0))

@@ -34,6 +34,10 @@ _FOCUS_STEP = 0.05
 # Largest change in one step: gaze (fractions of the field), place (pixels), roll (radians), factor of the power.
 _MOST_GAZE, _MOST_PLACE, _MOST_ROLL, _MOST_POWER = 0.05, 8.0, 0.02, 2.0
 _STEPS, _SETTLED, _HARDEST = 25, 0.03, 1e6
+# Derivatives are kept over steps that are shorter than this, in λf/2r of the gaze and in pixels of the place, if only
+# these are free, in which pictures are nearly linear so far.
+_SAME = 0.1
+_STRAIGHT = {*SLOW, "place_x", "place_y", "power", "background"}
 # Periods from which the slow gaze moves the images that it is counted from.
 _HALFWAY = 0.75
 
@@ -99,7 +103,10 @@ class Search:
             if settled := float(np.abs(step * own).max()) < _SETTLED:
                 break
             new_at, new_beside = self.moved(at, beside, names, step)
-            mean, new_slopes = self.tangent(new_at, new_beside, names)
+            if self._near(at, new_at, names):
+                mean, new_slopes = self._mean(new_at), slopes
+            else:
+                mean, new_slopes = self.tangent(new_at, new_beside, names)
             new = self.model(mean)
             # Same weights as for the step: a larger variance must not count as a better fit.
             left = self.residual(new[0])
@@ -116,6 +123,19 @@ class Search:
         squares = float(noise(residual, residual)[0, 0])
         value, misfit = -0.5 * (squares + noise.log_determinant), squares / residual.size
         return Top(at, beside, names, noise(bent, bent), value, misfit, settled)
+
+    def _near(self, one: Pose, other: Pose, names: tuple[str, ...]) -> bool:
+        """Return whether the derivatives at two poses are the same for a step of the search."""
+        if self.pictures.period is not None or not set(names) <= _STRAIGHT:
+            return False
+        turned = np.abs(np.subtract(other.gaze, one.gaze)) / self.pictures.spot
+        shifted = np.abs(np.subtract(other.place, one.place)) / self.pictures.pitch
+        return bool(max(*turned, *shifted) < _SAME)
+
+    def _mean(self, pose: Pose) -> Array:
+        """Return the mean electrons [N] at a pose."""
+        light = self.pictures.render_each([pose])[0]
+        return (pose.background + pose.power / self.pictures.scene.illumination.power * light).ravel()
 
     def noise(self, bend: Array, variance: Array) -> Noise:
         """Return the covariance of the digital numbers, of slope and variance from the count model."""
