@@ -62,7 +62,7 @@ def main(arguments: Sequence[str] | None = None) -> tuple[Twin, np.ndarray, int]
         turned = tp.load_scene("hand-held", [*SMALL, "target.rotation=[0.3 deg, 0.2 deg]"]).target.rotation
         before = dataclasses.replace(unit, target=dataclasses.replace(unit.target, rotation=turned))
         frame = tp.expose(tp.retroreflect(before), before.probe, seed=9)
-        read = SimulationFit(found.scene, starts=2, nodes=9).predict(frame)
+        read = SimulationFit(found.scene, starts=2, nodes=9, systematic=found.systematic).predict(frame)
         truth = np.array(list(true_values(before, ("gaze_x", "gaze_y")).values()))
         deviation = (read.upper - read.lower)[0] / 2 / 1.645
         off = (read.value[0] - truth) / deviation

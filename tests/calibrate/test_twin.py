@@ -18,7 +18,7 @@ from tapetum.bench import Scene, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import fit_twin
 from tapetum.calibrate.twin.fit import _from_starts, _grain, _refined
 from tapetum.calibrate.twin.frames import TwinFrame, frames_of
-from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels
+from tapetum.calibrate.twin.normal_equations import Linear, Normal, State, by_labels, by_parameters
 from tapetum.calibrate.twin.parameters import GROUPS, chosen, parameters_of, placed
 from tapetum.calibrate.twin.search import climb, covariance, settle, two_groups, untold
 from tapetum.calibrate.twin.starts import placed_in
@@ -70,6 +70,9 @@ def test_a_twin_finds_the_unit_and_what_it_says_of_its_deviations_holds(bench: S
     assert found.converged and found.explains and found.misfit_lit < 1.05 < found.before.misfit_lit
     assert found.gain > 100
     assert not found.untold
+    # By the offset that all labels may have in common alone: 0.05 pixels of the target's camera.
+    offset = 0.05 / np.array(bench.target.sensor.pixels)
+    assert (offset < found.systematic).all() and (found.systematic < 3 * offset).all()
     for one, fitted in zip(chosen(bench, FREE), found.parameters, strict=True):
         assert fitted.deviation is not None
         assert abs(one.read(found.scene) - one.read(true)) < 4 * fitted.deviation < one.spread, one.name
@@ -295,6 +298,24 @@ def test_an_offset_of_all_labels_moves_the_score_as_foreseen(bench: Scene, filme
     change = moved.linear(linear.state, near=linear).score - linear.score
     assert np.abs(change).max() > 1
     assert np.allclose(offset @ by_labels(normal, linear), change, rtol=1e-6, atol=1e-6 * np.abs(change).max())
+
+
+def test_a_gaze_that_is_read_moves_with_a_parameter_as_foreseen(bench: Scene) -> None:
+    # A frame without noise, read with a scene that is slightly another one.
+    gaze = np.array([0.1, -0.05])
+    pictures, parameters = Pictures(bench, 96), chosen(bench, ["tilt", "decentre", "aperture"])
+    pose = replace(pictures.start(), gaze=(0.1, -0.05))
+    mean = pose.background + pictures.render_each([pose])[0]
+    blank = Normal(bench, parameters, [TwinFrame(0, 0.0, np.zeros((96, 96)), gaze, np.full(2, 1e-4))])
+    normal = blank.over([replace(blank.frames[0], counts=blank.model(mean)[0])])
+    at = np.array([one.read(bench) for one in parameters])
+    (slopes,) = by_parameters(normal.linear(State(at, (pose,), np.zeros((1, 2)))))
+    assert slopes.shape == (2, 5)
+    for n, part in enumerate((0.02, 0.02, 0.02, 0.02, 0.05)):
+        beside = at + part * normal.spread * (np.arange(5) == n)
+        top = normal.search(normal.frames[0], normal.pictures(beside)).climb(pose, phase=False)
+        moved = np.array(top.pose.gaze) - gaze
+        assert np.hypot(*(moved - part * slopes[:, n])) < 0.05 * np.hypot(*moved) + 3e-6, parameters[n].name
 
 
 def test_pictures_become_finer_until_their_error_moves_nothing(

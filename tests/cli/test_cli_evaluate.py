@@ -58,3 +58,36 @@ def test_a_dataset_of_other_labels_or_smaller_crops(run, chain, tmp_path: Path) 
     ran = run("evaluate", chain.model, little, "-o", tmp_path / "report")
     assert ran.code == 2 and "400 pixels does not fit crops of 100" in ran.err.splitlines()[-1]
     assert not (tmp_path / "report").exists() and "Traceback" not in ran.err
+
+
+def test_a_scene_stands_where_a_model_does(run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import torch
+
+    from tapetum.bench import load_scene, scene_yaml
+    from tapetum.data import dataset_from_arrays
+    from tapetum.models.simulation.pictures import Pictures
+    from tapetum.simulate.exposure import digitise
+    from tapetum.simulate.radiometry import dark_electrons
+
+    changes = ["probe.sensor.pixels=[112, 112]", "probe.sensor.pitch=4.4 um", "sampling.accuracy=0.05"]
+    scene = load_scene("hand-held", [*changes, "second_beam=null"])
+    rng = np.random.default_rng(1)
+    gazes = rng.uniform(-0.3, 0.3, (10, 2))
+    pictures = Pictures(scene, 100)
+    light = torch.from_numpy(pictures.render(pictures.start(), gazes) + dark_electrons(scene.probe.sensor))
+    images = np.stack([digitise(one, scene.probe.sensor, rng) for one in light])
+    labels = {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]}
+    made = dataset_from_arrays(images, labels, full_scale=255, split=np.r_[0, 0, np.ones(8, np.int8)])
+    monkeypatch.setattr("tapetum.data.open_dataset", lambda path: made)
+    path = tmp_path / "twin.yaml"
+    path.write_text(scene_yaml(scene))
+    ran = run("evaluate", path, tmp_path / "set.zarr", "--json")
+    assert ran.code == 0, ran.err
+    told = json.loads(ran.out)
+    assert told["refused"] == 0 and all(told["targets"][name]["mae"] < 1e-3 for name in labels)
+    (tmp_path / "twin.json").write_text('{"format": "tapetum-twin", "version": 1, "scene": "another"}')
+    ran = run("evaluate", path, tmp_path / "set.zarr")
+    assert ran.code == 2 and "twin.json: holds the numbers of another scene" in ran.complaint
+    for command in (("export", path, "-o", tmp_path / "a.onnx"), ("adapt", path, tmp_path / "set.zarr", "-o", "b")):
+        (tmp_path / "twin.json").unlink(missing_ok=True)
+        assert run(*command).code == 2

@@ -55,6 +55,16 @@ class State:
 
 
 @dataclass(frozen=True, eq=False)
+class _Tangent:
+    """A frame's mean electrons [N], their derivatives by its nuisances [n, N], and the light in them without slow
+    gaze."""
+
+    mean: Array
+    slopes: Array
+    light: Array
+
+
+@dataclass(frozen=True, eq=False)
 class _Frame:
     """One frame linearised: information [P + n, P + n] and score [P + n] of its pixels and of the priors; weights.
 
@@ -255,19 +265,29 @@ class Normal:
         pictures = self.pictures(state.coordinates)
         if near is not None and np.abs((state.coordinates - near.at) / self.spread).max() > self.near:
             near = None
-        steps, others = self._neighbours(state.coordinates) if shared and near is None else ([], [])
-        found: list[_Frame] = []
         chunks = [range(k, min(k + _CHUNK, len(self.frames))) for k in range(0, len(self.frames), _CHUNK)]
-        for chunk in progress(chunks, "simulating frames"):
-            poses = [state.poses[n] for n in chunk]
-            beside = [self._beside(other, poses) for other in others]
-            own = self._rendered(pictures, chunk, poses)
-            for k, n in enumerate(chunk):
-                made = [(one[k], step) for one, step in zip(beside, steps, strict=True)]
-                rows = made if near is None else near.frames[n].rows
-                found.append(self._frame(n, state, pictures, rows, shared, doubt, own[k]))
+        found: list[_Tangent] = []
+        rows: list[NDArray[np.float32]] = []
+        moved: tuple[int, Pictures, float] | None = None
+        # One parameter after the other: fine pictures have tables of hundreds of megabytes.
+        wanted = [None, *(self._shown if shared and near is None else [])]
+        for m, chunk in progress([(m, chunk) for m in wanted for chunk in chunks], "simulating frames"):
+            if m is None:
+                found += self._tangents(chunk, state, pictures)
+                rows += [self._steady(found[n].light.size, shared) for n in chunk]
+                continue
+            if moved is None or moved[0] != m:
+                moved = None
+                moved = (m, *self._neighbour(state.coordinates, m))
+            _, beside, step = moved
+            for n, made in zip(chunk, self._beside(beside, [state.poses[n] for n in chunk]), strict=True):
+                scale = state.poses[n].power / self.scene.illumination.power
+                rows[n][m] = (scale * made.ravel() - found[n].light) * (self.spread[m] / step)
+        if near is not None and shared:
+            rows = [one.rows for one in near.frames]
+        frames = [self._frame(n, state, pictures, one, rows[n], doubt) for n, one in enumerate(found)]
         at = state.coordinates if near is None else near.at
-        return _reduced(state, found, len(self.parameters) if shared else 0, at, doubt)
+        return _reduced(state, frames, len(self.parameters) if shared else 0, at, doubt)
 
     def left(self, linear: Linear, state: State) -> float:
         """Return the objective at another state, with the weights of `linear`."""
@@ -286,78 +306,74 @@ class Normal:
                 total += float(linear.frames[n].noise(rest, rest)[0, 0]) + linear.doubt * self._prior(n, state)[0]
         return total
 
-    def _neighbours(self, coordinates: Array) -> tuple[list[float], list[Pictures]]:
-        """Return steps and pictures a step away along each parameter that the pictures show."""
-        steps: list[float] = []
-        others: list[Pictures] = []
-        own = self.pictures(coordinates)
-        for n in self._shown:
-            one = self.parameters[n]
-            step = one.step * one.spread
-            # Steps stay within the range.
-            if coordinates[n] + step > one.most:
-                step = -step
-            shown = [self.parameters[m] for m in self._shown]
-            beside = coordinates.copy()
-            beside[n] += step
-            scene = placed(self.scene, shown, beside[self._shown].tolist())
-            steps.append(step)
-            others.append(Pictures(scene, self.side, self.accuracy, torch.complex128, like=own))
-        return steps, others
+    def _steady(self, size: int, shared: bool) -> NDArray[np.float32]:
+        """Return derivatives [P, size] by the shared parameters, if wanted: those that take no picture, else 0."""
+        rows = np.zeros((len(self.parameters) if shared else 0, size), np.float32)
+        for m in range(len(rows)):
+            if self.parameters[m].name == "background":
+                rows[m] = self.spread[m]
+        return rows
+
+    def _neighbour(self, coordinates: Array, number: int) -> tuple[Pictures, float]:
+        """Return the pictures a step away along a parameter, and the step."""
+        one, own = self.parameters[number], self.pictures(coordinates)
+        step = one.step * one.spread
+        # Steps stay within the range.
+        if coordinates[number] + step > one.most:
+            step = -step
+        beside = coordinates.copy()
+        beside[number] += step
+        scene = placed(self.scene, [self.parameters[m] for m in self._shown], beside[self._shown].tolist())
+        return Pictures(scene, self.side, self.accuracy, torch.complex128, like=own), step
 
     def _beside(self, pictures: Pictures, poses: list[Pose]) -> Array:
         target = pictures.scene.target
         own = {"object_distance": target.object_distance, "focal_length": target.lens.focal_length}
         return pictures.render_each([replace(pose, **own) for pose in poses])
 
-    def _rendered(self, pictures: Pictures, chunk: Sequence[int], poses: list[Pose]) -> list[Array | None]:
-        """Return the images that each frame's `Search.tangent` compares; None where it makes them itself."""
-        if len({pose.roll != 0 for pose in poses}) > 1:
-            return [None] * len(poses)
-        names = self.names(pictures)
+    def _tangents(self, chunk: Sequence[int], state: State, pictures: Pictures) -> list[_Tangent]:
+        """Return the frames' mean electrons, and their derivatives by the nuisances."""
+        names, poses = self.names(pictures), [state.poses[n] for n in chunk]
         searches = [self.search(self.frames[n], pictures) for n in chunk]
-        gazes = np.stack([one.gazes(pose, names) for one, pose in zip(searches, poses, strict=True)])
-        each = [
-            replace(pose, gaze=(float(x), float(y))) for pose, own in zip(poses, gazes, strict=True) for x, y in own
-        ]
-        made = pictures.render_each(each)
-        return list(made.reshape(*gazes.shape[:2], *made.shape[1:]))
+        images: list[Array | None] = [None] * len(poses)
+        # Pictures with a roll and without are not rendered together: then each frame makes its own.
+        if len({pose.roll != 0 for pose in poses}) == 1:
+            gazes = np.stack([one.gazes(pose, names) for one, pose in zip(searches, poses, strict=True)])
+            pairs = zip(poses, gazes, strict=True)
+            made = pictures.render_each(
+                [replace(pose, gaze=(float(x), float(y))) for pose, own in pairs for x, y in own]
+            )
+            images = list(made.reshape(*gazes.shape[:2], *made.shape[1:]))
+        found: list[_Tangent] = []
+        for n, search, pose, own in zip(chunk, searches, poses, images, strict=True):
+            slow = state.slow[n]
+            mean, slopes = search.tangent(pose, slow, names, own)
+            # The picture at the pose itself: without the slow gaze's part, which the neighbours do not have either.
+            light = mean - pose.background - (slow @ slopes[:2] if pictures.period is not None else 0.0)
+            found.append(_Tangent(mean, slopes, light))
+        return found
 
     def _frame(
         self,
         n: int,
         state: State,
         pictures: Pictures,
-        near: list[tuple[Array, float]] | NDArray[np.float32],
-        shared: bool,
+        tangent: _Tangent,
+        rows: NDArray[np.float32],
         doubt: float,
-        images: Array | None,
     ) -> _Frame:
-        pose, slow, frame = state.poses[n], state.slow[n], self.frames[n]
-        search, names = self.search(frame, pictures), self.names(pictures)
-        mean, slopes = search.tangent(pose, slow, names, images)
-        # The picture at the pose itself: without the slow gaze's part, which the neighbours do not have either.
-        light = mean - pose.background - (slow @ slopes[:2] if pictures.period is not None else 0.0)
-        expected, bend, variance = self.model(mean)
-        rows = np.zeros((len(self.parameters) if shared else 0, mean.size), np.float32)
-        if isinstance(near, np.ndarray):
-            rows = near
-        elif shared:
-            scale = pose.power / self.scene.illumination.power
-            for m, (made, step) in zip(self._shown, near, strict=True):
-                rows[m] = (scale * made.ravel() - light) * (self.spread[m] / step)
-            for m, one in enumerate(self.parameters):
-                if one.name == "background":
-                    rows[m] = self.spread[m]
-        bent = np.concatenate([rows, slopes]) * bend
+        pose, search = state.poses[n], self.search(self.frames[n], pictures)
+        expected, bend, variance = self.model(tangent.mean)
+        bent = np.concatenate([rows, tangent.slopes]) * bend
         noise, rest = search.noise(bend, variance), search.residual(expected)
         matrix, score = noise(bent, bent), noise(bent, rest)[:, 0]
-        priors, *told = self._prior(n, state, names, len(rows))
-        lit = mean - pose.background > 3 * np.sqrt(variance) / max(float(bend.max()), 1e-12)
+        priors, *told = self._prior(n, state, self.names(pictures), len(rows))
+        lit = tangent.mean - pose.background > 3 * np.sqrt(variance) / max(float(bend.max()), 1e-12)
         each = rest[0] ** 2 / variance
         squares = float(noise(rest, rest)[0, 0])
         own = float(each[lit].sum()), int(lit.sum())
-        return _Frame(rows, (matrix, score), (told[0], told[1]), noise, squares, priors, doubt, mean.size, *own)
+        size = tangent.mean.size
+        return _Frame(rows, (matrix, score), (told[0], told[1]), noise, squares, priors, doubt, size, *own)
 
     def _prior(self, n: int, state: State, names: tuple[str, ...] = (), shared: int = 0) -> tuple[float, Array, Array]:
         """Return the squares of the priors, their information and their score: label, brightness, roll."""

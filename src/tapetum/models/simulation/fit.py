@@ -38,10 +38,9 @@ _WINDOW = 200
 _UNLIKELY, _PERIODS_ASKED = 20.0, 9
 # A start is dropped when its log-likelihood lies this far behind after its first steps.
 _HOPELESS, _FIRST_STEPS = 200.0, 4
-# Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), and by how much starts then increase.
+# Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), by how much starts then increase, and from
+# which on, if nothing better is found, the image does not show the scene.
 _LOST, _FARTHER = 1.3, 4
-# Misfit above which the image does not show the scene.
-_FOREIGN = 2.0
 
 
 class SimulationFit(Estimator):
@@ -198,7 +197,7 @@ class SimulationFit(Estimator):
             for name in ("values", "lower", "upper")
         )
         why = "the scene does not explain it: residuals {:.3g} times the noise's"
-        reasons = ["" if one.misfit <= _FOREIGN else why.format(one.misfit) for one in found]
+        reasons = ["" if one.misfit <= _LOST else why.format(one.misfit) for one in found]
         raw = judged(Prediction(self.quantities, value, lower, upper), None)
         return raw.because([own or other for own, other in zip(reasons, raw.reason, strict=True)], described=True)
 

@@ -7,8 +7,8 @@ from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
+from numpy import fft
 from numpy.typing import NDArray
-from scipy import fft
 
 from tapetum.models.simulation.pictures import Pictures, Pose
 from tapetum.progress import Progress, quiet
@@ -159,6 +159,6 @@ def _alike(poses: Sequence[Pose]) -> list[list[Pose]]:
 
 
 def _binned(picture: Array, step: int) -> Array:
-    """Return means over squares of `step` pixels, [side / step, side / step]; rows and columns left over are dropped."""
+    """Return means over squares of `step` pixels, [side / step, side / step], without rows and columns left over."""
     side = len(picture) // step
     return picture[: side * step, : side * step].reshape(side, step, side, step).mean((1, 3))
