@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from tapetum.bench import Layer, PrescriptionLens, Scene, TargetSensor, at_wavelength
+from tapetum.bench.prescription import load_lens
 
 from .plane import Cells, Mask, Plane, Rectangle
 from .quadrature import Complex, Real, legendre
@@ -38,6 +39,7 @@ def judge(scene: Scene, pixels: Real, finite: bool, effort: Effort | None = None
         How much to sum; by the scene's accuracy where it is left out.
     """
     effort = effort or Effort.of(scene.sampling.accuracy)
+    _check_focus(scene)
     probe_lens = scene.probe.lens
     probe = Probe(probe_lens.focal_length)
     if finite:
@@ -53,6 +55,15 @@ def judge(scene: Scene, pixels: Real, finite: bool, effort: Effort | None = None
             ]
             total += strength * power * share * _summed(scene, fields)
     return total
+
+
+def _check_focus(scene: Scene) -> None:
+    """Refuse a lens that focuses otherwise than the judge's, which is moved as a whole."""
+    lens = scene.target.lens
+    if not isinstance(lens, PrescriptionLens) or math.isinf(scene.target.object_distance):
+        return
+    if (lens.focus or load_lens(lens.name).focus) != "unit":
+        raise TooLargeError("the judge moves the whole lens to focus: this takes 'focus: unit'")
 
 
 def pixel_places(columns: Real, rows: Real, pixels: tuple[int, int], pitch: float) -> Real:
