@@ -88,6 +88,11 @@ def test_a_scene_stands_where_a_model_does(run, tmp_path: Path, monkeypatch: pyt
     (tmp_path / "twin.json").write_text('{"format": "tapetum-twin", "version": 1, "scene": "another"}')
     ran = run("evaluate", path, tmp_path / "set.zarr")
     assert ran.code == 2 and "twin.json: holds the numbers of another scene" in ran.complaint
-    for command in (("export", path, "-o", tmp_path / "a.onnx"), ("adapt", path, tmp_path / "set.zarr", "-o", "b")):
-        (tmp_path / "twin.json").unlink(missing_ok=True)
-        assert run(*command).code == 2
+    (tmp_path / "twin.json").unlink()
+    for words, told in (
+        (("export", path, "-o", tmp_path / "a.onnx"), "only networks become ONNX"),
+        (("adapt", path, tmp_path / "set.zarr", "-o", tmp_path / "b"), "is no network that can be trained further"),
+        (("calibrate", "units", path, "hand-held", "-o", tmp_path / "b"), "reads by simulation"),
+    ):
+        ran = run(*words)
+        assert ran.code == 2 and told in ran.complaint

@@ -49,6 +49,9 @@ def units(
     from tapetum.models import Estimator, NetworkEstimator, ZernikeRidge, calibrate_units, model_card, save_model
 
     fitted = find_model(model, device)
+    if fitted.kind == "simulation":
+        remedy = "give a network or a ridge, and take the twin for the scene of the copies"
+        raise InputError("reads by simulation, and learns nothing from copies", where=model, remedy=remedy)
     if not isinstance(fitted, NetworkEstimator | ZernikeRidge):
         raise InputError("cannot be changed: it is exported", where=model, remedy="give the model's folder")
     if isinstance(fitted, NetworkEstimator) and not fitted.quantities:
