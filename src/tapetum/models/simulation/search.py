@@ -34,8 +34,8 @@ _FOCUS_STEP = 0.05
 # Largest change in one step: gaze (fractions of the field), place (pixels), roll (radians), factor of the power.
 _MOST_GAZE, _MOST_PLACE, _MOST_ROLL, _MOST_POWER = 0.05, 8.0, 0.02, 2.0
 _STEPS, _SETTLED, _HARDEST = 25, 0.03, 1e6
-# Derivatives are kept over steps that are shorter than this, in λf/2r of the gaze and in pixels of the place, if only
-# these are free, in which pictures are nearly linear so far.
+# Derivatives are kept so far, in λf/2r of the gaze, in pixels of the place and as a share of the power, if only these
+# and the background are free: pictures are nearly linear there.
 _SAME = 0.1
 _STRAIGHT = {*SLOW, "place_x", "place_y", "power", "background"}
 # Periods from which the slow gaze moves the images that it is counted from.
@@ -89,7 +89,7 @@ class Search:
     def climb(self, pose: Pose, *, phase: bool, slow: Array | None = None, steps: int = _STEPS) -> Top:
         """Return the maximum near a pose, within `steps` steps; `phase` fits slow gaze and phase separately."""
         names = (*SLOW, *(PHASE if phase else ()), *self.free)
-        at, beside = pose, np.zeros(2) if slow is None else slow
+        at, beside, taken = pose, np.zeros(2) if slow is None else slow, pose
         mean, slopes = self.tangent(at, beside, names)
         expected, bend, variance = self.model(mean)
         hardness, settled = 1e-3, False
@@ -103,7 +103,7 @@ class Search:
             if settled := float(np.abs(step * own).max()) < _SETTLED:
                 break
             new_at, new_beside = self.moved(at, beside, names, step)
-            if self._near(at, new_at, names):
+            if kept := self._near(taken, new_at, names):
                 mean, new_slopes = self._mean(new_at), slopes
             else:
                 mean, new_slopes = self.tangent(new_at, new_beside, names)
@@ -116,6 +116,7 @@ class Search:
                     break
                 continue
             at, beside, slopes = new_at, new_beside, new_slopes
+            taken = taken if kept else at
             expected, bend, variance = new
             hardness = hardness / 6 if hardness > 1e-6 else 0.0
         noise = self.noise(bend, variance)
@@ -125,12 +126,13 @@ class Search:
         return Top(at, beside, names, noise(bent, bent), value, misfit, settled)
 
     def _near(self, one: Pose, other: Pose, names: tuple[str, ...]) -> bool:
-        """Return whether the derivatives at two poses are the same for a step of the search."""
+        """Return whether the derivatives at two poses are the same for the search."""
         if self.pictures.period is not None or not set(names) <= _STRAIGHT:
             return False
         turned = np.abs(np.subtract(other.gaze, one.gaze)) / self.pictures.spot
         shifted = np.abs(np.subtract(other.place, one.place)) / self.pictures.pitch
-        return bool(max(*turned, *shifted) < _SAME)
+        brighter = abs(other.power / one.power - 1)
+        return bool(max(*turned, *shifted, brighter) < _SAME)
 
     def _mean(self, pose: Pose) -> Array:
         """Return the mean electrons [N] at a pose."""
