@@ -172,6 +172,21 @@ def test_looks_farther_where_no_start_explains_the_image(
     assert found.misfit > 1.3
 
 
+def test_an_image_with_more_than_its_noise_is_refused(scene: Scene, model: SimulationFit):
+    gaze, rng = np.array([[0.21, -0.13]]), np.random.default_rng(2)
+    frame = filmed(scene, gaze, 6)[0].astype(np.float64)
+    one = SimulationFit(scene, nodes=13, starts=1, window=128)
+    one._pictures = model._pictures
+    pictures = Pictures(scene, 150)
+    light = pictures.render(pictures.start(), gaze)[0] + dark_electrons(scene.probe.sensor)
+    deviation = np.sqrt(CountModel(scene.probe.sensor)(light)[2])
+    for more, applies in ((0.1, True), (0.6, False)):
+        noisy = np.clip(np.rint(frame + np.sqrt(more) * deviation * rng.standard_normal(frame.shape)), 0, 255)
+        found = one.predict(noisy.astype(np.uint8))
+        assert bool(np.isfinite(found.value).all()) == applies, more
+        assert ("does not explain" in found.reason[0]) != applies
+
+
 def test_whole_frames_and_power(scene: Scene, model: SimulationFit):
     frame = filmed(scene, np.array([[0.1, 0.05]]), 7, side=160)[0]
     frame = np.roll(frame, (9, -12), (0, 1))

@@ -9,6 +9,7 @@ import pytest
 
 from tapetum.errors import InputError
 from tapetum.report import fig_samples, html
+from tapetum.report.formatting import written
 
 VOID = {"meta", "img", "br"}
 
@@ -109,3 +110,8 @@ def test_a_page_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
     with pytest.raises(InputError):
         html.write_page(tmp_path / "file" / "new" / "report.html", "x")
     assert html.write_page(tmp_path / "new" / "r.html", "é").read_text(encoding="utf-8") == "é"
+
+
+def test_small_errors_keep_two_digits() -> None:
+    shown = {0.0: "0.000", 8.14e-5: "0.000081", -0.0023: "-0.0023", 0.0123: "0.012", 3.1: "3.100", 12.34: "12.3"}
+    assert {value: written(value) for value in shown} == shown

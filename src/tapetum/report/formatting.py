@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
-__all__ = ["Look", "look"]
+__all__ = ["Look", "look", "written"]
+
+
+def written(value: float) -> str:
+    """Write a number with three decimals; a small one with two digits, a large one with one decimal."""
+    if 0 < abs(value) < 0.01:
+        return f"{value:.{1 - math.floor(math.log10(abs(value)))}f}"
+    return f"{value:.3f}" if value < 10 else f"{value:.1f}"
 
 
 class Look(NamedTuple):
@@ -28,8 +36,7 @@ class Look(NamedTuple):
         """Write a value in this unit; a dash where there is none."""
         if value is None:
             return "–"
-        scaled = self.scale * value
-        return f"{scaled:.3f}" if scaled < 10 else f"{scaled:.1f}"
+        return written(self.scale * value)
 
 
 _LOOKS = {

@@ -22,7 +22,7 @@ from tapetum.errors import InputError
 from tapetum.files import atomic_file
 from tapetum.models.prediction import NONE_OF_THESE
 from tapetum.report.figures import figure_png
-from tapetum.report.formatting import look
+from tapetum.report.formatting import look, written
 from tapetum.report.verdicts import MEAN, NARROW, warnings
 
 __all__ = [
@@ -211,7 +211,7 @@ def _environment() -> Environment:
     made.globals |= {piece.__name__: piece for piece in pieces} | {"look": look, "warnings": warnings}
     made.globals |= {"MEAN": MEAN, "NARROW": NARROW, "NONE_OF_THESE": NONE_OF_THESE}
     made.filters |= {"shown": lambda value, quantity: look(quantity).shown(value)}
-    made.filters |= {"anchor": _anchor, "fmt": format, "share": share}
+    made.filters |= {"anchor": _anchor, "fmt": format, "share": share, "written": written}
     made.filters |= {"seconds": lambda value: f"{value:.1f} s" if value < 120 else f"{value / 60:.1f} min"}
     made.filters |= {"as_code": lambda pairs: [(f"`{name}`", what) for name, what in pairs]}
     return made

@@ -56,8 +56,7 @@ class State:
 
 @dataclass(frozen=True, eq=False)
 class _Tangent:
-    """A frame's mean electrons [N], their derivatives by its nuisances [n, N], and the light in them without slow
-    gaze."""
+    """A frame's mean electrons [N], their slopes by its nuisances [n, N], and the light [N] without the slow gaze's."""
 
     mean: Array
     slopes: Array
@@ -277,7 +276,7 @@ class Normal:
                 rows += [self._steady(found[n].light.size, shared) for n in chunk]
                 continue
             if moved is None or moved[0] != m:
-                moved = None
+                moved = None  # Frees its tables before there are new ones.
                 moved = (m, *self._neighbour(state.coordinates, m))
             _, beside, step = moved
             for n, made in zip(chunk, self._beside(beside, [state.poses[n] for n in chunk]), strict=True):

@@ -110,6 +110,7 @@ def write_twin(twin: Twin, path: str | os.PathLike[str]) -> None:
         ("log-likelihood over the scene's as it was", f"{twin.gain:.4g}"),
         ("frames", str(len(twin.frames))),
         ("scatter of their brightness", f"{100 * twin.scatter:.2g} %"),
+        ("a gaze read with the twin, deviation in common", "x {:.2g}, y {:.2g} of the field".format(*twin.systematic)),
         ("search", "converged" if twin.converged else "not converged: run it with more frames or another seed"),
     ]
     pieces = [

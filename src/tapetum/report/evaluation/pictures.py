@@ -18,7 +18,7 @@ from tapetum.report.figures.errors import fig_coverage, fig_error_by, fig_error_
 from tapetum.report.figures.gaze import fig_gaze_over_time
 from tapetum.report.figures.maps import fig_error_map
 from tapetum.report.figures.path import fig_path
-from tapetum.report.formatting import look
+from tapetum.report.formatting import look, written
 from tapetum.report.verdicts import MEAN
 
 __all__ = ["MEAN", "Picture", "path_section", "pictures"]
@@ -155,7 +155,8 @@ def _by_distance(outcome: Outcome, name: str, others: Mapping[str, Outcome]) -> 
         guess = np.tile([outcome.guess["gaze_x"], outcome.guess["gaze_y"]], (len(truth), 1))
         rings[MEAN] = error_by_distance(truth, guess, edges=edges)
     known = {who: one.mae[np.isfinite(one.mae)] for who, one in rings.items()}
-    ends = "; ".join(f"{who}: {mae[0]:.3f} in the middle, {mae[-1]:.3f} at the edge" for who, mae in known.items())
+    parts = [(who, written(mae[0]), written(mae[-1])) for who, mae in known.items()]
+    ends = "; ".join(f"{who}: {middle} in the middle, {edge} at the edge" for who, middle, edge in parts)
     return Picture(
         "error-over-field",
         "Where the errors are",

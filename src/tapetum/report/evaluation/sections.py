@@ -7,7 +7,7 @@ import numpy as np
 from tapetum.report import html
 from tapetum.report.evaluation.outcome import Outcome
 from tapetum.report.evaluation.scores import Group, by_device, by_recording, by_snr, score_classes
-from tapetum.report.formatting import look
+from tapetum.report.formatting import look, written
 from tapetum.report.html import Html
 
 __all__ = ["devices", "parts"]
@@ -56,7 +56,7 @@ def _both(one: Group, columns: list[int]) -> str:
     """MAE and RMSE over both axes of the gaze."""
     mean = np.mean([one.mae[k] for k in columns])
     root = np.sqrt(np.mean([one.rmse[k] ** 2 for k in columns]))
-    return f"{mean:.3f} / {root:.3f}"
+    return f"{written(float(mean))} / {written(float(root))}"
 
 
 def parts(outcome: Outcome) -> list[Html]:
