@@ -57,6 +57,8 @@ _SAFETY = 2.0
 # Tilts tried, in fractions of the steepest. At zero tilt a mirror's return is most sensitive: the edges of the entering
 # and the leaving pupil coincide.
 _TRIED = ((0.0, 0.0), (0.08, 0.1), (0.65, 0.65))
+# Share of the accuracy asked for that sampling may take, however much of it the paths' error takes.
+_OF_SAMPLING = 0.25
 # Error over the accuracy asked for above which planes that cancel each other are not planned again.
 _HOPELESS = 5.0
 # No more light can return than entered: an excess is aliasing.
@@ -93,9 +95,10 @@ class TracedPlan(Plan):
     by_rays
         Whether they do.
     expected_error
-        Largest error of the irradiance, in fractions of the image's own peak, measured against the second next finer
-        sampling and doubled. Infinite where the steepest tilt returns nothing. Where it returns less than 0.3 of the
-        most light, its error is stated and may exceed the accuracy asked for, which is that of brighter tilts.
+        Largest error of the irradiance, in fractions of the image's own peak: that of sampling, measured against the
+        second next finer sampling and doubled, and that of the paths' error as a phase. Infinite where the steepest
+        tilt returns nothing. Where it returns less than 0.3 of the most light, its error is stated and may exceed the
+        accuracy asked for, which is that of brighter tilts.
     """
 
     method: ClassVar[str] = "traced lens"
@@ -213,6 +216,7 @@ def traced_mask(
     """
     scene = traced_scene(focused, fits, output, **way)
     light = followed(scene, accuracy, correct=False)
+    accuracy = _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     # At least as finely as a mirror: the mask may be dark where it is tried.
     mirror = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
@@ -256,6 +260,7 @@ def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> floa
 def _planned(scene: TracedScene, surface: Surface, accuracy: float) -> tuple[TracedPass, TracedPlan]:
     scene, surface = in_air(scene, surface)
     light = followed(scene, accuracy)
+    accuracy = _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
     found = _thinned(scene, light, surface, found, tried, accuracy)
@@ -304,6 +309,11 @@ def _angle(light: TracedLight) -> float:
     return min(light.angle, math.inf if light.accepted is None else 4 * light.accepted)
 
 
+def _for_samples(light: TracedLight, accuracy: float) -> float:
+    """What the paths' error leaves of an accuracy."""
+    return max(accuracy - light.unsure, _OF_SAMPLING * accuracy)
+
+
 def _climbed(
     made: Callable[[_Effort], TracedPass], tried: torch.Tensor, accuracy: float, *, least: float = 0.0, first: int = 0
 ) -> _Step:
@@ -324,7 +334,7 @@ def _climbed(
         if error <= accuracy:
             return _Step(number - 2, now, one, error, (image, steps[-1][1]))
     raise InputError(
-        f"{accuracy:g} of the peak is not reached with {steps[0][0].grids.pupil} samples over the pupil",
+        f"{accuracy:.2g} of the peak is not reached with {steps[0][0].grids.pupil} samples over the pupil",
         where="sampling.accuracy",
         remedy=f"ask for {2 * error:.1g} or more, or stop the lens down with f_number",
     )
@@ -392,14 +402,14 @@ def _thinned(
 
 
 def _stated(light: TracedLight, found: _Step, least: float = 0.0) -> TracedPlan:
-    """The plan of a step, with the error that paths and steep tilts leave."""
-    claimed = max(found.error, light.unsure)
+    """The plan of a step, with the error that steep tilts leave and, on top of it, that of the paths."""
+    claimed = found.error
     if light.bright < 0.95 * light.steepest:
         faint = light.steepest * torch.tensor([[0.0, 1.0], [0.7, 0.7], [1.0, 0.0]], dtype=torch.float64)
         image, better = (one.field(faint).abs() ** 2 for one in (found.usual, found.finer))
         claimed = max(claimed, _SAFETY * _apart(image, better, least))
     grids = found.usual.grids
-    return TracedPlan(grids.pupil, grids.pupil, grids.sensor, light.departure, light.by_rays, claimed)
+    return TracedPlan(grids.pupil, grids.pupil, grids.sensor, light.departure, light.by_rays, claimed + light.unsure)
 
 
 def _apart(image: torch.Tensor, better: torch.Tensor, least: float = 0.0) -> float:
