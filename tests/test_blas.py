@@ -46,8 +46,10 @@ def test_tracking_leaves_cores_to_the_models() -> None:
 
 def test_detection_alone_does_too(monkeypatch: pytest.MonkeyPatch) -> None:
     seen = []
-    monkeypatch.setattr(importlib.import_module("tapetum.track.detect"), "make_maps", lambda *_: seen.append(threads()))
-    monkeypatch.setattr(importlib.import_module("tapetum.track.detect"), "search", lambda *_: [])
+    monkeypatch.setattr(
+        importlib.import_module("tapetum.track.detector"), "make_maps", lambda *_: seen.append(threads())
+    )
+    monkeypatch.setattr(importlib.import_module("tapetum.track.detector"), "search", lambda *_: [])
     with threadpool_limits(2, user_api="blas"):
         assert len(detect(np.zeros((16, 16), np.uint8))) == 0
         assert threads() == {2}

@@ -11,7 +11,7 @@ import pytest
 from tapetum.errors import InputError
 from tapetum.record.source import Frame
 from tapetum.track import Detections, Tracker, detect, read_tracks, track, track_to_file
-from tapetum.track.detect import DETECTORS, SpotDetector
+from tapetum.track.detector import DETECTORS, SpotDetector
 from tapetum.track.formats import FORMATS, Format
 from tapetum.track.pipeline import make_detector
 

@@ -101,7 +101,7 @@ def ghost(
         None if text is None else _positive(text, "m", where)
         for text, where in ((focal_length, "--focal-length"), (pitch, "--pitch"))
     ]
-    from tapetum.track.detect import DETECTORS
+    from tapetum.track.detector import DETECTORS
 
     one_of(detector, tuple(DETECTORS), "--detector")
     from tapetum.calibrate import calibrate_second_beam

@@ -110,10 +110,10 @@ def serve(
     from tapetum.live.loop import Watch
     from tapetum.live.modes import Modes
     from tapetum.live.modes.router import LARGEST, modes_router
-    from tapetum.record.frames import open_frames
-    from tapetum.record.hand import Aim, Hands, how_many, is_hands
+    from tapetum.record.frames import is_hands, open_frames
+    from tapetum.record.hand import Aim, Hands, how_many
     from tapetum.record.network import is_network, without_password
-    from tapetum.track.detect import DETECTORS
+    from tapetum.track.detector import DETECTORS
 
     # An address may hold a password.
     shown = without_password(source) if is_network(source) else source

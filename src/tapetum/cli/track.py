@@ -98,7 +98,7 @@ def track(
         one_of(smooth, WAYS, "--smooth")
     for path in (out, detections):
         check_output(path, force, sources=[source])
-    from tapetum.track.detect import DETECTORS
+    from tapetum.track.detector import DETECTORS
 
     one_of(detector, tuple(DETECTORS), "--detector")
     options = _given(min_snr=min_snr, largest=largest, false_alarms=false_alarms)

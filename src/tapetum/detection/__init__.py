@@ -5,11 +5,6 @@ difference (candidates.py), measures features of each (features.py), has a small
 and says how likely each is a camera (score.py). `find_each` takes many frames (many.py).
 """
 
-from __future__ import annotations
+import lazy_loader
 
-from tapetum.detection.find import find_cameras
-from tapetum.detection.found import Found
-from tapetum.detection.many import find_each
-from tapetum.detection.registration import Registered, register
-
-__all__ = ["Found", "Registered", "find_cameras", "find_each", "register"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

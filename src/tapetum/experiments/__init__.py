@@ -1,8 +1,5 @@
 """Reproduce the paper's Figs. 4 to 12 and its tables: simulate, learn, measure, draw, and state the differences."""
 
-from tapetum.experiments.sizes import SIZES, SMOKE_TEST, is_smoke_test
-from tapetum.experiments.workshop import RECIPES, Recipe, Workshop
-from tapetum.experiments.write import FIGURES, GROUPS, LEARNED, Reproduction, reproduce
+import lazy_loader
 
-__all__ = ["FIGURES", "GROUPS", "LEARNED", "RECIPES", "SIZES", "SMOKE_TEST", "Recipe", "Reproduction", "Workshop"]
-__all__ += ["is_smoke_test", "reproduce"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

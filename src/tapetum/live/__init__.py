@@ -3,10 +3,6 @@
 `Watch` runs the loop, `Log` keeps the events, `make_app` shows both on a page.
 """
 
-from tapetum.live.acquire import Acquisition
-from tapetum.live.events import Event, Events, Region
-from tapetum.live.log import Log
-from tapetum.live.loop import Watch
-from tapetum.live.state import CameraState, Health, State
+import lazy_loader
 
-__all__ = ["Acquisition", "CameraState", "Event", "Events", "Health", "Log", "Region", "State", "Watch"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -12,18 +12,15 @@ from tapetum.errors import one_of
 from tapetum.record.camera import Camera, is_camera
 from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.genicam import GenicamCamera, is_genicam
-from tapetum.record.hand import Hands, is_hands
 from tapetum.record.images import IMAGE_SUFFIXES, ImageSource
 from tapetum.record.network import NetworkCamera, is_network
 from tapetum.record.recording import is_recording, open_recording
-from tapetum.record.session import Session
-from tapetum.record.shot import Shot
 from tapetum.record.source import Frame, FrameSource, Source, existing
 from tapetum.record.stacks import StackSource
 from tapetum.record.v4l2 import V4l2Camera, is_v4l2
 from tapetum.record.video import VideoSource
 
-__all__ = ["SOURCES", "Asked", "Frame", "FrameSource", "Source", "SourceKind", "is_device", "open_frames"]
+__all__ = ["SOURCES", "Asked", "Frame", "FrameSource", "Source", "SourceKind", "is_device", "is_hands", "open_frames"]
 
 _RATE = 15.0
 _BENCH = "bench:"
@@ -57,7 +54,22 @@ class SourceKind:
     device: bool = False
 
 
+# What the bench films is simulated by PyTorch, which takes two seconds to load: other sources do without it.
+def is_hands(source: str) -> bool:
+    """Return whether a text names hands on the virtual bench: `hand` or `hand:3`."""
+    return source.partition(":")[0] == "hand"
+
+
+def _hands(name: str, asked: Asked) -> Source:
+    from tapetum.record.hand import Hands
+
+    return Hands(name, rate=asked.rate)
+
+
 def _bench(name: str, asked: Asked) -> Source:
+    from tapetum.record.session import Session
+    from tapetum.record.shot import Shot
+
     cameras = Shot(as_scene(name.removeprefix(_BENCH)), Session(rate=asked.rate or _RATE)).cameras
     return cameras[one_of(asked.stream, tuple(cameras), "stream")]
 
@@ -76,9 +88,7 @@ SOURCES: dict[str, SourceKind] = {
     "demo": SourceKind(
         lambda name: name == "demo" and not Path(name).exists(), lambda name, asked: DrawnRoom(asked.rate or 20.0)
     ),
-    "hand": SourceKind(
-        lambda name: is_hands(name) and not Path(name).exists(), lambda name, asked: Hands(name, rate=asked.rate)
-    ),
+    "hand": SourceKind(lambda name: is_hands(name) and not Path(name).exists(), _hands),
     "bench": SourceKind(lambda name: name.startswith(_BENCH), _bench),
     "recording": SourceKind(
         lambda name: is_recording(existing(name)),

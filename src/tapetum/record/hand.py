@@ -30,9 +30,8 @@ from tapetum.simulate import Camera, tilt_of_gaze
 from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.radiometry import photoelectrons
 
-__all__ = ["Aim", "Hands", "how_many", "is_hands"]
+__all__ = ["Aim", "Hands", "how_many"]
 
-PREFIX = "hand"
 _MOST = 3
 _RATE = 12.0
 _REACH = 0.55  # of the camera's field that the screen's width takes up: 0.17 m
@@ -46,11 +45,6 @@ _SIZE = (640, 480)  # of the probe's frame with one hand
 _DWELL = 2.5  # s for which a hand that nobody leads rests
 
 Array = npt.NDArray[np.float64]
-
-
-def is_hands(source: str) -> bool:
-    """Return whether a text names hands on the virtual bench: `hand` or `hand:3`."""
-    return source == PREFIX or source.startswith(f"{PREFIX}:")
 
 
 def how_many(source: str) -> int:
@@ -134,7 +128,7 @@ class Hands:
 
     live, count, full_scale = True, None, 255
 
-    def __init__(self, name: str = PREFIX, aim: Aim | None = None, rate: float | None = None, seed: int = 3) -> None:
+    def __init__(self, name: str = "hand", aim: Aim | None = None, rate: float | None = None, seed: int = 3) -> None:
         number = how_many(name)
         self.name, self.aim = name, aim or Aim()
         self.rate: float | None = rate or _RATE

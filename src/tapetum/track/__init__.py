@@ -8,45 +8,32 @@ from __future__ import annotations
 
 import inspect
 import sys
-from collections.abc import Iterator
 from types import ModuleType
 from typing import Any
 
-from tapetum.track.detect import detect
-from tapetum.track.detections import Detections
-from tapetum.track.pipeline import TrackSummary, track, track_to_file
-from tapetum.track.rows import TrackedFrame, TrackRow, retrack
-from tapetum.track.tables import read_tracks, track_schema, write_tracks
-from tapetum.track.tracker import Tracker, TrackPoint
+import lazy_loader
 
-__all__ = [
-    "Detections",
-    "TrackPoint",
-    "TrackRow",
-    "TrackSummary",
-    "TrackedFrame",
-    "Tracker",
-    "detect",
-    "read_tracks",
-    "retrack",
-    "track",
-    "track_schema",
-    "track_to_file",
-    "write_tracks",
-]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_ROOM = __doc__
 
 
 class _Room(ModuleType):
     """The room under its own name, callable: `tapetum.track(source)` is `tapetum.track.track(source)`.
 
     Importing this package makes it the attribute `track` of `tapetum`, where the function of that name belongs too.
+    `help(tapetum.track)` and a notebook's `tapetum.track?` describe the function first.
     """
 
-    def __call__(self, *args: Any, **options: Any) -> Iterator[TrackedFrame]:
-        return track(*args, **options)
+    def __call__(self, *args: Any, **options: Any) -> Any:
+        return self.track(*args, **options)
+
+    @property
+    def __signature__(self) -> inspect.Signature:
+        return inspect.signature(self.track)
+
+    @property
+    def __doc__(self) -> str:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return f"{self.track.__doc__}\nThe room of this name: {_ROOM}"
 
 
 sys.modules[__name__].__class__ = _Room
-# `help(tapetum.track)` and a notebook's `tapetum.track?` then describe the function first.
-__signature__ = inspect.signature(track)
-__doc__ = f"{track.__doc__}\nThe room of this name: {__doc__}"

@@ -48,7 +48,7 @@ class Detections:
     edge
         True where the spot touches the frame's edge, so that part of it may lie outside.
     ghost
-        True where the spot looks like a reflection that accompanies a brighter one (see `tapetum.track.detect`).
+        True where the spot looks like a reflection that accompanies a brighter one (see `tapetum.track.detector`).
     weak
         True where the spot may continue a track but gives it no number (see `tapetum.track.cameras`); where the column
         is missing, none is.

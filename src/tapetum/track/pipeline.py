@@ -30,8 +30,8 @@ from tapetum.record.reader import taken
 from tapetum.record.source import Frame, Source
 from tapetum.track.activity import Activity, asymmetry
 from tapetum.track.ahead import found_ahead, found_next
-from tapetum.track.detect import DETECTORS, Detector
 from tapetum.track.detections import Detections
+from tapetum.track.detector import DETECTORS, Detector
 from tapetum.track.rows import TrackedFrame, about
 from tapetum.track.tables import checked_suffix, detections_schema, table_writer, track_schema
 from tapetum.track.tracker import Tracker
@@ -195,7 +195,7 @@ def track(
     tracker
         Default: one that suits the detector (see `usual_tracker`). Its earlier tracks are kept.
     detector
-        What finds the spots of a frame: a name of `tapetum.track.detect.DETECTORS`, or a `Detector`.
+        What finds the spots of a frame: a name of `tapetum.track.detector.DETECTORS`, or a `Detector`.
     detect_options
         Options of a detector by its name, of "spots" those of `detect`, of "cameras" those of
         `tapetum.track.cameras.CameraDetector`. `largest` is `side` by default, 60 for "cameras": wider spots are walls

@@ -155,7 +155,7 @@ class Tracker:
     predictions (Kuhn, Nav. Res. Logist. Q. 2, 83 (1955)). A spot that fits no track begins one. A track seen in
     `confirm` frames coasts through frames without its spot; a younger one ends at the first.
 
-    When a spot fades, its ghost (see `tapetum.track.detect`) may remain for some frames. A spot much dimmer than a
+    When a spot fades, its ghost (see `tapetum.track.detector`) may remain for some frames. A spot much dimmer than a
     track was, and away from the track's predicted place, therefore neither continues that track nor begins one near it.
 
     A probe in the hand shakes: the motion that most tracks share between two frames (see `track.motion`) is taken out
