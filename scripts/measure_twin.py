@@ -32,7 +32,7 @@ import torch
 
 from measure_adapt import filmed
 from measure_adapt import load as bundled
-from tapetum.bench import Scene, Target, draw_unit, load_scene, scene_yaml, with_values
+from tapetum.bench import PrescriptionLens, Scene, Target, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import Twin, fit_twin
 from tapetum.calibrate.twin.parameters import chosen
 from tapetum.cli.memory import keep_big_blocks
@@ -86,7 +86,7 @@ def unit(kind: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
         "accuracy": found.options["accuracy"],
         "seconds": seconds,
     }
-    return told | reading(found, true, seed, arguments.read)
+    return told | reading(found, shown, seed, arguments.read)
 
 
 def off(found: Twin, true: Scene, nominal: Scene) -> dict[str, float]:
@@ -104,14 +104,18 @@ def off(found: Twin, true: Scene, nominal: Scene) -> dict[str, float]:
 
 
 def reading(found: Twin, true: Scene, seed: int, count: int) -> dict[str, Any]:
-    """RMS error of the fit by simulation on the twin, and the Cramér-Rao limit of the true unit, for fresh frames."""
+    """RMS error of the fit by simulation on the twin, and the Cramér-Rao limit of the true unit, for fresh frames.
+
+    Pictures are as fine as `read_by_scene` makes them.
+    """
     if not count:
         return {}
     rng = np.random.default_rng([seed, 0xF1])
     gazes = rng.uniform(-_FIELD, _FIELD, (count, 2))
     unknown = ("power", "place_x", "place_y", *(PHASE if period_of(true) is not None else ()))
     ideal = SimulationFit(true, nuisances=unknown, starts=2, nodes=2)
-    model = SimulationFit(found.scene, nuisances=unknown, starts=2, systematic=found.systematic)
+    fine = found.options["accuracy"] if isinstance(true.target.lens, PrescriptionLens) else None
+    model = SimulationFit(found.scene, nuisances=unknown, starts=2, accuracy=fine, systematic=found.systematic)
     errors, limits, stated, held = [], [], [], []
     for number, gaze in enumerate(gazes):
         sines = tilt_of_gaze(true, torch.tensor(gaze)).numpy()
