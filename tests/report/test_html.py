@@ -115,3 +115,9 @@ def test_a_page_is_written_whole_or_not_at_all(tmp_path: Path) -> None:
 def test_small_errors_keep_two_digits() -> None:
     shown = {0.0: "0.000", 8.14e-5: "0.000081", -0.0023: "-0.0023", 0.0123: "0.012", 3.1: "3.100", 12.34: "12.3"}
     assert {value: written(value) for value in shown} == shown
+
+
+def test_cells_of_numbers_are_divided_after_a_stroke_alone() -> None:
+    page = html.table(["a b", "c d"], [["one row", "0.1 m / 0.2 m"]], numeric=[1], caption="what it is")
+    assert "0.1\N{NO-BREAK SPACE}m\N{NO-BREAK SPACE}/ 0.2\N{NO-BREAK SPACE}m<" in page
+    assert "c d" in page and "one row" in page and "what it is" in page

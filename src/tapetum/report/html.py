@@ -120,14 +120,23 @@ def table(
     for number, row in enumerate(rows):
         if len(row) != len(columns):
             raise InputError(f"row {number} has {len(row)} cells for {len(columns)} columns", where="table")
+        written = [text(_glued(cell) if k in right else cell) for k, cell in enumerate(row)]
         cells = "".join(
-            f'<th scope="row" {mark[k]}>{text(cell)}</th>' if k == 0 else f"<td {mark[k]}>{text(cell)}</td>"
-            for k, cell in enumerate(row)
+            f'<th scope="row" {mark[k]}>{cell}</th>' if k == 0 else f"<td {mark[k]}>{cell}</td>"
+            for k, cell in enumerate(written)
         )
         body.append(f"<tr{' class=best' if number == best else ''}>{cells}</tr>")
-    below = f"<caption>{text(caption)}</caption>" if caption else ""
+    # A page that is narrower than its table scrolls the table, not what is written below it.
+    below = f"<caption><span>{text(caption)}</span></caption>" if caption else ""
     inner = f"{below}<thead><tr>{head}</tr></thead><tbody>{''.join(body)}</tbody>"
     return Html(f'<div class="scroll"><table>{inner}</table></div>')
+
+
+def _glued(cell: object) -> object:
+    """A cell of numbers whose signs and units stay beside them: a narrow page divides it after a stroke alone."""
+    if not isinstance(cell, str) or isinstance(cell, Html):
+        return cell
+    return cell.replace(" ", "\N{NO-BREAK SPACE}").replace("/\N{NO-BREAK SPACE}", "/ ")
 
 
 def facts(pairs: Iterable[tuple[object, object]], *, caption: object = "") -> Html:
