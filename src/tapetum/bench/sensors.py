@@ -85,6 +85,9 @@ class ProbeSensor:
     ----------
     pixels, pitch
         Columns and rows, and their pitch in metres.
+    fill
+        Share of a pixel's area that is sensitive to light, a square in its middle: a picture holds the mean over it. A
+        real sensor with lenses over its pixels has nearly 1. 0, the default and the paper's model: a point.
     bits, offset
         Bit depth, and digital number without light.
     exposure
@@ -104,6 +107,7 @@ class ProbeSensor:
 
     pixels: Pixels = (256, 256)
     pitch: Positive = 2.2e-6
+    fill: Share = 0.0
     bits: Annotated[int, Field(ge=1, le=16)] = 8
     exposure: Time = 1e-5
     quantum_efficiency: Annotated[float, Field(gt=0, le=1)] = 0.5

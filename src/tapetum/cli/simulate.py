@@ -143,6 +143,7 @@ def _grid(base: Scene, axes: list[Sweep], imaged: Callable[..., Image]) -> Image
     worst = max(images, key=lambda image: image.metadata["expected_error"])
     rotations = [r for image in images for r in image.metadata["rotation_deg"]]
     metadata = {**worst.metadata, "rotation_deg": rotations}
+    metadata["change_by_area"] = max(image.metadata["change_by_area"] for image in images)
     metadata["sweep"] = {axis.key: list(axis.values) for axis in axes}
     return Image(torch.cat([image.irradiance for image in images]), images[0].pitch, metadata)
 
@@ -172,6 +173,7 @@ def _record(image: Image, axes: list[Sweep], out: Path) -> dict[str, Any]:
     return {
         **image.metadata,
         "expected_error": finite(image.metadata["expected_error"]),
+        "change_by_area": finite(image.metadata["change_by_area"]),
         "sampling": {name: finite(value) for name, value in image.metadata["sampling"].items()},
         "images": len(image),
         "shape": list(image.irradiance.shape),
@@ -191,6 +193,10 @@ def _say(image: Image, scene: Scene, out: Path) -> str:
         claim = "sampled by hand more coarsely than planned: error unknown"
         if scene.sampling.pupil is None and scene.sampling.sensor is None:
             claim = "nothing returns beyond the cut-off"
+    change, points = image.metadata["change_by_area"], ""
+    if change > asked:
+        told = f"their area would change it by {change:.2g} of the peak" if math.isfinite(change) else ""
+        points = f"; pixels count as points, {told or 'too far apart to show its fringes'}: see probe.sensor.fill"
     note = image.metadata["propagation"].removeprefix("far field").strip("; ")
     plural = "image" if count == 1 else "images"
-    return f"{out}: {count} {plural} of {columns} x {rows} pixels, {claim}" + (f" ({note})" if note else "")
+    return f"{out}: {count} {plural} of {columns} x {rows} pixels, {claim}{points}" + (f" ({note})" if note else "")

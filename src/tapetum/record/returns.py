@@ -25,6 +25,7 @@ from tapetum.simulate import dots as dot_light
 from tapetum.simulate.foreshortening import turned
 from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.phone import phone_scenes, seen_from_probe
+from tapetum.simulate.pixel_area import PixelArea
 from tapetum.simulate.radiometry import photoelectrons, photon_energy
 
 __all__ = ["Flashes", "Returns", "flashes_of", "returns_of", "windows_of"]
@@ -196,6 +197,7 @@ class Flashes:
     def __init__(self, scene: Scene, seconds: Array, tilts: Array, place: Array, roll: Array, distance: Array) -> None:
         assert isinstance(scene.target, PhoneTarget) and scene.target.phone.dots is not None
         self._dots, self._probe = scene.target.phone.dots, scene.probe
+        self._accuracy = scene.sampling.accuracy
         self._seconds, self._distance, self._roll = seconds, distance, roll
         self._offsets = dot_light.beam_offsets(dot_light.beam_directions(self._dots), tilts, distance)
         gazing = scene.target.unit.position
@@ -217,9 +219,11 @@ class Flashes:
         middle = (np.array(sensor.pixels) - 1) / 2 + self._centres[frame] / sensor.pitch
         corner = np.rint(middle - (window.columns - 1) / 2)
         rest = (middle - (window.columns - 1) / 2 - corner) * sensor.pitch
+        finest = dots.wavelength * lens.focal_length / (2 * lens.aperture_radius)
+        area = PixelArea.of(window, sensor.fill, finest, self._accuracy)
         with _one_thread():
             light = dot_light.dot_image(
-                window,
+                area.samples,
                 _turned(torch.from_numpy(offsets[met]), np.full(int(met.sum()), self._roll[frame])).numpy(),
                 power=dots.power / (dots.columns * dots.rows),
                 divergence=dot_light.DIVERGENCE,
@@ -228,7 +232,8 @@ class Flashes:
                 radius=lens.aperture_radius,
                 focal_length=lens.focal_length,
                 centre=(float(rest[0]), float(rest[1])),
-            ).numpy()
+            )
+            light = area.means(light).numpy()
         kept = self._probe.transmission * dot_light.PASSED * dot_light.EFFICIENCY
         gain = kept * sensor.pitch**2 * self._seconds[frame] / photon_energy(dots.wavelength)
         return Patch(int(corner[0]), int(corner[1]), np.asarray(gain * light, np.float32))

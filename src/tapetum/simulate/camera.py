@@ -37,6 +37,7 @@ from tapetum.simulate.foreshortening import cosines, off_axis, turned
 from tapetum.simulate.gaze import spot_places
 from tapetum.simulate.glints import Glints
 from tapetum.simulate.light import directions, wavelengths
+from tapetum.simulate.pixel_area import PixelArea
 from tapetum.simulate.pupil_fits import PupilFits
 from tapetum.simulate.radiometry import (
     beam_radius,
@@ -76,6 +77,10 @@ _EDGE_SHARE = 0.5
 
 # Share of a picture's width from which on its plan serves a narrower one to the far field.
 _AS_WIDE = 0.75
+
+# Largest radius of a traced lens's exit pupil over that of its entrance pupil, and of a return at the probe over that
+# by rays and the first dark ring.
+_EXIT_PUPIL, _SPREAD = 1.3, 1.5
 
 # Steps in which the reach of the scattered light's tables grows.
 _FARTHER = 1.2
@@ -192,6 +197,7 @@ class Camera:
                 self._lens = self._like._lens.set_to(scene, at)
                 self._return_radius, self._finite = self._like._return_radius, self._like._finite
         self._steepest = steepest
+        self.area = self._area_of(self.output)
         self.geometry = self._geometry(light.wavelength, steepest)
         self._plans: list[Plan] = []
         self._profiles: dict[tuple[float, Scatterer, int], DiffuseProfile] = {}
@@ -250,6 +256,18 @@ class Camera:
         # Glints spread far beyond any probe.
         return glinting(self.scene) > 0 or self._return_radius > self.scene.probe.lens.aperture_radius
 
+    def _area_of(self, output: Grid) -> PixelArea:
+        return PixelArea.of(output, self.scene.probe.sensor.fill, self.finest, self._accuracy)
+
+    @property
+    def finest(self) -> float:
+        """The shortest period of a picture in metres, by the width of the light that meets the probe's lens."""
+        lens = self.scene.probe.lens
+        radius = self.scene.target.lens.aperture_radius * (1.0 if self._lens is None else _EXIT_PUPIL)
+        if self._finite:
+            radius = min(lens.aperture_radius, max(radius, _SPREAD * self._return_radius))
+        return min(self._light()) * lens.focal_length / (2 * radius)
+
     def _widest_return(self) -> float:
         """Radius at the probe of the widest return, over all mirrors and wavelengths, by rays and diffraction; metres.
 
@@ -274,7 +292,7 @@ class Camera:
     def _geometry(self, wavelength: float, steepest: float) -> DoublePassGeometry:
         f, z = float(self._focal_at(wavelength).detach()), float(self._z.detach())
         spread = max(math.hypot(x, y) for x, y, _ in self._directions)
-        return scene_geometry(self.scene, steepest, f, z, self.output, wavelength, spread)
+        return scene_geometry(self.scene, steepest, f, z, self.area.samples, wavelength, spread)
 
     def _line(self, wavelength: float, watts: float, steepest: float, like: _Line | None = None) -> _Line:
         scene, geometry, lens = self.scene, self._geometry(wavelength, steepest), self._lens
@@ -305,7 +323,7 @@ class Camera:
         way = float(self._distance.detach()) if self._finite else None
         glints = None
         if lens is not None:
-            glints = lens.glints(self.output, wavelength, way, self._dtype.to_real(), self._accuracy)
+            glints = lens.glints(self.area.samples, wavelength, way, self._dtype.to_real(), self._accuracy)
         orders = _orders_of(groups)
         return _Line(wavelength, share, tuple(passes), tuple(found), geometry, glints, tuple(ends), orders)
 
@@ -316,14 +334,14 @@ class Camera:
         where: dict[str, Any] = {"dtype": self._dtype, "device": self._device}
 
         def opened(group: Sequence[Surface]) -> TracedGroup:
-            return lens.group(group, self.output, wavelength, self._accuracy, distance, **where)
+            return lens.group(group, self.area.samples, wavelength, self._accuracy, distance, **where)
 
         if isinstance(planned, TracedGroup) and len(planned.passes) == len(group):
             others = group if self._wider is None else None
-            one = lens.again(planned, others, self.output, wavelength, distance, **where)
+            one = lens.again(planned, others, self.area.samples, wavelength, distance, **where)
         else:
             one = opened(group)
-        return one, traced_end(group, opened, self.output)
+        return one, traced_end(group, opened, self.area.samples)
 
     def _thin(self, geometry: DoublePassGeometry, group: Sequence[Surface]) -> tuple[RoundPass, SensorEnd | None]:
         scene = self.scene
@@ -334,7 +352,7 @@ class Camera:
         probe_radius, planned, away = scene.probe.lens.aperture_radius, at, float(self._distance.detach())
         if self._finite:
             planned = through_aperture(at, away, probe_radius)
-        pixels = self.output.rows * self.output.columns
+        pixels = self.area.samples.rows * self.area.samples.columns
         forced = scene.sampling.pupil
         plan = plan_round(planned, self._accuracy, pupil_samples=forced, pixels=pixels, orders=tilt)
         check_table(at, plan, at.tangent + tilt)
@@ -353,8 +371,8 @@ class Camera:
         own: dict[str, Any] = {"sensor": scene.target.sensor, "edge": self._edge, "accuracy": self._accuracy}
         mirrors_only = all(order.direction == (0.0, 0.0) for one in group for order in one.orders)
         aside = plan_aside(planned, self._accuracy, plan) if mirrors_only and forced is None else None
-        one = RoundPass(at, plan, self.output, group, aside=aside, **options)
-        return one, thin_end(at, plan, self.output, group, **own, **options)
+        one = RoundPass(at, plan, self.area.samples, group, aside=aside, **options)
+        return one, thin_end(at, plan, self.area.samples, group, **own, **options)
 
     def _masked(self, geometry: DoublePassGeometry, wavelength: float) -> Pass:
         """The pass of a sensor's mask, with its faint pictures by a finer one."""
@@ -367,7 +385,7 @@ class Camera:
         if self._lens is None:
             usual, bright, finer = self._thin_mask(geometry, self._focal_at(wavelength), mask)
         else:
-            given = mask, self.output, wavelength, self._accuracy
+            given = mask, self.area.samples, wavelength, self._accuracy
             found = self._lens.mask(*given, dtype=self._dtype, device=self._device)
             usual, bright, finer = found.usual, found.mirror, lambda: found.finer
         self._plans.append(usual.plan)
@@ -390,14 +408,14 @@ class Camera:
                 where="illumination",
                 remedy=f"widen it to {2 * geometry.radius:.4g} m, or use an array for a mask",
             )
-        sized: dict[str, Any] = {"pixels": self.output.rows * self.output.columns, "finest": mask.finest}
+        sized: dict[str, Any] = {"pixels": self.area.samples.rows * self.area.samples.columns, "finest": mask.finest}
         forced = {"pupil_samples": sampling.pupil, "sensor_samples": sampling.sensor}
         plan = plan_double_pass(geometry, max(self._accuracy, ACCURACIES[-1]), **forced, **sized)
 
         def made(plan: SamplingPlan, mask: Mask | None) -> DoublePass:
             held = mask and mask.reflectance
             options: dict[str, Any] = {"dtype": self._dtype, "device": self._device}
-            return DoublePass(geometry, plan, self.output, focal, self._z, mask=held, **options)
+            return DoublePass(geometry, plan, self.area.samples, focal, self._z, mask=held, **options)
 
         def mirror(sines: torch.Tensor, centres: torch.Tensor | None) -> torch.Tensor:
             return made(plan, None)(sines, centres)
@@ -541,8 +559,8 @@ class Camera:
                 part = weight.to(self.real) * line.glints(sines, places, beside).to(self._device)
                 total = part if total is None else _sum(total, part)
         if total is None:
-            total = torch.zeros(len(sines), self.output.rows, self.output.columns, device=self._device)
-        return total
+            total = torch.zeros(len(sines), *self.area.samples.shape, device=self._device)
+        return self.area.means(total)
 
     def _left_out(self) -> float:
         """Error of a thin lens's passes at any sampling, over the peak."""
@@ -571,12 +589,12 @@ class Camera:
         places = [(float(x), float(y)) for x, y in centres.detach().cpu()]
         if len(set(places)) == 1:
             places = places[:1]
-        images = [self._profile(line, scatterer, place).on(self.output, place, self.real) for place in places]
+        images = [self._profile(line, scatterer, place).on(self.area.samples, place, self.real) for place in places]
         return torch.stack(images).to(self._device)
 
     def _profile(self, line: _Line, scatterer: Scatterer, place: tuple[float, float]) -> DiffuseProfile:
         """Scattered light by its distance from a place; places about as far from the picture's corners share it."""
-        near, reach = corner(self.output) + self.output.pitch, corner(self.output, place)
+        near, reach = corner(self.area.samples) + self.output.pitch, corner(self.area.samples, place)
         # Rounded up to a step, so that what is kept does not depend on which place came first.
         steps = max(0, math.ceil(math.log(reach / near) / math.log(_FARTHER)))
         key = (line.wavelength, scatterer, steps)
@@ -633,6 +651,7 @@ class Camera:
         for planned in ("_lines", "plan"):
             other.__dict__.pop(planned, None)
         other.output, other._plans, other._masks, other._profiles, other._edge_error = output, [], [], {}, 0.0
+        other.area = self._area_of(output)
         other.geometry = other._geometry(self.scene.illumination.wavelength, self._steepest)
         return other
 
@@ -665,7 +684,8 @@ class Camera:
             # Includes the change by the sensor's edges of spots near them, over all gazes so far.
             "expected_error": max([self.plan.expected_error, *(one.missed for one in self._masks)])
             + self._edge_error
-            + self._left_out(),
+            + self._left_out()
+            + self.area.error,
             "irradiance_at_target": irradiance_at_target(scene),
             "beam_radius_at_target": beam_radius(scene),
             "return_radius_at_probe": returning,

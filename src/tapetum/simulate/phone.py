@@ -136,6 +136,11 @@ class PhoneCamera:
         return max((camera.plan for camera, _ in self.units), key=lambda plan: plan.expected_error)
 
     @property
+    def finest(self) -> float:
+        """The shortest period of a picture in metres."""
+        return min(camera.finest for camera, _ in self.units)
+
+    @property
     def polychromatic(self) -> bool:
         """Whether there is light of more than one wavelength."""
         return any(camera.polychromatic for camera, _ in self.units)
@@ -143,7 +148,8 @@ class PhoneCamera:
     def metadata(self) -> dict[str, Any]:
         """Of the first camera, with the places of all."""
         first = self.units[0][0].metadata()
-        return {**first, "expected_error": self.plan.expected_error, "cameras": [unit.place for _, unit in self.units]}
+        error = self.plan.expected_error + max(camera.area.error for camera, _ in self.units)
+        return {**first, "expected_error": error, "cameras": [unit.place for _, unit in self.units]}
 
 
 def open_camera(scene: Scene, steepest: float, **options: Any) -> Camera | PhoneCamera:

@@ -15,6 +15,7 @@ from tapetum.errors import InputError
 from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.image import Image
 from tapetum.simulate.phone import open_camera
+from tapetum.simulate.pixel_area import change_by_area
 
 if TYPE_CHECKING:
     from tapetum.optics.sampling import Plan
@@ -89,6 +90,8 @@ def retroreflect(
         "rotation_deg": [(float(about_y), float(about_x)) for about_y, about_x in degrees.detach().cpu()],
         "wavelength": scene.illumination.wavelength,
         **camera.metadata(),
+        # Of pixels that count as points: what taking them for that leaves out.
+        "change_by_area": 0.0 if scene.probe.sensor.fill else change_by_area(irradiance, camera.output, camera.finest),
     }
     return Image(irradiance, scene.probe.sensor.pitch, metadata, equivalent)
 
