@@ -22,7 +22,7 @@ import argparse
 import json
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -58,8 +58,10 @@ FILM_SECONDS, TWIN_FRAMES = 130.0, 4000
 _FIELD = 0.35
 
 
-def unit(kind: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
-    """Film, fit and compare one unit."""
+def unit(
+    kind: str, seed: int, arguments: argparse.Namespace, fitted: Callable[[dict[str, Any]], None]
+) -> dict[str, Any]:
+    """Film, fit and compare one unit; `fitted` gets what the fit tells, before fresh frames are read."""
     nominal = load_scene(SCENES[kind])
     true = draw_unit(nominal, None, seed)
     shown = replace(true, sampling=replace(true.sampling, accuracy=true.sampling.accuracy / FINER[kind]))
@@ -86,7 +88,8 @@ def unit(kind: str, seed: int, arguments: argparse.Namespace) -> dict[str, Any]:
         "accuracy": found.options["accuracy"],
         "seconds": seconds,
     }
-    return told | reading(found, shown, seed, arguments.read)
+    fitted(told)
+    return told | reading(found, true, shown, seed, arguments.read)
 
 
 def off(found: Twin, true: Scene, nominal: Scene) -> dict[str, float]:
@@ -103,10 +106,10 @@ def off(found: Twin, true: Scene, nominal: Scene) -> dict[str, float]:
     return told
 
 
-def reading(found: Twin, true: Scene, seed: int, count: int) -> dict[str, Any]:
+def reading(found: Twin, true: Scene, shown: Scene, seed: int, count: int) -> dict[str, Any]:
     """RMS error of the fit by simulation on the twin, and the Cramér-Rao limit of the true unit, for fresh frames.
 
-    Pictures are as fine as `read_by_scene` makes them.
+    Frames are pictures of `shown`, the true unit at a finer accuracy; the fit's are as fine as in `read_by_scene`.
     """
     if not count:
         return {}
@@ -119,7 +122,7 @@ def reading(found: Twin, true: Scene, seed: int, count: int) -> dict[str, Any]:
     errors, limits, stated, held = [], [], [], []
     for number, gaze in enumerate(gazes):
         sines = tilt_of_gaze(true, torch.tensor(gaze)).numpy()
-        scene = replace(true, target=replace(true.target, rotation=tuple(np.arcsin(sines).tolist())))
+        scene = replace(shown, target=replace(true.target, rotation=tuple(np.arcsin(sines).tolist())))
         frame = expose(retroreflect(scene), scene.probe, seed=seed * 1000 + number)[0]
         read = model.fit_image(frame)
         errors.append((read.values - gaze).tolist())
@@ -224,9 +227,14 @@ def main() -> None:
 
     for seed in arguments.seeds:
         done = [row for row in rows if (row["kind"], row["seed"]) == (arguments.kind, seed)]
-        row = done[0] if done else unit(arguments.kind, seed, arguments) | {"options": options}
+
+        def fitted(told: dict[str, Any]) -> None:
+            rows.append(told | {"options": options})
+            keep()
+
+        row = done[0] if done else unit(arguments.kind, seed, arguments, fitted) | {"options": options}
         if not done:
-            rows.append(row)
+            rows[-1] = row
             keep()
         if arguments.networks is not None and "networks" not in row:
             row["networks"] = networks(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-from tapetum.bench import Scene, load_scene
+from tapetum.bench import Scene, load_scene, with_values
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
 from tapetum.models.simulation.counts import CountModel
@@ -321,3 +321,23 @@ def test_a_slow_gaze_halfway_between_two_periods_does_not_go_to_and_fro(model: S
         # The whole gaze stays, only what it is counted from moves.
         assert gaze + slow == pytest.approx([periods, -periods])
         assert gaze == pytest.approx([there, -there]), periods
+
+
+def test_an_accuracy_that_is_refused_becomes_coarser(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A twin's fit asks for what its frames allow; the whole field may allow less."""
+    tried: list[float | None] = []
+
+    class Refusing(Pictures):
+        def __init__(self, scene: Scene, side: int, accuracy: float | None = None) -> None:
+            tried.append(accuracy)
+            if accuracy is not None and accuracy < 0.008:
+                raise InputError("light does not come back the way it went", where="target")
+            super().__init__(scene, side, accuracy)
+
+    monkeypatch.setattr("tapetum.models.simulation.fit.Pictures", Refusing)
+    fit = SimulationFit(scene, accuracy=0.005, nodes=5, window=64)
+    assert fit.bounds((0.1, 0.1))["gaze_x"] > 0
+    assert tried == [0.005, pytest.approx(0.0065), pytest.approx(0.00845)]
+    # No coarser than the scene asks.
+    with pytest.raises(InputError, match="does not come back"):
+        SimulationFit(with_values(scene, {"sampling.accuracy": 0.004}), accuracy=0.003, window=64).bounds((0.1, 0.1))

@@ -41,6 +41,8 @@ _HOPELESS, _FIRST_STEPS = 200.0, 4
 # Misfit above which the search goes on (a true scene gives 1.00 ± 0.05), by how much starts then increase, and from
 # which on, if nothing better is found, the image does not show the scene.
 _LOST, _FARTHER = 1.3, 4
+# By how much the accuracy is made coarser where it is refused.
+_COARSER = 1.3
 
 
 class SimulationFit(Estimator):
@@ -61,7 +63,8 @@ class SimulationFit(Estimator):
         none explains the image (misfit above 1.3), the search starts again opposite to the best maximum and at the next
         best matches, up to four times as many in all.
     accuracy
-        Of the simulation, in fractions of the peak; the scene's own when None.
+        Of the simulation, in fractions of the peak; the scene's own when None. Where the engine refuses one that is
+        finer than the scene's own, as it may behind a traced lens, the next coarser that it allows.
     window
         Edge in pixels of the central square that is fitted.
     unevenness
@@ -275,14 +278,25 @@ class SimulationFit(Estimator):
     def _prepared(self, side: int, progress: Progress) -> tuple[Pictures, Bank]:
         """Return the images and the bank for crops of `side` pixels, from a cache."""
         if side not in self._pictures:
-            pictures = Pictures(self.scene, side, self.accuracy)
-            nodes = self.nodes or (_NODES if pictures.period is None else _NODES_SLOW)
-            self._pictures[side] = pictures, Bank(pictures, nodes, progress)
+            self._pictures[side] = self._as_fine_as_can_be(side, progress)
         pictures, bank = self._pictures[side]
         if pictures.period is None and set(PHASE) & set(self.nuisances):
             what = "no photosites show in this scene's pictures"
             raise InputError(what, where="nuisances", remedy=f"leave {' and '.join(PHASE)} out")
         return pictures, bank
+
+    def _as_fine_as_can_be(self, side: int, progress: Progress) -> tuple[Pictures, Bank]:
+        """Return the images at the accuracy, or at the finest, up to the scene's own, that the whole field allows."""
+        accuracy, own = self.accuracy, self.scene.sampling.accuracy
+        while True:
+            try:
+                pictures = Pictures(self.scene, side, accuracy)
+                nodes = self.nodes or (_NODES if pictures.period is None else _NODES_SLOW)
+                return pictures, Bank(pictures, nodes, progress)
+            except InputError:
+                if accuracy is None or accuracy >= own:
+                    raise
+                accuracy = min(_COARSER * accuracy, own)
 
     def _climbed(self, search: Search, poses: list[Pose]) -> list[Top]:
         """Return the maxima near the poses, best first; more than `starts` only while all explain the image badly."""
