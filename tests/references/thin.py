@@ -46,6 +46,10 @@ class Effort:
         """Twice the points of every plane, in a wider window."""
         return Effort(1.15 * self.points, 1.25 * self.window)
 
+    def farther(self) -> Effort:
+        """As many points in a window three times as wide."""
+        return Effort(self.points, 3 * self.window)
+
 
 @dataclass(frozen=True)
 class Beam:

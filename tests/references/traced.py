@@ -83,7 +83,9 @@ def traced_amplitudes(scene: Scene, beam: Beam, plane: Plane, probe: Probe, pixe
     turns = k * aperture * widest
     spokes = math.ceil(effort.points * (1.15 * turns + 24))
     rings = math.ceil(effort.points * (0.6 * turns + 10))
-    if not found.product or spokes * rings > _MOST_RAYS or found.u.size > _MOST_POINTS:
+    # Whoever asks for a wide window waits for it.
+    more = max(1.0, effort.window / 2) ** 2
+    if not found.product or spokes * rings > more * _MOST_RAYS or found.u.size > more * _MOST_POINTS:
         raise TooLargeError(f"{spokes} x {rings} rays, {found.u.shape} points of the plane")
     coming = _at(found, _wave(lens, s, beam.curvature, spokes, rings, k), place, a, landing, k) * found.weights
     amplitudes = [
