@@ -80,6 +80,10 @@ _CHANGED = 0.15
 _OF_SENSOR, _ASIDE = 0.85, 1.2
 
 
+# What samplings are compared by, of a pass at tilts [B, 2] and centres [B, 2]: [B, H, W].
+_Seen = Callable[..., torch.Tensor]
+
+
 @dataclass(frozen=True)
 class TracedPlan(Plan):
     """Samples of a traced pass, and their expected error.
@@ -181,9 +185,11 @@ def traced_group(
         For a lens that its polynomials do not fit, light too far out of focus to be followed, and scenes too large.
     """
     scene = traced_scene(focused, fits, output, **way)
+    # What one plane hardly shows, faint light far from its spot, shows where another plane's light interferes with it.
+    seen = _irradiance if len(surfaces) == 1 else _amplitude
 
     def made(wanted: float) -> TracedGroup:
-        found = [_planned(scene, surface, wanted) for surface in surfaces]
+        found = [_planned(scene, surface, wanted, seen) for surface in surfaces]
         passes, plans = [one for one, _ in found], [plan for _, plan in found]
         worst = max(plans, key=lambda plan: plan.expected_error)
         if len(passes) > 1:
@@ -238,7 +244,7 @@ def traced_mask(
 class _Step:
     """A step of the ladder, its pass and the finer one that it was measured against, and its error.
 
-    `seen` are the pictures [B, H, W] of both at the tilts tried.
+    `seen` are the pictures [B, H, W] of both at the tilts tried, or their fields.
     """
 
     step: int
@@ -249,7 +255,7 @@ class _Step:
 
 
 def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> float:
-    """Error of planes that interfere, over the peak of their sum: each amplitude errs by half its plane's own."""
+    """Error of planes that interfere, over the peak of their sum: each amplitude errs by half of what is stated."""
     head_on = torch.zeros(1, 2, dtype=torch.float64)
     fields = [one.field(head_on) for one in passes]
     peak = float((sum(fields[1:], fields[0]).abs() ** 2).max())
@@ -257,15 +263,23 @@ def _together(passes: Sequence[TracedPass], plans: Sequence[TracedPlan]) -> floa
     return sum(share * plan.expected_error for share, plan in zip(shares, plans, strict=True))
 
 
-def _planned(scene: TracedScene, surface: Surface, accuracy: float) -> tuple[TracedPass, TracedPlan]:
+def _irradiance(one: TracedPass, tilts: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+    return one.field(tilts, centres).abs() ** 2
+
+
+def _amplitude(one: TracedPass, tilts: torch.Tensor, centres: torch.Tensor | None = None) -> torch.Tensor:
+    return one.field(tilts, centres)
+
+
+def _planned(scene: TracedScene, surface: Surface, accuracy: float, seen: _Seen) -> tuple[TracedPass, TracedPlan]:
     scene, surface = in_air(scene, surface)
     light = followed(scene, accuracy)
     accuracy = _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
-    found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
-    found = _thinned(scene, light, surface, found, tried, accuracy)
+    found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy, seen=seen)
+    found = _thinned(scene, light, surface, found, tried, accuracy, seen)
     _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
-    return _on_grids(scene, light, surface, found.usual.grids, trial=False), _stated(light, found)
+    return _on_grids(scene, light, surface, found.usual.grids, trial=False), _stated(light, found, seen=seen)
 
 
 def _made(
@@ -315,7 +329,13 @@ def _for_samples(light: TracedLight, accuracy: float) -> float:
 
 
 def _climbed(
-    made: Callable[[_Effort], TracedPass], tried: torch.Tensor, accuracy: float, *, least: float = 0.0, first: int = 0
+    made: Callable[[_Effort], TracedPass],
+    tried: torch.Tensor,
+    accuracy: float,
+    *,
+    seen: _Seen = _irradiance,
+    least: float = 0.0,
+    first: int = 0,
 ) -> _Step:
     """The first step of the ladder, from `first` on, whose error at the tilts tried is within the accuracy.
 
@@ -326,7 +346,7 @@ def _climbed(
     for number, effort in enumerate(_LADDER[first:], first):
         one = made(effort)
         # Three passes at a time: each holds its grids and kernels.
-        steps = [*steps[-2:], (one, one.field(tried).abs() ** 2)]
+        steps = [*steps[-2:], (one, seen(one, tried))]
         if len(steps) < 3:
             continue
         now, image = steps[0]
@@ -341,7 +361,13 @@ def _climbed(
 
 
 def _thinned(
-    scene: TracedScene, light: TracedLight, surface: Surface, found: _Step, tried: torch.Tensor, accuracy: float
+    scene: TracedScene,
+    light: TracedLight,
+    surface: Surface,
+    found: _Step,
+    tried: torch.Tensor,
+    accuracy: float,
+    seen: _Seen,
 ) -> _Step:
     """A step with as few samples as change no picture beyond the accuracy.
 
@@ -352,12 +378,12 @@ def _thinned(
     centres = torch.zeros(len(tilts), 2, dtype=torch.float64)
     centres[-1] = torch.tensor(_MOVED, dtype=torch.float64) * torch.tensor([scene.output.width, scene.output.height])
 
-    def seen(one: TracedPass, some: Sequence[int] | slice = slice(None)) -> torch.Tensor:
-        return one.field(tilts[some], centres[some]).abs() ** 2
+    def at(one: TracedPass, some: Sequence[int] | slice) -> torch.Tensor:
+        return seen(one, tilts[some], centres[some])
 
     also, grids = slice(len(tried), None), found.usual.grids
     usual, best = (
-        torch.cat([image, seen(one, also)]) for image, one in zip(found.seen, (found.usual, found.finer), strict=True)
+        torch.cat([image, at(one, also)]) for image, one in zip(found.seen, (found.usual, found.finer), strict=True)
     )
     # Where the step errs by more than is asked for, no claim is made.
     claimed = _each_apart(usual, best) <= accuracy / _SAFETY
@@ -371,7 +397,7 @@ def _thinned(
         """Largest error where one is claimed; infinite once a picture changes too much."""
         error = 0.0
         for some in (order[:1], order[1:3], order[3:]):
-            image = seen(one, some)
+            image = at(one, some)
             changed = _each_apart(image, usual[some])
             worst = int(changed.argmax())
             if not float(changed[worst]) <= _CHANGED * accuracy:
@@ -401,26 +427,30 @@ def _thinned(
     return fewest(others, found)
 
 
-def _stated(light: TracedLight, found: _Step, least: float = 0.0) -> TracedPlan:
+def _stated(light: TracedLight, found: _Step, least: float = 0.0, seen: _Seen = _irradiance) -> TracedPlan:
     """The plan of a step, with the error that steep tilts leave and, on top of it, that of the paths."""
     claimed = found.error
     if light.bright < 0.95 * light.steepest:
         faint = light.steepest * torch.tensor([[0.0, 1.0], [0.7, 0.7], [1.0, 0.0]], dtype=torch.float64)
-        image, better = (one.field(faint).abs() ** 2 for one in (found.usual, found.finer))
+        image, better = (seen(one, faint) for one in (found.usual, found.finer))
         claimed = max(claimed, _SAFETY * _apart(image, better, least))
     grids = found.usual.grids
     return TracedPlan(grids.pupil, grids.pupil, grids.sensor, light.departure, light.by_rays, claimed + light.unsure)
 
 
 def _apart(image: torch.Tensor, better: torch.Tensor, least: float = 0.0) -> float:
-    """Largest difference of images [B, H, W] over each one's own peak, or `least`; infinite where one is dark."""
+    """Largest difference of images [B, H, W] over each one's own peak, or `least`; infinite where one is dark.
+
+    Of fields twice that, as much as it changes their irradiance.
+    """
     return float(_each_apart(image, better, least).max())
 
 
 def _each_apart(image: torch.Tensor, better: torch.Tensor, least: float = 0.0) -> torch.Tensor:
     """As `_apart`, for each image."""
-    peak = better.amax((1, 2)).clamp_min(least)
-    return torch.where(peak > 0, (image - better).abs().amax((1, 2)) / peak.clamp_min(1e-30), math.inf)
+    peak = better.abs().amax((1, 2)).clamp_min(least)
+    apart = (2 if better.is_complex() else 1) * (image - better).abs().amax((1, 2))
+    return torch.where(peak > 0, apart / peak.clamp_min(1e-30), math.inf)
 
 
 def _grids(
