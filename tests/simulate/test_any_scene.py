@@ -342,8 +342,10 @@ def _check_image(scene: Scene, camera: Camera, image: Any) -> None:
         assert bool(torch.isfinite(one).all()), "not finite"
         assert float(one.min()) >= 0, "negative"
     for name, value in image.metadata.items():
-        if isinstance(value, float) and name != "expected_error":
+        # Infinite: unknown, and points too far apart.
+        if isinstance(value, float) and name not in ("expected_error", "change_by_area"):
             assert math.isfinite(value), name
+    assert image.metadata["change_by_area"] >= 0
     error = image.metadata["expected_error"]
     assert error > 0, "an error of nothing"
     power, peak = gains(scene, camera, image)

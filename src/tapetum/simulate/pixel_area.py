@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
@@ -105,17 +105,18 @@ def change_by_area(pictures: torch.Tensor, output: Grid, finest: float) -> float
     """Largest change of pictures [B, H, W] of points by the mean over whole pixels of `output`, over their peaks.
 
     `finest` is their shortest period in metres. Infinite where it is so short that points do not show the picture. The
-    outermost pixels, about which too little is known, are left out.
+    outermost pixels, about which too little is known, are left out; of a picture of few pixels it is what the finest
+    fringes lose.
     """
-    reach = _MOST_TAPS
-    if finest < _FEWEST * output.pitch or min(output.shape) <= 2 * reach:
+    if finest < _FEWEST * output.pitch:
         return math.inf
-    inner = Grid(output.rows - 2 * reach, output.columns - 2 * reach, output.pitch)
-    area = PixelArea.of(inner, 1.0, finest, 0.01)
-    rest = reach - (len(area.taps) - 1)
+    area = PixelArea.of(output, 1.0, finest, 0.01)
+    reach = len(area.taps) - 1
+    if min(output.shape) <= 2 * reach:
+        return 1 - float(np.sinc(output.pitch / finest)) ** 2
+    inner = replace(area, output=Grid(output.rows - 2 * reach, output.columns - 2 * reach, output.pitch))
     shown = pictures.detach()
-    within = shown[..., rest : output.rows - rest, rest : output.columns - rest]
-    apart = (area.means(within) - shown[..., reach:-reach, reach:-reach]).abs().amax((-2, -1))
+    apart = (inner.means(shown) - shown[..., reach:-reach, reach:-reach]).abs().amax((-2, -1))
     return float((apart / shown.amax((-2, -1)).clamp_min(1e-30)).max())
 
 
