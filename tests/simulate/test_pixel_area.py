@@ -14,7 +14,7 @@ from tapetum.bench import Scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate import retroreflect
-from tapetum.simulate.pixel_area import PixelArea
+from tapetum.simulate.pixel_area import PixelArea, change_by_area
 
 SECTION = "A pixel's area"
 PITCH = 2e-6
@@ -122,3 +122,15 @@ def test_what_points_leave_out_is_said() -> None:
     assert means.metadata["change_by_area"] == 0
     wide = retroreflect(with_values(scene, {"probe.sensor.pitch": 30e-6}))
     assert wide.metadata["change_by_area"] == math.inf
+
+
+@pytest.mark.parametrize(
+    ("period", "least", "most"), [(200.0, 0.0, 1e-4), (8.0, 1e-3, 0.02), (2.0, math.inf, math.inf)]
+)
+@pytest.mark.parametrize("side", [40, 3])
+def test_the_change_of_pictures_of_any_size(period: float, least: float, most: float, side: int) -> None:
+    pixels = Grid(side, side + 1, PITCH)
+    picture = wave(pixels.x(), pixels.y(), 2 * period * PITCH, 2 * period * PITCH)[None]
+    change = change_by_area(picture, pixels, period * PITCH)
+    # Of few pixels it is what the finest fringes lose, which is more.
+    assert least <= change <= (most if side > 3 else 8 * most)

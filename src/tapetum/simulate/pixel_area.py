@@ -116,7 +116,8 @@ def change_by_area(pictures: torch.Tensor, output: Grid, finest: float) -> float
         return 1 - float(np.sinc(output.pitch / finest)) ** 2
     inner = replace(area, output=Grid(output.rows - 2 * reach, output.columns - 2 * reach, output.pitch))
     shown = pictures.detach()
-    apart = (inner.means(shown) - shown[..., reach:-reach, reach:-reach]).abs().amax((-2, -1))
+    middle = shown[..., reach : output.rows - reach, reach : output.columns - reach]
+    apart = (inner.means(shown) - middle).abs().amax((-2, -1))
     return float((apart / shown.amax((-2, -1)).clamp_min(1e-30)).max())
 
 
