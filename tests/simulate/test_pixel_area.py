@@ -15,6 +15,7 @@ from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
 from tapetum.simulate import retroreflect
 from tapetum.simulate.pixel_area import PixelArea, change_by_area
+from tapetum.simulate.planning import plan_bench
 
 SECTION = "A pixel's area"
 PITCH = 2e-6
@@ -109,6 +110,15 @@ def test_wide_pixels_lose_no_light_wherever_the_picture_lies() -> None:
     assert max(whole) < 1.01 * min(whole)
     points = with_values(scene, {"probe.sensor.fill": 0})
     assert light(points, (0, 0)) > 1.1 * light(points, (30e-6, 30e-6))
+
+
+def test_a_plan_counts_the_samples_of_wide_pixels() -> None:
+    wide = with_values(tp.load_scene("thin-lens"), {"probe.sensor.pitch": 60e-6})
+    points, means = (
+        plan_bench(with_values(wide, {"probe.sensor.fill": fill})).sampling.memory_bytes for fill in (0, 1)
+    )
+    # Forty-nine samples a pixel and more; the pupil's take as much memory as before.
+    assert means > 2 * points
 
 
 def test_what_points_leave_out_is_said() -> None:

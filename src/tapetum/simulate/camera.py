@@ -260,6 +260,11 @@ class Camera:
         return PixelArea.of(output, self.scene.probe.sensor.fill, self.finest, self._accuracy)
 
     @property
+    def sampled(self) -> int:
+        """Samples of a picture: its pixels, or more where these are means over wide ones."""
+        return math.prod(self.area.samples.shape)
+
+    @property
     def finest(self) -> float:
         """The shortest period of a picture in metres, by the width of the light that meets the probe's lens."""
         lens = self.scene.probe.lens

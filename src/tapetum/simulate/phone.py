@@ -136,6 +136,12 @@ class PhoneCamera:
         return max((camera.plan for camera, _ in self.units), key=lambda plan: plan.expected_error)
 
     @property
+    def sampled(self) -> int:
+        """Samples of a picture as wide as the sensor."""
+        parts = max(camera.area.parts for camera, _ in self.units)
+        return parts**2 * math.prod(self.output.shape)
+
+    @property
     def finest(self) -> float:
         """The shortest period of a picture in metres."""
         return min(camera.finest for camera, _ in self.units)

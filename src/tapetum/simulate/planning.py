@@ -241,7 +241,7 @@ def _field(scene: Scene) -> tuple[float, float] | None:
 
 def _sampling(scene: Scene, budget: LinkBudget) -> SamplingChoice:
     camera = open_camera(scene, math.hypot(*(math.sin(angle) for angle in scene.target.rotation)))
-    known, plan, pixels = camera.metadata(), camera.plan, camera.output.rows * camera.output.columns
+    known, plan, pixels = camera.metadata(), camera.plan, camera.sampled
     error, returning = float(known["expected_error"]), float(known["return_radius_at_probe"])
     claim = f"within {error:.1e} of the peak"
     if not math.isfinite(error):

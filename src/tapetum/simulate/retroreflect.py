@@ -57,7 +57,9 @@ def retroreflect(
     Returns
     -------
     Image
-        [B, H, W] in W/m². Gradients flow through rotation, object_distance and focal_length given as tensors.
+        [B, H, W] in W/m², at the pixels' middles or, with `probe.sensor.fill`, the means over them; what the former
+        leave out is `metadata["change_by_area"]`, in fractions of the peak. Gradients flow through rotation,
+        object_distance and focal_length given as tensors.
 
     Raises
     ------
