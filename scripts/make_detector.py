@@ -1,14 +1,21 @@
-"""Fits the weights of the detector (src/tapetum/detection/weights.json) to labelled lit and dark frames.
+"""Fits the weights of the detector (src/tapetum/detection/weights.json).
 
-    python scripts/make_detector.py FOLDER [pair|frame]
+    python scripts/make_detector.py FOLDER pair
+    python scripts/make_detector.py FOLDER frame PHOTOGRAPHS
 
-The folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, `dark` (file names), `points` and
+The first folder holds pictures and `labels.json`: `pairs`, each with `scene`, `lit`, `dark` (file names), `points` and
 `unsure` (x, y in the lit frame; what is unsure counts neither way) and `tolerance` (pixels). Frames of one scene are
 near copies: scenes weigh the same, and what is printed is cross-validated by scene. Each dark frame is also shaken, as
 by a hand: turned, shifted and bent at random. To the weighted looks of a pair comes a share of what the second stage
-says, which learned from drawn scenes alone (train_second.py). How many false alarms a score costs, and how this rises
-with a pair's clutter, is counted on these frames, each scene left out once, and on drawn scenes without cameras; the
-geometric mean of both where both are known.
+says, which learned from drawn scenes alone (train_second.py).
+
+The weights for one frame alone are fitted to photographs with cameras drawn in (photographs.py), to no labelled frame:
+six scenes are too few (chosen on five, they fail on the sixth). The stored ones are of the 500 photographs of the
+Berkeley segmentation data set (BSDS500), four of five of which were learned from.
+
+How many false alarms a score costs, and how this rises with a frame's clutter, is counted on the labelled frames, each
+scene left out once, for one frame on the photographs that were left out, without cameras, and on drawn scenes without
+cameras; the geometric mean of real and drawn ones where both are known.
 """
 
 from __future__ import annotations
@@ -25,8 +32,10 @@ from scipy.stats import binomtest
 from sklearn.linear_model import LogisticRegression, PoissonRegressor
 
 from drawn_scenes import KINDS, draw
+from photographs import Posed, paths_in, posed
+from photographs import read as read_photograph
 from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
-from tapetum.detection.find import candidates_with_looks, clutter_by, second_look
+from tapetum.detection.find import Candidates, candidates_with_looks, clutter_by, clutter_of, second_look
 from tapetum.detection.score import Score
 from tapetum.files import atomic_file
 
@@ -34,14 +43,16 @@ OUT = Path(__file__).parents[1] / "src" / "tapetum" / "detection" / "weights.jso
 RATES = (0.1, 0.5, 1.0, 10.0)
 SHAKES = 2
 STRENGTH = 0.3
-# One frame alone: six scenes are too few to fit weights (chosen on five, they fail on the sixth), so each of these
-# looks counts the same, by the sign that optics gives it; only the scale and the offset of their sum are fitted.
 SECOND = 0.5
 """Share of the second stage's log odds, chosen on drawn scenes of seeds 61000 to 61005, the real ones in view."""
 MOST = -1.0
 """Most log odds that the looks alone may give, chosen on drawn scenes (62000 to 62119), the real ones in view."""
-LEFT_OUT = ("clear", "level", "above", "apart", "twin")
-"""Looks that only the second stage uses: with them the weights fitted to some scenes hold less well on others."""
+LEFT_OUT = {
+    "pair": ("clear", "level", "above", "apart", "twin"),
+    "frame": ("outlier",),
+}
+"""Looks that no weight is fitted to. In a pair only the second stage uses them: with them the weights fitted to some
+scenes hold less well on others. Of a frame alone: where many cameras stand in one, none of them is an outlier."""
 LEVELS = np.arange(-12, 8, 0.25)
 """Log odds whose cost is counted."""
 EMPTY = {"pair": range(64000, 64060), "frame": range(51000, 51060)}
@@ -52,7 +63,12 @@ EVEN = 0.01
 """Weight of the squares of a regression's coefficients."""
 REFLECTORS = {"courtyard": (391, 422)}
 """Scene, and x and y of a reflector that the laser lights there as it lights cameras, and that has no label."""
-OF_ONE_FRAME = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
+PICKED, EVERY, DRAWN_IN = (6, 4), 5, 3
+"""How often a photograph is taken to learn from and to count alarms in; of how many one is left for that; cameras."""
+LIKELY = {"isolation": 1.0, "alone": 1.0, "elongation": -1.0}
+"""What puts candidates of a photograph first."""
+BEST, OTHERS = 16, 6
+"""Of each photograph: how many candidates that are no camera, of the likeliest and of the others."""
 
 
 @dataclass(frozen=True)
@@ -120,17 +136,54 @@ def fit(cases: list[Case], strength: float = STRENGTH) -> LogisticRegression:
 
 def _fitted(looks: np.ndarray) -> np.ndarray:
     """Looks without those that no weight is fitted to."""
-    names = OF_A_FRAME + OF_A_PAIR
-    if looks.shape[1] < len(names):
-        return looks
-    return looks[:, [n for n, name in enumerate(names) if name not in LEFT_OUT]]
+    return looks[:, _chosen(looks.shape[1])] if looks.shape[1] >= len(OF_A_FRAME) else looks
 
 
-def fixed(cases: list[Case]) -> tuple[np.ndarray, float]:
-    """Weights and offset for one frame alone: signs and ratios are given, the scale is fitted."""
-    signs = np.array([OF_ONE_FRAME.get(name, 0.0) for name in OF_A_FRAME])
-    model = fit([replace(one, looks=(one.looks @ signs)[:, None]) for one in cases])
-    return signs * model.coef_[0, 0], float(model.intercept_[0])
+def _chosen(count: int) -> np.ndarray:
+    """Which of so many looks a weight is fitted to."""
+    pair = count > len(OF_A_FRAME)
+    return np.array([name not in LEFT_OUT["pair" if pair else "frame"] for name in OF_A_FRAME + OF_A_PAIR * pair])
+
+
+def of_photographs(folder: Path) -> tuple[list[Case], list[Case]]:
+    """Photographs to learn from, and those to count alarms in, which have no cameras."""
+    learned, empty, paths = [], [], paths_in(folder)
+    for number, path in enumerate(paths):
+        image, left_out = read_photograph(path), number % EVERY == EVERY - 1
+        for n in range(PICKED[left_out]):
+            rng = np.random.default_rng([n, number, left_out])
+            scene = posed(image, rng, 0 if left_out else DRAWN_IN)
+            found, _ = candidates_with_looks(scene.frame, None)
+            if left_out:
+                empty.append(_case_of("photographs", found.columns, found.looks, 0))
+            else:
+                learned.append(_learned(f"{path.stem} {n}", scene, found, rng))
+    if not empty:
+        sys.exit(f"error: {folder}: holds {len(paths)} photographs; {EVERY} are the fewest")
+    return learned, empty
+
+
+def _learned(name: str, scene: Posed, found: Candidates, rng: np.random.Generator) -> Case:
+    """The cameras of a photograph, the likeliest candidates that are none, and some others."""
+    made = _case_of(name, found.columns, found.looks, len(scene.places))
+    counted = made.counted.copy()
+    for place, sigma in zip(scene.places, scene.sigma, strict=True):
+        away = np.hypot(*(made.places - place).T)
+        counted[away <= max(8.0, 4 * sigma)] = False
+        near = np.flatnonzero(away <= max(2.5, 1.2 * sigma))
+        if len(near):
+            made.camera[near[np.argmax(found.columns["snr"][near])]] = True
+    order = np.argsort(-sum(k * found.looks[:, OF_A_FRAME.index(one)] for one, k in LIKELY.items()), kind="stable")
+    wrong = order[counted[order]]
+    kept = made.camera.copy()
+    kept[wrong[:BEST]] = True
+    kept[rng.permutation(wrong[BEST:])[:OTHERS]] = True
+    return replace(made, counted=kept)
+
+
+def _case_of(name: str, columns: dict[str, np.ndarray], looks: np.ndarray, glints: int) -> Case:
+    places, none = np.stack([columns["x"], columns["y"]], 1), np.zeros(len(looks), bool)
+    return Case(name, places, looks, none, ~none, glints, np.zeros(len(looks)))
 
 
 def by(model: LogisticRegression, looks: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -207,13 +260,13 @@ def alarms_of(cases: list[Case], scores: list[np.ndarray], clutter: list[float])
     ]
 
 
-def costs(real: list[Alarms], drawn: list[Alarms], pair: bool) -> tuple[list[float], list[float], float, list[float]]:
+def costs(real: list[Alarms], drawn: list[Alarms]) -> tuple[list[float], list[float], float, list[float]]:
     """Log odds, how many false alarms a frame has above each, the usual clutter, and how they rise with it.
 
-    Poisson regressions, one a level: on clutter, in a pair, and on whether frames are real or drawn, half-way between
-    which the rates are. Real scenes weigh the same as each other, so do kinds of drawn ones, and so do both groups.
-    Where false alarms are few, real and drawn frames share one rate, and the rise with clutter is that of the last
-    level with enough of them.
+    Poisson regressions, one a level: on clutter, and on whether frames are real or drawn, half-way between which the
+    rates are. Real scenes weigh the same as each other, so do kinds of drawn ones, and so do both groups. Where false
+    alarms are few, real and drawn frames share one rate, and the rise with clutter is that of the last level with
+    enough of them.
     """
     weights, is_real = [], np.repeat([1.0, 0.0], [len(real), len(drawn)])
     for part in (real, drawn):
@@ -228,11 +281,10 @@ def costs(real: list[Alarms], drawn: list[Alarms], pair: bool) -> tuple[list[flo
         count = np.array([(one.odds >= level).sum() for one in both])
         of_real, of_drawn = count[is_real == 1].sum(), count[is_real == 0].sum()
         apart = min(of_real, of_drawn) >= FEWEST
-        if (of_real + of_drawn if pair else of_drawn) < FEWEST:
+        if of_real + of_drawn < FEWEST:
             break
-        chosen = np.ones(len(both), bool) if apart or pair else is_real == 0
-        known = np.stack([(clutter - usual) / spread * pair, (is_real - 0.5) * apart], 1)
-        model = PoissonRegressor(alpha=EVEN, max_iter=2000).fit(known[chosen], count[chosen], weight[chosen])
+        known = np.stack([(clutter - usual) / spread, (is_real - 0.5) * apart], 1)
+        model = PoissonRegressor(alpha=EVEN, max_iter=2000).fit(known, count, weight)
         levels.append(float(level))
         rates.append(float(np.exp(model.intercept_)))
         rises.append(float(model.coef_[0] / spread) if count.sum() >= MANY or not rises else rises[-1])
@@ -242,11 +294,14 @@ def costs(real: list[Alarms], drawn: list[Alarms], pair: bool) -> tuple[list[flo
     return np.array(levels)[kept].tolist(), rounded, round(usual, 2), np.round(np.array(rises)[kept], 3).tolist()
 
 
-def costs_by_others(cases: list[Case], alarms: list[Alarms], scores: list[np.ndarray], drawn: list[Alarms], pair: bool):
-    """False alarms a frame that each candidate of the cases costs, as the other real scenes and drawn ones say."""
+def costs_by_others(
+    cases: list[Case], alarms: list[Alarms], scores: list[np.ndarray], others: list[Alarms], drawn: list[Alarms]
+) -> list[np.ndarray]:
+    """False alarms a frame that each candidate of the cases costs: what the other cases, further real frames and drawn
+    ones say."""
     found: list[np.ndarray] = [np.empty(0)] * len(cases)
     for scene in sorted({one.scene for one in cases}):
-        levels, rates, usual, rises = costs([one for one in alarms if one.scene != scene], drawn, pair)
+        levels, rates, usual, rises = costs([*(one for one in alarms if one.scene != scene), *others], drawn)
         score = Score((), 0.0, (tuple(levels), tuple(rates)), clutter=(usual, tuple(rises)))
         for n, one in enumerate(alarms):
             if one.scene == scene:
@@ -291,74 +346,107 @@ def drawn_empty(pair: bool) -> list[Case]:
     return found
 
 
+@dataclass(frozen=True)
+class Fitted:
+    """Weights, and what they say: log odds of each case's candidates and of empty drawn scenes, and how cluttered each
+    frame is."""
+
+    weights: np.ndarray
+    offset: float
+    scores: list[np.ndarray]
+    clutter: list[float]
+    of_empty: list[np.ndarray]
+    empty_clutter: list[float]
+
+
+def fitted_pair(cases: list[Case], empty: list[Case]) -> Fitted:
+    """Fitted to the cases; what is said of each is by weights fitted to the other scenes."""
+    model, (scores, clutter) = fit(cases), crossed(cases)
+    of_empty = [by(model, one.looks, one.second) for one in empty]
+    empty_clutter = [clutter_by(by(model, *one.decoys)) for one in empty if one.decoys is not None]
+    return Fitted(*_weights_of(model, cases[0]), scores, clutter, of_empty, empty_clutter)
+
+
+def fitted_frame(learned: list[Case], cases: list[Case], empty: list[Case]) -> Fitted:
+    """Fitted to photographs alone."""
+    model = fit(learned)
+    scores, of_empty = ([model.decision_function(_fitted(one.looks)) for one in some] for some in (cases, empty))
+    clutter, empty_clutter = ([clutter_of(one) for one in some] for some in (scores, of_empty))
+    return Fitted(*_weights_of(model, cases[0]), scores, clutter, of_empty, empty_clutter)
+
+
+def _weights_of(model: LogisticRegression, one: Case) -> tuple[np.ndarray, float]:
+    """Weights of all looks of a case, and the offset."""
+    weights = np.zeros(one.looks.shape[1])
+    weights[_chosen(len(weights))] = model.coef_[0]
+    return weights, float(model.intercept_[0])
+
+
+def labelled(folder: Path, pair: bool) -> list[Case]:
+    """The labelled frames: pairs as they are and shaken, or each lit frame once."""
+    cases: list[Case] = []
+    seen: set[str] = set()
+    rng = np.random.default_rng(1)
+    for one in json.loads((folder / "labels.json").read_text())["pairs"]:
+        if not pair and one["lit"] in seen:
+            continue
+        seen.add(one["lit"])
+        lit, dark = read(folder / one["lit"]), read(folder / one["dark"])
+        cases.append(case(one, lit, dark if pair else None))
+        for _ in range(SHAKES if pair else 0):
+            try:
+                cases.append(case(one, lit, shake(dark, rng), shaken=True))
+            except ValueError as error:
+                print(f"{one['lit']}: {error}", file=sys.stderr)
+    return cases
+
+
 def main() -> None:
-    kinds = sys.argv[2:] or ["pair", "frame"]
-    if len(sys.argv) < 2 or not set(kinds) <= {"pair", "frame"}:
-        sys.exit("usage: python scripts/make_detector.py FOLDER [pair|frame]")
-    folder = Path(sys.argv[1])
-    pairs = json.loads((folder / "labels.json").read_text())["pairs"]
-    rng, known = np.random.default_rng(1), json.loads(OUT.read_text())
-    for kind in kinds:
-        cases: list[Case] = []
-        seen: set[str] = set()
-        for pair in pairs:
-            if kind == "frame" and pair["lit"] in seen:
-                continue
-            seen.add(pair["lit"])
-            lit, dark = read(folder / pair["lit"]), read(folder / pair["dark"])
-            cases.append(case(pair, lit, dark if kind == "pair" else None))
-            for _ in range(SHAKES if kind == "pair" else 0):
-                try:
-                    cases.append(case(pair, lit, shake(dark, rng), shaken=True))
-                except ValueError as error:
-                    print(f"{pair['lit']}: {error}", file=sys.stderr)
-        share, most, calibration = 0.0, np.inf, (1.0, 0.0)
-        empty = drawn_empty(kind == "pair")
-        if kind == "frame":
-            weights, offset = fixed(cases)
-            scores, clutter = [one.looks @ weights + offset for one in cases], [0.0] * len(cases)
-            of_empty, empty_clutter = [one.looks @ weights + offset for one in empty], [0.0] * len(empty)
-        else:
-            model, (scores, clutter) = fit(cases), crossed(cases)
-            weights, offset, share = np.zeros(len(OF_A_FRAME + OF_A_PAIR)), float(model.intercept_[0]), SECOND
-            most = MOST
-            weights[[name not in LEFT_OUT for name in OF_A_FRAME + OF_A_PAIR]] = model.coef_[0]
-            calibration = scaled(cases, scores)
-            of_empty = [by(model, one.looks, one.second) for one in empty]
-            empty_clutter = [clutter_by(by(model, *one.decoys)) for one in empty if one.decoys is not None]
-        real, drawn = alarms_of(cases, scores, clutter), alarms_of(empty, of_empty, empty_clutter)
-        levels, rates, usual, rises = costs(real, drawn, kind == "pair")
-        cost = Score((), 0.0, (tuple(levels), tuple(rates)), clutter=(usual, tuple(rises)))
-        # Frames differ in clutter, so candidates of several frames are ranked by what they cost. One table ranks all:
-        # with one of the others for each scene, a scene that alarms more would be ranked by a table that alarms less.
-        # Where the table is level, log odds decide.
-        ranks = [1e-3 * s - np.log(cost.false_alarms(s, level)) for s, level in zip(scores, clutter, strict=True)]
-        still = [n for n, one in enumerate(cases) if not one.shaken]
-        recall = recalled([cases[n] for n in still], [ranks[n] for n in still])
-        print(kind, "standing", recall)
-        print(kind, "all", recalled(cases, ranks))
-        if kind == "pair":
-            spared = [without_reflector(one) for one in cases]
-            print("standing, no reflector", recalled([spared[n] for n in still], [ranks[n] for n in still]))
-            print("all, no reflector", recalled(spared, ranks))
-            print("the second stage alone, all", recalled(cases, [one.second for one in cases]))
-        told(kind, cases, costs_by_others(cases, real, scores, drawn, kind == "pair"))
-        names = OF_A_FRAME + (OF_A_PAIR if kind == "pair" else ())
-        known[kind] = {
-            "weights": dict(zip(names, np.round(weights, 4).tolist(), strict=True)),
-            "offset": round(offset, 4),
-            "second": share,
-            "most": most if np.isfinite(most) else None,
-            "calibration": np.round(calibration, 4).tolist(),
-            "alarms": [levels, rates],
-            "clutter": [usual, rises] if kind == "pair" else None,
-            "scenes": sorted({one.scene for one in cases}),
-            "frames": len(cases),
-            # The looks of a frame alone were chosen with these scenes in view.
-            "recall_by_other_scenes" if kind == "pair" else "recall_in_view": {
-                str(rate): round(value, 3) for rate, value in recall.items()
-            },
-        }
+    given = sys.argv[1:]
+    kind = given[1] if len(given) > 1 else ""
+    if len(given) != {"pair": 2, "frame": 3}.get(kind, -1):
+        sys.exit("usage: python scripts/make_detector.py FOLDER (pair | frame PHOTOGRAPHS)")
+    pair = kind == "pair"
+    cases, empty = labelled(Path(given[0]), pair), drawn_empty(pair)
+    without: list[Case] = []
+    if pair:
+        fitted = fitted_pair(cases, empty)
+    else:
+        learned, without = of_photographs(Path(given[2]))
+        fitted = fitted_frame(learned, cases, [*empty, *without])
+    scores, clutter = fitted.scores, fitted.clutter
+    alarms = alarms_of([*empty, *without], fitted.of_empty, fitted.empty_clutter)
+    drawn, photographed = alarms[: len(empty)], alarms[len(empty) :]
+    real = alarms_of(cases, scores, clutter)
+    levels, rates, usual, rises = costs([*real, *photographed], drawn)
+    cost = Score((), 0.0, (tuple(levels), tuple(rates)), clutter=(usual, tuple(rises)))
+    # Frames differ in clutter, so candidates of several frames are ranked by what they cost. One table ranks all: with
+    # one of the others for each scene, a scene that alarms more would be ranked by a table that alarms less. Where the
+    # table is level, log odds decide.
+    ranks = [1e-3 * s - np.log(cost.false_alarms(s, level)) for s, level in zip(scores, clutter, strict=True)]
+    still = [n for n, one in enumerate(cases) if not one.shaken]
+    recall = recalled([cases[n] for n in still], [ranks[n] for n in still])
+    print(kind, "standing", recall)
+    if pair:
+        print("all", recalled(cases, ranks))
+        spared = [without_reflector(one) for one in cases]
+        print("standing, no reflector", recalled([spared[n] for n in still], [ranks[n] for n in still]))
+        print("all, no reflector", recalled(spared, ranks))
+        print("the second stage alone, all", recalled(cases, [one.second for one in cases]))
+    told(kind, cases, costs_by_others(cases, real, scores, photographed, drawn))
+    known, names = json.loads(OUT.read_text()), OF_A_FRAME + (OF_A_PAIR if pair else ())
+    known[kind] = {
+        "weights": dict(zip(names, np.round(fitted.weights, 4).tolist(), strict=True)),
+        "offset": round(fitted.offset, 4),
+        "second": SECOND if pair else 0.0,
+        "most": MOST if pair else None,
+        "calibration": np.round(scaled(cases, scores), 4).tolist(),
+        "alarms": [levels, rates],
+        "clutter": [usual, rises],
+        "scenes": sorted({one.scene for one in cases}) if pair else ["photographs"],
+        "frames": len(cases) if pair else len(learned),
+        "recall_by_other_scenes": {str(rate): round(value, 3) for rate, value in recall.items()},
+    }
     with atomic_file(OUT) as part:
         part.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")
 

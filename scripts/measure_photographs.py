@@ -22,14 +22,13 @@ import cv2
 import numpy as np
 
 from make_detector import shake
+from photographs import read
 from tapetum.detection import find_cameras
 from tapetum.errors import InputError
 
 RATES = (0.01, 0.1, 0.5, 1.0)
 CAMERAS, AROUND = 2, 12
 SIGMAS, HEIGHTS = (0.7, 2.2), (4.0, 30.0)
-LONGEST = 1600
-"""Longest side: larger photographs are reduced."""
 
 
 @dataclass(frozen=True)
@@ -40,16 +39,6 @@ class Camera:
     y: float
     height: float
     cost: float = math.inf
-
-
-def read(path: Path) -> np.ndarray:
-    """The photograph's grey levels, [H, W] float32."""
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
-    if image is None:
-        sys.exit(f"error: {path}: is no picture")
-    grey = image.mean(2).astype(np.float32)
-    share = LONGEST / max(grey.shape)
-    return grey if share >= 1 else cv2.resize(grey, None, fx=share, fy=share, interpolation=cv2.INTER_AREA)
 
 
 def lit(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -23,6 +23,7 @@ __all__ = [
     "Candidates",
     "candidates_with_looks",
     "clutter_by",
+    "clutter_of",
     "find_cameras",
     "scored",
     "second_look",
@@ -43,6 +44,8 @@ _LOOKED_AGAIN, _SUREST = 40, 9.0
 _RIVALS = 24
 # Decoys of a pair, how many of them the second stage looks at, and how many of the likeliest say how cluttered it is.
 _DECOYS, _DECOYS_LOOKED_AGAIN, _CLUTTER = 24, 8, 3
+# Of one frame alone, the candidates that say how cluttered it is, by their rank.
+_RANKS = (30, 50)
 # Expected false alarms a frame above which nothing is likely to be a camera, and below which something is.
 _LIKELY_NONE, _LIKELY_ONE = 0.2, 0.02
 
@@ -124,7 +127,7 @@ def find_cameras(
     candidates, decoys = _with_decoys(octaves, registered, most, first)
     found, measured = candidates.columns, candidates.looks
     log_odds = scored(candidates, score)
-    clutter = None if decoys is None else clutter_by(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
+    clutter = clutter_of(log_odds) if decoys is None else clutter_by(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
     alarms = score.false_alarms(log_odds, clutter)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
@@ -201,6 +204,19 @@ def clutter_by(odds: Array) -> float:
     best = np.full(_CLUTTER, -_SUREST)
     best[: len(odds)] = np.sort(odds)[::-1][:_CLUTTER]
     return float(np.maximum(best, -_SUREST).mean())
+
+
+def clutter_of(odds: Array) -> float:
+    """How likely the clutter of one frame alone is to pass for cameras: the mean log odds of its candidates of ranks 31
+    to 50.
+
+    So up to thirty cameras do not count as clutter. Of a list that ends before, the last one counts.
+    """
+    if not len(odds):
+        return -_SUREST
+    ranked = np.sort(odds)[::-1]
+    first, last = _RANKS
+    return float(ranked[first:last].mean() if len(ranked) > first else ranked[-1])
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:

@@ -4,10 +4,10 @@ The weights for a pair are those of a logistic regression (scripts/make_detector
 real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what
 cross-validation by scene found. A share of the second stage's log odds (second.py) is added to their sum, which is
 limited first: the real frames show little that moves, which the second stage was trained on. Probabilities are
-calibrated on those frames, each scene left out once. For one frame alone six scenes are too few to fit weights: three
-features have the same weight, and only the scale of their sum is fitted; a second stage that was trained for it found
-fewer of the real cameras and is left out. What a score costs in false alarms was counted on the same frames and on
-drawn scenes without cameras.
+calibrated on those frames, each scene left out once. The weights for one frame alone are fitted to photographs with
+cameras drawn in, and to none of the labelled frames, of which there are too few scenes for that; a second stage that was
+trained for it found fewer of the real cameras and is left out. What a score costs in false alarms was counted on the
+labelled frames, on photographs and on drawn scenes without cameras, and rises with a frame's clutter.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ class Score:
     def probability(self, log_odds: ArrayLike, clutter: float | None = None) -> Array:
         """Probability of being a camera, [N], where the share of cameras among candidates is as in the fit.
 
-        In a pair of other than the usual clutter the odds fall as the false alarms rise.
+        In a frame of other than the usual clutter the odds fall as the false alarms rise.
         """
         k, c = self.calibration
         odds = np.asarray(log_odds, dtype=np.float64)

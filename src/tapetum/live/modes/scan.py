@@ -28,6 +28,8 @@ _KEPT = 6  # searches whose pictures are kept
 _WAITING = 3
 _SHOWN = 30  # candidates
 _LIKELY = 1.0  # expected false alarms a picture above which nothing is shown
+# The same of each frame of a film, where few false alarms last.
+_FOLLOWED = 2.5
 _CROP, _SIDE = 48, 160  # pixels of a candidate's picture, and of that on the page
 _WIDTH = 960
 _LASTING = 0.25  # of a film's frames
@@ -270,8 +272,7 @@ class _Seen:
 
 def _of_film(frames: Iterator[Frame]) -> _Result:
     """Candidates of a film: what the tracker follows through several frames, in its best one."""
-    # A frame may have many false alarms, because few of them last over several frames.
-    find = make_detector("cameras", {"false_alarms": _LIKELY})
+    find = make_detector("cameras", {"false_alarms": _FOLLOWED})
     now: list[Frame] = []
 
     def taken() -> Iterator[Frame]:
