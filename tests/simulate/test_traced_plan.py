@@ -14,7 +14,7 @@ from traced_cases import PROBE_FOCAL, WAVELENGTH, Case, bare, finer, picture, pl
 from tapetum.bench import load_scene, with_values
 from tapetum.errors import InputError
 from tapetum.optics.grid import Grid
-from tapetum.simulate import retroreflect, traced_light, traced_plan
+from tapetum.simulate import Camera, retroreflect, traced_light, traced_plan
 from tapetum.simulate.probe_path import ProbeAperture
 from tapetum.simulate.surfaces import Order, Surface
 from tapetum.simulate.traced_pass import TracedGrids
@@ -171,3 +171,27 @@ def test_a_scene_is_rendered_with_its_claim() -> None:
     irradiance = torch.as_tensor(images.irradiance)
     assert irradiance.shape[-2:] == (101, 101) and bool(torch.isfinite(irradiance).all())
     assert float(irradiance[0].max()) > float(irradiance[1].max()) > 0
+
+
+def test_where_finer_samples_are_too_many_the_error_is_stated(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The paths' error leaves little for sampling, whose finest step is beyond the limits: the best below serves."""
+    case, accuracy = Case("phone-a", 5.0), 1e-2
+    output, steps, climbed = picture(case, 31), [], traced_plan._climbed
+
+    def kept(*given: Any, **other: Any) -> Any:
+        steps.append(climbed(*given, **other))
+        return steps[-1]
+
+    monkeypatch.setattr(traced_plan, "_climbed", kept)
+    usual = planned(case, output, accuracy).plan.expected_error
+    finest = steps[0].finer.grids
+    monkeypatch.setattr(traced_plan, "_MOST_PUPIL", max(finest.pupil, finest.leaving))
+    monkeypatch.setattr(traced_plan, "_for_samples", lambda light, accuracy: 1e-6)
+    assert 1e-6 < planned(case, output, accuracy).plan.expected_error <= usual
+
+
+@pytest.mark.slow
+def test_the_focusing_sets_longest_lens_is_not_refused() -> None:
+    changes = {"target.lens.focal_length": "135 mm", "target.object_distance": "3 m"}
+    camera = Camera(with_values(load_scene("focusing"), changes), math.sin(math.radians(1.0)))
+    assert camera.plan.expected_error < 0.04

@@ -222,14 +222,19 @@ def traced_mask(
     """
     scene = traced_scene(focused, fits, output, **way)
     light = followed(scene, accuracy, correct=False)
-    accuracy = _for_samples(light, accuracy)
+    asked, accuracy = accuracy, _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
     # At least as finely as a mirror: the mask may be dark where it is tried.
-    mirror = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy)
+    mirror = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy, allowed=asked)
     least = FAINT * float((mirror.usual.field(tried[:1]).abs() ** 2).max())
     first = max(mirror.step, next(i for i, effort in enumerate(_LADDER) if effort.rings >= _RINGS_BESIDE))
     found = _climbed(
-        lambda effort: _made(scene, light, surface, effort, mask), tried, accuracy, least=least, first=first
+        lambda effort: _made(scene, light, surface, effort, mask),
+        tried,
+        accuracy,
+        allowed=asked,
+        least=least,
+        first=first,
     )
     _check_power(found.usual, tried, 1.0)
     plan = _stated(light, replace(found, error=max(found.error, mirror.error)), least)
@@ -274,10 +279,10 @@ def _amplitude(one: TracedPass, tilts: torch.Tensor, centres: torch.Tensor | Non
 def _planned(scene: TracedScene, surface: Surface, accuracy: float, seen: _Seen) -> tuple[TracedPass, TracedPlan]:
     scene, surface = in_air(scene, surface)
     light = followed(scene, accuracy)
-    accuracy = _for_samples(light, accuracy)
+    wanted = _for_samples(light, accuracy)
     tried = light.bright * torch.tensor(_TRIED, dtype=torch.float64)
-    found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, accuracy, seen=seen)
-    found = _thinned(scene, light, surface, found, tried, accuracy, seen)
+    found = _climbed(lambda effort: _made(scene, light, surface, effort), tried, wanted, allowed=accuracy, seen=seen)
+    found = _thinned(scene, light, surface, found, tried, max(wanted, found.error), seen)
     _check_power(found.usual, tried, sum(abs(order.amplitude) for order in surface.orders) ** 2)
     return _on_grids(scene, light, surface, found.usual.grids, trial=False), _stated(light, found, seen=seen)
 
@@ -333,26 +338,37 @@ def _climbed(
     tried: torch.Tensor,
     accuracy: float,
     *,
+    allowed: float,
     seen: _Seen = _irradiance,
     least: float = 0.0,
     first: int = 0,
 ) -> _Step:
     """The first step of the ladder, from `first` on, whose error at the tilts tried is within the accuracy.
 
-    Errors are over each picture's peak, or over `least` where that is more.
+    Errors are over each picture's peak, or over `least` where that is more. Where no step gets there, or one would take
+    too many samples, the best one whose error is within what is `allowed`.
     """
     steps: list[tuple[TracedPass, torch.Tensor]] = []
-    error = math.inf
+    error, best = math.inf, None
     for number, effort in enumerate(_LADDER[first:], first):
-        one = made(effort)
+        try:
+            one = made(effort)
+        except InputError:
+            if best is None:
+                raise
+            return best
         # Three passes at a time: each holds its grids and kernels.
         steps = [*steps[-2:], (one, seen(one, tried))]
         if len(steps) < 3:
             continue
         now, image = steps[0]
         error = _SAFETY * _apart(image, steps[-1][1], least)
+        if error <= allowed and (best is None or error < best.error):
+            best = _Step(number - 2, now, one, error, (image, steps[-1][1]))
         if error <= accuracy:
-            return _Step(number - 2, now, one, error, (image, steps[-1][1]))
+            return best or _Step(number - 2, now, one, error, (image, steps[-1][1]))
+    if best is not None:
+        return best
     raise InputError(
         f"{accuracy:.2g} of the peak is not reached with {steps[0][0].grids.pupil} samples over the pupil",
         where="sampling.accuracy",
