@@ -75,8 +75,8 @@ BEST, OTHERS = 16, 6
 class Case:
     """A labelled frame: its candidates [N, 2], their looks [N, features], and which are cameras or neither.
 
-    `second` [N] is what the second stage says of them. `decoys` are those of a pair: looks [M, features] and
-    what the second stage says, [M].
+    `second` [N] is what the second stage says of them, `worth` [N] by what they were chosen. `decoys` are those of
+    a pair: looks [M, features] and what the second stage says, [M].
     """
 
     scene: str
@@ -86,6 +86,7 @@ class Case:
     counted: np.ndarray
     glints: int
     second: np.ndarray
+    worth: np.ndarray
     shaken: bool = False
     decoys: tuple[np.ndarray, np.ndarray] | None = None
 
@@ -121,7 +122,18 @@ def case(pair: dict, lit: np.ndarray, dark: np.ndarray | None, shaken: bool = Fa
             counted[near] = False
             if kind == "points" and len(near):
                 camera[near[np.argmax(table["snr"][near])]] = True
-    return Case(pair["scene"], places, looks, camera, counted | camera, len(pair["points"]), again, shaken, decoys)
+    return Case(
+        pair["scene"],
+        places,
+        looks,
+        camera,
+        counted | camera,
+        len(pair["points"]),
+        again,
+        table["worth"],
+        shaken,
+        decoys,
+    )
 
 
 def fit(cases: list[Case], strength: float = STRENGTH) -> LogisticRegression:
@@ -183,7 +195,7 @@ def _learned(name: str, scene: Posed, found: Candidates, rng: np.random.Generato
 
 def _case_of(name: str, columns: dict[str, np.ndarray], looks: np.ndarray, glints: int) -> Case:
     places, none = np.stack([columns["x"], columns["y"]], 1), np.zeros(len(looks), bool)
-    return Case(name, places, looks, none, ~none, glints, np.zeros(len(looks)))
+    return Case(name, places, looks, none, ~none, glints, np.zeros(len(looks)), columns["worth"])
 
 
 def by(model: LogisticRegression, looks: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -371,7 +383,8 @@ def fitted_frame(learned: list[Case], cases: list[Case], empty: list[Case]) -> F
     """Fitted to photographs alone."""
     model = fit(learned)
     scores, of_empty = ([model.decision_function(_fitted(one.looks)) for one in some] for some in (cases, empty))
-    clutter, empty_clutter = ([clutter_of(one) for one in some] for some in (scores, of_empty))
+    clutter = [clutter_of(odds, one.worth) for odds, one in zip(scores, cases, strict=True)]
+    empty_clutter = [clutter_of(odds, one.worth) for odds, one in zip(of_empty, empty, strict=True)]
     return Fitted(*_weights_of(model, cases[0]), scores, clutter, of_empty, empty_clutter)
 
 

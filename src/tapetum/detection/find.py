@@ -127,7 +127,10 @@ def find_cameras(
     candidates, decoys = _with_decoys(octaves, registered, most, first)
     found, measured = candidates.columns, candidates.looks
     log_odds = scored(candidates, score)
-    clutter = clutter_of(log_odds) if decoys is None else clutter_by(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
+    if decoys is None:
+        clutter = clutter_of(log_odds, found["worth"])
+    else:
+        clutter = clutter_by(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
     alarms = score.false_alarms(log_odds, clutter)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
@@ -154,9 +157,12 @@ def find_cameras(
 
 @dataclass(frozen=True)
 class Candidates:
-    """Candidates of a frame: columns of `NAMES` [N], features `looks` [N, features], and their rows in a cut, [N]."""
+    """Candidates of a frame: columns of `NAMES` [N], features `looks` [N, features], and their rows in a cut, [N].
 
-    NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak", "clear")
+    By their `worth` they were chosen from the places that were screened.
+    """
+
+    NAMES: ClassVar[tuple[str, ...]] = ("x", "y", "snr", "flux", "diameter", "peak", "clear", "worth")
     columns: dict[str, Array]
     looks: Array
     cut: Cut | None
@@ -206,17 +212,18 @@ def clutter_by(odds: Array) -> float:
     return float(np.maximum(best, -_SUREST).mean())
 
 
-def clutter_of(odds: Array) -> float:
+def clutter_of(odds: Array, worth: Array) -> float:
     """How likely the clutter of one frame alone is to pass for cameras: the mean log odds of its candidates of ranks 31
-    to 50.
+    to 50, among the hundred of most worth.
 
-    So up to thirty cameras do not count as clutter. Of a list that ends before, the last one counts.
+    So up to thirty cameras do not count as clutter, and it is the same however many places are searched closely. Where
+    there are fewer candidates, there is little to mistake.
     """
-    if not len(odds):
-        return -_SUREST
-    ranked = np.sort(odds)[::-1]
     first, last = _RANKS
-    return float(ranked[first:last].mean() if len(ranked) > first else ranked[-1])
+    ranked = np.full(last, -_SUREST)
+    usual = np.sort(odds[np.argsort(-worth, kind="stable")[:_MOST_OF_A_PAIR]])[::-1][:last]
+    ranked[: len(usual)] = usual
+    return float(np.maximum(ranked[first:], -_SUREST).mean())
 
 
 def second_look(candidates: Candidates, odds: Array, most: int = _LOOKED_AGAIN) -> Array:
@@ -280,7 +287,7 @@ def _candidates(
     cut = cut_out((one, at[kept[of == n], 0], at[kept[of == n], 1]) for n, one in enumerate(octaves))
     if cut is None:
         return Candidates.none(width)
-    table = _measured(cut)
+    table = np.concatenate([_measured(cut), worth[kept[cut.number], None]], 1)
     # The mean of the frame is that of the octave that was screened, which is smaller.
     wide = octaves[min(1, len(octaves) - 1)]
     mean = local_mean(wide.bright, MATCHED / (wide.step * wide.cell))
