@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import time
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,7 +12,7 @@ import torch
 
 from tapetum.bench import Scene, load_scene, scene_dict, scene_from_dict
 from tapetum.errors import InputError
-from tapetum.live.playground import SETTINGS, Playground, apply, settings_of
+from tapetum.live.playground import SETTINGS, Playground, apply, core, settings_of
 from tapetum.live.playground.rays import draw_rays
 from tapetum.simulate import expose, fisher, gaze_of, retroreflect
 from tapetum.simulate.gaze import field_size
@@ -170,3 +172,18 @@ def test_a_tilted_sensor_turns_the_light_back_by_twice_its_tilt(base):
     middle = draw_rays(scene).rays_back[4]
     (z, y), (_, out) = middle[:2]
     assert abs(math.degrees(math.atan((out - y) / z))) == pytest.approx(2.0, abs=1e-3)
+
+
+def test_a_scene_is_slow_by_its_own_time_and_not_by_waiting(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, ground, image = load_scene("thin-lens"), Playground(), core._image
+
+    def late(*given: Any) -> Any:
+        time.sleep(core._SLOW)
+        return image(*given)
+
+    monkeypatch.setattr(core, "_image", late)
+    monkeypatch.setattr(core, "fisher", lambda *_, **__: None)
+    ground.result(scene)
+    assert ground.limit(scene).left_out == {}
+    monkeypatch.setattr(core, "_SLOW", 0.0)
+    assert "takes long in this scene" in ground.limit(scene).left_out["gaze_x"]

@@ -145,9 +145,11 @@ class Playground:
         target, coarse, prepared = self._prepared(scene, largest_sine(sines), draft)
         if isinstance(scene.target.lens, PrescriptionLens):
             self._traced.append(_trace_of(scene))
-        start = time.perf_counter()
+        # Waiting for other programs does not make a scene slow, nor do several threads make it fast.
+        clocks = (time.perf_counter, time.process_time)
+        start = [clock() for clock in clocks]
         image = _image(scene, target, sines)
-        self._seconds[scene] = time.perf_counter() - start
+        self._seconds[scene] = min(clock() - at for clock, at in zip(clocks, start, strict=True))
         while len(self._seconds) > self._most:
             self._seconds.popitem(last=False)
         return Result(
