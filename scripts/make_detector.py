@@ -22,12 +22,15 @@ from __future__ import annotations
 
 import json
 import sys
-from collections import defaultdict
+from collections import Counter, defaultdict
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.optimize import minimize
 from scipy.stats import binomtest
 from sklearn.linear_model import LogisticRegression, PoissonRegressor
 
@@ -35,12 +38,14 @@ from drawn_scenes import KINDS, draw
 from photographs import Posed, paths_in, posed
 from photographs import read as read_photograph
 from tapetum.detection.features import OF_A_FRAME, OF_A_PAIR
-from tapetum.detection.find import Candidates, candidates_with_looks, clutter_by, clutter_of, second_look
+from tapetum.detection.find import Candidates, candidates_with_looks, clutter_of_frame, clutter_of_pair, second_look
 from tapetum.detection.score import Score
 from tapetum.files import atomic_file
 
 OUT = Path(__file__).parents[1] / "src" / "tapetum" / "detection" / "weights.json"
 RATES = (0.1, 0.5, 1.0, 10.0)
+UNSURE = 14.0
+"""Within so many pixels of a place that may be a camera nothing counts."""
 SHAKES = 2
 STRENGTH = 0.3
 SECOND = 0.5
@@ -109,31 +114,33 @@ def shake(image: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return cv2.remap(image, np.float32(from_x), np.float32(from_y), cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
 
 
+def matched(scene: str, found: Candidates, known: Iterable[tuple[ArrayLike, float, float]]) -> Case:
+    """A frame's candidates beside what is known of it: places, each with two reaches in pixels.
+
+    Within the first no candidate counts but a camera: the highest within the second. A second one of 0 is no camera.
+    """
+    columns, looks = found.columns, found.looks
+    places = np.stack([columns["x"], columns["y"]], 1)
+    camera, counted, glints = np.zeros(len(places), bool), np.ones(len(places), bool), 0
+    for place, apart, reach in known:
+        away = np.hypot(*(places - place).T)
+        counted[away <= apart] = False
+        near = np.flatnonzero(away <= reach)
+        if reach and len(near):
+            camera[near[np.argmax(columns["snr"][near])]] = True
+        glints += reach > 0
+    return Case(scene, places, looks, camera, counted | camera, glints, np.zeros(len(looks)), columns["worth"])
+
+
 def case(pair: dict, lit: np.ndarray, dark: np.ndarray | None, shaken: bool = False) -> Case:
     found, others = candidates_with_looks(lit, dark)
-    table, looks = found.columns, found.looks
-    decoys = None if others is None else (others.looks, second_look(others, others.looks[:, 0], len(others.looks)))
-    again = np.zeros(len(looks)) if dark is None else second_look(found, looks[:, 0], len(looks))
-    places = np.stack([table["x"], table["y"]], 1)
-    camera, counted = np.zeros(len(places), bool), np.ones(len(places), bool)
-    for kind, reach in (("points", pair["tolerance"]), ("unsure", 14)):
-        for point in pair[kind]:
-            near = np.flatnonzero(np.hypot(*(places - point).T) <= reach)
-            counted[near] = False
-            if kind == "points" and len(near):
-                camera[near[np.argmax(table["snr"][near])]] = True
-    return Case(
-        pair["scene"],
-        places,
-        looks,
-        camera,
-        counted | camera,
-        len(pair["points"]),
-        again,
-        table["worth"],
-        shaken,
-        decoys,
-    )
+    known = [(point, pair["tolerance"], pair["tolerance"]) for point in pair["points"]]
+    one = matched(pair["scene"], found, known + [(point, UNSURE, 0) for point in pair["unsure"]])
+    if others is None:
+        return one
+    decoys = others.looks, second_look(others, others.looks[:, 0], len(others.looks))
+    again = second_look(found, found.looks[:, 0], len(found.looks))
+    return replace(one, second=again, shaken=shaken, decoys=decoys)
 
 
 def fit(cases: list[Case], strength: float = STRENGTH) -> LogisticRegression:
@@ -167,7 +174,7 @@ def of_photographs(folder: Path) -> tuple[list[Case], list[Case]]:
             scene = posed(image, rng, 0 if left_out else DRAWN_IN)
             found, _ = candidates_with_looks(scene.frame, None)
             if left_out:
-                empty.append(_case_of("photographs", found.columns, found.looks, 0))
+                empty.append(matched("photographs", found, ()))
             else:
                 learned.append(_learned(f"{path.stem} {n}", scene, found, rng))
     if not empty:
@@ -177,25 +184,14 @@ def of_photographs(folder: Path) -> tuple[list[Case], list[Case]]:
 
 def _learned(name: str, scene: Posed, found: Candidates, rng: np.random.Generator) -> Case:
     """The cameras of a photograph, the likeliest candidates that are none, and some others."""
-    made = _case_of(name, found.columns, found.looks, len(scene.places))
-    counted = made.counted.copy()
-    for place, sigma in zip(scene.places, scene.sigma, strict=True):
-        away = np.hypot(*(made.places - place).T)
-        counted[away <= max(8.0, 4 * sigma)] = False
-        near = np.flatnonzero(away <= max(2.5, 1.2 * sigma))
-        if len(near):
-            made.camera[near[np.argmax(found.columns["snr"][near])]] = True
-    order = np.argsort(-sum(k * found.looks[:, OF_A_FRAME.index(one)] for one, k in LIKELY.items()), kind="stable")
-    wrong = order[counted[order]]
-    kept = made.camera.copy()
+    reaches = np.maximum((8.0, 2.5), scene.sigma[:, None] * (4.0, 1.2)).tolist()
+    one = matched(name, found, [(place, *both) for place, both in zip(scene.places, reaches, strict=True)])
+    order = np.argsort(-sum(k * found.looks[:, OF_A_FRAME.index(name)] for name, k in LIKELY.items()), kind="stable")
+    wrong = order[(one.counted & ~one.camera)[order]]
+    kept = one.camera.copy()
     kept[wrong[:BEST]] = True
     kept[rng.permutation(wrong[BEST:])[:OTHERS]] = True
-    return replace(made, counted=kept)
-
-
-def _case_of(name: str, columns: dict[str, np.ndarray], looks: np.ndarray, glints: int) -> Case:
-    places, none = np.stack([columns["x"], columns["y"]], 1), np.zeros(len(looks), bool)
-    return Case(name, places, looks, none, ~none, glints, np.zeros(len(looks)), columns["worth"])
+    return replace(one, counted=kept)
 
 
 def by(model: LogisticRegression, looks: np.ndarray, second: np.ndarray) -> np.ndarray:
@@ -210,7 +206,7 @@ def crossed(cases: list[Case]) -> tuple[list[np.ndarray], list[float]]:
     for scene in sorted({one.scene for one in cases}):
         models[scene] = fit([one for one in cases if one.scene != scene])
     scores = [by(models[one.scene], one.looks, one.second) for one in cases]
-    return scores, [clutter_by(by(models[one.scene], *one.decoys)) for one in cases if one.decoys is not None]
+    return scores, [clutter_of_pair(by(models[one.scene], *one.decoys)) for one in cases if one.decoys is not None]
 
 
 def recalled(cases: list[Case], scores: list[np.ndarray]) -> dict[float, float]:
@@ -249,11 +245,22 @@ def alarm_rates(cases: list[Case], scores: list[np.ndarray], levels: np.ndarray)
     return np.mean(rates, 0)
 
 
-def scaled(cases: list[Case], scores: list[np.ndarray]) -> tuple[float, float]:
-    """Scale and offset that make log odds of scores (Platt 1999); scenes weigh the same."""
-    looks = [replace(one, looks=score[:, None]) for one, score in zip(cases, scores, strict=True)]
-    model = fit(looks, strength=1e6)
-    return float(model.coef_[0, 0]), float(model.intercept_[0])
+def scaled(cases: list[Case], scores: list[np.ndarray], rises: list[np.ndarray]) -> tuple[float, float]:
+    """Scale k and offset c: k s + c, less the logarithm by which false alarms rise, are log odds of a camera of score s
+    (Platt 1999). Scenes weigh the same."""
+    frames = Counter(one.scene for one in cases)
+    weight = np.concatenate([np.full(one.counted.sum(), 1 / frames[one.scene]) for one in cases])
+    odds, less = (
+        np.concatenate([s[one.counted] for one, s in zip(cases, some, strict=True)]) for some in (scores, rises)
+    )
+    camera = np.concatenate([one.camera[one.counted] for one in cases])
+
+    def missed(at: np.ndarray) -> float:
+        told = at[0] * odds + at[1] - less
+        return float(weight @ (np.logaddexp(0, told) - camera * told))
+
+    scale, offset = minimize(missed, [1.0, 0.0]).x
+    return float(scale), float(offset)
 
 
 @dataclass(frozen=True)
@@ -375,7 +382,7 @@ def fitted_pair(cases: list[Case], empty: list[Case]) -> Fitted:
     """Fitted to the cases; what is said of each is by weights fitted to the other scenes."""
     model, (scores, clutter) = fit(cases), crossed(cases)
     of_empty = [by(model, one.looks, one.second) for one in empty]
-    empty_clutter = [clutter_by(by(model, *one.decoys)) for one in empty if one.decoys is not None]
+    empty_clutter = [clutter_of_pair(by(model, *one.decoys)) for one in empty if one.decoys is not None]
     return Fitted(*_weights_of(model, cases[0]), scores, clutter, of_empty, empty_clutter)
 
 
@@ -383,8 +390,8 @@ def fitted_frame(learned: list[Case], cases: list[Case], empty: list[Case]) -> F
     """Fitted to photographs alone."""
     model = fit(learned)
     scores, of_empty = ([model.decision_function(_fitted(one.looks)) for one in some] for some in (cases, empty))
-    clutter = [clutter_of(odds, one.worth) for odds, one in zip(scores, cases, strict=True)]
-    empty_clutter = [clutter_of(odds, one.worth) for odds, one in zip(of_empty, empty, strict=True)]
+    clutter = [clutter_of_frame(odds, one.worth) for odds, one in zip(scores, cases, strict=True)]
+    empty_clutter = [clutter_of_frame(odds, one.worth) for odds, one in zip(of_empty, empty, strict=True)]
     return Fitted(*_weights_of(model, cases[0]), scores, clutter, of_empty, empty_clutter)
 
 
@@ -447,18 +454,25 @@ def main() -> None:
         print("all, no reflector", recalled(spared, ranks))
         print("the second stage alone, all", recalled(cases, [one.second for one in cases]))
     told(kind, cases, costs_by_others(cases, real, scores, photographed, drawn))
+    # Of pairs it is fitted as if all were of the usual clutter.
+    risen = [
+        np.interp(s, levels, rises) * (level - usual) * (not pair) for s, level in zip(scores, clutter, strict=True)
+    ]
     known, names = json.loads(OUT.read_text()), OF_A_FRAME + (OF_A_PAIR if pair else ())
     known[kind] = {
         "weights": dict(zip(names, np.round(fitted.weights, 4).tolist(), strict=True)),
         "offset": round(fitted.offset, 4),
         "second": SECOND if pair else 0.0,
         "most": MOST if pair else None,
-        "calibration": np.round(scaled(cases, scores), 4).tolist(),
+        "calibration": np.round(scaled(cases, scores, risen), 4).tolist(),
         "alarms": [levels, rates],
         "clutter": [usual, rises],
         "scenes": sorted({one.scene for one in cases}) if pair else ["photographs"],
         "frames": len(cases) if pair else len(learned),
-        "recall_by_other_scenes": {str(rate): round(value, 3) for rate, value in recall.items()},
+        # Of a frame alone the looks and what clutter is were chosen with these scenes in view.
+        "recall_by_other_scenes" if pair else "recall_in_view": {
+            str(rate): round(value, 3) for rate, value in recall.items()
+        },
     }
     with atomic_file(OUT) as part:
         part.write_text(json.dumps(known, indent=1) + "\n", encoding="utf-8")

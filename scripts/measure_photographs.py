@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from make_detector import shake
-from photographs import read
+from photographs import SUFFIXES, read
 from tapetum.detection import find_cameras
 from tapetum.errors import InputError
 
@@ -100,7 +100,7 @@ def main() -> None:
     given = [one for one in sys.argv[1:] if one != "--film"]
     if not 1 <= len(given) <= 2 or not Path(given[0]).is_dir():
         sys.exit("usage: python scripts/measure_photographs.py FOLDER [SEED] [--film]")
-    paths = sorted(one for one in Path(given[0]).iterdir() if one.suffix.lower() in (".jpg", ".jpeg", ".png", ".bmp"))
+    paths = sorted(one for one in Path(given[0]).iterdir() if one.suffix.lower() in SUFFIXES)
     seed = int(given[1]) if len(given) > 1 else 0
     cameras: list[Camera] = []
     alarms: list[list[float]] = []

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from scipy.special import j1
 
-__all__ = ["Posed", "paths_in", "posed", "read"]
+__all__ = ["SUFFIXES", "Posed", "paths_in", "posed", "read"]
 
 SUFFIXES = (".jpg", ".jpeg", ".png", ".bmp")
 LONGEST = 1600

@@ -22,7 +22,7 @@ from drawn_scenes import KINDS, draw
 from tapetum.blas import one_blas_thread
 from tapetum.detection import find_each
 from tapetum.detection.features import beside_rivals
-from tapetum.detection.find import candidates_with_looks, clutter_by, clutter_of, scored, second_look
+from tapetum.detection.find import candidates_with_looks, clutter_of_frame, clutter_of_pair, scored, second_look
 from tapetum.detection.registration import register
 from tapetum.detection.score import load_score
 from tapetum.detection.second import Second
@@ -430,12 +430,18 @@ def test_real_cat_eyes_in_the_lit_frame_alone() -> None:
     import make_detector
 
     cases, score = make_detector.labelled(REAL, pair=False), load_score(False)
-    ranks = []
+    ranks, cameras, expected = [], 0.0, 0.0
     for one in cases:
         odds = score.log_odds(one.looks)
-        ranks.append(1e-3 * odds - np.log(score.false_alarms(odds, clutter_of(odds, one.worth))))
+        clutter = clutter_of_frame(odds, one.worth)
+        ranks.append(1e-3 * odds - np.log(score.false_alarms(odds, clutter)))
+        share = 1 / sum(other.scene == one.scene for other in cases)
+        cameras += share * one.camera.sum()
+        expected += share * score.probability(odds, clutter)[one.counted].sum()
     recall = make_detector.recalled(cases, ranks)
     assert recall[0.1] >= 0.55 and recall[0.5] >= 0.65 and recall[1.0] >= 0.7
+    # Probabilities are scaled to these frames, clutter and all.
+    assert expected == pytest.approx(cameras, rel=0.02)
 
 
 @pytest.mark.parametrize("pair", [True, False])
@@ -453,7 +459,7 @@ def test_a_pair_in_which_much_moves_is_more_cluttered() -> None:
     for kind in ("room", "screens"):
         scenes = [draw(kind, seed, shape=(360, 480), tape=False) for seed in (9201, 9202, 9203)]
         decoys = [candidates_with_looks(one.lit, one.dark)[1] for one in scenes]
-        clutter[kind] = [clutter_by(scored(one, load_score(True))) for one in decoys if one is not None]
+        clutter[kind] = [clutter_of_pair(scored(one, load_score(True))) for one in decoys if one is not None]
     assert np.median(clutter["screens"]) > np.median(clutter["room"]) + 1
 
 
@@ -461,15 +467,15 @@ def test_of_one_frame_many_cameras_are_no_clutter_and_bright_leaves_are() -> Non
     few, worth = np.array([3.0, -5.0]), -np.arange(200.0)
     for count, wanted in ((30, -6.0), (60, 5.0)):
         odds = np.concatenate([np.full(count, 5.0), np.full(100 - count, -6.0)])
-        assert clutter_of(odds, worth[:100]) == pytest.approx(wanted)
+        assert clutter_of_frame(odds, worth[:100]) == pytest.approx(wanted)
         # What is searched besides does not count.
-        assert clutter_of(np.append(odds, np.zeros(100)), worth) == pytest.approx(wanted)
-    assert clutter_of(few, worth[:2]) == clutter_of(np.empty(0), np.empty(0)) == -9
+        assert clutter_of_frame(np.append(odds, np.zeros(100)), worth) == pytest.approx(wanted)
+    assert clutter_of_frame(few, worth[:2]) == clutter_of_frame(np.empty(0), np.empty(0)) == -9
     told = {}
     for kind in ("shade", "leaves"):
         scenes = [draw(kind, seed, shape=(360, 480), tape=False).lit for seed in (9201, 9202, 9203)]
         all_found = [candidates_with_looks(one, None)[0] for one in scenes]
-        told[kind] = [clutter_of(scored(one, load_score(False)), one.columns["worth"]) for one in all_found]
+        told[kind] = [clutter_of_frame(scored(one, load_score(False)), one.columns["worth"]) for one in all_found]
     assert np.median(told["leaves"]) > np.median(told["shade"]) + 1
 
 

@@ -207,7 +207,7 @@ def draw(seed: int, number: int, folder: Path, kinds: Sequence[str] = KINDS) -> 
     opening = min(opening, 220 * wavelength / (2 * math.pi * angle))
     probe = {
         "lens": {"focal_length": probe_focal, "aperture_radius": opening},
-        "sensor": {"fill": 0, "pixels": [pixels, pixels + 1], "pitch": 2 * probe_focal * math.tan(angle) / pixels},
+        "sensor": {"pixels": [pixels, pixels + 1], "pitch": 2 * probe_focal * math.tan(angle) / pixels},
         "transmission": dice.even(0.2, 1),
     }
     if light["mode"] == "collimated" and dice.chance(0.1) and opening > 1.2 * radius:
@@ -323,7 +323,7 @@ def _traced(dice: _Dice, kind: str, folder: Path) -> Plain:
         },
         "probe": {
             "lens": {"focal_length": probe_focal, "aperture_radius": math.sqrt(dice.log(2, 20) * wavelength * away)},
-            "sensor": {"fill": 0, "pixels": [33, 33], "pitch": 2 * probe_focal * angle / 33},
+            "sensor": {"pixels": [33, 33], "pitch": 2 * probe_focal * angle / 33},
         },
         # The judge has no sum for a traced lens seen through the probe's aperture.
         "sampling": {"accuracy": dice.one((0.01, 0.03, 0.05)), "propagation": "far field"},

@@ -68,7 +68,7 @@ def test_fields_against_plain_sums(
             },
             "probe": {
                 "lens": {"focal_length": PROBE_FOCAL, "aperture_radius": 0.025},
-                "sensor": {"fill": 0, "pixels": [SIDE, SIDE], "pitch": 2 * PROBE_FOCAL * angle / SIDE},
+                "sensor": {"pixels": [SIDE, SIDE], "pitch": 2 * PROBE_FOCAL * angle / SIDE},
             },
             "sampling": {"accuracy": ACCURACY},
         }

@@ -22,8 +22,8 @@ __all__ = [
     "LARGEST_FRAME",
     "Candidates",
     "candidates_with_looks",
-    "clutter_by",
-    "clutter_of",
+    "clutter_of_frame",
+    "clutter_of_pair",
     "find_cameras",
     "scored",
     "second_look",
@@ -128,15 +128,15 @@ def find_cameras(
     found, measured = candidates.columns, candidates.looks
     log_odds = scored(candidates, score)
     if decoys is None:
-        clutter = clutter_of(log_odds, found["worth"])
+        clutter = clutter_of_frame(log_odds, found["worth"])
     else:
-        clutter = clutter_by(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
+        clutter = clutter_of_pair(scored(decoys, score, _DECOYS_LOOKED_AGAIN))
     alarms = score.false_alarms(log_odds, clutter)
     swapped = False
     if swaps and registered is not None and not (alarms < _LIKELY_NONE).any():
         turned = [one.swapped() for one in octaves]
         others = scored(_candidates(turned, _screened(turned, most), registered, most, first, swapped=True), score)
-        swapped = bool((score.false_alarms(others, clutter_by(log_odds)) < _LIKELY_ONE).any())
+        swapped = bool((score.false_alarms(others, clutter_of_pair(log_odds)) < _LIKELY_ONE).any())
     order = np.argsort(-log_odds, kind="stable")
     order = order[alarms[order] <= false_alarms]
     probability = score.probability(log_odds, clutter)
@@ -201,7 +201,7 @@ def scored(candidates: Candidates, score: Score, again: int = _LOOKED_AGAIN) -> 
     return score.joined(odds, second_look(candidates, odds, again)) if score.second else odds
 
 
-def clutter_by(odds: Array) -> float:
+def clutter_of_pair(odds: Array) -> float:
     """How likely a pair's clutter is to pass for cameras: the mean log odds of its three likeliest decoys.
 
     As in searches of mass spectra against reversed sequences (Elias and Gygi 2007), the scores of matches that cannot
@@ -212,7 +212,7 @@ def clutter_by(odds: Array) -> float:
     return float(np.maximum(best, -_SUREST).mean())
 
 
-def clutter_of(odds: Array, worth: Array) -> float:
+def clutter_of_frame(odds: Array, worth: Array) -> float:
     """How likely the clutter of one frame alone is to pass for cameras: the mean log odds of its candidates of ranks 31
     to 50, among the hundred of most worth.
 

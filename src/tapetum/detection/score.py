@@ -1,13 +1,13 @@
 """How likely a candidate is a camera: a weighted sum of its features, and how many false alarms a score costs.
 
 The weights for a pair are those of a logistic regression (scripts/make_detector.py), fitted on lit and dark frames of
-real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what cross-
-validation by scene found. A share of the second stage's log odds (second.py) is added to their sum, which is limited
-first: the real frames show little that moves, which the second stage was trained on. Probabilities are calibrated on
-those frames, each scene left out once. The weights for one frame alone are fitted to photographs with cameras drawn in,
-and to none of the labelled frames, of which there are too few scenes for that; a second stage that was trained for it
-found fewer of the real cameras and is left out. What a score costs in false alarms was counted on the labelled frames,
-on photographs and on drawn scenes without cameras, and rises with a frame's clutter.
+real cat-eyes outdoors and on the same frames shaken as in the hand; weights.json says on which, and what
+cross-validation by scene found. A share of the second stage's log odds (second.py) is added to their sum, which is
+limited first: the real frames show little that moves, which the second stage was trained on. Probabilities are
+calibrated on those frames, each scene left out once. The weights for one frame alone are fitted to photographs with
+cameras drawn in, and to none of the labelled frames, of which there are too few scenes for that; a second stage that
+was trained for it found fewer of the real cameras and is left out. What a score costs in false alarms was counted on
+the labelled frames, on photographs and on drawn scenes without cameras, and rises with a frame's clutter.
 """
 
 from __future__ import annotations

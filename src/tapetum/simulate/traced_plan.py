@@ -365,8 +365,8 @@ def _climbed(
         error = _SAFETY * _apart(image, steps[-1][1], least)
         if error <= allowed and (best is None or error < best.error):
             best = _Step(number - 2, now, one, error, (image, steps[-1][1]))
-        if error <= accuracy:
-            return best or _Step(number - 2, now, one, error, (image, steps[-1][1]))
+            if error <= accuracy:
+                return best
     if best is not None:
         return best
     raise InputError(
