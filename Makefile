@@ -66,13 +66,13 @@ validation: peers
 docs: setup
 	$(BIN)/mkdocs build --strict
 
-# The bundled ResNet-18: films its training recordings and trains it (about half an hour on 2 cores).
+# The bundled ResNet-18: films and trains (some 15 minutes on 16 cores and a GPU, half a day on 2 cores).
 models: setup
 	$(BIN)/python scripts/make_models.py
 
-# A network that has seen many cameras (about an hour of one quiet core); a later run goes on where one stopped.
+# A network that has seen many cameras (minutes on 16 cores and a GPU, hours on 2 cores); an interrupted run goes on.
 any-camera: setup
-	OMP_NUM_THREADS=1 $(BIN)/python scripts/make_any_camera.py
+	$(BIN)/python scripts/make_any_camera.py
 
 # Rewrites requirements.lock; needs uv (a pip-installable tool). A local build's suffix (+cpu) must not be locked.
 lock:

@@ -1,13 +1,13 @@
 """Make the backbone `any-camera`: gaze, learned from many lenses, copies, distances, focus and light.
 
-make any-camera (about an hour of one quiet core)
+make any-camera (minutes of filming on many cores and of training on a GPU; hours on two cores)
 
 Films `UNITS` cameras of the virtual bench, each one copy drawn from its tolerances, `FRAMES` frames of each at gazes
-spread over its field; trains a ResNet-18 on four fifths of the cameras, from the weights of `thin-lens-gaze`; and sets
-its intervals by the other fifth, which it has not seen: they include what no retro-reflection shows of an unknown
-camera (where its point of symmetry lies, how large its sensor is). In training each camera has a last layer of its own;
-in the end one for all is fitted. Two lenses of the catalogue, `HELD_OUT`, are in no camera here: they stand for a lens
-that nobody has filmed. Copies have seeds from `FIRST_UNIT` on; no evaluation may use these. An interrupted run goes on.
+spread over its field; trains a ResNet-18 on four fifths of the cameras; and sets its intervals by the other fifth,
+which it has not seen: they include what no retro-reflection shows of an unknown camera (where its point of symmetry
+lies, how large its sensor is). In training each camera has a last layer of its own; in the end one for all is fitted.
+Two lenses of the catalogue, `HELD_OUT`, are in no camera here: they stand for a lens that nobody has filmed. Copies
+have seeds from `FIRST_UNIT` on; no evaluation may use these. An interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -15,9 +15,11 @@ from __future__ import annotations
 import argparse
 import hashlib
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +32,9 @@ from tapetum.bench import Scene, draw_unit, load_scene, with_values
 from tapetum.cli.memory import keep_big_blocks
 from tapetum.data.write import Rules
 from tapetum.errors import InputError
+from tapetum.experiments.copies import side_by_side
 from tapetum.files import atomic_file
-from tapetum.models import NetworkEstimator, load_model, model_card, pretrained, save_model
+from tapetum.models import NetworkEstimator, load_model, model_card, save_model
 from tapetum.models.architectures import Network
 from tapetum.models.augmentation import Augmentation
 from tapetum.models.domain import fit_domain, picture_features
@@ -40,6 +43,7 @@ from tapetum.models.intervals import Intervals
 from tapetum.models.last_layer import Correction, LastLayer, corrected
 from tapetum.models.other_units import grouped_half_width
 from tapetum.models.own_layers import OwnLayers, beside_copies
+from tapetum.models.processes import training_device
 from tapetum.models.snr import crop_snr
 from tapetum.models.training import EpochReport, TrainingSettings, augment, train
 from tapetum.progress import Progress, bar
@@ -51,12 +55,15 @@ from tapetum.record.stray import FixedPattern, Ground
 from tapetum.simulate.exposure import gain_of
 
 NAME = "any-camera"
-START = "thin-lens-gaze"
 SEED = 20261127
 UNITS, FRAMES = 300, 64
 FIRST_UNIT = 2_000_000
 HELD_OUT = ("compact-6mm-f1.9", "photo-50mm-f1.8")
-CROP, SIZE, EPOCHS, BATCH, RATE = 288, 96, 8, 32, 5e-4
+CROP, SIZE, EPOCHS, BATCH, RATE = 288, 96, 80, 64, 2e-3
+# Looks are kept in bytes: so many steps to 1, from the lowest on. A step is as large as the noise of a dark pixel.
+_STEPS, _LOWEST = 200, -0.15
+# Epochs between two looks at the cameras aside.
+_SHOWN = 10
 # Of five cameras one trains nothing and sets the intervals.
 _ASIDE = 5
 _PHONES = ("phone-a", "phone-b", "phone-c", "phone-d", "phone-e", "phone-f")
@@ -149,27 +156,36 @@ def film(camera: Drawn, number: int) -> dict[str, NDArray[Any]]:
         if cut is None:
             continue
         crops, full = cut[0][None], float(2**sensor.bits - 1)
-        found["look"].append(prepare(crops, CROP, SIZE, full)[0, 0].numpy().astype(np.float16))
+        look = prepare(crops, CROP, SIZE, full)[0, 0].numpy()
+        found["look"].append(np.clip(np.rint((look - _LOWEST) * _STEPS), 0, 255).astype(np.uint8))
         found["snr"].append(crop_snr(crops, full)[0])
         found["gaze"].append(gaze[i])
     shapes = {"look": (-1, SIZE, SIZE), "gaze": (-1, 2), "snr": (-1,)}
     return {name: np.array(values).reshape(shapes[name]) for name, values in found.items()}
 
 
-def filmed(work: Path, units: int, progress: Progress) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
+def kept(path: Path, number: int) -> None:
+    """Film a camera, unless its file is there."""
+    if path.exists():
+        return
+    try:
+        frames = film(drawn_camera(number), number)
+    except InputError as error:
+        # A drawn camera that cannot be simulated as asked has no frames: the next run must not try again.
+        print(f"camera {number}: {error}", flush=True)
+        frames = {"look": np.zeros((0, SIZE, SIZE), np.uint8), "gaze": np.zeros((0, 2)), "snr": np.zeros(0)}
+    with atomic_file(path) as part, part.open("wb") as file:
+        np.savez_compressed(file, look=frames["look"], gaze=frames["gaze"], snr=frames["snr"])
+
+
+def filmed(work: Path, units: int, processes: int, progress: Progress) -> Iterator[tuple[int, dict[str, NDArray[Any]]]]:
     """Yield every camera's number and frames, from the folder where it was filmed before."""
     work.mkdir(parents=True, exist_ok=True)
-    for number in progress(range(units), "filming cameras", total=units):
-        path = work / f"camera-{number:04d}.npz"
-        if not path.exists():
-            try:
-                frames = film(drawn_camera(number), number)
-            except InputError as error:
-                # A drawn camera that cannot be simulated as asked has no frames: the next run must not try again.
-                print(f"camera {number}: {error}", flush=True)
-                frames = {"look": np.zeros((0, SIZE, SIZE), np.float16), "gaze": np.zeros((0, 2)), "snr": np.zeros(0)}
-            with atomic_file(path) as part, part.open("wb") as file:
-                np.savez(file, **frames)
+    paths = [work / f"camera-{number:04d}.npz" for number in range(units)]
+    tasks = [partial(kept, path, number) for number, path in enumerate(paths)]
+    for _ in progress(side_by_side(tasks, processes), "filming cameras", total=units):
+        pass
+    for number, path in enumerate(paths):
         with np.load(path) as file:
             yield number, dict(file)
 
@@ -184,9 +200,9 @@ class Taught:
     camera: NDArray[np.int64]
 
     @classmethod
-    def of(cls, work: Path, units: int, progress: Progress) -> Taught:
-        parts = list(filmed(work, units, progress))
-        look = torch.from_numpy(np.concatenate([part["look"] for _, part in parts])).float()[:, None]
+    def of(cls, work: Path, units: int, processes: int, progress: Progress) -> Taught:
+        parts = list(filmed(work, units, processes, progress))
+        look = torch.from_numpy(np.concatenate([part["look"] for _, part in parts]))[:, None] / _STEPS + _LOWEST
         gaze, snr = (np.concatenate([part[name] for _, part in parts]) for name in ("gaze", "snr"))
         return cls(look, gaze, snr, np.repeat([n for n, _ in parts], [len(part["gaze"]) for _, part in parts]))
 
@@ -203,11 +219,11 @@ class Taught:
         return told.hexdigest()
 
 
-def outputs_of(network: Callable[[torch.Tensor], torch.Tensor], look: torch.Tensor) -> Array:
+def outputs_of(network: Callable[[torch.Tensor], torch.Tensor], look: torch.Tensor, device: torch.device) -> Array:
     """Return a network's outputs [N, ...], computed as in use."""
     with torch.inference_mode():
-        batches = [batch.contiguous(memory_format=torch.channels_last) for batch in look.split(64)]
-        return np.concatenate([network(batch).double().numpy() for batch in batches])
+        batches = [batch.to(device).contiguous(memory_format=torch.channels_last) for batch in look.split(256)]
+        return np.concatenate([network(batch).double().cpu().numpy() for batch in batches])
 
 
 def few_shot(
@@ -223,7 +239,7 @@ def few_shot(
 
 
 def taught_network(
-    taught: Taught, work: Path, epochs: int, progress: Progress
+    taught: Taught, work: Path, epochs: int, device: torch.device, progress: Progress
 ) -> tuple[NetworkEstimator, dict[str, Any]]:
     """Train the network, set its intervals by the cameras aside, and learn which frames it applies to."""
     fit, aside = np.flatnonzero(~taught.aside), np.flatnonzero(taught.aside)
@@ -232,35 +248,27 @@ def taught_network(
     look, places = taught.look / unit, torch.from_numpy(fit)
     wanted = (taught.gaze - centre) / spread
     cameras, own = np.unique(taught.camera[fit], return_inverse=True)
-    before = pretrained(START)
-    assert isinstance(before, NetworkEstimator)
     # No image tells how large a camera's sensor is and where its point of symmetry lies: each has a last layer of its
     # own, which adds to that of all, so that the layers before it need not guess.
     network = beside_copies("resnet18", 2, len(cameras), seed=0)
-    weights = before.network_.state_dict()
-    network.load_state_dict({**network.state_dict(), **{n: v for n, v in weights.items() if not n.startswith("fc.")}})
-    features = outputs_of(network.eval().features, look)
-    weight, bias = (one.detach().double().numpy() for one in before.network_.head.parameters())
-    shift, scale = before.scaling
-    first = LastLayer(weight * (scale / spread)[:, None], (bias * scale + shift - centre) / spread)
 
     def adapted(layer: LastLayer, features: Array) -> list[float]:
         """Mean errors on cameras that train nothing, the last layer corrected by some of their frames."""
         return (spread * np.abs(few_shot(layer, features, wanted[aside], taught.camera[aside])).mean(axis=0)).tolist()
 
-    scores: dict[str, Any] = {"before": adapted(first, features[aside])}
-    print(f"last layer corrected by 32 frames of a camera aside: {scores['before']} before", flush=True)
-    # The last layer of all starts where a ridge regression puts it, each camera's own at 0.
-    start = Ridge(0.1 * float(features[fit].var(axis=0).mean()) * len(fit)).fit(features[fit], wanted[fit])
-    with torch.no_grad():
-        for one, value in ((network.head.weight, start.coef_), (network.head.bias, start.intercept_)):
-            one[:2] = torch.from_numpy(np.asarray(value, np.float32))
     # bfloat16 halves the time on processors that have it.
     settings = TrainingSettings(epochs, BATCH, RATE, 0.05, 0, Augmentation(), None, "bf16")
 
+    error, epoch = 0.0, 0
+
     def validate(trained: torch.nn.Module) -> float:
+        """Show the error now and then; nothing is chosen by it."""
+        nonlocal error, epoch
         assert isinstance(trained, Network)
-        return float(np.mean(adapted(_shared(trained), outputs_of(trained.features, look[aside]))))
+        if epoch % _SHOWN == 0:
+            error = float(np.mean(adapted(_shared(trained), outputs_of(trained.features, look[aside], device))))
+        epoch += 1
+        return error
 
     def told(report: EpochReport) -> None:
         error = f"corrected by 32 frames of a camera aside {report.validation_mae:.4f}"
@@ -273,15 +281,16 @@ def taught_network(
         settings,
         loss=OwnLayers(2),
         validate=validate,
-        device="cpu",
+        device=device,
         checkpoint=work / f"checkpoint-{taught.digest[:8]}-{epochs}",
         resume=True,
         identity={"data": taught.digest, "heads": len(cameras)},
         progress=progress,
         on_epoch=told,
     )
-    features = outputs_of(network.features, look)
-    scores["after"] = adapted(_shared(network), features[aside])
+    features = outputs_of(network.to(device).eval().features, look, device)
+    network.cpu()
+    scores: dict[str, Any] = {"few_shot": adapted(_shared(network), features[aside])}
     # For a camera of which nothing is known, one last layer for all; cameras left out in turn choose its penalty.
     unit_alpha = float(features[fit].var(axis=0).mean()) * len(fit)
     folds = taught.camera[fit] % 7 % 5
@@ -325,7 +334,7 @@ def taught_network(
     none = np.abs(residuals).mean(axis=0).tolist()
     guess = np.abs(taught.gaze[aside] - taught.gaze[fit].mean(axis=0)).mean(axis=0).tolist()
     cameras_aside = len(np.unique(taught.camera[aside]))
-    return model, {"cameras": cameras_aside, "frames": len(aside), "mae": none, "guess": guess, "few_shot": scores}
+    return model, {"cameras": cameras_aside, "frames": len(aside), "mae": none, "guess": guess, **scores}
 
 
 def unit_intervals(residuals: Array, camera: NDArray[np.int64]) -> Intervals:
@@ -349,7 +358,7 @@ def calibrate(folder: Path, taught: Taught) -> None:
 
 def _shared(network: Network) -> LastLayer:
     """The last layer of all cameras, in training."""
-    weight, bias = (one.detach().double().numpy() for one in network.head.parameters())
+    weight, bias = (one.detach().double().cpu().numpy() for one in network.head.parameters())
     return LastLayer(weight[:2], bias[:2])
 
 
@@ -360,20 +369,22 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("src/tapetum/models/pretrained") / NAME)
     parser.add_argument("--units", type=int, default=UNITS)
     parser.add_argument("--epochs", type=int, default=EPOCHS)
+    parser.add_argument("--device", default="auto", help="that trains: auto, cpu or cuda")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="that film at the same time")
     parser.add_argument("--calibrate", action="store_true", help="set only the intervals of the model in --out anew")
     options = parser.parse_args()
     keep_big_blocks()
     start = time.monotonic()
-    taught = Taught.of(options.work, options.units, bar)
+    taught = Taught.of(options.work, options.units, options.processes, bar)
     if options.calibrate:
         calibrate(options.out, taught)
         return
-    model, scores = taught_network(taught, options.work, options.epochs, bar)
+    device = training_device(options.device)
+    model, scores = taught_network(taught, options.work, options.epochs, device, bar)
     notes = {
         "command": "make any-camera",
         "recipe": "scripts/make_any_camera.py",
         "seed": SEED,
-        "started_from": START,
         "cameras": options.units,
         "first_unit": FIRST_UNIT,
         "held_out_lenses": list(HELD_OUT),

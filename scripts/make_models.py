@@ -1,6 +1,9 @@
-"""Make the bundled ResNet-18 (about half an hour on 2 cores; an interrupted run goes on where it stopped).
+"""Make the bundled ResNet-18; an interrupted run goes on where it stopped.
 
 make models
+
+Filming takes an hour of two cores, training half a day there; both take minutes on 16 cores and a GPU. `--quick` makes
+a lesser one in half an hour of two cores, from fewer films of copies and in fewer epochs.
 
 `--describe` keeps the weights and learns from the same films only where the model applies and how copies differ (some
 minutes); `--units` keeps them and calibrates the intervals for copies of the camera (ten minutes).
@@ -9,10 +12,18 @@ minutes); `--units` keeps them and calibrates the intervals for copies of the ca
 from __future__ import annotations
 
 import argparse
+import os
 from pathlib import Path
 
 from tapetum.cli.memory import keep_big_blocks
-from tapetum.experiments.pretrain import EPOCHS, NAME, calibrate_pretrained, describe_pretrained, make_pretrained
+from tapetum.experiments.pretrain import (
+    BUNDLED,
+    NAME,
+    QUICK,
+    calibrate_pretrained,
+    describe_pretrained,
+    make_pretrained,
+)
 from tapetum.progress import bar
 
 
@@ -21,20 +32,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--work", type=Path, default=Path("models-work"), help="keeps what a later run goes on from")
     parser.add_argument("--out", type=Path, default=Path("src/tapetum/models/pretrained") / NAME)
-    parser.add_argument("--epochs", type=int, default=EPOCHS)
+    parser.add_argument("--quick", action="store_true", help="make a lesser model; name another folder by --out")
     parser.add_argument(
         "--describe", action="store_true", help="learn only where the model applies and how copies differ"
     )
     parser.add_argument("--units", action="store_true", help="calibrate only the intervals for copies of the camera")
+    parser.add_argument("--device", default="auto", help="that trains: auto, cpu or cuda")
+    parser.add_argument("--processes", type=int, default=os.cpu_count() or 1, help="that film at the same time")
     options = parser.parse_args()
     keep_big_blocks()
+    ways = {"processes": options.processes, "progress": bar}
     if options.describe:
-        describe_pretrained(options.work, options.out, progress=bar)
+        describe_pretrained(options.work, options.out, **ways)
         return
     if options.units:
-        calibrate_pretrained(options.work, options.out, progress=bar)
+        calibrate_pretrained(options.work, options.out, **ways)
         return
-    make_pretrained(options.work, options.out, epochs=options.epochs, progress=bar, on_epoch=print)
+    recipe = QUICK if options.quick else BUNDLED
+    make_pretrained(options.work, options.out, recipe=recipe, device=options.device, on_epoch=print, **ways)
 
 
 if __name__ == "__main__":

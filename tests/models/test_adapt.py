@@ -151,6 +151,27 @@ def test_a_camera_unlike_the_bases_is_learned_from_a_last_layer_of_zeros(
     assert {rate for _, rate in begun} == {2e-3 if unlike else 5e-4}
 
 
+@pytest.mark.parametrize("frames", [60, 300])
+def test_a_last_layer_that_errs_little_needs_no_training(
+    base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, frames: int
+) -> None:
+    monkeypatch.setattr(fine_tuning, "_SURE", 0.4)
+    # Training all layers would take minutes: nothing may start it.
+    monkeypatch.setattr(fine_tuning, "train", lambda *_, **__: pytest.fail("all layers are trained"))
+    data, epochs = other(frames), []
+    mine = adapt(base, data, checkpoint=tmp_path / "kept", on_epoch=epochs.append)
+    told = mine.training_ or {}
+    assert told["chosen"]["fitted"].startswith(LAST) and "not trained" in told["chosen"]["all layers"]
+    assert ALL not in told["left_out_error"] and told["left_out_error"][LAST] < told["left_out_error"][GUESS]
+    assert told["fitted"] == told["calibrated_on"] == frames and not epochs
+    truth, found = data.tp.test.tp.values(("gaze_x", "gaze_y")), mine.predict(data.tp.test, anyway=True)
+    assert 0.8 <= ((found.lower <= truth) & (truth <= found.upper)).mean() <= 0.995
+    assert error(mine, data) < 0.75 * error(base, data)
+    # Who asks for epochs gets them.
+    with pytest.raises(pytest.fail.Exception):
+        adapt(base, data, epochs=1)
+
+
 def test_a_last_layer_that_wins_is_fitted_to_all_frames_and_calibrated_by_all(
     base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -46,7 +46,8 @@ def adapt(
     unit: Annotated[str | None, option("NAME", "Of a set of several copies of a camera: the one to adapt to.")] = None,
     label: Annotated[str | None, option("NAME", "What it learns: what MODEL estimates already.")] = None,
     epochs: Annotated[
-        int | None, option("N", "Passes over the frames; by default as many as take a minute or two.", min=1)
+        int | None,
+        option("N", "Passes of all layers over the frames; by default a minute or two, or none if needless.", min=1),
     ] = None,
     precision: Annotated[str, option("HOW", "float32, or bf16: twice as fast on processors that have it.")] = "float32",
     seed: SeedIfGiven = None,

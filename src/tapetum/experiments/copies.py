@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import zipfile
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from functools import partial
+from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from tapetum.bench import Scene, as_scene, draw_unit
 from tapetum.data.dataset import UNIT, class_variable, dataset_from_arrays
+from tapetum.data.synth.work import MALLOC, one_thread
 from tapetum.data.write import Rules
 from tapetum.errors import InputError
 from tapetum.files import atomic_file
@@ -18,7 +25,10 @@ from tapetum.progress import Progress, quiet
 from tapetum.record import HandMotion
 from tapetum.record.film import probe_frames
 
-__all__ = ["film_copies", "film_copy"]
+__all__ = ["copy_films", "film_copies", "film_copy", "side_by_side"]
+
+# Files that are read at once.
+_READERS = 8
 
 
 def film_copies(
@@ -29,6 +39,7 @@ def film_copies(
     *,
     side: int,
     motion: HandMotion | None = None,
+    processes: int = 1,
     progress: Progress = quiet,
 ) -> xr.Dataset:
     """Film copies of a scene's camera at gazes that are spread over its field, and return them as one dataset.
@@ -50,6 +61,8 @@ def film_copies(
         Of the crops, in pixels.
     motion
         Extent, sway and tremor.
+    processes
+        Copies that are filmed at the same time, each by a process of its own.
     progress
         Shown over the copies.
 
@@ -58,18 +71,32 @@ def film_copies(
     InputError
         For a scene that cannot be filmed.
     """
-    model, hand, rules = as_scene(scene), motion or HandMotion(), Rules(side=side)
-    work.mkdir(parents=True, exist_ok=True)
-    found = [
-        film_copy(draw_unit(model, None, seed), seed, frames, work / f"copy-{seed}-{frames}-{side}.npz", rules, hand)
-        for seed in progress(seeds, "filming copies", total=len(seeds))
-    ]
+    model = as_scene(scene)
+    films = copy_films(model, seeds, frames, work, side=side, motion=motion)
+    for _ in progress(side_by_side(films, processes), "filming copies", total=len(films)):
+        pass
+    # Most of the time of reading is spent unpacking, which threads share.
+    with ThreadPoolExecutor(_READERS) as readers:
+        found = list(readers.map(lambda film: _kept(film.keywords["path"]), films))
     images, gazes = (np.concatenate([one[k] for one in found]) for k in (0, 1))
     number = np.repeat(np.arange(len(found)), [len(one[0]) for one in found])
     full = float(2**model.probe.sensor.bits - 1)
     labels = {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]}
     data = dataset_from_arrays(images, labels, full_scale=full, recording=number)
     return data.assign({UNIT: class_variable([f"copy-{seeds[k]}" for k in number.tolist()])})
+
+
+def copy_films(
+    scene: Scene, seeds: Sequence[int], frames: int, work: Path, *, side: int, motion: HandMotion | None = None
+) -> list[partial[None]]:
+    """Return what films each copy for `film_copies`, which see, unless it was filmed: for `side_by_side`."""
+    work.mkdir(parents=True, exist_ok=True)
+    hand, rules = motion or HandMotion(), Rules(side=side)
+    paths = [work / f"copy-{seed}-{frames}-{side}.npz" for seed in seeds]
+    return [
+        partial(_film_seed, scene, seed, frames, path=path, rules=rules, hand=hand)
+        for seed, path in zip(seeds, paths, strict=True)
+    ]
 
 
 def film_copy(
@@ -101,11 +128,7 @@ def film_copy(
         For a scene that cannot be filmed, or a file that is no such file.
     """
     if path.exists():
-        try:
-            with np.load(path) as file:
-                return file["image"], file["gaze"]
-        except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
-            raise InputError(f"cannot be read ({error})", where=path, remedy="remove it: it is made again") from error
+        return _kept(path)
     rng = np.random.default_rng([seed, 2])
     gaze = rng.uniform(-hand.extent, hand.extent, (frames, 2)) + rng.normal(0, hand.tremor, (frames, 2))
     place = rng.normal(0, hand.sway, (frames, 2))
@@ -115,3 +138,56 @@ def film_copy(
     with atomic_file(path) as part, part.open("wb") as file:
         np.savez_compressed(file, image=images, gaze=gaze[seen])
     return images, gaze[seen]
+
+
+def side_by_side(tasks: Sequence[Callable[[], object]], processes: int) -> Iterator[int]:
+    """Run tasks in this process or, where there are several, in new ones; yield each task's number when it is done.
+
+    Tasks must be picklable then, and keep what they make in files. An error ends all.
+    """
+    if processes <= 1:
+        for number, task in enumerate(tasks):
+            task()
+            yield number
+        return
+    before = dict(os.environ)
+    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_leave_interrupts) as pool:
+        try:
+            # Processes start when the first tasks are submitted.
+            os.environ.update(MALLOC)
+            waiting = {pool.submit(_run, task): number for number, task in enumerate(tasks)}
+        finally:
+            for name in MALLOC:
+                os.environ.pop(name, None)
+            os.environ.update(before)
+        try:
+            for done in as_completed(waiting):
+                done.result()
+                yield waiting[done]
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _leave_interrupts() -> None:
+    # Ctrl-C reaches all processes of a terminal; the one that waits ends the others.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _run(task: Callable[[], Any]) -> None:
+    """Run a task; what it returns stays where it ran."""
+    with one_thread():
+        task()
+
+
+def _film_seed(model: Scene, seed: int, frames: int, *, path: Path, rules: Rules, hand: HandMotion) -> None:
+    """Film the copy of a seed, unless its file is there."""
+    film_copy(draw_unit(model, None, seed), seed, frames, path, rules, hand)
+
+
+def _kept(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """Return the crops and gazes of a copy that was filmed."""
+    try:
+        with np.load(path) as file:
+            return file["image"], file["gaze"]
+    except (OSError, ValueError, KeyError, zipfile.BadZipFile) as error:
+        raise InputError(f"cannot be read ({error})", where=path, remedy="remove it: it is made again") from error

@@ -113,9 +113,14 @@ def run_demo(
     if train:
         with watch.step("Training ResNet-18 (this takes a while; interrupt it as you like, it resumes)"):
             work = out / "training"
-            if not pretrain.is_made(work / "model"):
+            if not pretrain.is_made(work / "model", pretrain.QUICK):
                 pretrain.make_pretrained(
-                    work, work / "model", device=device, progress=progress, on_epoch=lambda e: say(f"  {e}")
+                    work,
+                    work / "model",
+                    recipe=pretrain.QUICK,
+                    device=device,
+                    progress=progress,
+                    on_epoch=lambda e: say(f"  {e}"),
                 )
             resnet = load_model(work / "model")
         origin = "trained by this demo on recordings of other seeds"
@@ -133,9 +138,10 @@ def run_demo(
         tracking = _track(recording, resnet, out / "tracks.parquet", progress)
     with watch.step("Asking what the sign rests on"):
         sign = _sign(scene, dataset, models, outcomes, seed)
+    recipe = pretrain.QUICK if train else pretrain.BUNDLED
     seeds_used = ", ".join(map(str, pretrain.recorded_seeds()))
     trained = {
-        "ResNet-18": f"{origin} ({seeds_used}) and beside {len(pretrain.TEACHER_SEEDS)} copies of the camera",
+        "ResNet-18": f"{origin} ({seeds_used}) and beside {recipe.copies} copies of the camera",
         "Zernike + ridge": "the paper's protocol, fitted here to the first 80 % "
         f"({dataset.tp.train.sizes['frame']} frames)",
     }

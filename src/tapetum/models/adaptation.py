@@ -45,15 +45,16 @@ def adapt(
     """Return a network for the camera of a dataset, from one that was trained on others.
 
     The last layer of `base` is corrected by ridge regression on its features, or, of few frames, from what copies of
-    its camera differ by (`tapetum.models.copy_prior`); from there all layers are trained (A. Kumar et al., ICLR
-    (2022)), or, for a camera unlike those that `base` has seen, from a last layer of zeros. Frames that neither has
-    fitted decide which of the two is kept: all layers where they err by a quarter less. With up to 250 frames these are
-    all frames in turn, in 4 folds: the errors of the folds also set the intervals (cross-conformal prediction, V. Vovk,
-    Ann. Math. Artif. Intell. 74, 9 (2015)), and the network that is returned is fitted to every frame. With more
-    frames, 8 % of them decide, about the epoch too, and 17 % calibrate; where the last layer wins, it is fitted to all
-    frames, and calibrated in folds. Frames of different folds or parts share no measurement of their labels, except
-    where frames are spread over a film at least four times as long: these are divided one by one, and the labels'
-    standard deviations are added to their errors. Test frames are never used.
+    its camera differ by (`tapetum.models.copy_prior`). Where it then errs by at most a hundredth of the labels' spread
+    on frames left out, it is kept. Otherwise all layers are trained from there (A. Kumar et al., ICLR (2022)), or, for
+    a camera unlike those that `base` has seen, from a last layer of zeros; frames that neither has fitted decide which
+    of the two is kept: all layers where they err by a quarter less. With up to 250 frames these are all frames in turn,
+    in 4 folds: the errors of the folds also set the intervals (cross-conformal prediction, V. Vovk, Ann. Math. Artif.
+    Intell. 74, 9 (2015)), and the network that is returned is fitted to every frame. With more frames, 8 % of them
+    decide, about the epoch too, and 17 % calibrate; where the last layer wins, it is fitted to all frames, and
+    calibrated in folds. Frames of different folds or parts share no measurement of their labels, except where frames
+    are spread over a film at least four times as long: these are divided one by one, and the labels' standard
+    deviations are added to their errors. Test frames are never used.
 
     Parameters
     ----------
@@ -66,7 +67,8 @@ def adapt(
     spread
         Choose these frames spread over the labels' range, not the first ones in a row.
     epochs
-        Passes over the frames; by default as many as take 1.5 minutes on two cores.
+        Passes of all layers over the frames, even where the last layer is enough; by default as many as take 1.5
+        minutes on two cores.
     seed
         Of the choice of frames, their order and their augmentation.
     precision
