@@ -56,7 +56,7 @@ from tapetum.simulate.exposure import gain_of
 
 NAME = "any-camera"
 SEED = 20261127
-UNITS, FRAMES = 300, 64
+UNITS, FRAMES = 510, 64
 FIRST_UNIT = 2_000_000
 HELD_OUT = ("compact-6mm-f1.9", "photo-50mm-f1.8")
 CROP, SIZE, EPOCHS, BATCH, RATE = 288, 96, 80, 64, 2e-3
