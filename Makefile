@@ -66,7 +66,7 @@ validation: peers
 docs: setup
 	$(BIN)/mkdocs build --strict
 
-# The bundled ResNet-18: films and trains (some 15 minutes on 16 cores and a GPU, half a day on 2 cores).
+# The bundled ResNet-18: films and trains (a quarter of an hour on 16 cores and a GPU, hours on 2 cores).
 models: setup
 	$(BIN)/python scripts/make_models.py
 

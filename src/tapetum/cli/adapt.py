@@ -49,7 +49,7 @@ def adapt(
         int | None,
         option("N", "Passes of all layers over the frames; by default a minute or two, or none if needless.", min=1),
     ] = None,
-    precision: Annotated[str, option("HOW", "float32, or bf16: twice as fast on processors that have it.")] = "float32",
+    precision: Annotated[str, option("HOW", "float32, or bf16: twice as fast on processors with it.")] = "float32",
     seed: SeedIfGiven = None,
     device: Device = "auto",
     resume: Annotated[
@@ -72,7 +72,10 @@ def adapt(
     from tapetum.models import NetworkEstimator, save_model
     from tapetum.models import adapt as adapt_network
     from tapetum.models.kept_folds import remove_kept
+    from tapetum.models.processes import has_bfloat16, training_device
 
+    if precision == "bf16" and not has_bfloat16(training_device(device)):
+        typer.echo("note: this device has no bfloat16: all layers are trained in float32", err=True)
     base = find_model(model, "cpu")
     if not isinstance(base, NetworkEstimator):
         remedy = "give a network that `tapetum train` saved as a folder, or the bundled thin-lens-gaze"

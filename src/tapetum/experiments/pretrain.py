@@ -87,7 +87,7 @@ class Recipe:
 
 
 BUNDLED = Recipe(epochs=60, copies=len(TEACHER_SEEDS))
-"""What is bundled: minutes on a GPU, half a day on two cores."""
+"""What is bundled: a quarter of an hour on 16 cores and a GPU, hours on two cores."""
 QUICK = Recipe(epochs=12, copies=128)
 """Half an hour on two cores."""
 

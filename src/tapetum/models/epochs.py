@@ -35,7 +35,8 @@ class TrainingSettings:
         Stop after so many epochs without a lower held-out error, and keep the weights of the best epoch. None runs all
         epochs and keeps the last. The cosine spans `epochs` either way.
     precision
-        "float32", or "bf16": products in bfloat16 (torch's autocast), weights and loss in float32.
+        "float32", or "bf16": products in bfloat16 (torch's autocast), weights and loss in float32; where the device has
+        no bfloat16, all in float32, which is faster there.
     """
 
     epochs: int = 12

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from lightning_fabric import Fabric
 
-__all__ = ["companions", "make_fabric", "process_count", "training_device"]
+__all__ = ["companions", "has_bfloat16", "make_fabric", "process_count", "training_device"]
 
 # How long processes wait for one that validates or writes.
 _TIMEOUT = dt.timedelta(minutes=10)
@@ -46,6 +46,16 @@ def training_device(name: str | torch.device) -> torch.device:
     return device
 
 
+def has_bfloat16(device: torch.device) -> bool:
+    """Return whether products in bfloat16 are fast: GPUs and many processors have instructions for them.
+
+    Elsewhere they are emulated, which takes several times as long as float32.
+    """
+    if device.type == "cuda":
+        return torch.cuda.is_bf16_supported(including_emulation=False)
+    return torch.backends.mkldnn.is_available() and bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+
+
 def process_count(processes: int | str, device: torch.device) -> int:
     """Return how many processes train ("auto": one per GPU); raise an InputError when there are fewer GPUs."""
     there = torch.cuda.device_count()
@@ -64,12 +74,17 @@ def process_count(processes: int | str, device: torch.device) -> int:
 
 
 def make_fabric(device: torch.device, precision: str, *, processes: int = 1) -> Fabric:
-    """Return a Fabric for this process alone, or for one of several that `companions` started."""
+    """Return a Fabric for this process alone, or for one of several that `companions` started.
+
+    Where the device has no bfloat16, float32 takes its place.
+    """
     from lightning_fabric import Fabric
     from lightning_fabric.plugins.environments.lightning import LightningEnvironment
     from lightning_fabric.strategies.ddp import DDPStrategy
 
     several = processes > 1
+    if not has_bfloat16(device):
+        precision = "float32"
     ours = [device.index or 0] if device.type == "cuda" and not several else processes
     logger = logging.getLogger("lightning_fabric")
     level = logger.level
