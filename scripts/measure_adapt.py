@@ -47,7 +47,26 @@ KINDS: dict[str, tuple[str, tuple[str, ...], float]] = {
         ("target.lens.name=compact-6mm-f1.9", "target.lens.focal_length=null"),
         0.48,
     ),
+    "a plausible other unit": (
+        "hand-held",
+        (
+            "sampling.accuracy=0.03",
+            "target.sensor.tilt=[0.2 deg, 0.1 deg]",
+            "target.sensor.decentre=[0.1 mm, 0 mm]",
+            "target.object_distance=5.2 m",
+            "target.lens.aperture_radius=3.8 mm",
+            "illumination.second_beam.ratio=0.07",
+        ),
+        0.48,
+    ),
+    "one metre farther": (
+        "hand-held",
+        ("sampling.accuracy=0.03", "distance=6.5 m", "target.object_distance=6.5 m"),
+        0.48,
+    ),
 }
+# Of these the camera is as it is described and no copy is drawn; the number sets the film alone.
+AS_DESCRIBED = ("a plausible other unit", "one metre farther")
 NAMES = ("gaze_x", "gaze_y")
 SIDE = 320
 RATE = 15.0
@@ -76,7 +95,8 @@ class Wanted:
 
 def unit_scene(kind: str, unit: int) -> Scene:
     name, changes, _ = KINDS[kind]
-    return draw_unit(load_scene(name, changes), None, unit)
+    scene = load_scene(name, changes)
+    return scene if kind in AS_DESCRIBED else draw_unit(scene, None, unit)
 
 
 def filmed(work: Path, kind: str, unit: int, seconds: float) -> xr.Dataset:
