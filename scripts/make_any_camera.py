@@ -32,7 +32,7 @@ from tapetum.bench import Scene, draw_unit, load_scene, with_values
 from tapetum.cli.memory import keep_big_blocks
 from tapetum.data.write import Rules
 from tapetum.errors import InputError
-from tapetum.experiments.copies import side_by_side
+from tapetum.experiments.side_by_side import side_by_side
 from tapetum.files import atomic_file
 from tapetum.models import NetworkEstimator, load_model, model_card, save_model
 from tapetum.models.architectures import Network

@@ -67,6 +67,7 @@ KINDS: dict[str, tuple[str, tuple[str, ...], float]] = {
 }
 # Of these the camera is as it is described and no copy is drawn; the number sets the film alone.
 AS_DESCRIBED = ("a plausible other unit", "one metre farther")
+NUMBERS = Path("docs/numbers/adapt.json")
 NAMES = ("gaze_x", "gaze_y")
 SIDE = 320
 RATE = 15.0
@@ -257,7 +258,10 @@ def main() -> None:
     parser.add_argument("--bases", nargs="*", default=["any-camera", "thin-lens-gaze"])
     parser.add_argument("--precision", default="float32", choices=["float32", "bf16"])
     parser.add_argument("--work", type=Path, default=Path("adapt-work"))
-    parser.add_argument("--write", action="store_true", help="write docs/numbers/adapt.json and the picture")
+    parser.add_argument(
+        "--write", action="store_true", help="write --numbers, and the picture of docs/numbers/adapt.json"
+    )
+    parser.add_argument("--numbers", type=Path, default=NUMBERS)
     options = parser.parse_args()
     keep_big_blocks()
     results = options.work / "results"
@@ -276,9 +280,10 @@ def main() -> None:
     print(table(rows))
     if options.write:
         about = {"units": sorted({row["unit"] for row in rows}), "rows": rows}
-        with atomic_file(Path("docs/numbers/adapt.json")) as part:
+        with atomic_file(options.numbers) as part:
             part.write_text(json.dumps(about, indent=1) + "\n", encoding="utf-8")
-        picture(rows, Path("docs/images/adapt-curves.png"))
+        if options.numbers == NUMBERS:
+            picture(rows, Path("docs/images/adapt-curves.png"))
 
 
 if __name__ == "__main__":

@@ -75,7 +75,7 @@ def adapt(
     from tapetum.models.processes import has_bfloat16, training_device
 
     if precision == "bf16" and not has_bfloat16(training_device(device)):
-        typer.echo("note: this device has no bfloat16: all layers are trained in float32", err=True)
+        typer.echo("note: this device has no bfloat16: float32 takes its place", err=True)
     base = find_model(model, "cpu")
     if not isinstance(base, NetworkEstimator):
         remedy = "give a network that `tapetum train` saved as a folder, or the bundled thin-lens-gaze"

@@ -2,30 +2,26 @@
 
 from __future__ import annotations
 
-import os
-import signal
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor, as_completed
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from multiprocessing import get_context
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
 
 from tapetum.bench import Scene, as_scene, draw_unit
 from tapetum.data.dataset import UNIT, class_variable, dataset_from_arrays
-from tapetum.data.synth.work import MALLOC, one_thread
 from tapetum.data.write import Rules
 from tapetum.errors import InputError
+from tapetum.experiments.side_by_side import side_by_side
 from tapetum.files import atomic_file
 from tapetum.progress import Progress, quiet
 from tapetum.record import HandMotion
 from tapetum.record.film import probe_frames
 
-__all__ = ["copy_films", "film_copies", "film_copy", "side_by_side"]
+__all__ = ["copy_films", "film_copies", "film_copy"]
 
 # Files that are read at once.
 _READERS = 8
@@ -69,7 +65,7 @@ def film_copies(
     Raises
     ------
     InputError
-        For a scene that cannot be filmed.
+        For a scene that cannot be filmed, a film that cannot be read, or a process that ends before its time.
     """
     model = as_scene(scene)
     films = copy_films(model, seeds, frames, work, side=side, motion=motion)
@@ -138,45 +134,6 @@ def film_copy(
     with atomic_file(path) as part, part.open("wb") as file:
         np.savez_compressed(file, image=images, gaze=gaze[seen])
     return images, gaze[seen]
-
-
-def side_by_side(tasks: Sequence[Callable[[], object]], processes: int) -> Iterator[int]:
-    """Run tasks in this process or, where there are several, in new ones; yield each task's number when it is done.
-
-    Tasks must be picklable then, and keep what they make in files. An error ends all.
-    """
-    if processes <= 1:
-        for number, task in enumerate(tasks):
-            task()
-            yield number
-        return
-    before = dict(os.environ)
-    with ProcessPoolExecutor(processes, get_context("spawn"), initializer=_leave_interrupts) as pool:
-        try:
-            # Processes start when the first tasks are submitted.
-            os.environ.update(MALLOC)
-            waiting = {pool.submit(_run, task): number for number, task in enumerate(tasks)}
-        finally:
-            for name in MALLOC:
-                os.environ.pop(name, None)
-            os.environ.update(before)
-        try:
-            for done in as_completed(waiting):
-                done.result()
-                yield waiting[done]
-        finally:
-            pool.shutdown(cancel_futures=True)
-
-
-def _leave_interrupts() -> None:
-    # Ctrl-C reaches all processes of a terminal; the one that waits ends the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-
-
-def _run(task: Callable[[], Any]) -> None:
-    """Run a task; what it returns stays where it ran."""
-    with one_thread():
-        task()
 
 
 def _film_seed(model: Scene, seed: int, frames: int, *, path: Path, rules: Rules, hand: HandMotion) -> None:

@@ -110,14 +110,15 @@ def run_demo(
     with watch.step("Training Zernike + ridge"):
         ridge = ZernikeRidge(target="gaze").fit(dataset.tp.train, progress=progress)
         save_model(ridge, out / "zernike", overwrite=True)
+    recipe = pretrain.QUICK if train else pretrain.BUNDLED
     if train:
         with watch.step("Training ResNet-18 (this takes a while; interrupt it as you like, it resumes)"):
             work = out / "training"
-            if not pretrain.is_made(work / "model", pretrain.QUICK):
+            if not pretrain.is_made(work / "model", recipe):
                 pretrain.make_pretrained(
                     work,
                     work / "model",
-                    recipe=pretrain.QUICK,
+                    recipe=recipe,
                     device=device,
                     progress=progress,
                     on_epoch=lambda e: say(f"  {e}"),
@@ -138,7 +139,6 @@ def run_demo(
         tracking = _track(recording, resnet, out / "tracks.parquet", progress)
     with watch.step("Asking what the sign rests on"):
         sign = _sign(scene, dataset, models, outcomes, seed)
-    recipe = pretrain.QUICK if train else pretrain.BUNDLED
     seeds_used = ", ".join(map(str, pretrain.recorded_seeds()))
     trained = {
         "ResNet-18": f"{origin} ({seeds_used}) and beside {recipe.copies} copies of the camera",

@@ -16,7 +16,8 @@ import xarray as xr
 
 from tapetum.bench import Scene, load_scene
 from tapetum.data import build_dataset, open_dataset
-from tapetum.experiments.copies import copy_films, film_copies, side_by_side
+from tapetum.experiments.copies import copy_films, film_copies
+from tapetum.experiments.side_by_side import side_by_side
 from tapetum.files import sha256_file
 from tapetum.models import (
     EpochReport,

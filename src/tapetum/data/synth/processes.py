@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
-import os
 import signal
 from collections import deque
 from collections.abc import Iterator, Sequence
@@ -15,7 +14,7 @@ from pathlib import Path
 
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.store import Staging
-from tapetum.data.synth.work import MALLOC, keep_part
+from tapetum.data.synth.work import keep_part, keeping_memory
 from tapetum.errors import TapetumError
 
 __all__ = ["parts_by_processes"]
@@ -72,9 +71,7 @@ def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
     context = multiprocessing.get_context("spawn")
     connections: list[Connection] = []
     processes: list[BaseProcess] = []
-    before = dict(os.environ)
-    os.environ.update(MALLOC)
-    try:
+    with keeping_memory():
         for _ in range(count):
             here, there = context.Pipe()
             process = context.Process(target=_film, args=(there, path, plan), daemon=True)
@@ -83,10 +80,6 @@ def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
             there.close()
             connections.append(here)
             processes.append(process)
-    finally:
-        for name in MALLOC:
-            del os.environ[name]
-        os.environ.update(before)
     try:
         yield connections
     finally:
