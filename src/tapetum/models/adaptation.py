@@ -51,10 +51,11 @@ def adapt(
     of the two is kept: all layers where they err by a quarter less. With up to 250 frames these are all frames in turn,
     in 4 folds: the errors of the folds also set the intervals (cross-conformal prediction, V. Vovk, Ann. Math. Artif.
     Intell. 74, 9 (2015)), and the network that is returned is fitted to every frame. With more frames, 8 % of them
-    decide, about the epoch too, and 17 % calibrate; where the last layer wins, it is fitted to all frames, and
-    calibrated in folds. Frames of different folds or parts share no measurement of their labels, except where frames
-    are spread over a film at least four times as long: these are divided one by one, and the labels' standard
-    deviations are added to their errors. Test frames are never used.
+    decide, about the epoch too, and 17 % calibrate; of a camera unlike those that `base` has seen the 17 % do both, and
+    no epoch is chosen. Where the last layer wins, it is fitted to all frames, and calibrated in folds. Frames of
+    different folds or parts share no measurement of their labels, except where frames are spread over a film at least
+    four times as long: these are divided one by one, and the labels' standard deviations are added to their errors.
+    Test frames are never used.
 
     Parameters
     ----------
@@ -67,8 +68,8 @@ def adapt(
     spread
         Choose these frames spread over the labels' range, not the first ones in a row.
     epochs
-        Passes of all layers over the frames, even where the last layer is enough; by default as many as take 1.5
-        minutes on two cores.
+        Passes of all layers over the frames, even where the last layer is enough; by default as many as take some two
+        minutes on two cores, four of much film.
     seed
         Of the choice of frames, their order and their augmentation.
     precision
