@@ -80,8 +80,9 @@ _CLEARLY = 0.75
 # development (errors of 0.32 and 0.26, with 30 s of film) 0.018 / 0.030 and 0.017 / 0.036 of the field along x and y in
 # place of 0.071 / 0.101 and 0.034 / 0.084. Of 14 copies of the base's own camera that error was 0.16 at most.
 _UNLIKE = 0.2
-# Chosen on copy 80 of the zoom: 16 images a step in place of 32 (0.009 / 0.011 and 0.010 / 0.012 after 9,000 passes),
-# this rate in place of half and one and a half times as much, no smaller images to begin with.
+# Chosen on copy 80 of the zoom: 16 images a step in place of 32 (0.009 / 0.011 and 0.010 / 0.012 after 9,000 passes;
+# of 10 s of film 0.023 / 0.037 and 0.080 / 0.150), this rate in place of half and one and a half times as much, no
+# smaller images to begin with, 8 epochs of 100 s of film in place of 4 (0.009 / 0.012 and 0.013 / 0.019).
 _FIRST_PASSES, _FIRST_RATE, _LEAST_OF_FIRST, _MOST_OF_FIRST = 5700, 2e-3, 8, 40
 # Up to this error, over the labels' spread, the corrected last layer is kept without training all layers, which takes a
 # minute or two. On three copies for development, with 5 to 100 s of film, it erred by 0.006 to 0.008, and all layers by
