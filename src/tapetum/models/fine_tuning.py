@@ -351,8 +351,8 @@ class Adaptation:
             why = f"{LAST}: {self._said(found)} on {len(choose)} frames that it had not fitted"
             return self._last_layer_of_all(why, {**found, **self.beside([self._mask(choose)], [fit])}, told)
         if self.unlike:
-            # The last layer errs by several times as much as all layers do: frames that make that choice calibrate too,
-            # and every further frame that is fitted counts.
+            # Every further frame that is fitted counts. No epoch is chosen, and one choice between two networks hardly
+            # makes the errors of the same frames too small to calibrate by.
             fit, choose = self.apart(self._mask(calibrate)), calibrate
         head = self.head(fit, how)
         network, history = self.trained(fit, head, WHOLE, choose)
@@ -367,14 +367,20 @@ class Adaptation:
             return self._last_layer_of_all(f"{why} had fitted", left_out, told)
         residuals = (self.targets[calibrate] - self.outputs(network, calibrate)) * self.spread_of
         kept = f"{kept_epoch(history, self.settings.patience)} of {len(history)}"
-        epochs = kept if self.unlike else f"{kept}: least error on the same frames"
-        apart = "did not fit" if self.unlike else "neither fitted nor chose"
+        if self.unlike:
+            by, epochs, apart = "had fitted", kept, "did not fit"
+        else:
+            by, epochs, apart = (
+                "fit nor calibrate",
+                f"{kept}: least error on the same frames",
+                "neither fitted nor chose",
+            )
         summary = {
             "fitted": len(fit),
             "calibrated_on": len(calibrate),
             "embargo": len(self.targets) - len(fit) - len(np.union1d(calibrate, choose)),
             "chosen": {
-                "fitted": f"{why} had fitted" if self.unlike else f"{why} fit nor calibrate",
+                "fitted": f"{why} {by}",
                 "penalty": f"{how}: least error on frames that it had not fitted",
                 "epochs": epochs,
                 **self._begun,
@@ -513,7 +519,7 @@ def better_of(errors: Mapping[str, float]) -> str:
 def epochs_of(frames: int, size: int, *, unlike: bool = False) -> int:
     """Return how often all layers see so many frames of `size` pixels a side, within a minute or two.
 
-    `unlike` is for a camera unlike those that the base has seen.
+    Much film of a camera `unlike` those that the base has seen takes longer: fewer passes teach less than less film.
     """
     least = _FEWEST_EPOCHS
     if frames <= _FEW:
