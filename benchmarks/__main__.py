@@ -27,7 +27,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error("--quick measures nothing worth writing down; leave out one of the two")
 
     # Commands own their process and do this, so a benchmark of what commands do does it as well: before any tensor.
-    from tapetum.cli.memory import keep_big_blocks
+    from tapetum.memory import keep_big_blocks
 
     keep_big_blocks()
     from .measure import Effort, machine

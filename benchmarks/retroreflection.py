@@ -71,7 +71,7 @@ _WHOLE_LENS = [*_CHANGES, "target.lens.aperture_radius=12.7 mm", "sampling.propa
 _ALONE = """
 import pathlib, re, sys
 import tapetum as tp
-from tapetum.cli.memory import keep_big_blocks
+from tapetum.memory import keep_big_blocks
 
 keep_big_blocks()
 tp.retroreflect(tp.load_scene("thin-lens", sys.argv[1:]), device="cpu")

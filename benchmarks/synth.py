@@ -21,7 +21,8 @@ from tapetum.data.synth import Plan, make_plan, rotation_plan, synthesise
 from tapetum.data.synth.clip import Clip
 from tapetum.data.synth.plan import KINDS, PIECE, Part
 from tapetum.data.synth.store import Made, Staging
-from tapetum.data.synth.work import MALLOC, make_part, one_thread, shot_of
+from tapetum.data.synth.work import make_part, one_thread, shot_of
+from tapetum.memory import MALLOC
 from tapetum.record import label_recording
 from tapetum.record.blobs import find_candidates
 

@@ -29,11 +29,11 @@ from numpy.typing import NDArray
 from sklearn.linear_model import Ridge
 
 from tapetum.bench import Scene, draw_unit, load_scene, with_values
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.data.write import Rules
 from tapetum.errors import InputError
 from tapetum.experiments.side_by_side import side_by_side
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import NetworkEstimator, load_model, model_card, save_model
 from tapetum.models.architectures import Network
 from tapetum.models.augmentation import Augmentation

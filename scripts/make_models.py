@@ -15,7 +15,6 @@ import argparse
 import os
 from pathlib import Path
 
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.experiments.pretrain import (
     BUNDLED,
     NAME,
@@ -24,6 +23,7 @@ from tapetum.experiments.pretrain import (
     describe_pretrained,
     make_pretrained,
 )
+from tapetum.memory import keep_big_blocks
 from tapetum.progress import bar
 
 

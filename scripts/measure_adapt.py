@@ -23,12 +23,12 @@ import numpy as np
 import xarray as xr
 
 from tapetum.bench import Scene, draw_unit, load_scene
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.data import open_dataset
 from tapetum.data.film_parts import first_seconds, spread_over
 from tapetum.data.synth import Plan, Video, synthesise
 from tapetum.data.write import Rules
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import NetworkEstimator, Predictor, ZernikeRidge, adapt, load_model, pretrained
 from tapetum.progress import bar
 from tapetum.record import HandMotion, Session

@@ -20,8 +20,8 @@ import torch
 import xarray as xr
 
 from measure_adapt import NAMES, filmed, shared
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import pretrained
 from tapetum.models.base import training_part
 from tapetum.models.copy_prior import CopyPrior

@@ -26,12 +26,12 @@ import torch
 import xarray as xr
 
 from tapetum.bench import draw_unit, load_scene, with_values
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.data.dataset import DEVICE, dataset_from_arrays
 from tapetum.data.synth.plan import FIELDS, PHONES, SETS
 from tapetum.experiments.copies import film_copy
 from tapetum.experiments.workshop import UNSEEN
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import ResNet18, load_model, save_model
 from tapetum.progress import bar
 from tapetum.record import HandMotion

@@ -16,13 +16,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.data import open_dataset
 from tapetum.data.synth import make_plan, synthesise
 from tapetum.experiments import RECIPES, SIZES, Workshop
 from tapetum.experiments.learning import fig10
 from tapetum.experiments.workshop import SET_SEED
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import NetworkEstimator
 from tapetum.models.epochs import PRECISIONS, EpochReport
 from tapetum.progress import bar

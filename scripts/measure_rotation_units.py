@@ -21,11 +21,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from tapetum.bench import draw_unit, load_scene
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.data import dataset_from_arrays
 from tapetum.data.write import Rules
 from tapetum.experiments.copies import film_copy
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import ResNet18, load_model, save_model
 from tapetum.progress import bar
 from tapetum.record import HandMotion

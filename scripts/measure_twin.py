@@ -35,12 +35,12 @@ from measure_adapt import load as bundled
 from tapetum.bench import PrescriptionLens, Scene, Target, draw_unit, load_scene, scene_yaml, with_values
 from tapetum.calibrate.twin import Twin, fit_twin
 from tapetum.calibrate.twin.parameters import chosen
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.data import dataset_from_arrays
 from tapetum.data.write import Rules
 from tapetum.experiments.copies import film_copy
 from tapetum.experiments.pretrain import NAME
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import NetworkEstimator, SimulationFit, adapt
 from tapetum.models.simulation.pictures import period_of
 from tapetum.models.simulation.search import PHASE

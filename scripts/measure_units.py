@@ -16,10 +16,10 @@ import torch
 import xarray as xr
 
 from tapetum.bench import load_scene
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.experiments.copies import film_copies
 from tapetum.experiments.pretrain import COPY_ACCURACY, CROP, NAME, SCENE, UNIT_FRAMES, UNIT_SEEDS
 from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
 from tapetum.models import pretrained
 from tapetum.progress import bar
 

@@ -5,16 +5,16 @@ from __future__ import annotations
 import gc
 import json
 import math
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import BaseContext
 from pathlib import Path
 
 import pytest
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 
-from tapetum.cli.memory import keep_big_blocks
+from tapetum.memory import keep_big_blocks
+from tapetum.processes import context_of
 
 Validated = Callable[..., None]
 _KEPT = pytest.StashKey[list[dict[str, object]]]()
@@ -113,12 +113,10 @@ def validated(request: pytest.FixtureRequest) -> Validated:
 
 
 @pytest.fixture(scope="session")
-def processes() -> ForkServerContext:
+def processes() -> BaseContext:
     """For processes that a test kills or limits: they fork from one that has loaded the libraries for all tests."""
-    context = multiprocessing.get_context("forkserver")
     modules = ("live.recorder", "live.log", "track.pipeline", "data.synth.work")
-    context.set_forkserver_preload([f"tapetum.{name}" for name in modules])
-    return context
+    return context_of(*(f"tapetum.{name}" for name in modules))
 
 
 @pytest.fixture(scope="module", autouse=True)

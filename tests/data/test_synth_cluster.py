@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
 import signal
 import sys
-from multiprocessing.context import ForkServerContext
 from pathlib import Path
 
 import psutil
@@ -18,12 +16,6 @@ from tapetum.data.synth.plan import Part
 from tapetum.data.synth.processes import parts_by_processes
 from tapetum.data.synth.store import Staging
 from tapetum.errors import InputError, MissingExtraError, TapetumError
-
-
-@pytest.fixture
-def forked(processes: ForkServerContext, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Processes that film fork from one that has loaded the libraries; one test starts them as they are."""
-    monkeypatch.setattr(multiprocessing, "get_context", lambda method: processes)
 
 
 def workers() -> list[psutil.Process]:
@@ -133,7 +125,7 @@ def test_processes_without_dask_one_killed_half_way_give_the_same_bytes(
     assert workers() == []
 
 
-def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path, forked: None):
+def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path):
     def kill(items, what, *, total=None):
         for item in items:
             yield item
@@ -147,7 +139,7 @@ def test_when_all_processes_die_what_is_done_is_kept(alone: str, tmp_path: Path,
     assert digest(out) == alone
 
 
-def test_a_process_that_fails_says_why(tmp_path: Path, forked: None):
+def test_a_process_that_fails_says_why(tmp_path: Path):
     plan = little_plan(2)
     staging = Staging.begin(tmp_path / "set.zarr", plan)
     missing = Part(99, 0, 10**6, 10**6 + 1)

@@ -9,13 +9,12 @@ from pathlib import Path
 
 import pytest
 
-from tapetum.data.synth.work import MALLOC
 from tapetum.errors import InputError
 from tapetum.experiments.side_by_side import side_by_side
 
 
-def write_environment(path: Path) -> None:
-    path.write_text(os.environ.get("MALLOC_ARENA_MAX", "none"), encoding="utf-8")
+def write_process(path: Path) -> None:
+    path.write_text(str(os.getpid()), encoding="utf-8")
 
 
 def refuse() -> None:
@@ -27,12 +26,11 @@ def sleep_and_write(path: Path) -> None:
     path.touch()
 
 
-def test_every_task_runs_once_and_the_environment_stays(tmp_path: Path) -> None:
-    before = dict(os.environ)
-    tasks = [partial(write_environment, tmp_path / str(k)) for k in range(5)]
+def test_every_task_runs_once_elsewhere(tmp_path: Path) -> None:
+    tasks = [partial(write_process, tmp_path / str(k)) for k in range(5)]
     assert sorted(side_by_side(tasks, 2)) == list(range(5))
-    assert {(tmp_path / str(k)).read_text() for k in range(5)} == {MALLOC["MALLOC_ARENA_MAX"]}
-    assert dict(os.environ) == before
+    ran = {(tmp_path / str(k)).read_text() for k in range(5)}
+    assert 1 <= len(ran) <= 2 and str(os.getpid()) not in ran
 
 
 def test_an_error_arrives_whole_and_ends_the_others_at_once(tmp_path: Path) -> None:
@@ -44,4 +42,4 @@ def test_an_error_arrives_whole_and_ends_the_others_at_once(tmp_path: Path) -> N
 
 def test_a_process_that_is_lost_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="processes: a process ended before its time"):
-        list(side_by_side([partial(os._exit, 9), partial(write_environment, tmp_path / "a")], 2))
+        list(side_by_side([partial(os._exit, 9), partial(write_process, tmp_path / "a")], 2))

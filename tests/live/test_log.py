@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import signal
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import BaseContext
 from pathlib import Path
 
 import pytest
@@ -60,7 +60,7 @@ def endless(path: Path, told: Connection) -> None:
         told.send(log.add(Event("a", "new", "seen", 1), b"x" * 5000))
 
 
-def test_a_killed_process_loses_nothing_that_it_wrote(tmp_path: Path, processes: ForkServerContext) -> None:
+def test_a_killed_process_loses_nothing_that_it_wrote(tmp_path: Path, processes: BaseContext) -> None:
     told, sent = processes.Pipe(duplex=False)
     process = processes.Process(target=endless, args=(tmp_path / "log.db", sent))
     process.start()

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import BaseContext
 from multiprocessing.process import BaseProcess
 from pathlib import Path
 
@@ -105,7 +105,7 @@ def limited(folder: Path, count: int, told: Connection) -> None:
 
 
 @contextlib.contextmanager
-def started(processes: ForkServerContext, folder: Path, count: int) -> Iterator[tuple[BaseProcess, Connection]]:
+def started(processes: BaseContext, folder: Path, count: int) -> Iterator[tuple[BaseProcess, Connection]]:
     here, there = processes.Pipe()
     process = processes.Process(target=limited, args=(folder, count, there))
     process.start()
@@ -117,7 +117,7 @@ def started(processes: ForkServerContext, folder: Path, count: int) -> Iterator[
         process.join()
 
 
-def test_a_limit_of_the_files_size_keeps_every_frame_before_it(tmp_path: Path, processes: ForkServerContext) -> None:
+def test_a_limit_of_the_files_size_keeps_every_frame_before_it(tmp_path: Path, processes: BaseContext) -> None:
     with started(processes, tmp_path, 60) as (process, told):
         name = told.recv()
         assert told.recv() == "ready"
@@ -129,7 +129,7 @@ def test_a_limit_of_the_files_size_keeps_every_frame_before_it(tmp_path: Path, p
     assert len(frames) >= 10
 
 
-def test_kill_9_keeps_what_was_recorded(tmp_path: Path, processes: ForkServerContext) -> None:
+def test_kill_9_keeps_what_was_recorded(tmp_path: Path, processes: BaseContext) -> None:
     with started(processes, tmp_path, 12) as (process, told):
         name = told.recv()
         assert told.recv() == "ready"

@@ -12,7 +12,7 @@ import subprocess
 import threading
 import time
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import BaseContext
 from pathlib import Path
 
 import numpy as np
@@ -150,7 +150,7 @@ def endless(path: Path, sent: Connection) -> None:
 
 
 @pytest.mark.parametrize("after", [1, 40])
-def test_kill_9_in_the_middle_of_filming(tmp_path: Path, after: int, processes: ForkServerContext) -> None:
+def test_kill_9_in_the_middle_of_filming(tmp_path: Path, after: int, processes: BaseContext) -> None:
     path = tmp_path / "a.rec"
     told, sent = processes.Pipe(duplex=False)
     process = processes.Process(target=endless, args=(path, sent))
@@ -215,7 +215,7 @@ def limited(path: Path, told: Connection) -> None:
         told.send(str(error))
 
 
-def test_a_file_that_may_grow_no_more(tmp_path: Path, processes: ForkServerContext) -> None:
+def test_a_file_that_may_grow_no_more(tmp_path: Path, processes: BaseContext) -> None:
     path = tmp_path / "a.rec"
     told, sent = processes.Pipe(duplex=False)
     process = processes.Process(target=limited, args=(path, sent))

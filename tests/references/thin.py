@@ -17,7 +17,8 @@ import numpy as np
 import numpy.typing as npt
 
 from .plane import Plane, Points, TooLargeError, points
-from .quadrature import Complex, Real, cardinals, interpolation, legendre, phasor, region_weights
+from .quadrature import Complex, Real, cardinals, folded, halved, interpolation, legendre, phasor, region_weights
+from .quadrature import times, unfolded
 from .way import Probe, through_aperture
 
 __all__ = ["Beam", "Effort", "ThinLens", "TooLargeError", "amplitudes"]
@@ -248,29 +249,37 @@ class _Kernel:
         return 2 * len(self.knots) * one
 
     def there(self, field: Complex, x: Real) -> Complex:
-        """At the plane's points, with weights and amplitudes in it, of a field [y, x] with weights in it."""
+        """At the plane's points, with weights and amplitudes in it, of a field [y, x] with weights in it.
+
+        The places x stand in pairs about 0, here and on the way back.
+        """
         total = np.zeros(self.found.u.shape, np.complex128)
         for knot, share in zip(self.knots, self.shares, strict=True):
-            rows = self._wave(self.found.v, x, knot) @ field
+            own, turns = self._own(x, knot), self.k * knot
+            rows = times(halved(turns * self.found.v, x), folded(field * own * own[:, None]))
+            columns = folded(rows.T)
             part = np.empty_like(total)
             for u, some in self.alike:
-                part[some] = rows[some] @ self._wave(u, x, knot).T
-            total += part * share
+                part[some] = times(halved(turns * u, x), columns[:, some]).T * self._own(u, knot)
+            total += part * (self._own(self.found.v, knot)[:, None] * share)
         return total * self.factor
 
     def back(self, reflected: Complex, x: Real) -> Complex:
         """At the pupil's points [y, x]."""
         total = np.zeros((len(x), len(x)), np.complex128)
         for knot, share in zip(self.knots, self.shares, strict=True):
-            part = reflected * share
-            rows = np.empty((len(self.found.v), len(x)), np.complex128)
+            own, turns = self._own(x, knot), self.k * knot
+            part = reflected * (self._own(self.found.v, knot)[:, None] * share)
+            columns = np.empty((len(x), len(self.found.v)), np.complex128)
             for u, some in self.alike:
-                rows[some] = part[some] @ self._wave(u, x, knot)
-            total += self._wave(self.found.v, x, knot).T @ rows
+                columns[:, some] = times(halved(turns * u, x).T, (part[some] * self._own(u, knot)).T)
+            rows = times(halved(turns * self.found.v, x).T, unfolded(columns).T)
+            total += unfolded(rows) * own * own[:, None]
         return total
 
-    def _wave(self, u: Real, x: Real, knot: float) -> Complex:
-        return phasor(self.k / 2 * knot * (u[..., None] - x) ** 2)
+    def _own(self, u: Real, knot: float) -> Complex:
+        """What exp(ik|u - x|²/2ζ) has of u alone; of both it has exp(-ik u·x/ζ)."""
+        return phasor(self.k / 2 * knot * u**2)
 
 
 def _far(exit_field: Complex, nodes: Real, s: Real, cosine: float, k: float, probe: Probe, pixels: Real) -> Complex:
@@ -279,9 +288,8 @@ def _far(exit_field: Complex, nodes: Real, s: Real, cosine: float, k: float, pro
     square = float(s @ s)
     if square > 0:
         directions = directions - (1 - cosine) / square * np.outer(directions @ s, s)
-    turns = -directions
-    across, down = phasor(k * np.outer(turns[:, 0], nodes)), phasor(k * np.outer(turns[:, 1], nodes))
-    return ((down @ exit_field) * across).sum(1) * (k / (2 * math.pi * probe.focal_length))
+    down = times(halved(k * directions[:, 1], nodes), folded(exit_field))
+    return (down * phasor(-k * np.outer(directions[:, 0], nodes))).sum(1) * (k / (2 * math.pi * probe.focal_length))
 
 
 def _turned(field: Complex, half: float, nodes: Real, turn: Real) -> Complex:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .plane import TooLargeError
-from .quadrature import Complex, Real, interpolation, legendre, phasor, region_weights
+from .quadrature import Complex, Real, folded, halved, interpolation, legendre, phasor, region_weights, times
 
 _MOST_APERTURE = 900
 
@@ -48,8 +48,8 @@ def through_aperture(
     field = _at_aperture(exit_field, nodes, places, sine, k, probe.distance)
     field = field * region_weights(count, probe.radius)
     across = phasor(-k / probe.focal_length * np.outer(pixels[:, 0], places))
-    down = phasor(-k / probe.focal_length * np.outer(pixels[:, 1], places))
-    return ((down @ field) * across).sum(1) * (k / (2 * math.pi * probe.focal_length))
+    down = times(halved(k / probe.focal_length * pixels[:, 1], places), folded(field))
+    return (down * across).sum(1) * (k / (2 * math.pi * probe.focal_length))
 
 
 def _at_aperture(exit_field: Complex, x: Real, a: Real, sine: float, k: float, distance: float) -> Complex:

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkServerContext
+from multiprocessing.context import BaseContext
 from pathlib import Path
 
 import cv2
@@ -92,7 +92,7 @@ def test_a_signal_waits_for_the_frame_under_way(tmp_path: Path) -> None:
     assert tracks["frame"].to_pylist() == list(range(7)) and set(tracks["gaze_x"].to_pylist()) == {0.25}
 
 
-def test_a_kill_costs_a_second_at_most(tmp_path: Path, processes: ForkServerContext) -> None:
+def test_a_kill_costs_a_second_at_most(tmp_path: Path, processes: BaseContext) -> None:
     folders = [tmp_path / kind for kind in KINDS]
     for folder in folders:
         folder.mkdir()
@@ -113,7 +113,7 @@ def endless(out: Path, sent: Connection) -> None:
     track_to_file(seen(), out)
 
 
-def killed(folder: Path, kind: str, processes: ForkServerContext) -> None:
+def killed(folder: Path, kind: str, processes: BaseContext) -> None:
     """Kill a process that tracks; check what it leaves."""
     asked, sent = processes.Pipe(duplex=False)
     process = processes.Process(target=endless, args=(folder / f"t.{kind}", sent))

@@ -24,7 +24,6 @@ from tapetum.cli.detect import detect
 from tapetum.cli.evaluate import evaluate
 from tapetum.cli.export import export
 from tapetum.cli.fuse import fuse
-from tapetum.cli.memory import keep_big_blocks
 from tapetum.cli.options import Command
 from tapetum.cli.paper import paper
 from tapetum.cli.plan import plan
@@ -35,6 +34,7 @@ from tapetum.cli.track import track
 from tapetum.cli.train import train
 from tapetum.cli.twin import twin
 from tapetum.errors import InputError, StoppedError, TapetumError
+from tapetum.memory import keep_big_blocks
 
 __all__ = ["app", "main", "root_command"]
 

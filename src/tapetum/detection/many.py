@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import multiprocessing
-import signal
 from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from multiprocessing.shared_memory import SharedMemory
@@ -25,6 +23,7 @@ from tapetum.detection.find import find_cameras
 from tapetum.detection.found import Found
 from tapetum.errors import InputError
 from tapetum.futures import in_order
+from tapetum.processes import begin_beside, context_of
 
 __all__ = ["find_each"]
 
@@ -93,8 +92,8 @@ def _by_processes(stack: contextlib.ExitStack, processes: int, options: dict[str
                 one.unlink()
 
     stack.callback(released)
-    spawned = multiprocessing.get_context("spawn")
-    pool = stack.enter_context(ProcessPoolExecutor(processes, mp_context=spawned, initializer=_alone))
+    context = context_of("tapetum.detection.find")
+    pool = stack.enter_context(ProcessPoolExecutor(processes, mp_context=context, initializer=_alone))
 
     def submit(number: int, lit: NDArray[np.generic], dark: NDArray[np.generic] | None) -> Future[Found]:
         arrays = [np.asarray(one) for one in (lit, dark) if one is not None]
@@ -120,7 +119,7 @@ def _by_processes(stack: contextlib.ExitStack, processes: int, options: dict[str
 
 def _alone() -> None:
     """Make a process ready: one thread, and Ctrl-C is its parent's."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_beside()
     cv2.setNumThreads(1)
     threadpool_limits(1, user_api="blas")
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
-import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
-from tapetum.data.synth.work import keeping_memory, one_thread
+from tapetum.data.synth.work import one_thread
 from tapetum.errors import InputError
+from tapetum.processes import begin_beside, context_of
 
 __all__ = ["side_by_side"]
 
@@ -31,10 +31,10 @@ def side_by_side(tasks: Sequence[Callable[[], object]], processes: int) -> Itera
             yield number
         return
     before = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), initializer=_leave_interrupts) as pool:
+    context = context_of("tapetum.data.synth.work", __name__)
+    with ProcessPoolExecutor(processes, context, initializer=begin_beside) as pool:
         # Processes start when the first tasks are submitted.
-        with keeping_memory():
-            waiting = {pool.submit(_run, task): number for number, task in enumerate(tasks)}
+        waiting = {pool.submit(_run, task): number for number, task in enumerate(tasks)}
         started = set(multiprocessing.active_children()) - before
         try:
             for done in as_completed(waiting):
@@ -47,11 +47,6 @@ def side_by_side(tasks: Sequence[Callable[[], object]], processes: int) -> Itera
             # Where all is done they are idle; otherwise a film would go on for minutes.
             for process in started:
                 process.terminate()
-
-
-def _leave_interrupts() -> None:
-    # Ctrl-C reaches all processes of a terminal; the one that waits ends the others.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _run(task: Callable[[], object]) -> None:

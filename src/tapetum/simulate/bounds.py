@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import functools
 import math
-import multiprocessing
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from tapetum.bench import Scene, with_values
 from tapetum.errors import InputError
+from tapetum.processes import context_of
 from tapetum.progress import Progress, quiet
 from tapetum.simulate.information import FisherInformation, information_of, slopes_of
 
@@ -255,8 +255,8 @@ def focus_bounds(
     with contextlib.ExitStack() as stack:
         found = map(one, scenes)
         if workers > 1:
-            spawned = multiprocessing.get_context("spawn")
-            pool = ProcessPoolExecutor(workers, mp_context=spawned, initializer=torch.set_num_threads, initargs=(1,))
+            context = context_of(__name__)
+            pool = ProcessPoolExecutor(workers, mp_context=context, initializer=torch.set_num_threads, initargs=(1,))
             found = stack.enter_context(pool).map(one, scenes)
         matrices = torch.stack(list(progress(found, "bounding the focus", total=len(pairs)))).numpy()
     size = len(names)

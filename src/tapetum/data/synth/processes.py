@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import multiprocessing
-import signal
 from collections import deque
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -14,8 +12,9 @@ from pathlib import Path
 
 from tapetum.data.synth.plan import Part, Plan
 from tapetum.data.synth.store import Staging
-from tapetum.data.synth.work import keep_part, keeping_memory
+from tapetum.data.synth.work import keep_part
 from tapetum.errors import TapetumError
+from tapetum.processes import begin_beside, context_of
 
 __all__ = ["parts_by_processes"]
 
@@ -68,18 +67,17 @@ def _runs(parts: Sequence[Part], count: int) -> list[list[Part]]:
 @contextlib.contextmanager
 def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
     """Start processes; end them on leaving."""
-    context = multiprocessing.get_context("spawn")
+    context = context_of("tapetum.data.synth.work")
     connections: list[Connection] = []
     processes: list[BaseProcess] = []
-    with keeping_memory():
-        for _ in range(count):
-            here, there = context.Pipe()
-            process = context.Process(target=_film, args=(there, path, plan), daemon=True)
-            process.start()
-            # An open copy of the other end would hide that the process has ended.
-            there.close()
-            connections.append(here)
-            processes.append(process)
+    for _ in range(count):
+        here, there = context.Pipe()
+        process = context.Process(target=_film, args=(there, path, plan), daemon=True)
+        process.start()
+        # An open copy of the other end would hide that the process has ended.
+        there.close()
+        connections.append(here)
+        processes.append(process)
     try:
         yield connections
     finally:
@@ -92,8 +90,7 @@ def _started(count: int, path: Path, plan: Plan) -> Iterator[list[Connection]]:
 
 def _film(connection: Connection, path: Path, plan: Plan) -> None:
     """Make parts as requested until the other end closes."""
-    # Ctrl-C reaches all processes of a terminal; the one that asks ends this one.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_beside()
     with contextlib.suppress(EOFError, BrokenPipeError, ConnectionResetError):
         while True:
             for part in connection.recv():

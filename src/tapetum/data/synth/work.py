@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import functools
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -25,24 +24,7 @@ from tapetum.record.clocks import NoOverlapError
 from tapetum.record.labels import NoLaserError
 from tapetum.record.shot import Shot
 
-__all__ = ["MALLOC", "keep_part", "keeping_memory", "make_part", "one_thread", "shot_of"]
-
-MALLOC = {"MALLOC_MMAP_THRESHOLD_": str(1 << 30), "MALLOC_TRIM_THRESHOLD_": str(2**31 - 1), "MALLOC_ARENA_MAX": "1"}
-"""Environment of processes that film: glibc keeps memory between arrays, which halves the time of a part. The command
-line does the same by mallopt (see tapetum.cli.memory)."""
-
-
-@contextlib.contextmanager
-def keeping_memory() -> Iterator[None]:
-    """Processes that start in this block keep memory between arrays."""
-    before = dict(os.environ)
-    os.environ.update(MALLOC)
-    try:
-        yield
-    finally:
-        for name in MALLOC:
-            del os.environ[name]
-        os.environ.update(before)
+__all__ = ["keep_part", "make_part", "one_thread", "shot_of"]
 
 
 @contextlib.contextmanager
