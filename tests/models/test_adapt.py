@@ -208,6 +208,24 @@ def test_seconds_choose_frames_spread_over_the_field_or_the_first_ones(base: Net
     assert row.data_hash_ == first.tp.hash != spread.data_hash_
 
 
+@pytest.mark.parametrize("unlike", [False, True])
+def test_of_much_film_frames_of_random_moments_choose_and_calibrate(
+    base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch, unlike: bool
+) -> None:
+    monkeypatch.setattr(fine_tuning, "_UNLIKE", 0.0 if unlike else np.inf)
+    # All layers are kept, whatever they err by.
+    monkeypatch.setattr(fine_tuning, "_CLEARLY", np.inf)
+    monkeypatch.setattr(fine_tuning, "_SURE", 0.0)
+    told = adapt(base, other(900, 10, reach=0.2), seconds=20, epochs=1).training_ or {}
+    assert "75 at random moments and the others spread over the field" in told["adapted_from"]["choice"]
+    assert "random moments of the film" in told["intervals"] and told["adapted_from"]["frames"] == 300
+    # The fitted frames were chosen apart from these, so that none is lost between them.
+    assert told["calibrated_on"] < 75 and told["fitted"] >= 225
+    assert told["embargo"] <= 20
+    if not unlike:
+        assert told["fitted"] == 225
+
+
 def interrupted(base: NetworkEstimator, data: xr.Dataset, folder: Path, after: int) -> None:
     """Adapt, and stop as Ctrl-C does when so many loops have begun."""
     begun = 0

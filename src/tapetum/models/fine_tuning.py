@@ -49,7 +49,7 @@ from tapetum.models.training import (
 from tapetum.models.zernike_ridge import ZernikeRidge, ridge_residuals
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "better_of", "epochs_of", "ridge_scales"]
+__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "better_of", "epochs_of", "kept_aside", "ridge_scales"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -96,7 +96,10 @@ _SMALLEST = 16
 
 @dataclass
 class Adaptation:
-    """One adaptation: the frames as the network takes them (`looks`), in the order of `part`."""
+    """One adaptation: the frames as the network takes them (`looks`), in the order of `part`.
+
+    `aside` [N] are frames of random moments that choose and calibrate; None where stretches of the film do.
+    """
 
     base: NetworkEstimator
     part: TrainingPart
@@ -108,6 +111,7 @@ class Adaptation:
     folds: NDArray[np.int64]
     few: bool
     single: bool
+    aside: NDArray[np.bool_] | None
     device: str
     progress: Progress
     kept: KeptFolds
@@ -124,6 +128,7 @@ class Adaptation:
         base: NetworkEstimator,
         part: TrainingPart,
         sparse: bool,
+        aside: NDArray[np.bool_] | None,
         epochs: int | None,
         seed: int,
         precision: str,
@@ -159,6 +164,7 @@ class Adaptation:
             "frames": n,
             "settings": asdict(settings),
             "single": single,
+            "random": aside is not None,
         }
         work = cls(
             base,
@@ -171,6 +177,7 @@ class Adaptation:
             folds,
             few,
             single,
+            aside,
             device,
             progress,
             KeptFolds(None if checkpoint is None else Path(checkpoint), resume),
@@ -386,7 +393,7 @@ class Adaptation:
                 **self._begun,
             },
             "left_out_error": left_out,
-            "intervals": f"from stretches of the film that {apart}",
+            "intervals": f"from {'stretches' if self.aside is None else 'random moments'} of the film that {apart}",
         }
         return self._estimator(network, residuals, self.snr[calibrate], summary, told)
 
@@ -395,7 +402,7 @@ class Adaptation:
 
         All frames of one stretch do the same.
         """
-        aside = self.folds == np.unique(self.folds)[-1]
+        aside = self.folds == np.unique(self.folds)[-1] if self.aside is None else self.aside
         places = np.flatnonzero(aside)
         edges = np.flatnonzero(np.diff(places) > 1) + 1
         stretches = np.split(places, edges)
@@ -506,6 +513,11 @@ class Adaptation:
         took = {"took_seconds": round(time.monotonic() - self.started, 1)}
         model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
         return model
+
+
+def kept_aside(frames: int) -> int:
+    """Return how many of so many frames choose and calibrate; 0 where they are few and each does so in its turn."""
+    return 0 if frames <= _FEW else round((_CHOOSE + _CALIBRATE) * frames)
 
 
 def better_of(errors: Mapping[str, float]) -> str:
