@@ -43,7 +43,7 @@ def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     from tapetum.record import Session
 
     # The room's function hides the module of its name.
-    monkeypatch.setattr(sys.modules["tapetum.record.film"], "Session", lambda: Session(seconds=2.4))
+    monkeypatch.setattr(sys.modules["tapetum.record.film"], "Session", lambda: Session(seconds=1.4))
     defaults = ResNet18.__init__.__kwdefaults__
     assert defaults is not None
     monkeypatch.setitem(defaults, "epochs", 1)
@@ -90,7 +90,7 @@ def a_set(out: Path) -> None:
     """Something to train on in the place of a set that takes minutes to film."""
     import tapetum as tp
 
-    recording = tp.film("hand-held", f"{out.stem}-short.rec", tp.Session(seconds=2.4))
+    recording = tp.film("hand-held", f"{out.stem}-short.rec", tp.Session(seconds=1.4))
     tp.label_recording(recording)
     tp.build_dataset([recording.path], out)
 

@@ -45,7 +45,10 @@ def peer(lens: Lens, image: float, radius: float, angle: float = 0.0) -> Any:
         # Its odd asphere counts the powers from 1, ours from 2; millimetres.
         coefficients = [0.0, *(a * 1e-3 ** (j + 1) for j, a in enumerate(powers))]
         curvature = float(lens.curvature[i])
-        kind = {"surface_type": "odd_asphere", "coefficients": coefficients, "tol": 1e-14} if any(powers) else {}
+        kind: dict[str, Any] = {}
+        if any(powers):
+            # Rays that miss the surface are never within the tolerance; the others are after eight steps at most.
+            kind = {"surface_type": "odd_asphere", "coefficients": coefficients, "tol": 1e-14, "max_iter": 10}
         optic.add_surface(
             index=i + 1,
             radius=1e3 / curvature if curvature else np.inf,

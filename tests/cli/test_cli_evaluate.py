@@ -72,12 +72,12 @@ def test_a_scene_stands_where_a_model_does(run, tmp_path: Path, monkeypatch: pyt
     changes = ["probe.sensor.pixels=[112, 112]", "probe.sensor.pitch=4.4 um", "sampling.accuracy=0.05"]
     scene = load_scene("hand-held", [*changes, "second_beam=null"])
     rng = np.random.default_rng(1)
-    gazes = rng.uniform(-0.3, 0.3, (10, 2))
+    gazes = rng.uniform(-0.3, 0.3, (6, 2))
     pictures = Pictures(scene, 100)
     light = torch.from_numpy(pictures.render(pictures.start(), gazes) + dark_electrons(scene.probe.sensor))
     images = np.stack([digitise(one, scene.probe.sensor, rng) for one in light])
     labels = {"gaze_x": gazes[:, 0], "gaze_y": gazes[:, 1]}
-    made = dataset_from_arrays(images, labels, full_scale=255, split=np.r_[0, 0, np.ones(8, np.int8)])
+    made = dataset_from_arrays(images, labels, full_scale=255, split=np.r_[0, 0, np.ones(4, np.int8)])
     monkeypatch.setattr("tapetum.data.open_dataset", lambda path: made)
     path = tmp_path / "twin.yaml"
     path.write_text(scene_yaml(scene))

@@ -2,20 +2,32 @@
 
 from __future__ import annotations
 
+import io
 import sys
+from contextlib import redirect_stderr, redirect_stdout
 from pathlib import Path
 
 import numpy as np
 import pytest
 from pyarrow import csv
+from tests.cli.conftest import Ran
 
+from tapetum.cli.app import main
 from tapetum.models import pretrained
 from tapetum.models.fast import FastResNet18
 
 
-def test_the_bundled_model(run, tmp_path: Path) -> None:
-    out = tmp_path / "gaze.onnx"
-    ran = run("export", "thin-lens-gaze", "-o", out)
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Ran]:
+    """The bundled model as a file, and what the command that made it said."""
+    path = tmp_path_factory.mktemp("exported") / "gaze.onnx"
+    with redirect_stdout(io.StringIO()) as out, redirect_stderr(io.StringIO()) as err:
+        code = main(["export", "thin-lens-gaze", "-o", str(path)])
+    return path, Ran(code, out.getvalue(), err.getvalue())
+
+
+def test_the_bundled_model(exported: tuple[Path, Ran]) -> None:
+    out, ran = exported
     assert (ran.code, ran.err) == (0, "")
     assert ran.out == f"{out}: 50 MB\n" and out.stat().st_size == pytest.approx(50e6, rel=0.02)
     images = np.random.default_rng(0).integers(0, 256, (2, 330, 330), dtype=np.uint8)
@@ -23,11 +35,10 @@ def test_the_bundled_model(run, tmp_path: Path) -> None:
     np.testing.assert_allclose(FastResNet18(out, threads=1).predict(images).value, wanted.value, rtol=0, atol=1e-5)
 
 
-def test_what_was_exported_evaluates_and_tracks(run, chain, tmp_path: Path) -> None:
-    fast, tables, film = tmp_path / "gaze.onnx", {}, tmp_path / "film.rec"
+def test_what_was_exported_evaluates_and_tracks(run, chain, exported: tuple[Path, Ran], tmp_path: Path) -> None:
+    (fast, _), tables, film = exported, {}, tmp_path / "film.rec"
     # Of the chain's drawn spots the model says nothing: it was made for a camera.
     assert run("record", "hand-held", "--seconds", "1", "--seed", "41", "-o", film).code == 0
-    assert run("export", "thin-lens-gaze", "-o", fast).code == 0
     for name in ("thin-lens-gaze", str(fast)):
         out = tmp_path / "tracks.csv"
         ran = run("track", film, "--model", name, "-o", out, "--overwrite")

@@ -107,6 +107,7 @@ def test_train(run, chain, small: Small) -> None:
         assert not list(folder.iterdir())
 
 
+@pytest.mark.usefixtures("narrow")
 def test_train_resnet(run, chain, small: Small) -> None:
     with small(1 << 20) as folder:
         ran = run("train", chain.dataset, "--model", "resnet18", "--epochs", 1, "-o", folder / "m")

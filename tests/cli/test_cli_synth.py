@@ -16,7 +16,7 @@ from tapetum.data.write import Rules
 
 
 def little(kind: str, size: str, seed: int, units: object = None, scene: object = None) -> Plan:
-    """In place of the bundled plans: one video of four seconds by little cameras."""
+    """In place of the bundled plans: one video of three seconds by little cameras."""
     values = {
         "probe.sensor.pixels": [96, 80],
         "probe.sensor.pitch": "4.4 um",
@@ -26,7 +26,7 @@ def little(kind: str, size: str, seed: int, units: object = None, scene: object 
     plan = synth.rotation_plan(with_values(load_scene("hand-held"), values), size, seed)
     session = plan.videos[0].session
     # So little a frame holds but a quiet hand.
-    session = replace(session, seconds=4.0, motion=replace(session.motion, sway=3e-3))
+    session = replace(session, seconds=3.0, motion=replace(session.motion, sway=3e-3))
     video = replace(plan.videos[0], session=session)
     return replace(plan, kind=kind, videos=(video,), rules=Rules(side=24))
 

@@ -57,8 +57,10 @@ def exposed(picture: np.ndarray, seed: int, shift: tuple[float, float] = (0, 0),
 
 
 def glint(picture: np.ndarray, x: float, y: float, height: float, sigma: float) -> np.ndarray:
-    rows, columns = np.mgrid[: picture.shape[0], : picture.shape[1]]
-    return picture + height * np.exp(-((columns - x) ** 2 + (rows - y) ** 2) / (2 * sigma**2)).astype(np.float32)
+    down, along = (
+        np.exp(-((np.arange(n) - at) ** 2) / (2 * sigma**2)) for n, at in zip(picture.shape, (y, x), strict=True)
+    )
+    return picture + height * np.outer(down, along).astype(np.float32)
 
 
 def soft(seed: int) -> np.ndarray:

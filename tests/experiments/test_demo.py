@@ -15,14 +15,19 @@ from tapetum.experiments.demo import run_demo
 from tapetum.experiments.pretrain import FRESH_SEED, NEAR_AXIS, TRAIN_SEEDS
 from tapetum.models import load_model
 from tapetum.report import demo_report, html
+from tapetum.report.figures import figure_png
 from tapetum.track import read_tracks
+
+SECONDS = 2.2
 
 
 def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     said: list[str] = []
-    # Few gazes in the maps: each is an image in fine sampling.
+    # Few gazes in the maps: each is an image in fine sampling. The report's figures with few pixels.
     monkeypatch.setattr(demo, "_MAP", (3, 3))
-    outcome = run_demo(tmp_path / "out", seconds=2.8, seed=3, say=said.append)
+    for module in (html, demo_report):
+        monkeypatch.setattr(module, "figure_png", lambda figure, dpi=160: figure_png(figure, dpi=40))
+    outcome = run_demo(tmp_path / "out", seconds=SECONDS, seed=3, say=said.append)
     page = outcome.report.read_text(encoding="utf-8")
     # Self-contained: nothing is asked of any network.
     assert not re.search(r"(src|href)=[\"']https?://", page)
@@ -51,7 +56,7 @@ def test_from_a_scene_to_a_report(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(demo, "sign_dprime", lambda scene, gaze: torch.zeros(len(gaze), dtype=torch.float64))
     video = outcome.folder / "demo.rec" / "probe.mkv"
     before, first = video.stat().st_mtime_ns, outcome.report.stat().st_mtime_ns
-    run_demo(tmp_path / "out", seconds=2.8, seed=3)
+    run_demo(tmp_path / "out", seconds=SECONDS, seed=3)
     assert video.stat().st_mtime_ns == before and outcome.report.stat().st_mtime_ns > first
 
 

@@ -10,9 +10,11 @@ from typing import Any
 
 import pytest
 
+from tapetum.detection import Found
 from tapetum.live.loop import Watch
 from tapetum.record.drawn_room import DrawnRoom
 from tapetum.record.source import Frame, Source
+from tapetum.track import cameras
 
 
 @dataclass
@@ -66,9 +68,35 @@ def watched(opens: Callable[[], Source], **options: Any) -> Watch:
 
 
 @pytest.fixture(scope="session")
-def some_seconds() -> list[Frame]:
-    """Frames enough for cameras to be seen before the source ends: nearly all of a watch's time is the search."""
-    return room_frames(2.4, rate=15.0)
+def searched_once() -> tuple[list[Frame], Callable[..., Found]]:
+    """Frames of a room, and a search that keeps what it found in pairs of them; others it searches each time."""
+    frames = room_frames(2.4, rate=15.0)
+    # A watch copies its frames: they are known by their pixels.
+    number = {one.image.tobytes(): k for k, one in enumerate(frames)}
+    found, search = dict[tuple[object, ...], Found](), cameras.find_cameras
+
+    def searched(lit: Any, dark: Any, **options: Any) -> Found:
+        pair = tuple(None if one is None else number.get(one.tobytes(), -1) for one in (lit, dark))
+        if -1 in pair:
+            return search(lit, dark, **options)
+        key = *pair, *options.items()
+        if key not in found:
+            found[key] = search(lit, dark, **options)
+        return found[key]
+
+    return frames, searched
+
+
+@pytest.fixture(scope="module")
+def some_seconds(searched_once: tuple[list[Frame], Callable[..., Found]]) -> Iterator[list[Frame]]:
+    """Frames enough for cameras to be seen before the source ends.
+
+    Nearly all of a watch's time is the search, which finds the same in the same pictures: each pair is searched once.
+    """
+    frames, searched = searched_once
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cameras, "find_cameras", searched)
+        yield frames
 
 
 @pytest.fixture(scope="session")

@@ -53,7 +53,11 @@ def test_a_scene_comes_back_as_pictures_and_figures(client):
         ('{"settings": {"gaze_x": 3}}', 422, "gaze_x: 3 is out of range; give -0.5 to 0.5 of field"),
         ('{"settings": {"nonsense": 3}}', 422, "nonsense: there is no such setting"),
         ('{"settings": {"focal_length": 300, "focus": 0.25}}', 422, "focus farther away"),
-        ('{"settings": {"lens": "phone-c", "gaze_x": 0.5, "gaze_y": 0.5}}', 422, "the spot lies across the edge"),
+        (
+            '{"settings": {"lens": "compact-6mm-f1.9", "gaze_x": 0.5, "gaze_y": 0.5}}',
+            422,
+            "the spot lies across the edge",
+        ),
         ('{"scene": "/etc/passwd"}', 422, "scene: no scene is called"),
         ('{"settings": {"gaze_x": NaN}}', 422, "settings"),
         ('{"pixels": 9}', 422, "pixels"),

@@ -115,8 +115,8 @@ def test_a_handful_of_copies_says_nothing() -> None:
 
 
 def test_a_model_keeps_what_copies_differ_by(small: xr.Dataset, tmp_path: Path) -> None:
-    copies = copies_set(FEWEST_COPIES, 12, 0.3)
-    model = ResNet18(epochs=2, **QUICK).fit(small.tp.train, copies=copies)
+    copies = copies_set(FEWEST_COPIES, 6, 0.3)
+    model = ResNet18(epochs=1, **QUICK).fit(small.tp.train, copies=copies)
     assert model.prior_ is not None and model.prior_.factors.shape[:2] == (2, model.network_.width + 1)
     save_model(model, tmp_path / "m")
     again = load_model(tmp_path / "m")

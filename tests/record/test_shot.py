@@ -44,7 +44,7 @@ def column(shot: Shot, name: str, stream: str = "probe", target: int = 0) -> np.
 
 def test_frames_do_not_depend_on_what_else_was_asked_for(small: Scene) -> None:
     # Eight frames are rendered together: two whole batches and one of a single frame.
-    small = with_values(small, {"sampling.accuracy": 0.02})
+    small = with_values(small, {"sampling.accuracy": 0.02, "target.lens.aperture_radius": 2e-3})
     session = Session(1.15, seed=7, motion=BUSY, power_jitter=0.01, exposure=Exposure(drift=0.1))
     whole = Shot(small, session)
     probe, target = whole.probe(0, 17), whole.target(0, 17)

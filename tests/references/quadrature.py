@@ -24,6 +24,11 @@ def phasor(phase: Real) -> Complex:
     """exp(i phase)."""
     # Torch's sine and cosine are vectorised, NumPy's complex exponential is not.
     turned = torch.from_numpy(np.ascontiguousarray(phase, np.float64))
+    # Of angles beyond some 2e4 they take three times as long; what rounding makes of those is as much as this does.
+    if turned.numel() and max(map(abs, map(float, turned.aminmax()))) > 1e4:
+        turned = turned * (0.5 / math.pi)
+        turned -= turned.round()
+        turned *= 2 * math.pi
     return torch.complex(torch.cos(turned), torch.sin(turned)).numpy()
 
 
@@ -109,7 +114,7 @@ def _polynomials(count: int, x: Real) -> Real:
     return found
 
 
-@functools.lru_cache(maxsize=16)
+@functools.lru_cache(maxsize=64)
 def _cardinal(count: int) -> Real:
     """Coefficients over Legendre polynomials of the functions that are 1 at one point and 0 at the others."""
     nodes, weights = legendre(count)
@@ -136,13 +141,16 @@ def region_weights(count: int, radius: float, chords: Chords | None = None, fine
 
 @functools.lru_cache(maxsize=32)
 def _disc(count: int) -> Real:
-    """Weights for the disc of radius 1."""
-
-    def chords(y: Real) -> tuple[Real, Real]:
-        high = np.sqrt(np.maximum(1 - y**2, 0.0))
-        return -high, high
-
-    return _within(count, chords, 2 * count + 40)
+    """Weights for the disc of radius 1, as `_within` has them, by the chords of its upper half."""
+    fine = 2 * count + 40
+    turns, weights = (one[fine // 2 :] for one in legendre(fine))
+    y, half = np.sin(math.pi / 2 * turns), np.cos(math.pi / 2 * turns)
+    # From -half to half even polynomials count twice, odd ones not at all.
+    p, degrees = _polynomials(count + 1, half), np.arange(2, count, 2)[:, None]
+    whole = 2 * np.concatenate([p[1:2], (p[3 : count + 1 : 2] - p[1 : count - 1 : 2]) / (2 * degrees + 1)])
+    across = whole.T @ _cardinal(count)[::2]
+    upper = (cardinals(count, y) * (weights * math.pi / 2 * half)[:, None]).T @ across
+    return upper + upper[::-1]
 
 
 def _within(count: int, chords: Chords, fine: int) -> Real:

@@ -143,7 +143,7 @@ def test_two_hundred_scenes(tmp_path: Path) -> None:
 
 
 def test_a_picture_of_a_slightly_other_scene_differs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kind, plain = draw(4, 1, tmp_path)
+    kind, plain = draw(4, 19, tmp_path)
 
     def other(scene: object) -> object:
         turned = [1.05 * angle for angle in plain["target"]["rotation"]]

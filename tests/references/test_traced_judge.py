@@ -105,10 +105,10 @@ def test_edges_stand_in_the_image_of_the_stop(distance: float, validated) -> Non
     # The pupil lies q behind the front focus: there and back again from it, [[a, b], [c, a]].
     q = focal**2 / (far.image - far.exit_pupil())
     a, b = -1 - 2 * moved * q / focal**2, 2 * q + 2 * moved * q**2 / focal**2
-    # 4000 nodes in 100 pieces: one rule of so many would take its eigenvalues ten seconds.
+    # 1000 nodes in 25 pieces; ten pieces give the same to 1e-14.
     nodes, weights = np.polynomial.legendre.leggauss(40)
-    nodes = ((np.arange(100)[:, None] * 2 + 1 + nodes) / 100 - 1).ravel()
-    weights = np.tile(weights / 100, 100)
+    nodes = ((np.arange(25)[:, None] * 2 + 1 + nodes) / 25 - 1).ravel()
+    weights = np.tile(weights / 25, 25)
     radius = focal / (2 * number)
     e, area = (nodes + 1) / 2 * radius, weights * (nodes + 1)
     k = 2 * math.pi / WAVELENGTH

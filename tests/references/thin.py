@@ -17,8 +17,19 @@ import numpy as np
 import numpy.typing as npt
 
 from .plane import Plane, Points, TooLargeError, points
-from .quadrature import Complex, Real, cardinals, folded, halved, interpolation, legendre, phasor, region_weights
-from .quadrature import times, unfolded
+from .quadrature import (
+    Complex,
+    Real,
+    cardinals,
+    folded,
+    halved,
+    interpolation,
+    legendre,
+    phasor,
+    region_weights,
+    times,
+    unfolded,
+)
 from .way import Probe, through_aperture
 
 __all__ = ["Beam", "Effort", "ThinLens", "TooLargeError", "amplitudes"]

@@ -27,7 +27,7 @@ __all__ = ["rim_curvatures", "traced_amplitudes"]
 # Dark rings that the sum over the sensor holds beyond the rays, at a window of 1; it fades out over the outer half.
 _RINGS = 14.0
 _MOST_RAYS, _MOST_POINTS = 30_000, 700_000
-_AT_ONCE = 1 << 20
+_AT_ONCE = 1 << 17
 # Differences are taken over so many focal lengths, and over such sines.
 _STEP = 1e-4
 
@@ -278,9 +278,9 @@ def _at(found: Points, wave: _Wave, place: float, a: Real, centre: Real, k: floa
         strength = (wave.strength[some] * (k / (2 * math.pi)))[:, None]
         for knot, share in zip(knots, shares, strict=True):
             at = middle + half * knot
-            length = np.sqrt(R2 + at + Y)
-            path = wave.path[some, None] + length - at / (2 * R)
-            down = phasor(k * path) * (strength / length)
+            length = np.sqrt((R2 + at) + Y)
+            phase = k * (length + (wave.path[some, None] - at / (2 * R)))
+            down = phasor(phase) * (strength / length)
             total += down.T @ (across * share)
     cross = phasor(k * a[0] * a[1] / mean * np.outer(v, u)) if a.all() else 1.0
     return total * cross * -1j

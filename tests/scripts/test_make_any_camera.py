@@ -17,7 +17,7 @@ from tapetum.models.other_units import grouped_half_width
 
 
 def test_cameras_are_of_many_kinds_and_never_of_a_lens_held_out() -> None:
-    drawn = [drawn_camera(number) for number in range(40)]
+    drawn = [drawn_camera(number) for number in range(24)]
     names = {one.scene.target.lens.name for one in drawn if isinstance(one.scene.target.lens, PrescriptionLens)}
     assert not names & set(HELD_OUT) and len(names) >= 3
     assert {one.family for one in drawn} == {"hand-held", "rotation", "thin", "traced"}

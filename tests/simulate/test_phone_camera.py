@@ -129,7 +129,7 @@ def test_one_camera_and_a_phone_open_alike() -> None:
 @pytest.mark.parametrize("accuracy", [0.1, 1e-2])
 def test_windows_hold_what_the_whole_sensor_sees(accuracy: float) -> None:
     """Each return on its own pixels, against all cameras on all pixels; off the middle, and partly off the sensor."""
-    grid = Grid(290, 290, 4.4e-6)
+    grid = Grid(145, 145, 8.8e-6)
     beam = {"angle": ["0.06 deg", "-0.05 deg"], "ratio": 0.3}
     scene = phone(several(), **{"sampling.accuracy": accuracy, "illumination.second_beam": beam})
     # As steep as elsewhere here, the second beam included: the lenses are traced once.
@@ -145,7 +145,7 @@ def test_windows_hold_what_the_whole_sensor_sees(accuracy: float) -> None:
     all_pixels = [one for one, _ in whole.units]
     camera.units = [(one.on(own.output), unit) for one, (own, unit) in zip(all_pixels, camera.units, strict=True)]
     found = camera(tilts, centres)
-    assert found.shape == like.shape == (3, 290, 290)
+    assert found.shape == like.shape == (3, 145, 145)
     apart = float(((found - like).abs().amax((1, 2)) / like.amax((1, 2))).max())
     assert float(found[2].max()) > 0
     # Far beyond the sensor nothing is computed.
@@ -166,18 +166,18 @@ def test_a_plan_for_a_wide_picture_serves_a_narrow_one_of_all_planes(monkeypatch
         return plan(*given, **way)
 
     monkeypatch.setattr(traced_lens, "traced_group", counted)
-    pitch, tilts = unit.output.pitch, torch.tensor([[0.01, -0.004], [0.0, 0.03]], dtype=torch.float64)
-    wide = unit.on(Grid(321, 321, pitch))
+    pitch, tilts = 2 * unit.output.pitch, torch.tensor([[0.01, -0.004], [0.0, 0.03]], dtype=torch.float64)
+    wide = unit.on(Grid(161, 161, pitch))
     whole = wide(tilts)
     assert len(planned) == 1
-    narrow = wide.on(Grid(161, 201, pitch))
+    narrow = wide.on(Grid(81, 101, pitch))
     found = narrow(tilts)
     assert len(planned) == 1 and narrow.plan == wide.plan
-    assert float((found - whole[:, 80:-80, 60:-60]).abs().max()) < 3e-4 * float(whole.max())
-    alone = narrow.on(Grid(181, 201, pitch))
+    assert float((found - whole[:, 40:-40, 30:-30]).abs().max()) < 3e-4 * float(whole.max())
+    alone = narrow.on(Grid(91, 101, pitch))
     again = alone(tilts)
-    assert len(planned) == 2 and again.shape == (2, 181, 201)
-    assert float((found - again[:, 10:-10]).abs().max()) <= wide.accuracy * float(again.max())
+    assert len(planned) == 2 and again.shape == (2, 91, 101)
+    assert float((found - again[:, 5:-5]).abs().max()) <= wide.accuracy * float(again.max())
 
 
 def test_to_the_far_field_a_much_narrower_picture_is_planned_by_itself() -> None:

@@ -46,21 +46,21 @@ class Guess:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("cannot be read", where="frame 45")])
+@pytest.mark.parametrize("error", [KeyboardInterrupt(), InputError("cannot be read", where="frame 20")])
 @pytest.mark.parametrize("model", [None, Guess()])
 def test_every_row_before_the_end_is_kept(tmp_path: Path, kind: str, error, model) -> None:
     out, found = tmp_path / f"t.{kind}", tmp_path / f"d.{kind}"
     out.write_text("of an earlier run")
     error = type(error)(*error.args)
     with pytest.raises(type(error)) as raised:
-        track_to_file(frames(45, error), out, detections=found, model=model)
+        track_to_file(frames(20, error), out, detections=found, model=model)
     assert out.read_text() == "of an earlier run" and not found.exists()
     left, spots = tmp_path / f"t.unfinished.{kind}", tmp_path / f"d.unfinished.{kind}"
-    assert raised.value.__notes__ == [f"45 rows are kept in {left}", f"45 rows are kept in {spots}"]
+    assert raised.value.__notes__ == [f"20 rows are kept in {left}", f"20 rows are kept in {spots}"]
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted([out.name, left.name, spots.name])
     tracks = read_tracks(left)
-    assert tracks["frame"].to_pylist() == list(range(45))
-    assert retrack(spots)["frame"].to_pylist() == list(range(45))
+    assert tracks["frame"].to_pylist() == list(range(20))
+    assert retrack(spots)["frame"].to_pylist() == list(range(20))
     if model is not None:
         assert set(tracks["gaze_x"].to_pylist()) == {0.25}
 

@@ -54,10 +54,10 @@ def adapt(
     Intell. 74, 9 (2015)), and the network that is returned is fitted to every frame. With more frames, 8 % of them
     decide, about the epoch too, and 17 % calibrate; of a camera unlike those that `base` has seen the 17 % do both, and
     no epoch is chosen. Where `seconds` chooses the frames of a longer film, these are of random moments, so that they
-    err as any frame of it does. Where the last layer wins, it is fitted to all frames, and calibrated in folds. Frames of
-    different folds or parts share no measurement of their labels, except where frames are spread over a film at least
-    four times as long: these are divided one by one, and the labels' standard deviations are added to their errors.
-    Test frames are never used.
+    err as any frame of it does. Where the last layer wins, it is fitted to all frames, and calibrated in folds. Frames
+    of different folds or parts share no measurement of their labels, except where frames are spread over a film at
+    least four times as long: these are divided one by one, and the labels' standard deviations are added to their
+    errors. Test frames are never used.
 
     Parameters
     ----------
@@ -68,8 +68,8 @@ def adapt(
     seconds
         How many seconds of labelled film to use, of the training part; by default all.
     spread
-        Choose these frames spread over the labels' range, all or, of more than 250, three in four, not the first ones in
-        a row.
+        Choose these frames spread over the labels' range, all or, of more than 250, three in four, not the first ones
+        in a row.
     epochs
         Passes of all layers over the frames, even where the last layer is enough; by default as many as take some two
         minutes on two cores, four of much film.
