@@ -147,6 +147,9 @@ def test_a_camera_unlike_the_bases_is_learned_from_a_last_layer_of_zeros(
         data = data.assign(labels)
     told = adapt(base, data, epochs=1).training_ or {}
     assert ("start" in told["chosen"]) == unlike
+    # What was learned in vain is said to be.
+    kept = told["chosen"]["fitted"].startswith(ALL)
+    assert ("were not kept" in told["chosen"].get("start", "")) == (unlike and not kept)
     assert begun and all((weight == 0.0) == unlike for weight, _ in begun)
     assert {rate for _, rate in begun} == {2e-3 if unlike else 5e-4}
 

@@ -343,7 +343,11 @@ class Adaptation:
             "fitted": len(everything),
             "calibrated_on": len(everything),
             "embargo": 0,
-            "chosen": {"fitted": f"{best}: {why}", "penalty": f"{how}: least error on the same frames", **self._begun},
+            "chosen": {
+                "fitted": f"{best}: {why}",
+                "penalty": f"{how}: least error on the same frames",
+                **self._begun(best),
+            },
             "left_out_error": {**errors, **self.beside(asides, fits)},
             "intervals": intervals,
         }
@@ -390,7 +394,7 @@ class Adaptation:
                 "fitted": f"{why} {by}",
                 "penalty": f"{how}: least error on frames that it had not fitted",
                 "epochs": epochs,
-                **self._begun,
+                **self._begun(ALL),
             },
             "left_out_error": left_out,
             "intervals": f"from {'stretches' if self.aside is None else 'random moments'} of the film that {apart}",
@@ -434,7 +438,7 @@ class Adaptation:
             "chosen": {
                 "fitted": why,
                 "penalty": f"{how}: least error on frames left out in turn, {folds}",
-                **self._begun,
+                **self._begun(LAST),
             },
             "left_out_error": left_out,
             "intervals": f"from the errors on the frames left out in turn, {folds} (cross-conformal)",
@@ -473,13 +477,14 @@ class Adaptation:
         head.put(network)
         return network
 
-    @property
-    def _begun(self) -> dict[str, str]:
-        """What the card says of where the training of all layers began, or that there was none."""
+    def _begun(self, kept: str) -> dict[str, str]:
+        """What the card says of where the training of all layers began and whether it was in vain, or that there was
+        none."""
         if self.sure:
             return {"all layers": f"not trained, as the corrected last one errs by {_SURE:g} of the spread at most"}
         why = f"the corrected one errs by more than {_UNLIKE:g} of the labels' spread"
-        return {"start": f"all layers learned from a last layer of zeros, as {why}"} if self.unlike else {}
+        end = "" if kept == ALL else "; they did not become clearly better, and were not kept"
+        return {"start": f"all layers learned from a last layer of zeros, as {why}{end}"} if self.unlike else {}
 
     def _said(self, errors: dict[str, float]) -> str:
         # The mean of the quantities, each over its spread: quantities may differ in units.
