@@ -136,10 +136,10 @@ def spread_over(values: NDArray[np.float64], count: int, seed: int) -> NDArray[n
 
 def spread_beside(
     dataset: xr.Dataset, quantities: Sequence[str], count: int, aside: int, seed: int
-) -> tuple[NDArray[np.intp], NDArray[np.bool_]] | None:
-    """Return `count` ascending places of a film's frames, and which of them, `aside` in all, show errors as they are.
+) -> tuple[NDArray[np.intp], NDArray[np.int64]] | None:
+    """Return `count` ascending places of a film's frames, and the moment of each: -1, but for `aside` of them.
 
-    These are runs of some frames at random moments, so that they are like any frames of that film; the others are
+    These are runs of some frames at random moments, so that they err as any frames of that film do; the others are
     spread over the range of the quantities. Frames that are spread and then kept aside would not do: they are where the
     film rarely is as often as elsewhere, and far from all others. No label of one part shares a measurement with one of
     the other.
@@ -147,20 +147,20 @@ def spread_beside(
     None where the film is too short for that.
     """
     recording, span = np.asarray(dataset["recording"].values), reach_of(dataset)
-    apart = np.zeros(len(recording), bool)
-    rng = np.random.default_rng([seed, 12])
-    for first in rng.permutation(len(recording)):
-        run = np.arange(first, min(first + _RUN, len(recording)))
-        run = run[recording[run] == recording[first]][: max(0, aside - int(apart.sum()))]
-        apart[run] = True
-        if apart.sum() >= aside:
+    moments = np.full(len(recording), -1)
+    for number, first in enumerate(np.random.default_rng([seed, 12]).permutation(len(recording))):
+        left = aside - np.count_nonzero(moments >= 0)
+        if left <= 0:
             break
-    free = ~apart
+        run = np.arange(first, min(first + _RUN, len(recording)))
+        run = run[(recording[run] == recording[first]) & (moments[run] < 0)]
+        moments[run[:left]] = number
+    free = moments < 0
     if span is not None:
-        free &= ~meeting(span, recording, free, apart)
+        free &= ~meeting(span, recording, free, ~free)
     others = np.flatnonzero(free)
     if len(others) < count - aside:
         return None
     fit = others[spread_over(dataset.tp.values(quantities)[others], count - aside, seed)]
-    places = np.sort(np.concatenate([fit, np.flatnonzero(apart)]))
-    return places, apart[places]
+    places = np.sort(np.concatenate([fit, np.flatnonzero(moments >= 0)]))
+    return places, moments[places]

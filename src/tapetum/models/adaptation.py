@@ -107,10 +107,10 @@ def adapt(
     check_one_camera(dataset, base.target_names)
     if resume and checkpoint is None:
         raise InputError("resume needs the folder of a checkpoint", where="checkpoint", remedy="pass checkpoint=FOLDER")
-    chosen, aside, told = _chosen(dataset, base, seconds, spread, seed)
+    chosen, moments, told = _chosen(dataset, base, seconds, spread, seed)
     part = training_part(chosen, base.target_names, 0.0)
     sparse = spread and told["frames"] <= dataset.tp.train.sizes["frame"] * _SPARSE
-    work = Adaptation.begin(base, part, sparse, aside, epochs, seed, precision, device, progress, checkpoint, resume)
+    work = Adaptation.begin(base, part, sparse, moments, epochs, seed, precision, device, progress, checkpoint, resume)
     work.on_epoch = on_epoch
     return work.adapted({**_origin(base, name), **told})
 
@@ -132,8 +132,8 @@ def _origin(base: NetworkEstimator, name: str | None) -> dict[str, Any]:
 
 def _chosen(
     dataset: xr.Dataset, base: NetworkEstimator, seconds: float | None, spread: bool, seed: int
-) -> tuple[xr.Dataset, NDArray[np.bool_] | None, dict[str, Any]]:
-    """Return the frames to adapt to, which of them are like any of the film where some are, and what the card says."""
+) -> tuple[xr.Dataset, NDArray[np.int64] | None, dict[str, Any]]:
+    """Return the frames to adapt to, the moments of those aside (see `spread_beside`), and what the card says."""
     lacking = [name for name in base.target_names if name not in dataset]
     if lacking:
         have = ", ".join(dataset.tp.targets) or "none"
@@ -147,10 +147,10 @@ def _chosen(
     if count < _FEWEST:
         what = f"{count} labelled frames are too few to adapt to, at least {_FEWEST} are needed"
         raise InputError(what, where=dataset.tp.source, remedy="film more")
-    places, aside = np.arange(count), None
+    places, moments = np.arange(count), None
     if spread and count < train.sizes["frame"]:
         both = spread_beside(train, base.quantities, count, kept_aside(count), seed) if kept_aside(count) else None
-        places, aside = both or (spread_over(train.tp.values(base.quantities), count, seed), None)
+        places, moments = both or (spread_over(train.tp.values(base.quantities), count, seed), None)
     part = train.isel(frame=places)
     part.encoding.update(dataset.encoding)
     told: dict[str, Any] = {"frames": int(count)}
@@ -158,7 +158,7 @@ def _chosen(
         told["seconds"] = round(film_seconds(train) * count / train.sizes["frame"], 3)
     whole = count == train.sizes["frame"]
     how = "spread over the field" if spread else "the first ones in a row"
-    if aside is not None:
-        how = f"{np.count_nonzero(aside)} at random moments and the others {how}"
+    if moments is not None:
+        how = f"{np.count_nonzero(moments >= 0)} at random moments and the others {how}"
     told["choice"] = "all training frames" if whole else f"{how}, of {train.sizes['frame']} training frames"
-    return part, aside, told
+    return part, moments, told

@@ -98,7 +98,8 @@ _SMALLEST = 16
 class Adaptation:
     """One adaptation: the frames as the network takes them (`looks`), in the order of `part`.
 
-    `aside` [N] are frames of random moments that choose and calibrate; None where stretches of the film do.
+    `moments` [N] number the random moments of frames that choose and calibrate, -1 for others; None where stretches of
+    the film do.
     """
 
     base: NetworkEstimator
@@ -111,7 +112,7 @@ class Adaptation:
     folds: NDArray[np.int64]
     few: bool
     single: bool
-    aside: NDArray[np.bool_] | None
+    moments: NDArray[np.int64] | None
     device: str
     progress: Progress
     kept: KeptFolds
@@ -128,7 +129,7 @@ class Adaptation:
         base: NetworkEstimator,
         part: TrainingPart,
         sparse: bool,
-        aside: NDArray[np.bool_] | None,
+        moments: NDArray[np.int64] | None,
         epochs: int | None,
         seed: int,
         precision: str,
@@ -164,7 +165,7 @@ class Adaptation:
             "frames": n,
             "settings": asdict(settings),
             "single": single,
-            "random": aside is not None,
+            "random": moments is not None,
         }
         work = cls(
             base,
@@ -177,7 +178,7 @@ class Adaptation:
             folds,
             few,
             single,
-            aside,
+            moments,
             device,
             progress,
             KeptFolds(None if checkpoint is None else Path(checkpoint), resume),
@@ -397,19 +398,24 @@ class Adaptation:
                 **self._begun(ALL),
             },
             "left_out_error": left_out,
-            "intervals": f"from {'stretches' if self.aside is None else 'random moments'} of the film that {apart}",
+            "intervals": f"from {'stretches' if self.moments is None else 'random moments'} of the film that {apart}",
         }
-        return self._estimator(network, residuals, self.snr[calibrate], summary, told)
+        moments = None if self.moments is None else self.moments[calibrate]
+        return self._estimator(network, residuals, self.snr[calibrate], summary, told, moments)
 
     def _parted(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Return the frames that fit, choose and calibrate: stretches of the part kept aside do the last two by turns.
 
         All frames of one stretch do the same.
         """
-        aside = self.folds == np.unique(self.folds)[-1] if self.aside is None else self.aside
-        places = np.flatnonzero(aside)
-        edges = np.flatnonzero(np.diff(places) > 1) + 1
-        stretches = np.split(places, edges)
+        if self.moments is None:
+            aside = self.folds == np.unique(self.folds)[-1]
+            places = np.flatnonzero(aside)
+            stretches = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
+        else:
+            aside = self.moments >= 0
+            places = np.flatnonzero(aside)
+            stretches = [np.flatnonzero(self.moments == one) for one in np.unique(self.moments[aside])]
         every = max(2, round((_CHOOSE + _CALIBRATE) / _CHOOSE))
         if len(stretches) < every:
             cut = round(len(places) * _CHOOSE / (_CHOOSE + _CALIBRATE))
@@ -492,13 +498,19 @@ class Adaptation:
         return f"mean error over the labels' spread {said}"
 
     def _estimator(
-        self, network: Network, residuals: Array, snr: Array, summary: dict[str, Any], told: dict[str, Any]
+        self,
+        network: Network,
+        residuals: Array,
+        snr: Array,
+        summary: dict[str, Any],
+        told: dict[str, Any],
+        moments: NDArray[np.int64] | None = None,
     ) -> NetworkEstimator:
         base, part, settings = self.base, self.part, self.settings
         state = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
         scaling = {"centre": part.targets.mean(axis=0), "spread": self.spread_of, "unit": np.array([base.unit])}
         state |= {f"scaling.{name}": torch.from_numpy(np.asarray(one, float)) for name, one in scaling.items()}
-        state |= fit_intervals(residuals, snr).state("scaling.")
+        state |= fit_intervals(residuals, snr, groups=moments).state("scaling.")
         generator = torch.Generator().manual_seed(settings.seed)
         seen = [picture_features(augment(some, settings.augmentation, generator)) for some in self.looks.split(64)]
         domain = fit_domain(np.concatenate(seen), np.asarray(part.dataset["recording"].values))
