@@ -19,23 +19,6 @@ def test_conformal_intervals_cover_what_they_promise():
     assert np.mean(inside) == pytest.approx(0.9, abs=0.02)
 
 
-def test_frames_that_err_alike_count_as_one_where_intervals_are_made_safe():
-    """75 frames of 25 moments tell of the errors as 25 frames do."""
-    rng, groups = np.random.default_rng(1), np.repeat(np.arange(25), 3)
-    held, residuals = [], np.empty((75, 1))
-    for _ in range(6000):
-        shared = rng.normal(size=26)
-        residuals = (shared[groups] + 0.02 * rng.normal(size=75))[:, None]
-        new = abs(shared[25] + 0.02 * rng.normal())
-        held.append([new <= conformal_half_width(residuals, groups=of)[0] for of in (None, groups)])
-    alone, grouped = np.mean(held, axis=0)
-    assert alone < 0.893 < 0.907 < grouped < 0.94
-    # Each frame a group of its own is as without groups.
-    plain = conformal_half_width(residuals)
-    np.testing.assert_array_equal(conformal_half_width(residuals, groups=np.arange(75)), plain)
-    assert np.isinf(conformal_half_width(residuals, groups=groups % 6)).all()
-
-
 def test_too_few_frames_promise_nothing():
     assert np.isinf(conformal_half_width(np.zeros((8, 2)))).all()
     assert np.isfinite(conformal_half_width(np.zeros((9, 2)))).all()

@@ -11,19 +11,14 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from tapetum.data.dataset import DEVICE, UNIT
-from tapetum.data.embargo import meeting, reach_of
 from tapetum.errors import InputError, one_of
 
-__all__ = ["check_one_camera", "film_seconds", "first_seconds", "of_unit", "spread_beside", "spread_over"]
+__all__ = ["check_one_camera", "film_seconds", "first_seconds", "of_unit", "spread_over"]
 
 # Frames a cell of the labels' range holds, about: enough cells to reach every part, enough frames to choose among.
 _A_CELL = 2
 # Axes of the labels' range that are divided into cells.
 _AXES = 2
-# Frames in a row that are kept aside at one moment of a film: fewer would be more moments, and beside each some frames
-# can belong to neither part, as their labels share measurements with the run's. Of half a minute chosen from two, with
-# labels that reach 0.4 s both ways, this leaves half of the film to choose the others from.
-_RUN = 3
 
 
 def of_unit(dataset: xr.Dataset, name: str) -> xr.Dataset:
@@ -132,35 +127,3 @@ def spread_over(values: NDArray[np.float64], count: int, seed: int) -> NDArray[n
         own = order[number[order] == one]
         turn[own] = np.arange(len(own)) + rng.uniform(0, 0.5, len(own))
     return np.sort(np.argsort(turn, kind="stable")[:count])
-
-
-def spread_beside(
-    dataset: xr.Dataset, quantities: Sequence[str], count: int, aside: int, seed: int
-) -> tuple[NDArray[np.intp], NDArray[np.int64]] | None:
-    """Return `count` ascending places of a film's frames, and the moment of each: -1, but for `aside` of them.
-
-    These are runs of some frames at random moments, so that they err as any frames of that film do; the others are
-    spread over the range of the quantities. Frames that are spread and then kept aside would not do: they are where the
-    film rarely is as often as elsewhere, and far from all others. No label of one part shares a measurement with one of
-    the other.
-
-    None where the film is too short for that.
-    """
-    recording, span = np.asarray(dataset["recording"].values), reach_of(dataset)
-    moments = np.full(len(recording), -1)
-    for number, first in enumerate(np.random.default_rng([seed, 12]).permutation(len(recording))):
-        left = aside - np.count_nonzero(moments >= 0)
-        if left <= 0:
-            break
-        run = np.arange(first, min(first + _RUN, len(recording)))
-        run = run[(recording[run] == recording[first]) & (moments[run] < 0)]
-        moments[run[:left]] = number
-    free = moments < 0
-    if span is not None:
-        free &= ~meeting(span, recording, free, ~free)
-    others = np.flatnonzero(free)
-    if len(others) < count - aside:
-        return None
-    fit = others[spread_over(dataset.tp.values(quantities)[others], count - aside, seed)]
-    places = np.sort(np.concatenate([fit, np.flatnonzero(moments >= 0)]))
-    return places, moments[places]

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from tapetum.data.dataset import DEVICE
-from tapetum.data.film_parts import check_one_camera, film_seconds, first_seconds, spread_beside, spread_over
+from tapetum.data.film_parts import check_one_camera, film_seconds, first_seconds, spread_over
 from tapetum.errors import InputError
 from tapetum.models.base import training_part
-from tapetum.models.fine_tuning import Adaptation, kept_aside
+from tapetum.models.fine_tuning import Adaptation
 from tapetum.models.network import NetworkEstimator
 from tapetum.models.training import EpochReport
 from tapetum.progress import Progress, quiet
@@ -53,11 +52,11 @@ def adapt(
     in 4 folds: the errors of the folds also set the intervals (cross-conformal prediction, V. Vovk, Ann. Math. Artif.
     Intell. 74, 9 (2015)), and the network that is returned is fitted to every frame. With more frames, 8 % of them
     decide, about the epoch too, and 17 % calibrate; of a camera unlike those that `base` has seen the 17 % do both, and
-    no epoch is chosen. Where `seconds` chooses the frames of a longer film, these are of random moments, so that they
-    err as any frame of it does. Where the last layer wins, it is fitted to all frames, and calibrated in folds. Frames
-    of different folds or parts share no measurement of their labels, except where frames are spread over a film at
-    least four times as long: these are divided one by one, and the labels' standard deviations are added to their
-    errors. Test frames are never used.
+    no epoch is chosen. Where `seconds` spreads many frames over a longer film, 17 % of them, single ones at random,
+    calibrate, and of a camera that is not unlike a third of these decides instead. Where the last layer wins, it is
+    fitted to all frames, and calibrated in folds. Frames of different folds or parts share no measurement of their
+    labels, except where frames are divided one by one, many ones and those that are spread over a film at least four
+    times as long: then the labels' standard deviations are added to their errors. Test frames are never used.
 
     Parameters
     ----------
@@ -68,8 +67,7 @@ def adapt(
     seconds
         How many seconds of labelled film to use, of the training part; by default all.
     spread
-        Choose these frames spread over the labels' range, all or, of more than 250, three in four, not the first ones
-        in a row.
+        Choose these frames spread over the labels' range, not the first ones in a row.
     epochs
         Passes of all layers over the frames, even where the last layer is enough; by default as many as take some two
         minutes on two cores, four of much film.
@@ -107,10 +105,13 @@ def adapt(
     check_one_camera(dataset, base.target_names)
     if resume and checkpoint is None:
         raise InputError("resume needs the folder of a checkpoint", where="checkpoint", remedy="pass checkpoint=FOLDER")
-    chosen, moments, told = _chosen(dataset, base, seconds, spread, seed)
+    chosen, told = _chosen(dataset, base, seconds, spread, seed)
     part = training_part(chosen, base.target_names, 0.0)
     sparse = spread and told["frames"] <= dataset.tp.train.sizes["frame"] * _SPARSE
-    work = Adaptation.begin(base, part, sparse, moments, epochs, seed, precision, device, progress, checkpoint, resume)
+    scattered = spread and told["frames"] < dataset.tp.train.sizes["frame"]
+    work = Adaptation.begin(
+        base, part, sparse, scattered, epochs, seed, precision, device, progress, checkpoint, resume
+    )
     work.on_epoch = on_epoch
     return work.adapted({**_origin(base, name), **told})
 
@@ -132,8 +133,8 @@ def _origin(base: NetworkEstimator, name: str | None) -> dict[str, Any]:
 
 def _chosen(
     dataset: xr.Dataset, base: NetworkEstimator, seconds: float | None, spread: bool, seed: int
-) -> tuple[xr.Dataset, NDArray[np.int64] | None, dict[str, Any]]:
-    """Return the frames to adapt to, the moments of those aside (see `spread_beside`), and what the card says."""
+) -> tuple[xr.Dataset, dict[str, Any]]:
+    """Return the frames to adapt to, and what the card says of them."""
     lacking = [name for name in base.target_names if name not in dataset]
     if lacking:
         have = ", ".join(dataset.tp.targets) or "none"
@@ -147,10 +148,7 @@ def _chosen(
     if count < _FEWEST:
         what = f"{count} labelled frames are too few to adapt to, at least {_FEWEST} are needed"
         raise InputError(what, where=dataset.tp.source, remedy="film more")
-    places, moments = np.arange(count), None
-    if spread and count < train.sizes["frame"]:
-        both = spread_beside(train, base.quantities, count, kept_aside(count), seed) if kept_aside(count) else None
-        places, moments = both or (spread_over(train.tp.values(base.quantities), count, seed), None)
+    places = spread_over(train.tp.values(base.quantities), count, seed) if spread else np.arange(count)
     part = train.isel(frame=places)
     part.encoding.update(dataset.encoding)
     told: dict[str, Any] = {"frames": int(count)}
@@ -158,7 +156,5 @@ def _chosen(
         told["seconds"] = round(film_seconds(train) * count / train.sizes["frame"], 3)
     whole = count == train.sizes["frame"]
     how = "spread over the field" if spread else "the first ones in a row"
-    if moments is not None:
-        how = f"{np.count_nonzero(moments >= 0)} at random moments and the others {how}"
     told["choice"] = "all training frames" if whole else f"{how}, of {train.sizes['frame']} training frames"
-    return part, moments, told
+    return part, told

@@ -49,7 +49,7 @@ from tapetum.models.training import (
 from tapetum.models.zernike_ridge import ZernikeRidge, ridge_residuals
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "better_of", "epochs_of", "kept_aside", "ridge_scales"]
+__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "better_of", "epochs_of", "ridge_scales"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -98,8 +98,8 @@ _SMALLEST = 16
 class Adaptation:
     """One adaptation: the frames as the network takes them (`looks`), in the order of `part`.
 
-    `moments` [N] number the random moments of frames that choose and calibrate, -1 for others; None where stretches of
-    the film do.
+    `aside` [N] are single frames that choose and calibrate, of many that are spread over a film; None where whole
+    stretches of the film do.
     """
 
     base: NetworkEstimator
@@ -112,7 +112,7 @@ class Adaptation:
     folds: NDArray[np.int64]
     few: bool
     single: bool
-    moments: NDArray[np.int64] | None
+    aside: NDArray[np.bool_] | None
     device: str
     progress: Progress
     kept: KeptFolds
@@ -129,7 +129,7 @@ class Adaptation:
         base: NetworkEstimator,
         part: TrainingPart,
         sparse: bool,
-        moments: NDArray[np.int64] | None,
+        scattered: bool,
         epochs: int | None,
         seed: int,
         precision: str,
@@ -157,6 +157,10 @@ class Adaptation:
         )
         count = _FOLDS if few else round(1 / (_CHOOSE + _CALIBRATE))
         single = few and sparse and _deviations(part) is not None
+        aside = None
+        if scattered and not few and _deviations(part) is not None:
+            aside = np.zeros(n, bool)
+            aside[np.random.default_rng([seed, 12]).permutation(n)[: round(_CALIBRATE * n)]] = True
         folds = single_folds(n, count, seed) if single else folds_of(part.dataset, count)
         centre, size = part.targets.mean(axis=0), part.targets.std(axis=0)
         identity = {
@@ -165,7 +169,7 @@ class Adaptation:
             "frames": n,
             "settings": asdict(settings),
             "single": single,
-            "random": moments is not None,
+            "scattered": aside is not None,
         }
         work = cls(
             base,
@@ -178,7 +182,7 @@ class Adaptation:
             folds,
             few,
             single,
-            moments,
+            aside,
             device,
             progress,
             KeptFolds(None if checkpoint is None else Path(checkpoint), resume),
@@ -365,7 +369,10 @@ class Adaptation:
         if self.unlike:
             # Every further frame that is fitted counts. No epoch is chosen, and one choice between two networks hardly
             # makes the errors of the same frames too small to calibrate by.
-            fit, choose = self.apart(self._mask(calibrate)), calibrate
+            if self.aside is None:
+                fit, choose = self.apart(self._mask(calibrate)), calibrate
+            else:
+                choose = calibrate = np.flatnonzero(self.aside)
         head = self.head(fit, how)
         network, history = self.trained(fit, head, WHOLE, choose)
         errors = {
@@ -377,7 +384,11 @@ class Adaptation:
         left_out = {**errors, **self.beside([self._mask(choose)], [fit])}
         if best == LAST:
             return self._last_layer_of_all(f"{why} had fitted", left_out, told)
-        residuals = (self.targets[calibrate] - self.outputs(network, calibrate)) * self.spread_of
+        residuals = np.abs(self.targets[calibrate] - self.outputs(network, calibrate)) * self.spread_of
+        wide = _deviations(self.part)
+        if self.aside is not None and wide is not None:
+            # As in `_by_folds`: neighbouring frames may share the error of their labels.
+            residuals = residuals + wide[calibrate]
         kept = f"{kept_epoch(history, self.settings.patience)} of {len(history)}"
         if self.unlike:
             by, epochs, apart = "had fitted", kept, "did not fit"
@@ -398,24 +409,22 @@ class Adaptation:
                 **self._begun(ALL),
             },
             "left_out_error": left_out,
-            "intervals": f"from {'stretches' if self.moments is None else 'random moments'} of the film that {apart}",
+            "intervals": f"from {'stretches' if self.aside is None else 'single frames'} of the film that {apart}",
         }
-        moments = None if self.moments is None else self.moments[calibrate]
-        return self._estimator(network, residuals, self.snr[calibrate], summary, told, moments)
+        return self._estimator(network, residuals, self.snr[calibrate], summary, told)
 
     def _parted(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Return the frames that fit, choose and calibrate: stretches of the part kept aside do the last two by turns.
 
-        All frames of one stretch do the same.
+        All frames of one stretch do the same. Single frames may share measurements of their labels with those fitted.
         """
-        if self.moments is None:
-            aside = self.folds == np.unique(self.folds)[-1]
-            places = np.flatnonzero(aside)
-            stretches = np.split(places, np.flatnonzero(np.diff(places) > 1) + 1)
-        else:
-            aside = self.moments >= 0
-            places = np.flatnonzero(aside)
-            stretches = [np.flatnonzero(self.moments == one) for one in np.unique(self.moments[aside])]
+        if self.aside is not None:
+            places = np.flatnonzero(self.aside)
+            return np.flatnonzero(~self.aside), places[::3], np.delete(places, np.s_[::3])
+        aside = self.folds == np.unique(self.folds)[-1]
+        places = np.flatnonzero(aside)
+        edges = np.flatnonzero(np.diff(places) > 1) + 1
+        stretches = np.split(places, edges)
         every = max(2, round((_CHOOSE + _CALIBRATE) / _CHOOSE))
         if len(stretches) < every:
             cut = round(len(places) * _CHOOSE / (_CHOOSE + _CALIBRATE))
@@ -498,19 +507,13 @@ class Adaptation:
         return f"mean error over the labels' spread {said}"
 
     def _estimator(
-        self,
-        network: Network,
-        residuals: Array,
-        snr: Array,
-        summary: dict[str, Any],
-        told: dict[str, Any],
-        moments: NDArray[np.int64] | None = None,
+        self, network: Network, residuals: Array, snr: Array, summary: dict[str, Any], told: dict[str, Any]
     ) -> NetworkEstimator:
         base, part, settings = self.base, self.part, self.settings
         state = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
         scaling = {"centre": part.targets.mean(axis=0), "spread": self.spread_of, "unit": np.array([base.unit])}
         state |= {f"scaling.{name}": torch.from_numpy(np.asarray(one, float)) for name, one in scaling.items()}
-        state |= fit_intervals(residuals, snr, groups=moments).state("scaling.")
+        state |= fit_intervals(residuals, snr).state("scaling.")
         generator = torch.Generator().manual_seed(settings.seed)
         seen = [picture_features(augment(some, settings.augmentation, generator)) for some in self.looks.split(64)]
         domain = fit_domain(np.concatenate(seen), np.asarray(part.dataset["recording"].values))
@@ -530,11 +533,6 @@ class Adaptation:
         took = {"took_seconds": round(time.monotonic() - self.started, 1)}
         model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
         return model
-
-
-def kept_aside(frames: int) -> int:
-    """Return how many of so many frames choose and calibrate; 0 where they are few and each does so in its turn."""
-    return 0 if frames <= _FEW else round((_CHOOSE + _CALIBRATE) * frames)
 
 
 def better_of(errors: Mapping[str, float]) -> str:

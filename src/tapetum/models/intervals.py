@@ -30,16 +30,12 @@ _FOLDS = 5
 _GAIN = 0.02
 
 
-def conformal_half_width(
-    residuals: NDArray[np.float64], coverage: float = COVERAGE, groups: NDArray[np.int64] | None = None
-) -> NDArray[np.float64]:
+def conformal_half_width(residuals: NDArray[np.float64], coverage: float = COVERAGE) -> NDArray[np.float64]:
     """Return the half-width of split-conformal intervals.
 
     This is the ``ceil((n + 1) coverage)``-th smallest absolute residual of n held-out frames. New frames *exchangeable*
     with those fall inside with at least that probability (Lei et al., J. Am. Stat. Assoc. 113, 1094 (2018)). Frames of
-    one video are correlated, so the coverage is not guaranteed for other videos. Where frames come in k groups, whose
-    members err alike, they tell of the errors as k frames do: the rank is ``ceil(n (1 + 1/k) coverage)`` (compare R.
-    Dunn, L. Wasserman, A. Ramdas, J. Am. Stat. Assoc. 118, 2491 (2023)).
+    one video are correlated, so the coverage is not guaranteed for other videos.
 
     Parameters
     ----------
@@ -47,19 +43,14 @@ def conformal_half_width(
         [n, K], true minus estimated.
     coverage
         Wanted probability.
-    groups
-        [n] number of each frame's group; by default each frame is one.
 
     Returns
     -------
     ndarray
-        [K]; infinite where there are too few frames or groups for the coverage (fewer than 9 for 90 %).
+        [K]; infinite where n is too small for the coverage (n < 9 for 90 %).
     """
-    n = len(residuals)
-    count = n if groups is None else len(np.unique(groups))
-    # (n + 1) coverage for groups of one frame: the order of operations keeps that exact.
-    rank = int(np.ceil((n + n / max(count, 1)) * coverage))
-    if rank > n or not n:
+    rank = int(np.ceil((len(residuals) + 1) * coverage))
+    if rank > len(residuals):
         return np.full(residuals.shape[1], np.inf)
     return np.sort(np.abs(residuals), axis=0)[rank - 1]
 
@@ -118,13 +109,7 @@ def has_intervals(state: Mapping[str, torch.Tensor], prefix: str) -> bool:
     return f"{prefix}half_width" in state
 
 
-def fit_intervals(
-    residuals: NDArray[np.float64],
-    snr: NDArray[np.float64],
-    *,
-    coverage: float = COVERAGE,
-    groups: NDArray[np.int64] | None = None,
-) -> Intervals:
+def fit_intervals(residuals: NDArray[np.float64], snr: NDArray[np.float64], *, coverage: float = COVERAGE) -> Intervals:
     """Calibrate intervals on held-out frames.
 
     Frames are divided into classes of equal count by SNR and each class is calibrated separately (Mondrian conformal
@@ -140,40 +125,32 @@ def fit_intervals(
         [n], of `tapetum.models.snr.crop_snr`.
     coverage
         Wanted probability.
-    groups
-        As for `conformal_half_width`.
     """
-    own = np.arange(len(residuals)) if groups is None else groups
-    plain = Intervals(np.empty(0), conformal_half_width(residuals, coverage, own)[None])
+    plain = Intervals(np.empty(0), conformal_half_width(residuals, coverage)[None])
     most = min(_MOST_BINS, len(residuals) // _FEWEST)
-    best, least = plain, _score(residuals, snr, own, 1, coverage) * (1 - _GAIN)
+    best, least = plain, _score(residuals, snr, 1, coverage) * (1 - _GAIN)
     for bins in range(2, most + 1):
-        score = _score(residuals, snr, own, bins, coverage)
+        score = _score(residuals, snr, bins, coverage)
         if score < least:
-            best, least = _divided(residuals, snr, own, bins, coverage), score
+            best, least = _divided(residuals, snr, bins, coverage), score
     return best
 
 
-def _divided(
-    residuals: NDArray[np.float64], snr: NDArray[np.float64], groups: NDArray[np.int64], bins: int, coverage: float
-) -> Intervals:
+def _divided(residuals: NDArray[np.float64], snr: NDArray[np.float64], bins: int, coverage: float) -> Intervals:
     edges = np.quantile(snr, np.arange(1, bins) / bins)
     places = np.searchsorted(edges, snr, side="right")
-    classes = [places == k for k in range(bins)]
-    widths = [conformal_half_width(residuals[here], coverage, groups[here]) for here in classes]
+    widths = [conformal_half_width(residuals[places == k], coverage) for k in range(bins)]
     return Intervals(edges, np.stack(widths))
 
 
-def _score(
-    residuals: NDArray[np.float64], snr: NDArray[np.float64], groups: NDArray[np.int64], bins: int, coverage: float
-) -> float:
+def _score(residuals: NDArray[np.float64], snr: NDArray[np.float64], bins: int, coverage: float) -> float:
     """Return the cross-validated interval score, each quantity divided by its mean absolute error."""
     if len(residuals) < 2 * _FOLDS:
         return float("inf")
     unit = np.maximum(np.abs(residuals).mean(axis=0), np.finfo(float).tiny)
     total = 0.0
     for rest, fold in KFold(_FOLDS).split(residuals):
-        width = _divided(residuals[rest], snr[rest], groups[rest], bins, coverage).at(snr[fold])
+        width = _divided(residuals[rest], snr[rest], bins, coverage).at(snr[fold])
         beyond = np.maximum(np.abs(residuals[fold]) - width, 0)
         total += float(((2 * width + 2 / (1 - coverage) * beyond) / unit).sum())
     return total
