@@ -26,11 +26,13 @@ def sleep_and_write(path: Path) -> None:
     path.touch()
 
 
-def test_every_task_runs_once_elsewhere(tmp_path: Path) -> None:
+def test_every_task_runs_once_elsewhere_and_the_environment_stays(tmp_path: Path) -> None:
+    before = dict(os.environ)
     tasks = [partial(write_process, tmp_path / str(k)) for k in range(5)]
     assert sorted(side_by_side(tasks, 2)) == list(range(5))
     ran = {(tmp_path / str(k)).read_text() for k in range(5)}
     assert 1 <= len(ran) <= 2 and str(os.getpid()) not in ran
+    assert dict(os.environ) == before
 
 
 def test_an_error_arrives_whole_and_ends_the_others_at_once(tmp_path: Path) -> None:

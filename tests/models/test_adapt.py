@@ -8,13 +8,16 @@ import numpy as np
 import pytest
 import torch
 import xarray as xr
+from scipy.spatial import KDTree
 from tests.models.conftest import pictures
 
 from tapetum.data import dataset_from_arrays
+from tapetum.data.film_parts import spread_over
 from tapetum.errors import InputError
 from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, fine_tuning, load_model, save_model
 from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, better_of, epochs_of
-from tapetum.models.last_layer import Correction
+from tapetum.models.last_layer import Correction, single_frames
+from tapetum.record import HandMotion
 
 pytestmark = pytest.mark.usefixtures("narrow")
 
@@ -220,18 +223,34 @@ def test_of_much_film_single_frames_choose_and_calibrate(
     # All layers are kept, whatever they err by.
     monkeypatch.setattr(fine_tuning, "_CLEARLY", np.inf)
     monkeypatch.setattr(fine_tuning, "_SURE", 0.0)
-    deviation = 0.03
-    film = labelled(other(900, 10, reach=0.2), **{f"gaze_{axis}_std": np.full(910, deviation) for axis in "xy"})
-    mine = adapt(base, film, seconds=20, epochs=1)
-    told = mine.training_ or {}
+    sure, unsure = (
+        adapt(base, labelled(other(900, 10, reach=0.2), gaze_x_std=wide, gaze_y_std=wide), seconds=20, epochs=1)
+        for wide in (np.full(910, 0.03), np.full(910, 0.13))
+    )
+    told = sure.training_ or {}
     assert told["adapted_from"]["frames"] == 300 and told["fitted"] == 249
     assert "single frames of the film" in told["intervals"]
     assert told["calibrated_on"] == (51 if unlike else 34) and told["embargo"] == 0
     # Neighbours may share the error of their labels, so that it is added.
-    assert (mine.intervals_.half_width > deviation).all()
+    np.testing.assert_allclose(unsure.intervals_.half_width, sure.intervals_.half_width + 0.1, rtol=0, atol=1e-4)
     # Labels of unknown deviation, that reach other frames, are divided by stretches, and so is a whole film.
     for kept in (adapt(base, other(900, 10, reach=0.2), seconds=20, epochs=1), adapt(base, other(300, 10), epochs=1)):
         assert "stretches of the film" in (kept.training_ or {})["intervals"]
+
+
+def test_single_frames_of_spread_ones_lie_as_near_to_the_others_as_a_test_does_and_stretches_do_not() -> None:
+    """So errors on the one are those of a test, in a hand's films, and on the other larger."""
+    nearest: list[tuple[float, float, float]] = []
+    for seed in range(8):
+        gaze = HandMotion(extent=0.48).draw(seed, seconds=135).gaze(np.arange(2025) / RATE)
+        film, test = gaze[:1560], gaze[1640:]
+        chosen = film[spread_over(film, 450, seed)]
+        single, stretch = single_frames(450, 76, seed), np.arange(450) * 24 // 450 % 6 == 0
+        tree = KDTree(chosen[~single])
+        left = KDTree(chosen[~stretch]).query(chosen[stretch])[0]
+        nearest.append((tree.query(chosen[single])[0].mean(), tree.query(test)[0].mean(), left.mean()))
+    one, tested, stretches = np.mean(nearest, axis=0)
+    assert abs(one / tested - 1) < 0.1 and stretches > 1.25 * tested
 
 
 def interrupted(base: NetworkEstimator, data: xr.Dataset, folder: Path, after: int) -> None:

@@ -12,10 +12,11 @@ DOCS = Path(__file__).parents[2] / "docs"
 LENSES = {"zoom": "another catalogue lens", "compact": "a lens in no training set"}
 
 
-def rows(lens: str, method: str, base: str = "") -> dict[int, dict]:
+def rows(lens: str, method: str, base: str = "", calibrates: str | None = None) -> dict[int, dict]:
     told = json.loads((DOCS / "numbers" / "adapt-lenses.json").read_text(encoding="utf-8"))["rows"]
-    wanted = (LENSES[lens], method, base)
-    return {one["unit"]: one for one in told if (one["kind"], one["method"], one["base"]) == wanted}
+    wanted = (LENSES[lens], method, base, calibrates)
+    names = ("kind", "method", "base", "calibrates")
+    return {one["unit"]: one for one in told if tuple(one.get(name) for name in names) == wanted}
 
 
 def mean(found: list[dict]) -> tuple[str, str]:
@@ -51,3 +52,16 @@ def test_half_a_minute_is_worth_100_seconds_from_scratch(lens: str) -> None:
     assert (ours <= theirs).all()
     said, _ = mean([adapted[unit] for unit in scratch])
     assert said in (DOCS / "learning.md").read_text(encoding="utf-8").partition("On the copies that were also")[2]
+
+
+def test_the_page_says_what_single_frames_change_of_every_copy_that_was_adapted_so() -> None:
+    _, _, page = (DOCS / "learning.md").read_text(encoding="utf-8").partition("Single frames calibrate since.")
+    lines, said = 0, {"zoom": "zoom-5-15mm", "compact": "compact-6mm-f1.9"}
+    for lens, name in said.items():
+        stretches, single = (rows(lens, "adapt", "thin-lens-gaze", by) for by in (None, "single frames"))
+        for unit in single:
+            for by, one in (("stretches", stretches[unit]), ("single frames", single[unit])):
+                width = " / ".join(f"{value:.2f}" for value in one["width"])
+                assert f"| {name}, {unit} | {by} | {' | '.join(mean([one]))} | {width} |" in page
+                lines += 1
+    assert lines == sum(page.count(f"\n| {name}, ") for name in said.values()) > 0

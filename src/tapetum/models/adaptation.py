@@ -53,7 +53,7 @@ def adapt(
     Intell. 74, 9 (2015)), and the network that is returned is fitted to every frame. With more frames, 8 % of them
     decide, about the epoch too, and 17 % calibrate; of a camera unlike those that `base` has seen the 17 % do both, and
     no epoch is chosen. Where `seconds` spreads many frames over a longer film, 17 % of them, single ones at random,
-    calibrate, and of a camera that is not unlike a third of these decides instead. Where the last layer wins, it is
+    calibrate, of which a third decides instead unless the camera is unlike the others. Where the last layer wins, it is
     fitted to all frames, and calibrated in folds. Frames of different folds or parts share no measurement of their
     labels, except where frames are divided one by one, many ones and those that are spread over a film at least four
     times as long: then the labels' standard deviations are added to their errors. Test frames are never used.

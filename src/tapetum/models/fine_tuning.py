@@ -35,6 +35,7 @@ from tapetum.models.last_layer import (
     corrected,
     folds_of,
     single_folds,
+    single_frames,
 )
 from tapetum.models.losses import MixedLoss
 from tapetum.models.network import NetworkEstimator
@@ -157,10 +158,8 @@ class Adaptation:
         )
         count = _FOLDS if few else round(1 / (_CHOOSE + _CALIBRATE))
         single = few and sparse and _deviations(part) is not None
-        aside = None
-        if scattered and not few and _deviations(part) is not None:
-            aside = np.zeros(n, bool)
-            aside[np.random.default_rng([seed, 12]).permutation(n)[: round(_CALIBRATE * n)]] = True
+        apart = scattered and not few and _deviations(part) is not None
+        aside = single_frames(n, round(_CALIBRATE * n), seed) if apart else None
         folds = single_folds(n, count, seed) if single else folds_of(part.dataset, count)
         centre, size = part.targets.mean(axis=0), part.targets.std(axis=0)
         identity = {
@@ -387,7 +386,7 @@ class Adaptation:
         residuals = np.abs(self.targets[calibrate] - self.outputs(network, calibrate)) * self.spread_of
         wide = _deviations(self.part)
         if self.aside is not None and wide is not None:
-            # As in `_by_folds`: neighbouring frames may share the error of their labels.
+            # Neighbours are fitted, which may share the error of their labels (see `_by_folds`).
             residuals = residuals + wide[calibrate]
         kept = f"{kept_epoch(history, self.settings.patience)} of {len(history)}"
         if self.unlike:

@@ -135,6 +135,13 @@ def single_folds(frames: int, count: int, seed: int) -> NDArray[np.int64]:
     return np.random.default_rng([seed, 12]).permutation(np.arange(frames) % count)
 
 
+def single_frames(frames: int, count: int, seed: int) -> NDArray[np.bool_]:
+    """Return which of the frames are `count` single ones at random."""
+    chosen = np.zeros(frames, bool)
+    chosen[np.random.default_rng([seed, 12]).permutation(frames)[:count]] = True
+    return chosen
+
+
 def folds_of(dataset: xr.Dataset, count: int) -> NDArray[np.int64]:
     """Return the fold of each frame: every recording is cut into stretches of time, which the folds take in turn.
 
