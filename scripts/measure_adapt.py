@@ -152,6 +152,7 @@ def scored(one: Wanted, data: xr.Dataset, precision: str) -> dict[str, Any]:
 
     everything = np.ones(len(truth), bool)
     width = np.median(found.upper - found.lower, axis=0)
+    chosen = (getattr(model, "training_", None) or {}).get("chosen") or {}
     return {
         **one.__dict__,
         "base": Path(one.base).name,
@@ -166,7 +167,8 @@ def scored(one: Wanted, data: xr.Dataset, precision: str) -> dict[str, Any]:
         "intervals": found.unit,
         "processor_seconds": round(took, 1),
         "seconds_passed": round(passed, 1),
-        "chosen": ((getattr(model, "training_", None) or {}).get("chosen") or {}).get("fitted"),
+        "chosen": chosen.get("fitted"),
+        "residuals": chosen.get("residuals"),
     }
 
 

@@ -14,8 +14,8 @@ from tests.models.conftest import pictures
 from tapetum.data import dataset_from_arrays
 from tapetum.data.film_parts import spread_over
 from tapetum.errors import InputError
-from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, fine_tuning, load_model, save_model
-from tapetum.models.fine_tuning import ALL, GUESS, LAST, RIDGE, better_of, epochs_of
+from tapetum.models import NetworkEstimator, ZernikeRidge, adapt, fine_tuning, kernel, load_model, save_model
+from tapetum.models.fine_tuning import ALL, CARRIED, GUESS, LAST, RIDGE, better_of, epochs_of
 from tapetum.models.last_layer import Correction, single_frames
 from tapetum.record import HandMotion
 
@@ -189,6 +189,51 @@ def test_a_last_layer_that_errs_little_needs_no_training(
         adapt(base, data, epochs=1)
 
 
+@pytest.mark.parametrize("frames", [120, 300])
+def test_residuals_are_interpolated_where_that_errs_less_on_frames_left_out(
+    base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, frames: int
+) -> None:
+    # A last layer that may hardly change leaves what frames that look alike share.
+    monkeypatch.setattr(fine_tuning, "PENALTIES", (Correction(1e3),))
+    monkeypatch.setattr(fine_tuning, "_SURE", np.inf)
+    data = other(frames)
+    mine = adapt(base, data)
+    monkeypatch.setattr(kernel, "WORTH", 0.0)
+    plain = adapt(base, data)
+    told, without = (one.training_ or {} for one in (mine, plain))
+    assert told["chosen"]["residuals"].startswith("interpolated") and mine.kernel_ is not None
+    assert without["chosen"]["residuals"].startswith("not interpolated") and plain.kernel_ is None
+    assert (
+        told["left_out_error"][CARRIED] < 0.95 * told["left_out_error"][LAST]
+        and CARRIED not in without["left_out_error"]
+    )
+    assert error(mine, data) < 0.8 * error(plain, data)
+    truth, found = data.tp.test.tp.values(("gaze_x", "gaze_y")), mine.predict(data.tp.test, anyway=True)
+    assert 0.8 <= ((found.lower <= truth) & (truth <= found.upper)).mean() <= 0.99
+    # Frames unlike those labelled have wider intervals.
+    widths = (found.upper - found.lower)[:, 0]
+    assert np.isfinite(widths).all() and widths.max() > 1.2 * widths.min()
+    assert np.ptp((before := plain.predict(data.tp.test, anyway=True)).upper[:, 0] - before.lower[:, 0]) < 1e-9
+    for half in (False, True):
+        save_model(mine, tmp_path / f"m{half}", half=half)
+        again = load_model(tmp_path / f"m{half}").predict(data.tp.test, anyway=True)
+        np.testing.assert_allclose(again.value, found.value, rtol=0, atol=2e-3 if half else 0)
+
+
+def test_residuals_of_all_layers_are_interpolated_too(base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fine_tuning, "_CLEARLY", np.inf)
+    monkeypatch.setattr(fine_tuning, "_RATE", 1e-6)
+    monkeypatch.setattr(fine_tuning, "PENALTIES", (Correction(1e3),))
+    for data in (other(120), other(300, reach=0.05)):
+        mine = adapt(base, data, epochs=1)
+        monkeypatch.setattr(kernel, "WORTH", 0.0)
+        plain = adapt(base, data, epochs=1)
+        told = mine.training_ or {}
+        assert told["chosen"]["fitted"].startswith(ALL) and told["chosen"]["residuals"].startswith("interpolated")
+        assert error(mine, data) < 0.9 * error(plain, data)
+        monkeypatch.setattr(kernel, "WORTH", 0.95)
+
+
 def test_a_last_layer_that_wins_is_fitted_to_all_frames_and_calibrated_by_all(
     base: NetworkEstimator, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -223,6 +268,8 @@ def test_of_much_film_single_frames_choose_and_calibrate(
     # All layers are kept, whatever they err by.
     monkeypatch.setattr(fine_tuning, "_CLEARLY", np.inf)
     monkeypatch.setattr(fine_tuning, "_SURE", 0.0)
+    # Interpolated residuals make widths relative to their deviations.
+    monkeypatch.setattr(kernel, "WORTH", 0.0)
     sure, unsure = (
         adapt(base, labelled(other(900, 10, reach=0.2), gaze_x_std=wide, gaze_y_std=wide), seconds=20, epochs=1)
         for wide in (np.full(910, 0.03), np.full(910, 0.13))

@@ -20,6 +20,7 @@ from tapetum.models import ResNet18, ZernikeRidge, save_model
 from tapetum.models.architectures import ResNet18Network
 from tapetum.models.export import export_onnx, onnx_bytes, onnx_card
 from tapetum.models.fast import FastResNet18
+from tapetum.models.kernel import fit_kernel
 
 pytestmark = pytest.mark.usefixtures("narrow")
 
@@ -111,6 +112,33 @@ def test_the_numbers_are_torchs(options: dict[str, Any], count: int):
             np.testing.assert_allclose(ours.probability, wanted.probability, rtol=0, atol=1e-5)
             np.testing.assert_allclose(ours.novelty, wanted.novelty, rtol=1e-5)
             assert ours.device == wanted.device
+
+
+@pytest.mark.parametrize("sizes", [{"crop": 36, "size": 24}, {"crop": 35, "size": 35}], ids=["24", "35 pixels a side"])
+def test_interpolated_residuals_are_added_and_widen_the_intervals(sizes: dict[str, int]):
+    plain = made(**sizes)
+    features, looks = _as_seen(plain, crops(40))
+    left = np.random.default_rng(4).normal(0, 0.5, (40, 2))
+    kernel = fit_kernel(features, looks, left, unit=0.2)
+    assert kernel is not None
+    model = ResNet18.from_state(plain.parameters(), plain.state() | kernel.state())
+    # Frames that it knows and others, of which some look like none.
+    images = np.concatenate([crops(40)[::5], crops(9)[:, ::-1], 255 - crops(3)])
+    wanted = model.predict(images, anyway=True)
+    for name in ("value", "lower", "upper"):
+        ours = getattr(FastResNet18(model, threads=1).predict(images, anyway=True), name)
+        np.testing.assert_allclose(ours, getattr(wanted, name), rtol=1e-4, atol=2e-4)
+    before = plain.predict(images, anyway=True)
+    added, deviation = kernel(*_as_seen(model, images))
+    np.testing.assert_allclose(wanted.value - before.value, added * model.scaling[1], atol=1e-6)
+    assert np.abs(added[:8]).max() > 0.1 and np.ptp(deviation) > 1
+    widths = (wanted.upper - wanted.lower) / (before.upper - before.lower)
+    np.testing.assert_allclose(widths, np.stack([deviation, deviation], axis=1))
+
+
+def _as_seen(model: ResNet18, images: np.ndarray) -> tuple[np.ndarray, torch.Tensor]:
+    looks = model._prepared(images, 255.0) / model.unit
+    return model.run(model.network_.eval().features, looks, torch.device("cpu")), looks
 
 
 def test_images_differ_in_what_they_give():

@@ -150,9 +150,9 @@ def _say(adapted: NetworkEstimator) -> None:
 
 def _warn_of(errors: dict[str, float], crop: int) -> None:
     """Say where an adapted network is no better than what needs none."""
-    from tapetum.models.fine_tuning import GUESS, RIDGE, better_of, ridge_scales
+    from tapetum.models.fine_tuning import CARRIED, GUESS, RIDGE, better_of, ridge_scales
 
-    best, ridge, guess = errors[better_of(errors)], errors[RIDGE], errors[GUESS]
+    best, ridge, guess = errors.get(CARRIED, errors[better_of(errors)]), errors[RIDGE], errors[GUESS]
     typer.echo(f"without the network: {ridge:.3g} with {RIDGE}, {guess:.3g} with {GUESS}")
     if best >= _LITTLE_BETTER * guess:
         typer.echo(

@@ -197,8 +197,12 @@ class Predictor(ABC):
         probability: NDArray[np.float64] | None = None,
         novelty: NDArray[np.float64] | None = None,
         own: bool = True,
+        deviation: NDArray[np.float64] | None = None,
     ) -> Prediction:
-        """Make a prediction of values [N, K]: add the intervals and the reasons why the model does not apply."""
+        """Make a prediction of values [N, K]: add the intervals and the reasons why the model does not apply.
+
+        `deviation` [N] multiplies the widths for the camera that the model learned.
+        """
         if not own:
             assert self.others_ is not None
             width = self.others_.at(np.zeros(len(value)) if distance is None else distance)
@@ -207,6 +211,8 @@ class Predictor(ABC):
             return judged(found, distance)
         # The SNR costs half a millisecond a frame: only where the intervals depend on it.
         width = self.intervals_.at(snr() if self.intervals_.conditional else np.zeros(len(value)))
+        if deviation is not None:
+            width = width * deviation[:, None]
         ends = value - width, value + width
         return judged(Prediction(self.quantities, value, *ends, self.classes(), probability, novelty), distance)
 

@@ -11,8 +11,10 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 import torch.nn.functional as F
+from scipy.linalg import solve_triangular
 from torch import Tensor, nn
 
 from tapetum.data.dataset import QUANTITIES
@@ -21,8 +23,9 @@ from tapetum.files import atomic_file
 from tapetum.models.architectures import ARCHITECTURES
 from tapetum.models.base import Predictor
 from tapetum.models.domain import described
-from tapetum.models.inputs import root_over_background
+from tapetum.models.inputs import area_average, root_over_background
 from tapetum.models.intervals import Intervals
+from tapetum.models.kernel import LEAST, small_area, small_pictures
 from tapetum.models.network import NetworkEstimator
 
 __all__ = ["EXTRA", "FORMAT", "VERSION", "export_onnx", "onnx_bytes", "onnx_card"]
@@ -40,9 +43,10 @@ _PREPARATION = (
     " grey levels as the camera counts them, finite and not negative; full_scale: float32 scalar, the camera's largest"
     " count (255 for 8 bits). Averaging over areas to {size} x {size}, square root, background and scaling are inside."
     " Intervals of 90 %: value - half_width ... value + half_width, from the row of half_width whose SNR (edges between"
-    " the rows: snr_edges) is the crop's. These hold for the copy of the camera trained on; other_unit has those for"
-    " another copy, by distance (distance_edges). novelty above 1: none of the classes. distance above 1: the crop is"
-    " unlike the training frames, and the answer means nothing."
+    " the rows: snr_edges) is the crop's; half_width is multiplied by the output deviation, where there is one. These"
+    " hold for the copy of the camera trained on; other_unit has those for another copy, by distance (distance_edges)."
+    " novelty above 1: none of the classes. distance above 1: the crop is unlike the training frames, and the answer"
+    " means nothing."
 )
 
 
@@ -101,7 +105,8 @@ def onnx_bytes(model: Predictor) -> bytes:
     """Return a fitted network as an ONNX model, preparation and scaling included.
 
     Inputs: `counts` [N, crop, crop] and `full_scale` [], float32. Outputs: `value` [N, K] in SI units where there are
-    quantities; `probability` [N, C] and `novelty` [N] where there are classes; `distance` [N] of
+    quantities; `deviation` [N] of `tapetum.models.kernel.ResidualKernel` where the model has one, by which its own
+    intervals are multiplied; `probability` [N, C] and `novelty` [N] where there are classes; `distance` [N] of
     `tapetum.models.domain.Domain` where the model has one. Standard deviations and temperature are multiplied into the
     last layer in float64; torch folds batch normalisations into the convolutions.
 
@@ -153,7 +158,7 @@ class _Deployed(nn.Module):
         self.network, k = copy.deepcopy(model.network_).cpu(), len(model.quantities)
         weight, bias = (one.detach().double() for one in self.network.head.parameters())
         spread = state["scaling.spread"]
-        constants = {"unit": state["scaling.unit"], "area": _area_average(model.crop, model.size)}
+        constants = {"unit": state["scaling.unit"], "area": area_average(model.crop, model.size)}
         if k:
             constants["value"] = (weight[:k] * spread[:, None]).T
             constants["value_offset"] = bias[:k] * spread + state["scaling.centre"]
@@ -169,6 +174,18 @@ class _Deployed(nn.Module):
             constants["mean"] = torch.from_numpy(model.domain_.mean)
             constants["references"] = torch.from_numpy(model.domain_.references / model.domain_.unit)
             constants["reference_squares"] = constants["references"].square().sum(dim=1)
+        if model.kernel_ is not None:
+            constants["kernel_area"] = small_area(model.size)
+            constants["kernel_units"] = torch.from_numpy(1 / model.kernel_.units)
+            # About their mean, squares are small and their differences accurate in float32.
+            references = torch.from_numpy(model.kernel_.references)
+            constants["kernel_mean"] = references.mean(dim=0)
+            constants["kernel_references"] = references - constants["kernel_mean"]
+            constants["kernel_squares"] = constants["kernel_references"].square().sum(dim=1)
+            constants["kernel_value"] = torch.from_numpy(model.kernel_.coefficients) * spread
+            factor = model.kernel_.factor
+            constants["kernel_white"] = torch.from_numpy(solve_triangular(factor, np.eye(len(factor)), lower=True)).T
+            constants["kernel_unit"] = torch.tensor(model.kernel_.unit)
         for name, values in constants.items():
             self.register_buffer(name, values)
 
@@ -187,6 +204,15 @@ class _Deployed(nn.Module):
         found: dict[str, Tensor] = {}
         if "value" in known:
             found["value"] = features @ known["value"] + known["value_offset"]
+        if "kernel_value" in known:
+            units = known["kernel_units"]
+            own = torch.cat([features * units[0], small_pictures(seen, known["kernel_area"]) * units[1]], dim=1)
+            own = own - known["kernel_mean"]
+            squares = own.square().sum(dim=1, keepdim=True) + known["kernel_squares"]
+            alike = torch.exp((own @ known["kernel_references"].T - 0.5 * squares).clamp(max=0))
+            found["value"] = found["value"] + alike @ known["kernel_value"]
+            left = 1 - (alike @ known["kernel_white"]).square().sum(dim=1)
+            found["deviation"] = left.clamp(min=LEAST).sqrt() / known["kernel_unit"]
         if "score" in known:
             found["probability"] = (features @ known["score"] + known["score_offset"]).softmax(dim=1)
         if "means" in known:
@@ -198,8 +224,3 @@ class _Deployed(nn.Module):
             squares = white.square().sum(dim=1, keepdim=True) + known["reference_squares"]
             found["distance"] = (squares - 2 * white @ known["references"].T).amin(dim=1).clamp(min=0).sqrt()
         return found
-
-
-def _area_average(crop: int, size: int) -> Tensor:
-    """Return the matrix [size, crop] of torch's "area" interpolation: means over whole pixels that may overlap."""
-    return F.interpolate(torch.eye(crop, dtype=torch.float64)[None], size=size, mode="area")[0].T

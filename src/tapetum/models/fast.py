@@ -122,6 +122,7 @@ class FastResNet18(Predictor):
             found.get("probability"),
             found.get("novelty"),
             own,
+            found.get("deviation"),
         )
 
     def _run(self, counts: NDArray[np.float32], full_scale: float) -> list[NDArray[np.generic]]:

@@ -27,6 +27,7 @@ from tapetum.models.copy_prior import CopyPrior
 from tapetum.models.domain import fit_domain, picture_features
 from tapetum.models.intervals import fit_intervals
 from tapetum.models.kept_folds import WHOLE, KeptFolds
+from tapetum.models.kernel import LeftOut, ResidualKernel, interpolated, left_out
 from tapetum.models.last_layer import (
     FROM_COPIES,
     PENALTIES,
@@ -50,7 +51,7 @@ from tapetum.models.training import (
 from tapetum.models.zernike_ridge import ZernikeRidge, ridge_residuals
 from tapetum.progress import Progress
 
-__all__ = ["ALL", "GUESS", "LAST", "RIDGE", "Adaptation", "better_of", "epochs_of", "ridge_scales"]
+__all__ = ["ALL", "CARRIED", "GUESS", "LAST", "RIDGE", "Adaptation", "better_of", "epochs_of", "ridge_scales"]
 
 Array = NDArray[np.float64]
 T = TypeVar("T")
@@ -59,6 +60,8 @@ LAST, ALL = "the last layer", "all layers"
 """What may be fitted again."""
 RIDGE, GUESS = "a tuned ridge of these frames alone", "their mean"
 """What an adapted network has to beat."""
+CARRIED = "its residuals interpolated"
+"""Of what is kept, where residuals are interpolated."""
 
 # Up to so many frames every frame fits and calibrates, by cross-validation; of more, a part is kept aside.
 _FEW = 250
@@ -169,6 +172,7 @@ class Adaptation:
             "settings": asdict(settings),
             "single": single,
             "scattered": aside is not None,
+            "residuals": "interpolated",
         }
         work = cls(
             base,
@@ -200,6 +204,21 @@ class Adaptation:
         network.eval()
         return self.base.run(network.features if features else network, looks, device)
 
+    def seen(self, network: Network) -> tuple[Array, Array]:
+        """Return a network's features [N, F] of all frames and what its last layer leaves of their targets [N, K]."""
+        features = self.outputs(network, features=True)
+        weight, bias = (one.detach().double().cpu().numpy() for one in network.head.parameters())
+        return features, self.targets - LastLayer(weight, bias)(features)
+
+    @property
+    def sure_of(self) -> Array | None:
+        """Weights [N] of the frames by their labels' deviations, where these are known."""
+        return None if self.part.weights is None else self.part.weights.mean(axis=1)
+
+    def left_out(self, features: Array, rest: Array, fit: NDArray[np.intp], at: NDArray[np.intp]) -> LeftOut:
+        """Return what is left of frames `at`, without and with the residuals of those that were fitted."""
+        return left_out(features, self.looks, rest, fit, at, self.sure_of)
+
     @property
     def spread_of(self) -> Array:
         """Standard deviations [K] of the quantities, in which `targets` are counted."""
@@ -207,8 +226,7 @@ class Adaptation:
 
     def head(self, places: NDArray[np.intp], how: Correction) -> LastLayer:
         """Correct the base's last layer by some frames."""
-        weights = self.part.weights
-        sure = None if weights is None else weights[places].mean(axis=1)
+        sure = None if self.sure_of is None else self.sure_of[places]
         return corrected(self.before, self.features[places], self.targets[places], sure, how, self.prior)
 
     @property
@@ -319,30 +337,35 @@ class Adaptation:
         fits = [self.apart(aside) for aside in asides]
         last, how = self.last_layer(asides, fits)
         self._settle(last)
-        residuals = np.full_like(self.targets, np.nan)
+        n, quantities = self.targets.shape
+        found = np.full((n, 2 * quantities + 1), np.nan)
         for k, (aside, fit) in enumerate([] if self.sure else zip(asides, fits, strict=True)):
             at = np.flatnonzero(aside)
             kept = self.kept.fold(k)
             if kept is None:
                 network, _ = self.trained(fit, self.head(fit, how), f"fold {k + 1} of {len(asides)}")
-                kept = self.targets[at] - self.outputs(network, at)
+                one = self.left_out(*self.seen(network), fit, at)
+                kept = np.column_stack([one.plain, one.carried, one.deviation])
                 self.kept.keep(k, kept)
-            residuals[at] = kept
-        everything = np.arange(len(self.targets))
+            found[at] = kept
+        left = LeftOut(found[:, :quantities], found[:, quantities:-1], found[:, -1])
+        everything = np.arange(n)
         errors = {LAST: float(np.abs(last).mean())}
         if not self.sure:
-            errors[ALL] = float(np.abs(residuals).mean())
+            errors[ALL] = left.errors[0]
         best = better_of(errors)
         head = self.head(everything, how)
         network = self._finished(best, everything, head)
+        if best == LAST:
+            left, shown = self.last_left_out(asides, fits, how), (self.features, self.targets - head(self.features))
+        else:
+            shown = self.seen(network)
         why = f"{self._said(errors)} on frames left out in turn, in {len(asides)} folds"
         intervals = f"from the errors on the frames left out in turn, in {len(asides)} folds (cross-conformal)"
-        own = np.abs(residuals if best == ALL else last)
-        wide = _deviations(self.part)
-        if self.single and wide is not None:
-            # Neighbouring frames may share the error of their labels, which a network can learn from one and repeat for
-            # the other.
-            own = own + wide / self.spread_of
+        # Neighbouring frames may share the error of their labels, which a network can learn from one and repeat for the
+        # other.
+        wide = _deviations(self.part) if self.single else None
+        own, kernel, said = self._interpolated(left, left, *shown, wide)
         summary = {
             "fitted": len(everything),
             "calibrated_on": len(everything),
@@ -350,12 +373,13 @@ class Adaptation:
             "chosen": {
                 "fitted": f"{best}: {why}",
                 "penalty": f"{how}: least error on the same frames",
+                "residuals": said,
                 **self._begun(best),
             },
-            "left_out_error": {**errors, **self.beside(asides, fits)},
+            "left_out_error": {**errors, **_with(kernel, left), **self.beside(asides, fits)},
             "intervals": intervals,
         }
-        return self._estimator(network, own * self.spread_of, self.snr, summary, told)
+        return self._estimator(network, own, self.snr, summary, told, kernel)
 
     def _by_parts(self, told: dict[str, Any]) -> NetworkEstimator:
         fit, choose, calibrate = self._parted()
@@ -374,20 +398,22 @@ class Adaptation:
                 choose = calibrate = np.flatnonzero(self.aside)
         head = self.head(fit, how)
         network, history = self.trained(fit, head, WHOLE, choose)
+        features, rest = self.seen(network)
         errors = {
             LAST: float(np.abs(head(self.features[choose]) - self.targets[choose]).mean()),
-            ALL: float(np.abs(self.outputs(network, choose) - self.targets[choose]).mean()),
+            ALL: float(np.abs(rest[choose]).mean()),
         }
         best = better_of(errors)
         why = f"{best}: {self._said(errors)} on {len(choose)} frames that neither"
-        left_out = {**errors, **self.beside([self._mask(choose)], [fit])}
+        beside = self.beside([self._mask(choose)], [fit])
         if best == LAST:
-            return self._last_layer_of_all(f"{why} had fitted", left_out, told)
-        residuals = np.abs(self.targets[calibrate] - self.outputs(network, calibrate)) * self.spread_of
-        wide = _deviations(self.part)
-        if self.aside is not None and wide is not None:
-            # Neighbours are fitted, which may share the error of their labels (see `_by_folds`).
-            residuals = residuals + wide[calibrate]
+            return self._last_layer_of_all(f"{why} had fitted", {**errors, **beside}, told)
+        left = self.left_out(features, rest, fit, np.arange(len(rest)))
+        # Neighbours are fitted, which may share the error of their labels (see `_by_folds`).
+        wide = None if self.aside is None else _deviations(self.part)
+        wide = None if wide is None else wide[calibrate]
+        chosen = left.at(choose)
+        residuals, kernel, said = self._interpolated(chosen, left.at(calibrate), features, rest, wide)
         kept = f"{kept_epoch(history, self.settings.patience)} of {len(history)}"
         if self.unlike:
             by, epochs, apart = "had fitted", kept, "did not fit"
@@ -405,12 +431,26 @@ class Adaptation:
                 "fitted": f"{why} {by}",
                 "penalty": f"{how}: least error on frames that it had not fitted",
                 "epochs": epochs,
+                "residuals": said,
                 **self._begun(ALL),
             },
-            "left_out_error": left_out,
+            "left_out_error": {**errors, **_with(kernel, chosen), **beside},
             "intervals": f"from {'stretches' if self.aside is None else 'single frames'} of the film that {apart}",
         }
-        return self._estimator(network, residuals, self.snr[calibrate], summary, told)
+        return self._estimator(network, residuals, self.snr[calibrate], summary, told, kernel)
+
+    def _interpolated(
+        self, judged: LeftOut, calibrating: LeftOut, features: Array, rest: Array, wide: Array | None
+    ) -> tuple[Array, ResidualKernel | None, str]:
+        """Return errors to calibrate by [n, K], in the labels' units, the kernel that is kept, and why.
+
+        `features` and `rest` are of all frames, as `seen` returns them for the network that is kept; `wide` [n, K] is
+        added to the errors.
+        """
+        kernel, said = interpolated(judged, calibrating, features, self.looks, rest, self.sure_of)
+        left, deviation = calibrating.under(kernel)
+        own = np.abs(left) * self.spread_of + (0 if wide is None else wide)
+        return own / deviation[:, None], kernel, said
 
     def _parted(self) -> tuple[NDArray[np.intp], NDArray[np.intp], NDArray[np.intp]]:
         """Return the frames that fit, choose and calibrate: stretches of the part kept aside do the last two by turns.
@@ -442,9 +482,12 @@ class Adaptation:
     def _last_layer_of_all(self, why: str, left_out: dict[str, float], told: dict[str, Any]) -> NetworkEstimator:
         """The base with its last layer corrected by every frame: that takes no time, so each calibrates too."""
         asides = [self.folds == k for k in np.unique(self.folds)]
-        residuals, how = self.last_layer(asides, [self.apart(aside) for aside in asides])
+        fits = [self.apart(aside) for aside in asides]
+        _, how = self.last_layer(asides, fits)
         n, folds = len(self.targets), f"in {len(asides)} folds"
         head = self.head(np.arange(n), how)
+        left = self.last_left_out(asides, fits, how)
+        own, kernel, said = self._interpolated(left, left, self.features, self.targets - head(self.features), None)
         summary = {
             "fitted": n,
             "calibrated_on": n,
@@ -452,14 +495,13 @@ class Adaptation:
             "chosen": {
                 "fitted": why,
                 "penalty": f"{how}: least error on frames left out in turn, {folds}",
+                "residuals": said,
                 **self._begun(LAST),
             },
-            "left_out_error": left_out,
+            "left_out_error": {**left_out, **_with(kernel, left)},
             "intervals": f"from the errors on the frames left out in turn, {folds} (cross-conformal)",
         }
-        return self._estimator(
-            self._finished(LAST, np.arange(n), head), residuals * self.spread_of, self.snr, summary, told
-        )
+        return self._estimator(self._finished(LAST, np.arange(n), head), own, self.snr, summary, told, kernel)
 
     def _away(self, these: NDArray[np.intp], others: NDArray[np.intp]) -> NDArray[np.intp]:
         """Return those of the frames whose labels share no measurement with the others'."""
@@ -481,6 +523,15 @@ class Adaptation:
             if error < least:
                 best, least, chosen = errors, error, how
         return best, chosen
+
+    def last_left_out(self, asides: list[NDArray[np.bool_]], fits: list[NDArray[np.intp]], how: Correction) -> LeftOut:
+        """Return what the corrected last layer leaves of the frames left out, all frames in the end."""
+        found = LeftOut(np.empty_like(self.targets), np.empty_like(self.targets), np.ones(len(self.targets)))
+        for aside, fit in zip(asides, fits, strict=True):
+            at = np.flatnonzero(aside)
+            one = self.left_out(self.features, self.targets - self.head(fit, how)(self.features), fit, at)
+            found.plain[at], found.carried[at], found.deviation[at] = one.plain, one.carried, one.deviation
+        return found
 
     def _finished(self, what: str, places: NDArray[np.intp], head: LastLayer) -> Network:
         """Return the network that is kept: all layers trained on some frames, or only the last layer."""
@@ -506,7 +557,13 @@ class Adaptation:
         return f"mean error over the labels' spread {said}"
 
     def _estimator(
-        self, network: Network, residuals: Array, snr: Array, summary: dict[str, Any], told: dict[str, Any]
+        self,
+        network: Network,
+        residuals: Array,
+        snr: Array,
+        summary: dict[str, Any],
+        told: dict[str, Any],
+        kernel: ResidualKernel | None,
     ) -> NetworkEstimator:
         base, part, settings = self.base, self.part, self.settings
         state = {name: tensor.detach().cpu().clone() for name, tensor in network.state_dict().items()}
@@ -516,7 +573,8 @@ class Adaptation:
         generator = torch.Generator().manual_seed(settings.seed)
         seen = [picture_features(augment(some, settings.augmentation, generator)) for some in self.looks.split(64)]
         domain = fit_domain(np.concatenate(seen), np.asarray(part.dataset["recording"].values))
-        state |= {} if domain is None else domain.state()
+        for learned in (domain, kernel):
+            state |= {} if learned is None else learned.state()
         own = {
             "epochs": settings.epochs,
             "batch": settings.batch,
@@ -532,6 +590,11 @@ class Adaptation:
         took = {"took_seconds": round(time.monotonic() - self.started, 1)}
         model.training_ = {**part.summary, **summary, "adapted_from": {**told, **took}}
         return model
+
+
+def _with(kernel: ResidualKernel | None, left: LeftOut) -> dict[str, float]:
+    """What the card says of the errors of interpolated residuals, where they are."""
+    return {} if kernel is None else {CARRIED: left.errors[1]}
 
 
 def better_of(errors: Mapping[str, float]) -> str:

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from tapetum.errors import InputError
 
-__all__ = ["BACKGROUNDS", "SOFTENING", "central", "prepare", "root_over_background"]
+__all__ = ["BACKGROUNDS", "SOFTENING", "area_average", "central", "prepare", "root_over_background"]
 
 BACKGROUNDS = ("root", "level")
 SOFTENING = 2 / 255
@@ -28,6 +28,11 @@ def central(images: NDArray[np.generic], crop: int) -> NDArray[np.generic]:
     if cut.dtype.kind != "u" and not (np.isfinite(cut).all() and cut.min(initial=0) >= 0):
         raise InputError("intensities must be finite and not negative", where="images", remedy="clip them at 0")
     return cut
+
+
+def area_average(side: int, size: int) -> Tensor:
+    """Return the matrix [size, side] of torch's "area" interpolation: means over whole pixels that may overlap."""
+    return F.interpolate(torch.eye(side, dtype=torch.float64)[None], size=size, mode="area")[0].T
 
 
 def prepare(

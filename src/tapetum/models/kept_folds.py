@@ -45,12 +45,12 @@ class KeptFolds:
             part.write_text(json.dumps({"identity": identity}, indent=1) + "\n", encoding="utf-8")
 
     def fold(self, number: int) -> NDArray[np.float64] | None:
-        """Return the errors of a fold that is finished, [n, K], or None."""
+        """Return what was kept of a fold that is finished, a row a frame, or None."""
         file = None if self.folder is None or not self.resume else self.folder / f"fold-{number + 1}.json"
         return None if file is None or not file.exists() else np.array(_read(file)["errors"], dtype=float)
 
     def keep(self, number: int, errors: NDArray[np.float64]) -> None:
-        """Keep the errors of a finished fold."""
+        """Keep the errors of a finished fold, a row a frame."""
         if self.folder is not None:
             with atomic_file(self.folder / f"fold-{number + 1}.json") as part:
                 part.write_text(json.dumps({"errors": errors.tolist()}), encoding="utf-8")

@@ -27,6 +27,7 @@ from tapetum.models.copy_prior import CopyPrior, fit_copy_prior
 from tapetum.models.domain import Domain, fit_domain, picture_features, picture_width
 from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
+from tapetum.models.kernel import ResidualKernel
 from tapetum.models.losses import MixedLoss
 from tapetum.models.novelty import Novelty, fit_novelty
 from tapetum.models.own_layers import OwnLayers, beside_copies, copies_of, targets_beside, without_copies
@@ -87,6 +88,8 @@ class NetworkEstimator(Estimator):
         Of the class probabilities, fitted to held-out frames: `tapetum.models.calibration`.
     novelty_
         `tapetum.models.novelty.Novelty`, or None without classes.
+    kernel_
+        `tapetum.models.kernel.ResidualKernel` of an adapted model, or None.
 
     Examples
     --------
@@ -104,6 +107,7 @@ class NetworkEstimator(Estimator):
     temperature_: float
     novelty_: Novelty | None
     prior_: CopyPrior | None = None
+    kernel_: ResidualKernel | None = None
 
     def __init__(
         self,
@@ -252,7 +256,7 @@ class NetworkEstimator(Estimator):
         if beside is not None:
             network = without_copies(network, k)
             self.training_["copies"] = {"copies": int(beside[2].max()), "frames": len(beside[2])}
-        self.network_, self.prior_ = network, None
+        self.network_, self.prior_, self.kernel_ = network, None, None
         if beside is not None:
             self._learn_copies(shown[len(part.fit) :], *beside[1:])
         if patience is not None:
@@ -394,13 +398,15 @@ class NetworkEstimator(Estimator):
         features = self.run(self.network_.features, seen, device)
         weight, bias = (one.detach().double().cpu().numpy() for one in self.network_.head.parameters())
         found = features @ weight.T + bias
+        added, deviation = (0.0, None) if self.kernel_ is None else self.kernel_(features, seen)
         return self._prediction(
-            self._scaled(found),
+            self._scaled(found[:, :k] + added),
             lambda: crop_snr(images, full_scale),
             None if self.domain_ is None else self.domain_(picture_features(seen)),
             probabilities(found[:, k:], self.temperature_) if self.classes_ else None,
             None if self.novelty_ is None else self.novelty_(features),
             own,
+            deviation,
         )
 
     def parameters(self) -> dict[str, Any]:
@@ -421,7 +427,7 @@ class NetworkEstimator(Estimator):
             learned[f"scaling.{name}"] = torch.from_numpy(np.array(values, dtype=np.float64))
         learned |= self.intervals_.state("scaling.")
         learned |= {} if self.others_ is None else self.others_.state(OTHER)
-        for one in (self.novelty_, self.domain_, self.prior_):
+        for one in (self.novelty_, self.domain_, self.prior_, self.kernel_):
             learned |= {} if one is None else one.state()
         return learned
 
@@ -468,6 +474,7 @@ class NetworkEstimator(Estimator):
         model.novelty_ = Novelty.from_state(state, len(classes), network.width) if classes else None
         model.domain_ = Domain.from_state(state, picture_width())
         model.prior_ = CopyPrior.from_state(state, k, network.width)
+        model.kernel_ = ResidualKernel.from_state(state, k, network.width)
         return model
 
 
