@@ -272,6 +272,8 @@ def test_training_that_makes_no_sense(run, chain, tmp_path: Path) -> None:
         (("--target", "weather"), "weather"),
         (("--resume",), "--resume: has no meaning for zernike"),
         (("--epochs", 3), "--epochs: has no meaning for zernike"),
+        (("--interpolate",), "--interpolate: has no meaning for zernike"),
+        (("--model", "resnet18", "--no-intervals", "--interpolate"), "--interpolate: needs frames kept aside"),
         (("--tuned", "--model", "resnet18"), "--tuned: has no meaning for resnet18"),
         (("--target", "device"), "a linear model of quantities does not recognise devices"),
         (("--target", "device", "--model", "resnet18"), "has no label 'device'"),

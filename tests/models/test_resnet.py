@@ -12,7 +12,7 @@ import xarray as xr
 
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
-from tapetum.models import ResNet18, ResNet18Network, crop_snr
+from tapetum.models import ResNet18, ResNet18Network, crop_snr, kernel, load_model, save_model
 from tapetum.models.base import training_part
 from tapetum.models.inputs import prepare
 from tapetum.models.training import CHECKPOINT, HISTORY, Augmentation, augment
@@ -153,6 +153,41 @@ def test_it_learns(small):
     widths = np.tile(2 * model.intervals_.half_width[0], (60, 1))
     np.testing.assert_allclose(prediction.upper - prediction.lower, widths)
     assert model.history_[-1].loss < model.history_[0].loss
+
+
+@pytest.mark.usefixtures("narrow")
+@pytest.mark.parametrize("patience", [None, 4])
+def test_residuals_are_interpolated_where_that_is_asked_for_and_pays(small, tmp_path: Path, patience: int | None):
+    asked = {**TINY, "epochs": 4, "calibration_fraction": 0.2, "patience": patience}
+    plain = ResNet18(**asked).fit(small.tp.train)
+    model = ResNet18(**asked, interpolate=True).fit(small.tp.train)
+    assert model.kernel_ is not None and plain.kernel_ is None
+    why = (model.training_ or {})["chosen"]["residuals"]
+    assert why.startswith("interpolated") and "residuals" not in (plain.training_ or {})["chosen"]
+    truth = small.tp.test.tp.values(("gaze_x", "gaze_y"))
+    found, before = (one.predict(small.tp.test, anyway=True) for one in (model, plain))
+    assert np.abs(found.value - truth).mean() < 0.9 * np.abs(before.value - truth).mean()
+    held = ((found.lower <= truth) & (truth <= found.upper)).mean()
+    assert 0.75 <= held <= 0.99
+    save_model(model, tmp_path / "m")
+    again = load_model(tmp_path / "m")
+    np.testing.assert_allclose(again.predict(small.tp.test, anyway=True).upper, found.upper, rtol=1e-6)
+    assert again.parameters() == model.parameters() and again.parameters()["interpolate"] is True
+    # What does not pay is not kept.
+    kernel.WORTH, worth = 0.0, kernel.WORTH
+    try:
+        left = ResNet18(**asked, interpolate=True).fit(small.tp.train)
+    finally:
+        kernel.WORTH = worth
+    assert left.kernel_ is None and (left.training_ or {})["chosen"]["residuals"].startswith("not interpolated")
+    np.testing.assert_allclose(left.predict(small.tp.test, anyway=True).upper, before.upper, rtol=1e-6)
+
+
+def test_what_cannot_be_interpolated_is_told():
+    with pytest.raises(InputError, match="interpolate: needs frames held out"):
+        ResNet18("gaze", calibration_fraction=0.0, interpolate=True)
+    with pytest.raises(InputError, match="interpolate: has no meaning for a device"):
+        ResNet18("device", interpolate=True)
 
 
 def test_a_broken_run_ends_as_an_unbroken_one(few, whole, tmp_path: Path):

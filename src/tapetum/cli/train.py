@@ -55,6 +55,14 @@ def train(
         str | None, option("HOW", "networks: take the background off before the root (level) or after (root).")
     ] = None,
     gain: Annotated[float | None, option("X", "networks: how far brightness is varied, in parts of e.", min=0)] = None,
+    interpolate: Annotated[
+        bool,
+        typer.Option(
+            "--interpolate",
+            help="networks: interpolate what is left of the labels between frames that look alike, where that errs "
+            "less on the frames kept aside.",
+        ),
+    ] = False,
     copies: Annotated[
         Path | None,
         option("COPIES", "networks: a set of further copies of the camera, which train all layers but the last too."),
@@ -80,6 +88,8 @@ def train(
         one_of(kind, ("zernike", *ARCHITECTURES), "--kind")
     if network and intervals is False and patience is not None:
         raise InputError("needs frames kept aside", where="--patience", remedy="leave out --no-intervals")
+    if network and intervals is False and interpolate:
+        raise InputError("needs frames kept aside", where="--interpolate", remedy="leave out --no-intervals")
     networks_own = {
         "epochs": epochs,
         "patience": patience,
@@ -87,6 +97,7 @@ def train(
         "size": size,
         "background": background,
         "gain": gain,
+        "interpolate": interpolate or None,
         "seed": seed,
         "device": None if device == "auto" else device,
         "processes": count_of(processes),

@@ -56,7 +56,9 @@ def adapt(
     calibrate, of which a third decides instead unless the camera is unlike the others. Where the last layer wins, it is
     fitted to all frames, and calibrated in folds. Frames of different folds or parts share no measurement of their
     labels, except where frames are divided one by one, many ones and those that are spread over a film at least four
-    times as long: then the labels' standard deviations are added to their errors. Test frames are never used.
+    times as long: then the labels' standard deviations are added to their errors. What the network that is kept leaves
+    of the labels is interpolated between frames that look alike (`tapetum.models.kernel`) where that errs less on the
+    frames left out. Test frames are never used.
 
     Parameters
     ----------

@@ -53,6 +53,11 @@ class _Network(_Parameters):
     background: str = "root"
     patience: Some | None = None
     precision: str = "float32"
+    interpolate: bool = False
+
+
+# Named only where it is true: older versions, which would leave out what is interpolated, refuse such a card.
+_IF_TRUE = {"interpolate"}
 
 
 class _Weights(Checked):
@@ -92,7 +97,7 @@ def checked_card(card: dict[str, Any], where: object) -> dict[str, Any]:
     found = check(_Card, card, where, _REMEDY)
     parameters = check(_PARAMETERS[found.kind], found.parameters, f"{where}: parameters", _REMEDY)
     for part, within in ((found, where), (parameters, f"{where}: parameters")):
-        missing = sorted(set(type(part).model_fields) - part.model_fields_set)
+        missing = sorted(set(type(part).model_fields) - part.model_fields_set - _IF_TRUE)
         if card["version"] > 1 and missing:
             raise InputError(f"{missing[0]}: is missing", where=within, remedy=_REMEDY)
     unknown = sorted(parameters.model_extra or ())

@@ -583,6 +583,7 @@ class Adaptation:
             "patience": settings.patience,
             "precision": settings.precision,
             "calibration_fraction": _CALIBRATE,
+            "interpolate": kernel is not None,
         }
         model = type(base).from_state({**base.parameters(), **own}, state, architecture=base.kind)
         model.device = self.device

@@ -27,7 +27,7 @@ from tapetum.models.copy_prior import CopyPrior, fit_copy_prior
 from tapetum.models.domain import Domain, fit_domain, picture_features, picture_width
 from tapetum.models.inputs import BACKGROUNDS, prepare
 from tapetum.models.intervals import OTHER, Intervals, fit_intervals, has_intervals
-from tapetum.models.kernel import ResidualKernel
+from tapetum.models.kernel import ResidualKernel, interpolated, left_out
 from tapetum.models.losses import MixedLoss
 from tapetum.models.novelty import Novelty, fit_novelty
 from tapetum.models.own_layers import OwnLayers, beside_copies, copies_of, targets_beside, without_copies
@@ -72,6 +72,9 @@ class NetworkEstimator(Estimator):
         Share of the training frames, the last ones of each recording, that is held out: it shows the error after each
         epoch and sets the intervals. With `patience` the first half chooses the epoch whose weights are kept, and the
         second half sets the intervals.
+    interpolate
+        Interpolate the residuals of the training frames between frames that look alike (`tapetum.models.kernel`) where
+        that errs less on the frames held out.
     device, processes
         "auto" (CUDA if present), "cpu" or "cuda"; and how many GPUs or processes train, "auto" for all GPUs. Not saved
         with a model.
@@ -89,7 +92,7 @@ class NetworkEstimator(Estimator):
     novelty_
         `tapetum.models.novelty.Novelty`, or None without classes.
     kernel_
-        `tapetum.models.kernel.ResidualKernel` of an adapted model, or None.
+        `tapetum.models.kernel.ResidualKernel`, or None where residuals are not interpolated.
 
     Examples
     --------
@@ -129,6 +132,7 @@ class NetworkEstimator(Estimator):
         noise: float = 0.03,
         seed: int = 0,
         calibration_fraction: float = 0.1,
+        interpolate: bool = False,
         device: str = "auto",
         processes: int | str = 1,
     ) -> None:
@@ -152,7 +156,11 @@ class NetworkEstimator(Estimator):
             patience,
             precision,
         )
-        self.calibration_fraction = float(calibration_fraction)
+        self.calibration_fraction, self.interpolate = float(calibration_fraction), bool(interpolate)
+        if interpolate and not (self.quantities and self.calibration_fraction):
+            what = "needs frames held out" if self.quantities else "has no meaning for a device"
+            remedy = "leave it out" + (", or hold some out, as is usual" if self.quantities else "")
+            raise InputError(what, where="interpolate", remedy=remedy)
         self.data_hash_ = self.training_ = None
         self.device, self.processes = device, processes
         training_device(device)
@@ -317,7 +325,10 @@ class NetworkEstimator(Estimator):
         """Fit intervals, temperature and novelty to the held-out frames."""
         aside, k = part.calibrate, len(self.quantities)
         found = self.run(self.network_, images[aside], device)
-        self.intervals_ = fit_intervals(part.targets[aside] - self._scaled(found), snr[aside])
+        residuals = part.targets[aside] - self._scaled(found)
+        if self.interpolate:
+            residuals = self._interpolate(part, images, device)
+        self.intervals_ = fit_intervals(residuals, snr[aside])
         self.temperature_, self.novelty_ = 1.0, None
         if part.camera is None:
             return
@@ -330,6 +341,22 @@ class NetworkEstimator(Estimator):
             len(part.classes),
             self.run(self.network_.features, images[aside], device),
         )
+
+    def _interpolate(self, part: TrainingPart, images: Tensor, device: torch.device) -> NDArray[np.float64]:
+        """Interpolate residuals where that pays; return what calibrates the intervals [n, K]."""
+        features, k = self.run(self.network_.features, images, device), len(self.quantities)
+        weight, bias = (one.detach().double().cpu().numpy()[:k] for one in self.network_.head.parameters())
+        rest = (part.targets - self._centre) / self._spread - features @ weight.T - bias
+        weights = None if part.weights is None else part.weights.mean(axis=1)
+        aside = part.calibrate if self.settings.patience is None else part.choose
+        judged, calibrating = (
+            left_out(features, images, rest, part.fit, places, weights) for places in (aside, part.calibrate)
+        )
+        self.kernel_, why = interpolated(judged, calibrating, features, images, rest, weights)
+        assert self.training_ is not None
+        self.training_["chosen"]["residuals"] = why
+        left, deviation = calibrating.under(self.kernel_)
+        return left * self._spread / deviation[:, None]
 
     def _read_part(self, part: TrainingPart, progress: Progress) -> tuple[Tensor, NDArray[np.float64]]:
         """Return a part's prepared images, and the SNR of those that calibrate, which is NaN for the others.
@@ -414,6 +441,8 @@ class NetworkEstimator(Estimator):
         settings = asdict(self.settings)
         varied = settings.pop("augmentation")
         own = {name: getattr(self, name) for name in ("crop", "size", "hide", "background", "calibration_fraction")}
+        # Named only where it is true, see `tapetum.models.card`.
+        own |= {"interpolate": True} if self.interpolate else {}
         return {"target": plain_target(self.target), **own, **settings, **varied}
 
     def state(self) -> dict[str, Tensor]:
