@@ -117,4 +117,4 @@ def test_few_frames_and_equal_ones_have_none() -> None:
 def test_of_many_frames_some_are_kept(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "_MOST", 30)
     kernel = fitted(100)
-    assert kernel.references.shape == (25, 5 + 144) and kernel.coefficients.shape == (25, 2)
+    assert kernel.references.shape == (30, 5 + 144) and kernel.coefficients.shape == (30, 2)

@@ -10,13 +10,18 @@ import pytest
 
 DOCS = Path(__file__).parents[2] / "docs"
 LENSES = {"zoom": "another catalogue lens", "compact": "a lens in no training set"}
+NAMES = {"zoom": "zoom-5-15mm", "compact": "compact-6mm-f1.9"}
 
 
-def rows(lens: str, method: str, base: str = "", calibrates: str | None = None) -> dict[int, dict]:
+def rows(lens: str, method: str, base: str = "", *, before: bool = False) -> dict[int, dict]:
+    """Of every copy; `before` residuals were interpolated, or those that the table is of."""
     told = json.loads((DOCS / "numbers" / "adapt-lenses.json").read_text(encoding="utf-8"))["rows"]
-    wanted = (LENSES[lens], method, base, calibrates)
-    names = ("kind", "method", "base", "calibrates")
-    return {one["unit"]: one for one in told if tuple(one.get(name) for name in names) == wanted}
+    own = [one for one in told if (one["kind"], one["method"], one["base"]) == (LENSES[lens], method, base)]
+    return {one["unit"]: one for one in own if one.get("before", False) == before}
+
+
+def page(begins: str) -> str:
+    return (DOCS / "learning.md").read_text(encoding="utf-8").partition(begins)[2]
 
 
 def mean(found: list[dict]) -> tuple[str, str]:
@@ -34,9 +39,7 @@ def mean(found: list[dict]) -> tuple[str, str]:
     ],
 )
 def test_the_table_of_other_lenses_holds_the_means(begins: str, method: str, base: str) -> None:
-    page = (DOCS / "learning.md").read_text(encoding="utf-8")
-    _, _, lenses = page.partition("**Another lens**")
-    (line,) = [one for one in lenses.splitlines() if one.startswith(begins)]
+    (line,) = [one for one in page("**Another lens**").splitlines() if one.startswith(begins)]
     cells = [one.strip() for one in line.strip("|").split("|")]
     zoom, compact = (list(rows(lens, method, base).values()) for lens in LENSES)
     assert cells[2:6] == [*mean(zoom), *mean(compact)]
@@ -45,23 +48,33 @@ def test_the_table_of_other_lenses_holds_the_means(begins: str, method: str, bas
 
 @pytest.mark.parametrize("lens", LENSES)
 def test_half_a_minute_is_worth_100_seconds_from_scratch(lens: str) -> None:
-    """In the mean of the copies that were learned both ways, as the page says."""
+    """In the mean of copies, ten and other ones, as the page says."""
     adapted, scratch = rows(lens, "adapt", "thin-lens-gaze"), rows(lens, "scratch")
-    assert len(scratch) >= 3
-    ours, theirs = (np.mean([of[unit]["mae"] for unit in scratch], axis=0) for of in (adapted, scratch))
+    assert len(adapted) >= 10 and len(scratch) >= 3
+    ours, theirs = (np.mean([one["mae"] for one in of.values()], axis=0) for of in (adapted, scratch))
     assert (ours <= theirs).all()
-    said, _ = mean([adapted[unit] for unit in scratch])
-    assert said in (DOCS / "learning.md").read_text(encoding="utf-8").partition("On the copies that were also")[2]
 
 
-def test_the_page_says_what_single_frames_change_of_every_copy_that_was_adapted_so() -> None:
-    _, _, page = (DOCS / "learning.md").read_text(encoding="utf-8").partition("Single frames calibrate since.")
-    lines, said = 0, {"zoom": "zoom-5-15mm", "compact": "compact-6mm-f1.9"}
-    for lens, name in said.items():
-        stretches, single = (rows(lens, "adapt", "thin-lens-gaze", by) for by in (None, "single frames"))
-        for unit in single:
-            for by, one in (("stretches", stretches[unit]), ("single frames", single[unit])):
-                width = " / ".join(f"{value:.2f}" for value in one["width"])
-                assert f"| {name}, {unit} | {by} | {' | '.join(mean([one]))} | {width} |" in page
-                lines += 1
-    assert lines == sum(page.count(f"\n| {name}, ") for name in said.values()) > 0
+def test_the_page_names_the_medians_and_the_copy_that_errs_most() -> None:
+    told = " ".join(page("The medians of the ten are").split("\n\n")[0].split())
+    adapted = [rows(lens, "adapt", "thin-lens-gaze") for lens in LENSES]
+    medians = (np.median([one["mae"] for one in of.values()], axis=0) for of in adapted)
+    assert told.startswith("{:.3f} / {:.3f} and {:.3f} / {:.3f}.".format(*(x for of in medians for x in of)))
+    assert {max(of, key=lambda unit, of=of: sum(of[unit]["mae"])) for of in adapted} == {105}
+    assert f"by {' and '.join(mean([of[105]])[0] for of in adapted)};" in told
+
+
+def test_residuals_were_interpolated_on_all_copies() -> None:
+    for lens in LENSES:
+        assert all("interpolated between" in one["residuals"] for one in rows(lens, "adapt", "thin-lens-gaze").values())
+
+
+def test_the_page_says_what_interpolated_residuals_change_of_every_copy_that_was_adapted_both_ways() -> None:
+    told, lines = page("What that changes"), 0
+    for lens, name in NAMES.items():
+        before, after = (rows(lens, "adapt", "thin-lens-gaze", before=one) for one in (True, False))
+        for unit in before:
+            cells = " | ".join(" | ".join(mean([one])) for one in (before[unit], after[unit]))
+            assert f"| {name}, {unit} | {cells} |" in told
+            lines += 1
+    assert lines == sum(told.count(f"\n| {name}, ") for name in NAMES.values()) > 0

@@ -139,7 +139,7 @@ def fit_kernel(
     ----------
     features, looks
         [N, F] last features and [N, 1, S, S] images, as the network takes them, of labelled frames. Of more than 3000
-        frames every second, third or so is used.
+        frames so many are used, evenly.
     residuals
         [N, K], labels less what the network says, as its last layer counts.
     weights
@@ -152,11 +152,11 @@ def fit_kernel(
     ResidualKernel
         None with fewer than 20 frames, and where frames do not differ.
     """
-    some = slice(None, None, max(1, -(-len(residuals) // _MOST)))
-    residuals = residuals[some]
     if len(residuals) < _FEWEST:
         return None
-    both = features[some], _small(looks[some])
+    some = np.linspace(0, len(residuals) - 1, min(len(residuals), _MOST)).round().astype(np.intp)
+    residuals = residuals[some]
+    both = features[some], _small(looks[torch.from_numpy(some)])
     units = np.array([_WIDTH * _typical(one) for one in both])
     units[1] /= _LOOK
     if not (units > 0).all():
