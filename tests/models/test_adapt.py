@@ -196,9 +196,15 @@ def test_residuals_are_interpolated_where_that_errs_less_on_frames_left_out(
     # A last layer that may hardly change leaves what frames that look alike share.
     monkeypatch.setattr(fine_tuning, "PENALTIES", (Correction(1e3),))
     monkeypatch.setattr(fine_tuning, "_SURE", np.inf)
-    data = other(frames)
+    data, given, left = other(frames), [], []
+    fit, judge = fine_tuning.fit_intervals, fine_tuning.interpolated
+    monkeypatch.setattr(fine_tuning, "fit_intervals", lambda errors, *rest: given.append(errors) or fit(errors, *rest))
+    monkeypatch.setattr(fine_tuning, "interpolated", lambda *all: left.append(all[1]) or judge(*all))
     mine = adapt(base, data)
-    monkeypatch.setattr(kernel, "WORTH", 0.0)
+    # Errors without what is interpolated, each over its deviation, calibrate.
+    wanted = np.abs(left[0].carried) / (left[0].deviation / np.median(left[0].deviation))[:, None]
+    np.testing.assert_allclose(given[0], wanted * mine.scaling[1])
+    monkeypatch.setattr(kernel, "_WORTH", 0.0)
     plain = adapt(base, data)
     told, without = (one.training_ or {} for one in (mine, plain))
     assert told["chosen"]["residuals"].startswith("interpolated") and mine.kernel_ is not None
@@ -226,12 +232,13 @@ def test_residuals_of_all_layers_are_interpolated_too(base: NetworkEstimator, mo
     monkeypatch.setattr(fine_tuning, "PENALTIES", (Correction(1e3),))
     for data in (other(120), other(300, reach=0.05)):
         mine = adapt(base, data, epochs=1)
-        monkeypatch.setattr(kernel, "WORTH", 0.0)
-        plain = adapt(base, data, epochs=1)
+        with monkeypatch.context() as without:
+            without.setattr(kernel, "_WORTH", 0.0)
+            plain = adapt(base, data, epochs=1)
         told = mine.training_ or {}
         assert told["chosen"]["fitted"].startswith(ALL) and told["chosen"]["residuals"].startswith("interpolated")
+        assert mine.kernel_ is not None and len(mine.kernel_.references) == data.tp.train.sizes["frame"]
         assert error(mine, data) < 0.9 * error(plain, data)
-        monkeypatch.setattr(kernel, "WORTH", 0.95)
 
 
 def test_a_last_layer_that_wins_is_fitted_to_all_frames_and_calibrated_by_all(
@@ -269,7 +276,7 @@ def test_of_much_film_single_frames_choose_and_calibrate(
     monkeypatch.setattr(fine_tuning, "_CLEARLY", np.inf)
     monkeypatch.setattr(fine_tuning, "_SURE", 0.0)
     # Interpolated residuals make widths relative to their deviations.
-    monkeypatch.setattr(kernel, "WORTH", 0.0)
+    monkeypatch.setattr(kernel, "_WORTH", 0.0)
     sure, unsure = (
         adapt(base, labelled(other(900, 10, reach=0.2), gaze_x_std=wide, gaze_y_std=wide), seconds=20, epochs=1)
         for wide in (np.full(910, 0.03), np.full(910, 0.13))

@@ -13,7 +13,7 @@ from sklearn.gaussian_process.kernels import RBF
 
 from tapetum.errors import InputError
 from tapetum.models import kernel as module
-from tapetum.models.kernel import ResidualKernel, fit_kernel, small_area, small_pictures
+from tapetum.models.kernel import ResidualKernel, fit_kernel, interpolated, left_out, small_area, small_pictures
 
 Array = NDArray[np.float64]
 
@@ -105,6 +105,29 @@ def test_a_damaged_state_is_refused(name: str) -> None:
     for one in bad:
         with pytest.raises(InputError, match="kernel"):
             ResidualKernel.from_state(state | {whole: one}, 2, 5)
+
+
+def test_what_is_kept_takes_all_frames_and_counts_its_deviation_in_that_of_those_left_out() -> None:
+    features, looks, rest = frames(90)
+    fit, at, weights = np.arange(60), np.arange(60, 90), np.linspace(0.5, 2, 90)
+    left = left_out(features, looks, rest, fit, at, weights)
+    own = fit_kernel(features[:60], looks[:60], rest[:60], weights[:60])
+    assert own is not None
+    added, deviation = own(features[60:], looks[60:])
+    np.testing.assert_allclose(left.plain, rest[60:])
+    np.testing.assert_allclose(left.carried, rest[60:] - added)
+    np.testing.assert_allclose(left.deviation, deviation)
+    kernel, why = interpolated(left, left, features, looks, rest, weights)
+    assert kernel is not None and why.startswith("interpolated")
+    assert len(kernel.references) == 90 and kernel.unit == np.median(deviation)
+    np.testing.assert_allclose(kernel.noise * weights, kernel.noise[0] * weights[0])
+    np.testing.assert_allclose(left.under(kernel)[1], deviation / np.median(deviation))
+    # Residuals that are noise are worth nothing.
+    noise = np.random.default_rng(8).normal(size=rest.shape)
+    left = left_out(features, looks, noise, fit, at)
+    kernel, why = interpolated(left, left, features, looks, noise)
+    assert kernel is None and why.startswith("not interpolated")
+    np.testing.assert_array_equal(left.under(None)[0], noise[60:])
 
 
 def test_few_frames_and_equal_ones_have_none() -> None:

@@ -12,7 +12,7 @@ import xarray as xr
 
 from tapetum.data import dataset_from_arrays
 from tapetum.errors import InputError
-from tapetum.models import ResNet18, ResNet18Network, crop_snr, kernel, load_model, save_model
+from tapetum.models import ResNet18, ResNet18Network, crop_snr, kernel, load_model, network, save_model
 from tapetum.models.base import training_part
 from tapetum.models.inputs import prepare
 from tapetum.models.training import CHECKPOINT, HISTORY, Augmentation, augment
@@ -157,10 +157,21 @@ def test_it_learns(small):
 
 @pytest.mark.usefixtures("narrow")
 @pytest.mark.parametrize("patience", [None, 4])
-def test_residuals_are_interpolated_where_that_is_asked_for_and_pays(small, tmp_path: Path, patience: int | None):
+def test_residuals_are_interpolated_where_that_is_asked_for_and_pays(
+    small, tmp_path: Path, patience: int | None, monkeypatch: pytest.MonkeyPatch
+):
     asked = {**TINY, "epochs": 4, "calibration_fraction": 0.2, "patience": patience}
     plain = ResNet18(**asked).fit(small.tp.train)
-    model = ResNet18(**asked, interpolate=True).fit(small.tp.train)
+    given, left, fit, judge = [], [], network.fit_intervals, network.interpolated
+    with monkeypatch.context() as seen:
+        seen.setattr(network, "fit_intervals", lambda errors, *rest: given.append(errors) or fit(errors, *rest))
+        seen.setattr(network, "interpolated", lambda *all: left.append(all[:2]) or judge(*all))
+        model = ResNet18(**asked, interpolate=True).fit(small.tp.train)
+    ((judged, calibrating),) = left
+    wanted = calibrating.carried / (calibrating.deviation / np.median(calibrating.deviation))[:, None]
+    np.testing.assert_allclose(given[0], wanted * model.scaling[1])
+    # With patience those that chose the epoch decide.
+    assert (judged is calibrating) == (patience is None)
     assert model.kernel_ is not None and plain.kernel_ is None
     why = (model.training_ or {})["chosen"]["residuals"]
     assert why.startswith("interpolated") and "residuals" not in (plain.training_ or {})["chosen"]
@@ -174,11 +185,8 @@ def test_residuals_are_interpolated_where_that_is_asked_for_and_pays(small, tmp_
     np.testing.assert_allclose(again.predict(small.tp.test, anyway=True).upper, found.upper, rtol=1e-6)
     assert again.parameters() == model.parameters() and again.parameters()["interpolate"] is True
     # What does not pay is not kept.
-    kernel.WORTH, worth = 0.0, kernel.WORTH
-    try:
-        left = ResNet18(**asked, interpolate=True).fit(small.tp.train)
-    finally:
-        kernel.WORTH = worth
+    monkeypatch.setattr(kernel, "_WORTH", 0.0)
+    left = ResNet18(**asked, interpolate=True).fit(small.tp.train)
     assert left.kernel_ is None and (left.training_ or {})["chosen"]["residuals"].startswith("not interpolated")
     np.testing.assert_allclose(left.predict(small.tp.test, anyway=True).upper, before.upper, rtol=1e-6)
 

@@ -48,7 +48,7 @@ _SIDE = 12
 _WIDTH, _NEIGHBOUR, _LOOK, _NOISE = 3.0, 5, 0.5, 3e-3
 # Residuals are interpolated where errors on frames left out are at most this share of those without: a model without is
 # smaller.
-WORTH = 0.95
+_WORTH = 0.95
 # Fewer have no typical distance. More would make the matrix of their correlations large, which an ONNX file holds.
 _FEWEST, _MOST = 20, 3000
 
@@ -102,7 +102,7 @@ class ResidualKernel:
     @cached_property
     def factor(self) -> Array:
         """Cholesky factor [R, R], lower, of the covariance of the labelled frames' residuals."""
-        return cholesky(_alike(self.references, self.references) + np.diag(self.noise), lower=True)
+        return _factor(self.references, self.noise)
 
     def state(self) -> dict[str, Tensor]:
         """Return everything as tensors, float64; the many references in float32, and exact in half precision."""
@@ -166,9 +166,8 @@ def fit_kernel(
     noise = _NOISE / (np.ones(len(residuals)) if weights is None else np.maximum(weights[some], _NOISE))
     if not np.isfinite(references).all():
         return None
-    kernel = ResidualKernel(units, references, np.empty_like(residuals), noise, unit)
-    kernel.coefficients[:] = cho_solve((kernel.factor, True), residuals)
-    return kernel
+    coefficients = cho_solve((_factor(references, noise), True), residuals)
+    return ResidualKernel(units, references, coefficients, noise, unit)
 
 
 @dataclass(frozen=True)
@@ -198,7 +197,7 @@ class LeftOut:
     def worth(self) -> bool:
         """Whether residuals are to be interpolated."""
         plain, carried = self.errors
-        return carried <= WORTH * plain
+        return carried <= _WORTH * plain
 
     def at(self, places: NDArray[np.intp]) -> LeftOut:
         """Return the same of some of the frames."""
@@ -269,6 +268,10 @@ def _of(
 ) -> ResidualKernel | None:
     own = None if weights is None else weights[places]
     return fit_kernel(features[places], looks[torch.from_numpy(places)], rest[places], own, unit)
+
+
+def _factor(references: Array, noise: Array) -> Array:
+    return cholesky(_alike(references, references) + np.diag(noise), lower=True)
 
 
 def _small(looks: Tensor) -> Array:

@@ -348,10 +348,10 @@ class NetworkEstimator(Estimator):
         weight, bias = (one.detach().double().cpu().numpy()[:k] for one in self.network_.head.parameters())
         rest = (part.targets - self._centre) / self._spread - features @ weight.T - bias
         weights = None if part.weights is None else part.weights.mean(axis=1)
-        aside = part.calibrate if self.settings.patience is None else part.choose
-        judged, calibrating = (
-            left_out(features, images, rest, part.fit, places, weights) for places in (aside, part.calibrate)
-        )
+        calibrating = judged = left_out(features, images, rest, part.fit, part.calibrate, weights)
+        if self.settings.patience is not None:
+            # The frames that chose the epoch choose here too.
+            judged = left_out(features, images, rest, part.fit, part.choose, weights)
         self.kernel_, why = interpolated(judged, calibrating, features, images, rest, weights)
         assert self.training_ is not None
         self.training_["chosen"]["residuals"] = why
