@@ -64,6 +64,29 @@ def test_the_page_names_the_medians_and_the_copy_that_errs_most() -> None:
     assert f"by {' and '.join(mean([of[105]])[0] for of in adapted)};" in told
 
 
+def test_the_page_names_the_means_of_the_copies_that_nobody_had_seen_and_the_seconds() -> None:
+    adapted = [rows(lens, "adapt", "thin-lens-gaze") for lens in LENSES]
+    told = " ".join(page("the seven others alone").split("\n\n`make any-camera`")[0].split())
+    (one, held), (other, there) = (mean([row for unit, row in of.items() if unit > 102]) for of in adapted)
+    assert f"have {one} (intervals hold {held}) and {other} ({there})." in told
+    seconds = [row["processor_seconds"] for of in adapted for row in of.values()]
+    assert f"took {min(seconds):.0f} to {max(seconds):.0f} s of one core" in told
+
+
+def test_the_networks_of_both_columns_are_the_same_and_the_page_says_what_is_gained() -> None:
+    pairs = []
+    for lens in LENSES:
+        before, after = (rows(lens, "adapt", "thin-lens-gaze", before=one) for one in (True, False))
+        assert all(before[unit]["chosen"] == after[unit]["chosen"] for unit in before)
+        pairs += [(before[unit], after[unit]) for unit in before]
+    old, new = (np.mean([pair[k]["mae"] for pair in pairs], axis=0) for k in (0, 1))
+    x, y = 100 * (1 - new / old)
+    told = " ".join((DOCS / "learning.md").read_text(encoding="utf-8").split())
+    assert told.count(f"{x:.0f} % of the error along x and {y:.0f} % along y") == 2
+    more = np.mean([one["processor_seconds"] - other["processor_seconds"] for other, one in pairs])
+    assert f"and {more:.0f} s more than before in the mean of the six" in told
+
+
 def test_residuals_were_interpolated_on_all_copies() -> None:
     for lens in LENSES:
         assert all("interpolated between" in one["residuals"] for one in rows(lens, "adapt", "thin-lens-gaze").values())
