@@ -1,9 +1,9 @@
 """Remake the tables and the pictures of docs/sign.md.
 
-    .venv/bin/python scripts/make_sign.py [thin] [phone] [picture] [flash]
+    .venv/bin/python scripts/make_sign.py [thin] [phone] [slope] [picture] [flash]
 
-Writes tables to build/sign-thin.md, build/sign-phone.md and build/flash.md, pictures to docs/images/sign.png and
-docs/images/flash.png. Some minutes on two cores.
+Writes tables to build/sign-thin.md, build/sign-phone.md, build/sign-slope.md and build/flash.md, pictures to
+docs/images/sign.png and docs/images/flash.png. Some minutes on two cores.
 """
 
 from __future__ import annotations
@@ -12,7 +12,16 @@ import sys
 from pathlib import Path
 
 from flash import fig_flash, flash, flash_table
-from sign_causes import fig_sign_causes, markdown, phone_target, sign_causes, thin_target
+from sign_causes import (
+    by_direction,
+    direction_table,
+    fig_sign_causes,
+    markdown,
+    phone_target,
+    sign_causes,
+    sloped_scene,
+    thin_target,
+)
 from tapetum.bench import load_scene
 from tapetum.files import atomic_file
 from tapetum.report.figures import save_figure
@@ -22,7 +31,7 @@ SHOWN = ("nothing", "second beam", "array and microlenses", "sensor tilt")
 
 
 def main() -> None:
-    wanted = sys.argv[1:] or ["thin", "phone", "picture", "flash"]
+    wanted = sys.argv[1:] or ["thin", "phone", "slope", "picture", "flash"]
     (ROOT / "build").mkdir(exist_ok=True)
     for name, made in (("thin", thin_target), ("phone", phone_target)):
         if name in wanted:
@@ -32,6 +41,13 @@ def main() -> None:
                 print(f"{row.cause.name}: {', '.join(f'{value:.3g}' for value in row.dprime.tolist())}", flush=True)
             with atomic_file(ROOT / "build" / f"sign-{name}.md") as path:
                 path.write_text(markdown(rows), encoding="utf-8")
+    if "slope" in wanted:
+        scene = sloped_scene()
+        slope = scene.target.sensor.tilt
+        straight = sloped_scene({"target.sensor.tilt": [0, 0]})
+        columns = {"tilted": by_direction(scene, slope, 1e-2), "not tilted": by_direction(straight, slope, 1e-2)}
+        with atomic_file(ROOT / "build" / "sign-slope.md") as path:
+            path.write_text(direction_table(columns), encoding="utf-8")
     if "picture" in wanted:
         save_figure(fig_sign_causes(phone_target(), SHOWN), ROOT / "docs" / "images" / "sign.png")
     if "flash" in wanted:

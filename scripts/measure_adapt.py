@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from tapetum.bench import Scene, draw_unit, load_scene
+from tapetum.bench import Scene, Target, draw_unit, load_scene
 from tapetum.data import open_dataset
 from tapetum.data.film_parts import first_seconds, spread_over
 from tapetum.data.synth import Plan, Video, synthesise
@@ -32,6 +32,7 @@ from tapetum.memory import keep_big_blocks
 from tapetum.models import NetworkEstimator, Predictor, ZernikeRidge, adapt, load_model, pretrained
 from tapetum.progress import bar
 from tapetum.record import HandMotion, Session
+from tapetum.simulate.hypotheses import point_of_symmetry
 
 KINDS: dict[str, tuple[str, tuple[str, ...], float]] = {
     # The scene, what is changed of it, and the largest gaze.
@@ -74,6 +75,11 @@ RATE = 15.0
 SCALES = (80, 160, 240, 320)
 # A training from scratch gets as many passes as an adaptation, at least.
 PASSES = 6000
+# Of the field: an estimate that is farther off counts as far, and as the opposite gaze, about the camera's point of
+# symmetry, where it is that near to it.
+FAR = 0.1
+# Degrees to the slope by which gazes are counted that lie more than this from the point of symmetry.
+ANGLES, OUT = ((0, 30), (30, 60), (60, 75), (75, 90)), 0.25
 
 
 @dataclass(frozen=True)
@@ -162,6 +168,7 @@ def scored(one: Wanted, data: xr.Dataset, precision: str) -> dict[str, Any]:
         "answered": float(answered.mean()),
         "mae_answered": mean(error, answered),
         "held_answered": mean(held, answered),
+        **misses(found.value, truth, unit_scene(one.kind, one.unit)),
         "width": width.tolist() if np.isfinite(width).all() else None,
         # A model as it is does not know this copy of the camera.
         "intervals": found.unit,
@@ -170,6 +177,23 @@ def scored(one: Wanted, data: xr.Dataset, precision: str) -> dict[str, Any]:
         "chosen": chosen.get("fitted"),
         "residuals": chosen.get("residuals"),
     }
+
+
+def misses(value: np.ndarray, truth: np.ndarray, scene: Scene) -> dict[str, Any]:
+    """Which share of gazes [N, 2] is far off, and which comes out as the opposite one; of a sloping sensor, also the
+    share that is far off by the angle to the slope (`ANGLES`)."""
+    from_middle = truth - point_of_symmetry(scene).numpy()
+    far = np.abs(value - truth).max(axis=1) > FAR
+    opposite = far & (np.abs(value - truth + 2 * from_middle).max(axis=1) <= FAR)
+    told: dict[str, Any] = {"far": float(far.mean()), "opposite": float(opposite.mean())}
+    slope = np.array(scene.target.sensor.tilt) if isinstance(scene.target, Target) else np.zeros(2)
+    if slope.any():
+        along, out = np.abs(from_middle @ slope), np.linalg.norm(from_middle, axis=1)
+        angle = np.degrees(np.arccos(np.clip(along / np.maximum(out * np.linalg.norm(slope), 1e-12), 0, 1)))
+        for least, most in ANGLES:
+            there = (angle >= least) & (angle <= most) & (out > OUT)
+            told[f"far_at_{least}_to_{most}"] = float(far[there].mean()) if there.any() else None
+    return told
 
 
 def measurements(options: argparse.Namespace) -> Iterator[Wanted]:

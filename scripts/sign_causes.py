@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -17,10 +18,27 @@ from tapetum.simulate.gaze import largest_sine
 from tapetum.simulate.hypotheses import point_of_symmetry
 from tapetum.simulate.radiometry import electrons
 
-__all__ = ["Cause", "Row", "Target", "fig_sign_causes", "markdown", "phone_target", "sign_causes", "thin_target"]
+__all__ = [
+    "ANGLES",
+    "Cause",
+    "Row",
+    "Target",
+    "by_direction",
+    "direction_table",
+    "fig_sign_causes",
+    "markdown",
+    "phone_target",
+    "sign_causes",
+    "sloped_scene",
+    "thin_target",
+]
 
 # d' from which a cause counts as telling the sign: right in 93 of 100 frames.
 TELLS = 3.0
+
+ANGLES = (0.0, 22.5, 45.0, 67.5, 90.0)
+"""Degrees from the direction in which a tilted sensor slopes."""
+_OUT = 0.4  # of the field, from the point of symmetry
 
 
 @dataclass(frozen=True)
@@ -141,6 +159,35 @@ def markdown(rows: Sequence[Row]) -> str:
     for row in rows:
         one = row.cause
         lines.append(f"| {one.name} | {one.size} | {one.source} | {row.median:.3g} | {100 * row.telling:.0f} % |")
+    return "\n".join(lines) + "\n"
+
+
+def sloped_scene(values: dict[str, Any] | None = None) -> Scene:
+    """Return the scene `rotation` with a short zoom of F/3 or so and a tilted sensor of no photosites, with changes.
+
+    Whose photosites a picture shows depends on micrometres of the gaze, which hides what the tilt does.
+    """
+    lens = {"target.lens.name": "zoom-5-15mm", "target.lens.focal_length": "8 mm"}
+    sensor = {"target.sensor.array": None, "target.sensor.tilt": _TILT}
+    return with_values(load_scene("rotation"), lens | sensor | (values or {}))
+
+
+def by_direction(
+    scene: Scene, slope: tuple[float, float], accuracy: float, angles: Sequence[float] = ANGLES
+) -> torch.Tensor:
+    """d' [N] of gazes at angles [N] (degrees) from a slope's direction against their opposites, about the point of
+    symmetry."""
+    turned = torch.deg2rad(torch.tensor(angles, dtype=torch.float64)) + math.atan2(slope[1], slope[0])
+    centre = point_of_symmetry(scene)
+    gazes = centre + _OUT * torch.stack([turned.cos(), turned.sin()], 1)
+    return sign_dprime(scene, gazes, accuracy=accuracy, centre=centre)
+
+
+def direction_table(columns: dict[str, torch.Tensor]) -> str:
+    """The table of the docs' page: a row an angle, a column a sensor."""
+    lines = [f"| angle to the slope | {' | '.join(columns)} |", "|--:|" + "--:|" * len(columns)]
+    for k, angle in enumerate(ANGLES):
+        lines.append(f"| {angle:g}° | {' | '.join(f'{float(one[k]):.3g}' for one in columns.values())} |")
     return "\n".join(lines) + "\n"
 
 

@@ -7,7 +7,17 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from sign_causes import Cause, Row, fig_sign_causes, markdown, sign_causes, thin_target
+from sign_causes import (
+    Cause,
+    Row,
+    by_direction,
+    direction_table,
+    fig_sign_causes,
+    markdown,
+    sign_causes,
+    sloped_scene,
+    thin_target,
+)
 from tapetum.bench import with_values
 
 
@@ -36,6 +46,17 @@ def test_a_decentred_lens_tells_nothing_about_its_point_of_symmetry():
     (about,) = sign_causes(moved)
     assert axis.median > 1.2 * plain.median
     assert abs(about.median - plain.median) < 0.05 * plain.median + 0.05
+
+
+def test_a_tilted_sensor_shows_the_sign_along_its_slope_far_more_than_across_it():
+    scene = sloped_scene()
+    along, across = by_direction(scene, scene.target.sensor.tilt, 5e-2, (0, 90))
+    assert along > 3 * across
+
+
+def test_the_table_of_directions_has_a_row_an_angle():
+    table = direction_table({"tilted": torch.arange(5.0), "not": 10 * torch.arange(5.0)}).splitlines()
+    assert table[0] == "| angle to the slope | tilted | not |" and table[3] == "| 22.5° | 1 | 10 |" and len(table) == 7
 
 
 def test_the_table_counts():
