@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COLUMNS", "ENOUGH", "ROWS", "field_guide", "labels_by_cell"]
+__all__ = ["COLUMNS", "ENOUGH", "FINER", "ROWS", "field_guide", "guide", "labels_by_cell"]
 
 COLUMNS, ROWS = 6, 5
 """Cells of the field along x and y."""
 ENOUGH = 3
 """Labels that a cell needs."""
+FINER = 2
+"""Into so many cells along x and y each is divided for a camera unlike those that a model has seen."""
 
 _WORDS = (("upper", "middle", "lower"), ("left", "centre", "right"))
 
@@ -50,6 +52,26 @@ def field_guide(cells: NDArray[np.int64], enough: int = ENOUGH) -> str:
         order = sorted(wanted, key=lambda name: -wanted[name])
         said = f"{len(lacking)} of {cells.size} places lack labels; bring the laser's spot to: {', '.join(order)}"
     return "\n".join([*lines, said])
+
+
+def guide(gaze: NDArray[np.float64]) -> str:
+    """Return the drawing of the cells, and of finer ones where all of these have enough labels.
+
+    A camera like those that a model has seen needs no more than the first. Of another one gazes come out wrong most
+    where none was labelled near (docs/learning.md, copy 105).
+
+    Parameters
+    ----------
+    gaze
+        As for `labels_by_cell`.
+    """
+    cells, finer = labels_by_cell(gaze), labels_by_cell(gaze, FINER * COLUMNS, FINER * ROWS)
+    if (finer >= ENOUGH).all():
+        return field_guide(finer)
+    if (cells < ENOUGH).any():
+        return field_guide(cells)
+    title = "in finer places, which a camera unlike those that a model has seen wants filled:"
+    return "\n".join([field_guide(cells), title, field_guide(finer)])
 
 
 def _place(row: int, column: int, shape: tuple[int, ...]) -> str:
