@@ -88,12 +88,12 @@ def test_the_page_says_why_one_copy_errs_most() -> None:
         return " and ".join("{:.3f} / {:.3f}".format(*one[name]) for one in own)
 
     assert f"by {pair(ours, 'mae')}, and as much from scratch, by {pair(scratch, 'mae')}." in told
-    assert f"err by less than {pair(ours, 'median')}," in told and f"the means are {pair(ours, 'mae_but_far')}." in told
+    assert f"err by less than {pair(ours, 'median')}." in told and f"the means are {pair(ours, 'mae_but_far')}." in told
     shares = {
         key: both("{:.0f}", [100 * one[key] for one in ours]) for key in ours[0] if key.startswith(("far", "opp"))
     }
     assert f"But {shares['far']} % are off" in told and f"{shares['opposite']} % come out as the opposite gaze" in told
-    assert f"that direction {shares['far_at_75_to_90']} % are far off" in told
+    assert f"within 15° of that direction, {shares['far_at_75_to_90']} % are far off" in told
     assert f"of those within 30° of the slope {shares['far_at_0_to_30']} %." in told
     wide = rows("zoom", "adapt", "thin-lens-gaze", films=3)[105]
     error, held = mean([wide])
