@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from tapetum.bench import Scene, Target, draw_unit, load_scene
+from tapetum.bench import Scene, draw_unit, load_scene
 from tapetum.data import open_dataset
 from tapetum.data.film_parts import first_seconds, spread_over
 from tapetum.data.synth import Plan, Video, synthesise
@@ -201,7 +201,7 @@ def misses(value: np.ndarray, truth: np.ndarray, scene: Scene) -> dict[str, Any]
         "median": np.median(error, axis=0).tolist(),
         "mae_but_far": error[~far].mean(axis=0).tolist() if not far.all() else None,
     }
-    slope = np.array(scene.target.sensor.tilt) if isinstance(scene.target, Target) else np.zeros(2)
+    slope = np.array(scene.target.sensor.tilt)
     if slope.any():
         along, out = np.abs(from_middle @ slope), np.linalg.norm(from_middle, axis=1)
         angle = np.degrees(np.arccos(np.clip(along / np.maximum(out * np.linalg.norm(slope), 1e-12), 0, 1)))
@@ -307,6 +307,8 @@ def main() -> None:
     )
     parser.add_argument("--numbers", type=Path, default=NUMBERS)
     options = parser.parse_args()
+    if options.films < 1:
+        parser.error(f"--films {options.films}: adapt to one film or more")
     keep_big_blocks()
     results = options.work / "results"
     results.mkdir(parents=True, exist_ok=True)

@@ -165,7 +165,7 @@ def markdown(rows: Sequence[Row]) -> str:
 def sloped_scene(values: dict[str, Any] | None = None) -> Scene:
     """Return the scene `rotation` with a short zoom of F/3 or so and a tilted sensor of no photosites, with changes.
 
-    Whose photosites a picture shows depends on micrometres of the gaze, which hides what the tilt does.
+    Photosites would change the picture with their place under the spot, which is no part of the question here.
     """
     lens = {"target.lens.name": "zoom-5-15mm", "target.lens.focal_length": "8 mm"}
     sensor = {"target.sensor.array": None, "target.sensor.tilt": _TILT}

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tapetum.data.field import field_guide, guide, labels_by_cell
+from tapetum.data.field import field_guide, labels_by_cell, labels_guide
 
 
 def test_each_label_counts_in_the_cell_where_the_target_sees_the_laser() -> None:
@@ -26,14 +26,14 @@ def test_the_drawing_says_where_to_go() -> None:
 def test_finer_places_are_drawn_where_the_coarse_ones_have_enough() -> None:
     x, y = np.meshgrid((np.arange(24) + 0.5) / 24 - 0.5, (np.arange(20) + 0.5) / 20 - 0.5)
     everywhere = np.stack([x, y], axis=-1).reshape(-1, 2)
-    assert guide(everywhere).splitlines()[-1] == "all 120 places of the field have 3 labels or more"
+    assert labels_guide(everywhere).splitlines()[-1] == "all 120 places of the field have 3 labels or more"
     # A hole in the lower left corner that only the finer places show.
     holed = everywhere[(everywhere[:, 0] > -0.42) | (everywhere[:, 1] < 0.4)]
-    drawn = guide(holed).splitlines()
+    drawn = labels_guide(holed).splitlines()
     assert drawn[5] == "all 30 places of the field have 3 labels or more" and drawn[6].startswith("in finer places")
     assert (
         drawn[-2].startswith(".  #")
         and drawn[-1] == "1 of 120 places lack labels; bring the laser's spot to: lower left"
     )
     # Where a coarse place lacks labels, that comes first.
-    assert guide(everywhere[everywhere[:, 0] < 0.3]).splitlines()[-1].startswith("5 of 30 places lack labels")
+    assert labels_guide(everywhere[everywhere[:, 0] < 0.3]).splitlines()[-1].startswith("5 of 30 places lack labels")

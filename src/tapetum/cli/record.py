@@ -193,13 +193,13 @@ def _guide(recording: Recording) -> None:
     """Draw which places of the field the labels reach."""
     import numpy as np
 
-    from tapetum.data.field import guide
+    from tapetum.data.field import labels_guide
 
     table = recording.labels()
     assert table is not None  # it has just been labelled
     gaze = np.stack([table.column(name).to_numpy(zero_copy_only=False) for name in ("gaze_x", "gaze_y")], axis=1)
     typer.echo("labels over the target's field, as its picture shows it (# enough, + few, . none):")
-    typer.echo(guide(gaze.astype(float)))
+    typer.echo(labels_guide(gaze.astype(float)))
 
 
 def _same(probe: str, target: str) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["COLUMNS", "ENOUGH", "FINER", "ROWS", "field_guide", "guide", "labels_by_cell"]
+__all__ = ["COLUMNS", "ENOUGH", "FINER", "ROWS", "field_guide", "labels_by_cell", "labels_guide"]
 
 COLUMNS, ROWS = 6, 5
 """Cells of the field along x and y."""
@@ -54,7 +54,7 @@ def field_guide(cells: NDArray[np.int64], enough: int = ENOUGH) -> str:
     return "\n".join([*lines, said])
 
 
-def guide(gaze: NDArray[np.float64]) -> str:
+def labels_guide(gaze: NDArray[np.float64]) -> str:
     """Return the drawing of the cells, and of finer ones where all of these have enough labels.
 
     A camera like those that a model has seen needs no more than the first. Of another one gazes come out wrong most
