@@ -111,7 +111,7 @@ def phone_target() -> Target:
     scene = with_values(scene, {"illumination.power": scene.illumination.power * 3000 / peak})
     gazes = [[0.02, 0.03], [0.05, 0.02], [-0.04, 0.08], [0.08, -0.06]]
     return Target(
-        scene, torch.tensor(gazes, dtype=torch.float64), 2e-2, _causes("2 um", "6.7e-4", "4.4 um", "R = 3 mm", "1 m")
+        scene, torch.tensor(gazes, dtype=torch.float64), 1e-2, _causes("2 um", "6.7e-4", "4.4 um", "R = 3 mm", "1 m")
     )
 
 
