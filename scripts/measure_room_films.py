@@ -1,22 +1,23 @@
 """What `tapetum track --detector cameras` finds in drawn films of rooms, by hand, every other frame lit.
 
-    python scripts/measure_room_films.py [FIRST [COUNT [RATE ...]]]
+    python scripts/measure_room_films.py [FIRST [COUNT [RATE ...]]] [--shake PX]
 
 COUNT films of each of the twelve kinds of drawn_scenes.py from seed FIRST on, two seconds at 30 frames a second, with
 three cameras of 8 to 60 times the noise, tape left out. What moves there between two frames moves through the film:
 people walk, leaves swing, screens show something else every third of a second, lamps flicker; and the probe shakes in
 the hand. Prints, for each rate of false alarms that is asked for, which share of the cameras has a number after half a
 second and at the end, in which share of the later half's lit frames each is seen under a number, and how many numbered
-rows of a lit frame are no camera; and the same where every spot may cost only what is asked for. Nothing here is a
-photograph.
+rows of a lit frame are no camera; and the same where every spot may cost only what is asked for, and where the motion
+of the picture is not known. Nothing here is a photograph.
 """
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
@@ -30,6 +31,7 @@ from tapetum.track.cameras import CameraDetector
 
 RATE, SECONDS, CAMERAS = 30.0, 2.0, 3
 SHAPE, MARGIN = (480, 640), 48
+"""Of the frames; and the fewest pixels of the room around them that the hand may turn to."""
 SHAKE, TURN = 6.0, 0.3
 """Of the hand along each axis: RMS in pixels, and in degrees; at 8 to 12 Hz."""
 REACH, SETTLED = 6.0, 0.5
@@ -43,11 +45,12 @@ Moving = Callable[[float], Array]
 
 @dataclass(frozen=True)
 class Film:
-    """Frames, dark first, and where the cameras are in each, [frames, cameras, 2]."""
+    """Frames, dark first, where the cameras are in each, [frames, cameras, 2], and where those that light hides are."""
 
     kind: str
     frames: list[Frame]
     places: Array
+    hidden: Array
 
 
 def _swinging(rng: np.random.Generator, picture: Array) -> Moving:
@@ -117,18 +120,20 @@ def _tremor(rng: np.random.Generator, times: Array, size: float) -> Array:
     return size * waves.sum(0) * math.sqrt(2 / np.square(parts).sum())
 
 
-def film(kind: str, seed: int) -> Film:
-    """Draw a film of a room of a kind."""
+def film(kind: str, seed: int, shake: float = SHAKE) -> Film:
+    """Draw a film of a room of a kind, by a hand that shakes by so many pixels."""
     rng = np.random.default_rng([31, list(drawn.KINDS).index(kind), seed])
-    wide = SHAPE[0] + 2 * MARGIN, SHAPE[1] + 2 * MARGIN
+    margin = max(MARGIN, round(4 * shake))
+    wide = SHAPE[0] + 2 * margin, SHAPE[1] + 2 * margin
     scene = _scene(kind, rng, wide)
     soft, near = rng.uniform(0.6, 1.1), np.clip(0.5 + 0.5 * drawn.fractal(rng, wide, 2.0), 0, 1)
     light = 1 + rng.uniform(0, 0.15) * near
     spread = rng.uniform(1.0, 2.5) if kind != "noise" else rng.uniform(3, 10)
-    where = rng.uniform((70, 70), (wide[1] - 70, wide[0] - 70), (CAMERAS, 2))
+    rim = margin + 22
+    where = rng.uniform((rim, rim), (wide[1] - rim, wide[0] - rim), (CAMERAS, 2))
     sizes, ratios = (np.exp(rng.uniform(math.log(a), math.log(b), CAMERAS)) for a, b in ((0.6, 4.0), (8, 60)))
     times = np.arange(round(RATE * SECONDS)) / RATE
-    shifts = np.stack([_tremor(rng, times, SHAKE) for _ in range(2)], 1)
+    shifts = np.stack([_tremor(rng, times, shake) for _ in range(2)], 1)
     turns = _tremor(rng, times, TURN)
     quality = int(rng.integers(15, 60)) if kind == "blocks" else 0
     hot = rng.uniform((0, 0), SHAPE[::-1], (40, 2)).astype(int), rng.uniform(30, 255, 40)
@@ -143,8 +148,8 @@ def film(kind: str, seed: int) -> Film:
         way = cv2.getRotationMatrix2D((wide[1] / 2, wide[0] / 2), turns[n], 1)
         way[:, 2] += shifts[n]
         moved = cv2.warpAffine(picture, way, wide[::-1], flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT)
-        seen = moved[MARGIN:-MARGIN, MARGIN:-MARGIN]
-        places[n] = where @ way[:, :2].T + way[:, 2] - MARGIN
+        seen = moved[margin:-margin, margin:-margin]
+        places[n] = where @ way[:, :2].T + way[:, 2] - margin
         taken = seen + rng.normal(0, spread, SHAPE) * np.sqrt(0.4 + 0.6 * np.clip(seen, 0, 255) / 128)
         if kind == "hot pixels":
             taken[hot[0][:, 1], hot[0][:, 0]] += hot[1]
@@ -153,16 +158,24 @@ def film(kind: str, seed: int) -> Film:
             coded = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
             image = np.asarray(cv2.imdecode(coded, cv2.IMREAD_GRAYSCALE))
         frames.append(Frame(n, time, image, full_scale=255, lit=lit))
-    # What is overexposed shows no camera: those that it hides are left out.
+    # What is overexposed hides a camera: those count neither way.
     first = cv2.GaussianBlur(scene(0.0).astype(np.float32), (0, 0), soft)
-    kept = [float(first[int(y), int(x)]) < OVEREXPOSED for x, y in where]
-    return Film(kind, frames, places[:, kept])
+    kept = np.array([float(first[int(y), int(x)]) < OVEREXPOSED for x, y in where])
+    return Film(kind, frames, places[:, kept], places[:, ~kept])
+
+
+@dataclass
+class Known:
+    """What was found in the frames of a film, and how the picture moved, by frame."""
+
+    found: dict[int, Found] = field(default_factory=dict)
+    motions: dict[int, Array | None] = field(default_factory=dict)
 
 
 class Cached(CameraDetector):
     """Searches each frame once, whatever rate is asked for afterwards."""
 
-    def __init__(self, known: dict[int, Found], false_alarms: float) -> None:
+    def __init__(self, known: Known, false_alarms: float) -> None:
         super().__init__(false_alarms=false_alarms)
         self.known, self.number = known, 0
 
@@ -170,23 +183,36 @@ class Cached(CameraDetector):
         self.number = frame.index
         return super().__call__(frame)
 
+    def _moved(self, image: NDArray[np.generic]) -> Array | None:
+        if self.number not in self.known.motions:
+            self.known.motions[self.number] = super()._moved(image)
+        return self.known.motions[self.number]
+
     def _search(self, image: NDArray[np.generic], dark: NDArray[np.generic] | None, false_alarms: float) -> Found:
-        if self.number not in self.known:
-            self.known[self.number] = find_cameras(image, dark, swaps=False, false_alarms=LOOSEST)
-        found = self.known[self.number]
+        if self.number not in self.known.found:
+            self.known.found[self.number] = find_cameras(image, dark, swaps=False, false_alarms=LOOSEST)
+        found = self.known.found[self.number]
         return found[found.false_alarms <= false_alarms]
 
 
 class Strict(Cached):
     """The same where every spot may cost only what is allowed."""
 
-    def _rate(self, times: float, most: float) -> float:
+    @property
+    def _kept(self) -> float:
         return self.false_alarms
+
+
+class Adrift(Cached):
+    """The same where only spots tell how the picture moved."""
+
+    def _moved(self, image: NDArray[np.generic]) -> Array | None:
+        return None
 
 
 def judged(one: Film, detector: Cached) -> dict[str, float]:
     """Counts of a film: cameras, numbered early and at the end, sightings, and rows that are none."""
-    numbered, sightings, false, late = np.full(one.places.shape[1], math.inf), 0, 0, 0
+    numbered, sightings, false, shown = np.full(one.places.shape[1], math.inf), 0, 0, 0
     last = len(one.frames) // 2
     wrong: set[int] = set()
     for told in track(one.frames, detector=detector):
@@ -194,21 +220,23 @@ def judged(one: Film, detector: Cached) -> dict[str, float]:
             continue
         rows = [row for row in told.rows if row.seen]
         at = np.array([(row.x, row.y) for row in rows]).reshape(-1, 2)
-        apart = np.linalg.norm(at[:, None] - one.places[told.frame][None], axis=2)
+        apart, beside = (np.linalg.norm(at[:, None] - of[told.frame], axis=2) for of in (one.places, one.hidden))
         for n, row in enumerate(rows):
-            if not (apart[n] <= REACH).any():
+            if not (apart[n] <= REACH).any() and not (beside[n] <= REACH).any():
                 false += 1
                 wrong.add(row.track)
         found = (apart <= REACH).any(0)
         numbered[found] = np.minimum(numbered[found], told.time)
         if told.frame >= last:
-            sightings, late = sightings + int(found.sum()), late + 1
+            places = one.places[told.frame]
+            sightings += int(found.sum())
+            shown += int(((places >= 0) & (places <= np.array(SHAPE[::-1]) - 1)).all(1).sum())
     return {
         "cameras": len(numbered),
         "early": int((numbered <= SETTLED).sum()),
         "end": int(np.isfinite(numbered).sum()),
         "seen": sightings,
-        "of": late * len(numbered),
+        "of": shown,
         "false": false,
         "tracks": len(wrong),
         "lit": len(one.frames) // 2,
@@ -222,18 +250,22 @@ def told(name: str, counts: list[dict[str, float]]) -> str:
     return f"| {name} | {n} | {shares} | {total['false'] / total['lit']:.4f} | {total['tracks']} |"
 
 
-RULES = {Cached: "", Strict: ", of every spot"}
+RULES = {Cached: "", Strict: ", of every spot", Adrift: ", motion not known"}
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", type=int, nargs="?", default=91000, help="seed of the first film of each kind")
+    parser.add_argument("count", type=int, nargs="?", default=4, help="films of each kind")
+    parser.add_argument("rates", type=float, nargs="*", default=[0.01, 0.1], help="false alarms a frame that are asked")
+    parser.add_argument("--shake", type=float, default=SHAKE, help="of the hand along each axis, RMS in pixels")
+    asked = parser.parse_args()
     cv2.setNumThreads(1)
-    first, count = (int(one) for one in (sys.argv[1:3] + ["91000", "4"][len(sys.argv[1:3]) :]))
-    rates = [float(one) for one in sys.argv[3:]] or [0.01, 0.1]
-    rules = {f"{rate:g} asked{also}": (kind, rate) for rate in rates for kind, also in RULES.items()}
+    rules = {f"{rate:g} asked{also}": (kind, rate) for rate in asked.rates for kind, also in RULES.items()}
     results: dict[str, list[tuple[str, dict[str, float]]]] = {name: [] for name in rules}
     for kind in drawn.KINDS:
-        for seed in range(first, first + count):
-            one, known = film(kind, seed), {}
+        for seed in range(asked.first, asked.first + asked.count):
+            one, known = film(kind, seed, asked.shake), Known()
             for name, (rule, rate) in rules.items():
                 results[name].append((kind, judged(one, rule(known, rate))))
         print(f"{kind} done", file=sys.stderr, flush=True)

@@ -149,7 +149,7 @@ def about(k: int) -> dict[str, Any]:
 def detections(spots: list[tuple[float, float]]) -> Detections:
     x, y = np.array(spots).reshape(-1, 2).T
     known = {"x": x, "y": y, "peak_x": x, "peak_y": y, "peak": 0 * x + 100, "snr": 0 * x + 12, "diameter": 0 * x + 6}
-    return Detections.of({**dict.fromkeys(Detections.names(), 0 * x), **known})
+    return Detections.of({**dict.fromkeys(Detections.names(), 0 * x), **known, "evidence": 0 * x + 1})
 
 
 def test_one_estimate_far_off_at_its_beginning_does_not_put_a_change_off() -> None:

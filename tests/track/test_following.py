@@ -54,6 +54,7 @@ def filmed(
         diameter = np.concatenate([wide[there], rng.uniform(3, 12, chance)])
         order = rng.permutation(len(x))
         columns = dict.fromkeys(Detections.names(), np.zeros(len(x))) | {"x": x, "y": y, "peak": peak}
+        columns["evidence"] = np.ones(len(x))
         columns |= {"diameter": diameter, "snr": peak}
         found.append(Detections.of(columns)[order])
     return truth, found
@@ -122,7 +123,7 @@ def test_where_nothing_is_shared_nothing_is_taken_out() -> None:
 
 
 def spots(*places: tuple[float, float], peak: float = 100.0) -> Detections:
-    columns = dict.fromkeys(Detections.names(), np.zeros(len(places)))
+    columns = dict.fromkeys(Detections.names(), np.zeros(len(places))) | {"evidence": np.ones(len(places))}
     columns |= {"x": [p[0] for p in places], "y": [p[1] for p in places]}
     return Detections.of(columns | {"peak": np.full(len(places), peak), "diameter": np.full(len(places), 8.0)})
 

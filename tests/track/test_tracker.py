@@ -29,7 +29,8 @@ def spots(*places: tuple[float, ...], diameter: float = 20.0) -> Detections:
     columns = {name: np.full(len(full), 10.0) for name in Detections.names()}
     columns |= {"x": np.array([p[0] for p in full]), "y": np.array([p[1] for p in full])}
     columns |= {"peak": np.array([p[2] for p in full]), "diameter": np.full(len(full), diameter)}
-    return Detections.of(columns | dict.fromkeys(("ghost", "edge", "weak"), np.zeros(len(full), bool)))
+    columns["evidence"] = np.ones(len(full))
+    return Detections.of(columns | dict.fromkeys(("ghost", "edge"), np.zeros(len(full), bool)))
 
 
 def test_two_that_cross_keep_their_numbers():
@@ -181,7 +182,7 @@ def crossing(devices: bool) -> list[set[int]]:
         places = [(300 - apart, 3.0 * n), (300 + apart, 3.0 * n)]
         columns = dict.fromkeys(Detections.names(), np.zeros(2))
         columns |= {"x": [p[0] for p in places], "y": [p[1] for p in places]}
-        columns |= {"peak": np.full(2, 100.0), "diameter": np.full(2, 4.0)}
+        columns |= {"peak": np.full(2, 100.0), "diameter": np.full(2, 4.0), "evidence": np.ones(2)}
         # One answer in ten is wrong, and one in ten is none.
         said: list[str | None] = ["phone", "webcam"]
         said = said[::-1] if n % 10 == 5 else [None, None] if n % 10 == 7 else said
@@ -200,7 +201,7 @@ def test_a_wrong_answer_ends_no_track():
     tracker = Tracker()
     numbers = set()
     for n in range(30):
-        columns = dict.fromkeys(Detections.names(), np.full(1, 50.0)) | {"ghost": np.zeros(1), "weak": np.zeros(1)}
+        columns = dict.fromkeys(Detections.names(), np.full(1, 50.0)) | {"ghost": np.zeros(1), "evidence": np.ones(1)}
         said: list[str | None] = ["phone" if n % 3 else "webcam"]
         numbers |= {point.track for point in tracker.update(Detections.of(columns), n / 30, devices=said) if point.seen}
     assert numbers == {1}
@@ -222,7 +223,7 @@ def test_weak_spots_continue_a_track_and_give_it_no_number():
     for plain, begins in (([], None), ([1, 4], None), ([1, 4, 5], 5), ([0, 1, 2], 2), ([0, 1, 5], None)):
         tracker = Tracker(ghost_ratio=0.0, persist=(3, 5))
         for n in range(12):
-            points = tracker.update(replace(spots((50.0, 40.0)), weak=np.array([n not in plain])), n / 15)
+            points = tracker.update(replace(spots((50.0, 40.0)), evidence=np.array([n in plain])), n / 15)
             assert bool(points) == (begins is not None and n >= begins), (plain, n)
             assert all(one.seen and one.since == plain[0] / 15 for one in points)
 
@@ -278,3 +279,66 @@ def test_a_track_knows_when_it_began_to_persist():
     assert {one[0].since for one in points[7:]} == {0.3}
     assert points[7][0].lately == (True, False, False, True, True)
     assert points[8][0].lately == (False, False, True, True, True)
+
+
+def test_a_camera_alone_is_followed_in_the_hand_where_the_picture_says_how_it_moved() -> None:
+    """Lit frames show it, and one of two, a glint that stays where the sensor is; dark frames show nothing."""
+    rng, numbers = np.random.default_rng(3), set()
+    places = np.cumsum(rng.normal(0, 60, (60, 2)), axis=0) % 200 + 200
+    for known in (True, False):
+        tracker, numbers = Tracker(ghost_ratio=0.0, max_distance=20.0), set()
+        for n, (x, y) in enumerate(places.tolist()):
+            shift = places[n] - places[max(n - 1, 0)]
+            motion = np.column_stack([np.eye(2), shift]) if known else None
+            found = spots(*([] if n % 2 == 0 else [(x, y)]), *([(500.0, 60.0)] if n % 4 == 1 else []), diameter=6.0)
+            points = tracker.update(replace(found, motion=motion), n / 30, dark=n % 2 == 0)
+            numbers |= {one.track for one in points if one.seen and one.x < 450}
+            if known and n > 1 and n % 2 == 0:
+                assert any(math.dist((one.x, one.y), (x, y)) < 1 for one in points if one.event == "dark")
+        assert (len(numbers) == 1) == known
+
+
+def test_a_turn_of_the_picture_turns_what_moves_in_it() -> None:
+    tracker = Tracker(ghost_ratio=0.0, shake=0.0)
+    for n in range(20):
+        tracker.update(spots((100.0 + 6 * n, 200.0), diameter=6.0), n / 30)
+    quarter = np.array([[0.0, -1.0, 500.0], [1.0, 0.0, 0.0]])
+    (point,) = tracker.update(replace(spots(), motion=quarter), 20 / 30)
+    # It was at (214, 200) and moved by 6 along x.
+    assert math.dist((point.x, point.y), (300.0, 220.0)) < 1.5
+    assert math.dist((point.vx, point.vy), (0.0, 180.0)) < 20
+
+
+def test_an_unknown_motion_between_two_known_ones_is_sought_from_the_spots() -> None:
+    rng = np.random.default_rng(5)
+    places = rng.uniform((100, 100), (900, 700), (8, 2))
+    tracker, numbers = Tracker(ghost_ratio=0.0), set()
+    for n in range(30):
+        shift = rng.normal(0, 40, 2) if n else np.zeros(2)
+        places = places + shift
+        motion = None if n % 7 == 3 else np.column_stack([np.eye(2), shift])
+        points = tracker.update(replace(spots(*map(tuple, places.tolist()), diameter=6.0), motion=motion), n / 30)
+        numbers |= {one.track for one in points if one.seen}
+        assert sum(one.seen for one in points) == 8
+    assert numbers == set(range(1, 9))
+
+
+def test_evidence_adds_up_and_absence_takes_it_off() -> None:
+    def begins(counts: list[float | None], doubt: float = 0.0) -> int | None:
+        tracker = Tracker(ghost_ratio=0.0, persist=(2.5, 12), doubt=doubt)
+        for n, one in enumerate(counts):
+            found = spots() if one is None else replace(spots((50.0, 40.0)), evidence=np.array([one]))
+            if tracker.update(found, n / 15):
+                return n
+        return None
+
+    assert begins([1.0] * 6, doubt=0.5) == 2
+    assert begins([0.5] * 6, doubt=0.5) == 4
+    assert begins([1.0, None, 1.0, 1.0, 1.0], doubt=0.5) == 3
+    assert begins([1.0, None, 1.0, 1.0, 1.0]) == 3
+    # In every second frame.
+    assert begins([1.0, None] * 8) == 4 and begins([1.0, None] * 8, doubt=0.5) == 6
+    # Nothing is left after two frames without it, so that another track begins: three frames then.
+    assert begins([1.0, None, None, 1.0, 1.0, 1.0, 1.0], doubt=0.5) == 5
+    # What lies before the latest twelve frames does not count.
+    assert begins([0.2] * 40, doubt=0.5) is None and begins([0.21] * 40, doubt=0.5) == 11

@@ -52,7 +52,7 @@ def track(
         option("RATE", "Of cameras: expected false alarms a frame (0.01).", "--false-alarms-per-frame", min=1e-6),
     ] = None,
     min_snr: Annotated[
-        float | None, option("RATIO", "Least signal-to-noise ratio of a detection: of spots 7, of cameras 3.", min=1.0)
+        float | None, option("RATIO", "Least signal-to-noise ratio of a detection: of spots 7, of cameras 1.", min=1.0)
     ] = None,
     largest: Annotated[
         float | None,

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from tapetum.errors import InputError
 
-__all__ = ["MATCHED", "Registered", "local_mean", "register"]
+__all__ = ["MATCHED", "Registered", "common_shift", "common_turn", "evened", "local_mean", "register"]
 
 Array = NDArray[np.float32]
 
@@ -166,8 +166,8 @@ def register(lit: NDArray, dark: NDArray) -> Registered:
     small = [np.asarray(_resized(g, fine), dtype=np.float32) for g in (lit, dark)]
     smaller = [_resized(g, size) for g in small]
     even = [_even(_blurred(g, 1.0)) for g in smaller]
-    found = _matched(small, smaller, even, _shifted(*even), width / fine[0])
-    if found.correlation < _POOR and (turned := _turned(*even)) is not None:
+    found = _matched(small, smaller, even, common_shift(*even), width / fine[0])
+    if found.correlation < _POOR and (turned := common_turn(*even)) is not None:
         found = max(found, _matched(small, smaller, even, turned, width / fine[0]), key=lambda one: one.correlation)
     if found.correlation < found.rough + _SAME_SCENE and not any(_blank(g) for g in smaller):
         what = f"cannot be registered to the lit frame: their details correlate by {found.correlation:.2f}"
@@ -300,8 +300,10 @@ def _roughness(flow: Array) -> float:
     return float(np.quantile(np.hypot(*(slope[::2, ::2] for slope in slopes)), 0.9))
 
 
-def _turned(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> Array | None:
-    """The common turn, scale and shift, [2, 3], where enough corners of the two agree on them."""
+def common_turn(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> Array | None:
+    """The common turn, scale and shift of two even frames [H, W], a matrix [2, 3] that takes places of the first to the
+    second; None where too few corners of the two agree on one.
+    """
     finder = cv2.ORB.create(_CORNERS, fastThreshold=8)
     (of_lit, told), (of_dark, others) = (finder.detectAndCompute(one, None) for one in (lit, dark))  # pyright: ignore
     if min(len(of_lit), len(of_dark)) < _AGREED:
@@ -315,8 +317,10 @@ def _turned(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> Array | None:
     return None if motion is None or int(agreed.sum()) < _AGREED else motion.astype(np.float32)
 
 
-def _shifted(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> Array:
-    """The common shift, [2, 3], where there is a clear one that brings the two closer, else none."""
+def common_shift(lit: NDArray[np.uint8], dark: NDArray[np.uint8]) -> Array:
+    """The shift of most of a picture between two even frames [H, W], a matrix [2, 3] that takes places of the first to
+    the second; no shift where there is no clear one that brings the two closer.
+    """
     step = max(1, math.ceil(max(lit.shape) / _SHIFT_SIDE))
     size = lit.shape[1] // step, lit.shape[0] // step
     # phaseCorrelate may overwrite its inputs: copies are fresh here.
@@ -343,6 +347,12 @@ def _blurred(image: NDArray, sigma: float) -> Array:
 def _far_blurred(image: Array, sigma: float) -> Array:
     """Blurred by many pixels, [H, W]: on a coarser grid, where that takes few."""
     return _resized(local_mean(image, sigma), (image.shape[1], image.shape[0]), cv2.INTER_LINEAR)
+
+
+def evened(image: NDArray) -> NDArray[np.uint8]:
+    """A small copy of a frame [H, W] of grey levels, halved to 500 pixels or less, of even mean and contrast."""
+    small = _resized(image, _fitted(image.shape[1], image.shape[0], _FLOW_SIDE))
+    return _even(_blurred(small.astype(np.float32), 1.0))
 
 
 def _fitted(width: int, height: int, side: int) -> tuple[int, int]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from tapetum.data.crop import find_centre
 from tapetum.detection import Found, find_cameras
+from tapetum.detection.global_motion import MotionFinder
 from tapetum.errors import InputError
 from tapetum.record.source import Frame
 from tapetum.track.detections import Detections
@@ -20,10 +21,17 @@ from tapetum.track.tracker import Tracker
 __all__ = ["CameraDetector"]
 
 _EIGHT_BITS = 255.0
-# Of a pair, how many times the false alarms that are allowed a spot may cost without being weak, or be kept at all; and
-# up to how many a frame. What chance shows rarely persists: tracks with a number that are none are far fewer. What
-# shines back and is no camera does persist, which is why ten times is not more.
-_PLAIN, _KEPT = (10.0, 1.0), (100.0, 3.0)
+# Of a pair: how many times the false alarms that are allowed a spot may cost and still count in full towards the number
+# of its track, up to how many a frame; how many times as many count for nothing; and up to how many a frame are kept at
+# all. What chance shows rarely persists, so that tracks with a number that are none are far fewer. What shines back and
+# is no camera does persist, which is why ten times is not more.
+_FULL, _FULL_MOST, _NOTHING, _KEPT = 10.0, 0.5, 30.0, 3.0
+# Height over the spread around it up to which a spot that costs more than that counts so, and above which it counts for
+# nothing: what noise hides, other frames may show, but what is clear and looks like no camera will do so in each.
+_DIM, _CLEAR = 8.0, 16.0
+# A track gets its number once the evidence of its lit frames, of the latest so many, adds up to so much, less what each
+# frame without it takes off: three spots that count in full give it, or one more for each two frames without.
+_ENOUGH, _FRAMES, _DOUBT = 2.5, 12, 0.5
 
 
 class CameraDetector:
@@ -37,8 +45,7 @@ class CameraDetector:
     ----------
     false_alarms
         Expected false alarms a frame among tracks that have their number. Of a frame alone what scores lower is left
-        out. Of a pair, spots that cost ten times as many begin a track, as they must persist for that, and spots that
-        cost up to a hundred times as many continue one.
+        out. Of a pair, spots that cost more count too, the less the more they cost, as they must persist.
     largest
         Largest diameter of a spot in pixels.
     min_snr
@@ -70,7 +77,7 @@ class CameraDetector:
         *,
         false_alarms: float = 0.01,
         largest: float = usual_largest,
-        min_snr: float = 3.0,
+        min_snr: float = 1.0,
         known_ghost: Ghost | None = None,
         ghosts: str = "drop",
         most: int | None = None,
@@ -85,23 +92,23 @@ class CameraDetector:
         self.known_ghost, self.ghosts, self.most, self.apart = known_ghost, ghosts, most, apart
         self.notes: Counter[str] = Counter()
         self._dark: tuple[float, NDArray[np.generic]] | None = None
+        self._motions = MotionFinder()
 
     def tracker(self) -> Tracker:
         """Return a tracker for a room, where there are false alarms.
 
-        A track gets its number when it was seen in three of five frames by spots that are not weak, and its end is an
-        event. The tracker's own guard against ghosts is not used: it is for detectors that drop ghosts by their
-        brightness alone, on a bench.
+        A track gets its number when the evidence of its spots suffices, and its end is an event. The tracker's own
+        guard against ghosts is not used: it is for detectors that drop ghosts by their brightness alone, on a bench.
         """
-        return Tracker(ghost_ratio=0.0, persist=(3, 5), endings=True)
+        return Tracker(ghost_ratio=0.0, persist=(_ENOUGH, _FRAMES), doubt=_DOUBT, endings=True)
 
     def __call__(self, frame: Frame, /) -> Detections:
         image = _levels(frame)
         if frame.lit is False:
             self._dark = frame.time, image
-            return Detections.empty()
+            return Detections.empty(self._moved(image))
         found = self._found(frame, image)
-        return self._detections(frame, found[found.snr >= self.min_snr])
+        return self._detections(frame, found[found.snr >= self.min_snr], self._moved(image))
 
     def _found(self, frame: Frame, image: NDArray[np.generic]) -> Found:
         dark = None
@@ -117,20 +124,33 @@ class CameraDetector:
         elif frame.lit:
             self.notes["no dark frame came before"] += 1
         try:
-            return self._search(image, dark, self.false_alarms if dark is None else self._rate(*_KEPT))
+            return self._search(image, dark, self.false_alarms if dark is None else self._kept)
         except InputError as error:
             if dark is None or error.where != "dark":
                 raise
             self.notes["the dark frame cannot be registered"] += 1
             return self._search(image, None, self.false_alarms)
 
-    def _rate(self, times: float, most: float) -> float:
-        return max(self.false_alarms, min(times * self.false_alarms, most))
+    @property
+    def _full(self) -> float:
+        return max(self.false_alarms, min(_FULL * self.false_alarms, _FULL_MOST))
+
+    @property
+    def _kept(self) -> float:
+        return max(self.false_alarms, min(_NOTHING * self._full, _KEPT))
+
+    def _evidence(self, found: Found) -> NDArray[np.float64]:
+        costs = found.false_alarms / self._full
+        rare = np.clip(1 - np.log(np.maximum(costs, 1.0)) / math.log(_NOTHING), 0, 1)
+        return np.where(costs <= 1, 1.0, rare * np.clip((_CLEAR - found.snr) / (_CLEAR - _DIM), 0, 1))
+
+    def _moved(self, image: NDArray[np.generic]) -> NDArray[np.float64] | None:
+        return self._motions(image)
 
     def _search(self, image: NDArray[np.generic], dark: NDArray[np.generic] | None, false_alarms: float) -> Found:
         return find_cameras(image, dark, swaps=False, false_alarms=false_alarms, largest=self.largest, most=self.most)
 
-    def _detections(self, frame: Frame, found: Found) -> Detections:
+    def _detections(self, frame: Frame, found: Found, motion: NDArray[np.float64] | None) -> Detections:
         image = frame.image
         scale = float(frame.full_scale or _EIGHT_BITS) / _EIGHT_BITS
         sigma = np.maximum(found.diameter / 4, 0.5)
@@ -155,10 +175,10 @@ class CameraDetector:
             "saturated": found.saturated.astype(np.int64),
             "edge": margin < found.diameter / 2,
             "ghost": ghost,
-            "weak": found.false_alarms > self._rate(*_PLAIN),
+            "evidence": self._evidence(found),
         }
         # Brightest first.
-        spots = Detections.of(columns)[np.argsort(-peak, kind="stable")]
+        spots = Detections.of(columns, motion)[np.argsort(-peak, kind="stable")]
         return spots if self.ghosts == "mark" else spots.without_ghosts
 
 

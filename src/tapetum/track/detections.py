@@ -19,7 +19,7 @@ from tapetum.files import atomic_file
 
 __all__ = ["Detections"]
 
-_OTHERS = {"area": np.int64, "saturated": np.int64, "edge": np.bool_, "ghost": np.bool_, "weak": np.bool_}
+_OTHERS = {"area": np.int64, "saturated": np.int64, "edge": np.bool_, "ghost": np.bool_}
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +49,12 @@ class Detections:
         True where the spot touches the frame's edge, so that part of it may lie outside.
     ghost
         True where the spot looks like a reflection that accompanies a brighter one (see `tapetum.track.detector`).
-    weak
-        True where the spot may continue a track but gives it no number (see `tapetum.track.cameras`); where the column
-        is missing, none is.
+    evidence
+        How much the spot counts towards the number of its track (see `Tracker`): from 0, where it only continues one,
+        to 1, which it is where the column is missing.
+    motion
+        [2, 3] matrix that takes places of the frame before to this one's, ``A @ (x, y, 1)``, where the detector knows
+        how the picture moved between the two; no column.
     """
 
     x: NDArray[np.float64]
@@ -65,7 +68,8 @@ class Detections:
     saturated: NDArray[np.int64]
     edge: NDArray[np.bool_]
     ghost: NDArray[np.bool_]
-    weak: NDArray[np.bool_]
+    evidence: NDArray[np.float64]
+    motion: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         count = len(np.atleast_1d(self.x))
@@ -79,21 +83,21 @@ class Detections:
             object.__setattr__(self, name, array)
 
     @classmethod
-    def empty(cls) -> Detections:
+    def empty(cls, motion: NDArray[np.float64] | None = None) -> Detections:
         """Return a table without spots."""
-        return cls.of(dict.fromkeys(cls.names(), np.empty(0)))
+        return cls.of(dict.fromkeys(cls.names(), np.empty(0)), motion)
 
     @classmethod
-    def of(cls, columns: Mapping[str, Any]) -> Detections:
-        """Return the spots of columns by name: arrays or lists, [N] each; `weak` may be missing."""
-        given = {"weak": np.zeros(np.shape(columns["x"]), bool), **columns}
-        return cls(**{name: np.asarray(given[name]) for name in cls.names()})
+    def of(cls, columns: Mapping[str, Any], motion: NDArray[np.float64] | None = None) -> Detections:
+        """Return the spots of columns by name: arrays or lists, [N] each; `evidence` may be missing."""
+        given = {"evidence": np.ones(np.shape(columns["x"])), **columns}
+        return cls(**{name: np.asarray(given[name]) for name in cls.names()}, motion=motion)
 
     @classmethod
     @cache
     def names(cls) -> tuple[str, ...]:
         """Return the names of the columns."""
-        return tuple(field.name for field in fields(cls))
+        return tuple(field.name for field in fields(cls) if field.name != "motion")
 
     @classmethod
     def types(cls) -> dict[str, type[np.generic]]:
@@ -108,7 +112,7 @@ class Detections:
         chosen = slice(index, index + 1 or None) if isinstance(index, (int, np.integer)) else index
         if isinstance(index, (int, np.integer)) and not -len(self) <= index < len(self):
             raise IndexError(f"spot {index} of {len(self)}")
-        return Detections(*(getattr(self, name)[chosen] for name in self.names()))
+        return self.of({name: getattr(self, name)[chosen] for name in self.names()}, self.motion)
 
     def __iter__(self) -> Iterator[Detections]:
         return (self[n] for n in range(len(self)))
@@ -131,8 +135,8 @@ class Detections:
         InputError
             When a column is missing or holds a null.
         """
-        # Tables of older versions lack `weak`.
-        names = [name for name in cls.names() if name != "weak" or name in table.column_names]
+        # Tables of older versions lack `evidence`.
+        names = [name for name in cls.names() if name != "evidence" or name in table.column_names]
         if missing := [name for name in names if name not in table.column_names]:
             remedy = "give a table that Tapetum wrote"
             raise InputError(f"no column {', '.join(missing)}", where="detections", remedy=remedy)

@@ -1,16 +1,21 @@
-"""The motion that all spots of a frame share, because a hand-held probe shakes by far more than its targets move.
+"""The motion that all of a picture shares, because a hand-held probe shakes by far more than its targets move.
 
-Every pair of a track's expected place and a spot like it votes for a shift; the shift with most votes is refined by a
-rotation and scale where enough pairs agree. It is removed before spots are assigned, so that each track keeps only its
-own motion.
+It is removed before spots are assigned, so that each track keeps only its own motion. A detector that sees the room
+finds it from the pictures (`tapetum.detection.global_motion`). Where spots are all there is, every pair of a track's
+expected place and a spot like it votes for a shift; the shift with most votes is refined by a rotation and scale where
+enough pairs agree.
 """
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["common_motion"]
+__all__ = ["MOTION", "common_motion", "motion_columns", "motion_of"]
 
 Array = NDArray[np.float64]
 
@@ -20,6 +25,29 @@ _AGREE = 10.0
 _FEWEST, _TURNED = 3, 4
 # Largest rotation (rad) or change of scale between frames; what exceeds it is a chance.
 _LARGEST_TURN = 0.1
+
+
+MOTION = ("shift_x", "shift_y", "turn", "scale")
+"""Columns for a frame's motion since the one before: shift of its middle, pixels; turn from x to y, rad; and scale."""
+
+
+def motion_columns(motion: Array | None, size: tuple[int, int]) -> dict[str, float]:
+    """Return what `MOTION` names of a matrix [2, 3], for a frame of (width, height) pixels; empty without one."""
+    if motion is None:
+        return {}
+    (a, b), middle = motion[:, 0].tolist(), (np.array(size) - 1) / 2
+    shift = motion[:, :2] @ middle + motion[:, 2] - middle
+    return dict(zip(MOTION, (*shift.tolist(), math.atan2(b, a), math.hypot(a, b)), strict=True))
+
+
+def motion_of(columns: Mapping[str, Any], size: tuple[int, int] | None) -> Array | None:
+    """Return the matrix [2, 3] of `motion_columns`; None where a column, or the size, is missing or empty."""
+    x, y, turn, scale = (columns.get(name) for name in MOTION)
+    if size is None or x is None or y is None or turn is None or scale is None:
+        return None
+    a, b, middle = scale * math.cos(turn), scale * math.sin(turn), (np.array(size) - 1) / 2
+    turned = np.array([[a, -b], [b, a]])
+    return np.column_stack([turned, middle + np.array([x, y]) - turned @ middle])
 
 
 def common_motion(expected: Array, found: Array, alike: NDArray[np.bool_], limit: float) -> Array | None:

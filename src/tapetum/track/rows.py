@@ -14,6 +14,7 @@ import pyarrow as pa
 from tapetum.record.source import Frame
 from tapetum.track.activity import Activity
 from tapetum.track.detections import Detections
+from tapetum.track.motion import motion_columns, motion_of
 from tapetum.track.tables import (
     MOMENT,
     SIZE,
@@ -166,7 +167,7 @@ class TrackedFrame:
         """Yield the rows of a table of detections; one without a spot where nothing was found."""
         where = {"frame": self.frame, "time": self.time, "name": self.name, **self.moment}
         if self.size is not None:
-            where |= dict(zip(SIZE, self.size, strict=True))
+            where |= dict(zip(SIZE, self.size, strict=True)) | motion_columns(self.detections.motion, self.size)
         if not len(self.detections):
             yield where
         for n, answers in enumerate(self.estimates):
@@ -229,20 +230,26 @@ def retrack(detections: pa.Table | str | os.PathLike[str], *, tracker: Tracker |
     for _, group in groupby(rows_of_table(table), key=lambda row: row["frame"]):
         rows = list(group)
         spots = [row for row in rows if row["x"] is not None]
-        # Tables of older versions lack which spots are weak, and whether the models apply.
-        spots = [{**row, "weak": bool(row.get("weak"))} for row in spots]
-        found = Detections.of({name: [row[name] for row in spots] for name in Detections.names()})
+        # Tables of older versions say which spots are weak, or lack that too, and whether the models apply.
+        spots = [{**row, "evidence": _counted(row)} for row in spots]
         answers = [{name: _given(row.get(name), kind) for name, kind in columns.items()} for row in spots]
         moment = {name: rows[0].get(name) for name in MOMENT}
         frame = {"frame": rows[0]["frame"], "time": rows[0]["time"], "name": rows[0]["name"] or "", "moment": moment}
         width, height = (rows[0].get(name) for name in SIZE)
         size = None if width is None or height is None else (width, height)
+        columns_of = {name: [row[name] for row in spots] for name in Detections.names()}
+        found = Detections.of(columns_of, motion_of(rows[0], size))
         followed = TrackedFrame.of(frame, found, answers, follower, activities, size)
         records += [plain(row.record(), whole.names) for row in followed.rows]
         if len(records) >= _BATCH:
             keep()
     keep()
     return pa.Table.from_batches(kept, schema=whole)
+
+
+def _counted(row: Mapping[str, Any]) -> float:
+    counts = row.get("evidence")
+    return float(not row.get("weak")) if counts is None else counts
 
 
 def _given(value: Any, kind: pa.DataType) -> Any:

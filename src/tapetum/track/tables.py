@@ -20,6 +20,7 @@ from tapetum.errors import InputError
 from tapetum.files import free_name, told_when_full
 from tapetum.track.detections import Detections
 from tapetum.track.formats import FORMATS, to_parquet
+from tapetum.track.motion import MOTION
 
 __all__ = [
     "TableWriter",
@@ -46,8 +47,9 @@ _EVENT = {"event": pa.string()}
 # Of a detection: see `tapetum.track.activity`.
 _ASYMMETRY = {"asymmetry": pa.float64()}
 # Of a detection: see `Detections`.
-_WEAK = {"weak": pa.bool_()}
-_LATER = {**MOMENT, **SIZE, **_EVENT, **_ASYMMETRY, **_WEAK}
+_EVIDENCE = {"evidence": pa.float64()}
+_MOTION = dict.fromkeys(MOTION, pa.float64())
+_LATER = {**MOMENT, **SIZE, **_EVENT, **_ASYMMETRY, **_EVIDENCE, **_MOTION}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 # Of a live watch's rows: the camera's stay, as its events name it.
 _STAY = {"id": pa.string()}
@@ -94,7 +96,9 @@ def track_schema(estimates: Sequence[str] = ()) -> pa.Schema:
 
 def detections_schema(estimates: Sequence[str] = ()) -> pa.Schema:
     """Return the columns of a table of detections, with three for each estimated quantity."""
-    return pa.schema({**_FRAME, **_NAME, **MOMENT, **SIZE, **_SPOT, **_ASYMMETRY, **estimate_columns(estimates)})
+    return pa.schema(
+        {**_FRAME, **_NAME, **MOMENT, **SIZE, **_MOTION, **_SPOT, **_ASYMMETRY, **estimate_columns(estimates)}
+    )
 
 
 def checked_suffix(path: str | os.PathLike[str]) -> str:

@@ -88,19 +88,19 @@ class TrackPoint:
 class _Track:
     """Place and velocity [2, xy] with the covariance [2, 2] of either axis, and the spot's brightness and size.
 
-    `number` is None until the spot persisted; `lately` holds when it was seen and whether the spot was weak, by frame,
-    None where it was not.
+    `number` is None until the spot persisted; `lately` holds when it was seen and what the spot counts, by frame, None
+    where it was not.
     """
 
     def __init__(
-        self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float, weak: bool
+        self, place: Array, peak: float, diameter: float, noise: float, time: float, speed: float, evidence: float
     ) -> None:
         self.number: int | None = None
         self.state = np.stack([place, np.zeros(2)])
         self.covariance = np.diag([noise**2, speed**2])
         self.peak, self.diameter, self.now, self.last = peak, diameter, peak, place
         self.hits, self.misses, self.since, self.seen_at = 1, 0, time, time
-        self.lately: list[tuple[float, bool] | None] = [(time, weak)]
+        self.lately: list[tuple[float, float] | None] = [(time, evidence)]
         self.hidden: int | None = None
         # Where it would be had it not followed a jump, and for how many frames that is remembered.
         self.home: Array | None = None
@@ -158,9 +158,10 @@ class Tracker:
     When a spot fades, its ghost (see `tapetum.track.detector`) may remain for some frames. A spot much dimmer than a
     track was, and away from the track's predicted place, therefore neither continues that track nor begins one near it.
 
-    A probe in the hand shakes: the motion that most tracks share between two frames (see `track.motion`) is taken out
-    before spots are assigned, so that each track is left with its own. One or two tracks alone share any motion; they
-    follow a jump together only where all of them find a spot of their look at the same shift, and no other does.
+    A probe in the hand shakes: the motion of the whole picture since the one before is taken out before spots are
+    assigned, so that each track is left with its own. Detections may say what it was; else it is the one that most
+    tracks share (see `track.motion`). One or two tracks alone share any motion; they follow a jump together only where
+    all of them find a spot of their look at the same shift, and no other does.
 
     Parameters
     ----------
@@ -186,8 +187,11 @@ class Tracker:
     shake
         Largest motion in pixels that the tracks share between two frames. 0: none is sought.
     persist
-        (K, N): a track gets its number, and is returned, once it was seen in K of its first or latest N frames by
-        a spot that is not `weak` (see `Detections`).
+        (K, N): a track gets its number, and is returned, once the `evidence` of its spots (see `Detections`) in its
+        first or latest N frames adds up to K: where each counts 1, once it was seen in K of N.
+    doubt
+        Evidence that each frame without its spot takes off. Where there is any, a track without a number ends when none
+        is left.
     endings
         Whether a track that ends is returned once more, unseen, with the reason as its event.
 
@@ -207,14 +211,15 @@ class Tracker:
     ghost_ratio: float = 0.25
     ghost_radius: float = 280.0
     shake: float = 300.0
-    persist: tuple[int, int] = (1, 1)
+    persist: tuple[float, int] = (1, 1)
+    doubt: float = 0.0
     endings: bool = False
 
     def __post_init__(self) -> None:
         for name in ("acceleration", "speed", "noise", "gate", "max_distance", "confirm"):
             if not (getattr(self, name) > 0 and math.isfinite(getattr(self, name))):
                 raise InputError(f"must be positive, is {getattr(self, name)}", where=f"Tracker.{name}")
-        for name in ("max_coast", "ghost_ratio", "ghost_radius", "shake"):
+        for name in ("max_coast", "ghost_ratio", "ghost_radius", "shake", "doubt"):
             if not getattr(self, name) >= 0:
                 raise InputError(f"must not be negative, is {getattr(self, name)}", where=f"Tracker.{name}")
         if not 1 <= self.persist[0] <= self.persist[1]:
@@ -230,6 +235,8 @@ class Tracker:
         self._steps: deque[float] = deque(maxlen=_STEPS)
         # Places of the spots of the frame before that no well-known track took.
         self._loose = np.empty((0, 2))
+        # Whether a frame came, since spots were last assigned, whose motion is not known.
+        self._adrift = False
 
     def _fit(self, place: Array, peak: Array, diameter: Array, noise: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Compare tracks and spots [tracks, spots]: the cost of each pair, and whether the spot may be a ghost."""
@@ -296,9 +303,13 @@ class Tracker:
         noise = self.noise + 0.02 * diameter
         for track in self._tracks:
             track.predict(dt, self.acceleration)
+        if detections.motion is not None:
+            self._move_all(detections.motion)
+        self._adrift |= detections.motion is None
         alone = {track: track.state[0] for track in self._tracks if track.number is not None and not track.misses}
-        if self.shake > 0 and self._tracks and len(place):
+        if self._adrift and self.shake > 0 and self._tracks and len(place):
             self._move_together(place, peak, diameter, time)
+        self._adrift &= not len(place)
 
         costs, _ = self._fit(place, peak, diameter, noise)
         costs += _UNNAMED * np.array([[track.number is None] for track in self._tracks]).reshape(-1, 1)
@@ -308,7 +319,7 @@ class Tracker:
             other = [[one is not None and two is not None and one != two for two in told] for one in own]
             costs += _OTHER_DEVICE * np.array(other, dtype=float).reshape(costs.shape)
         pairs = {int(r): int(c) for r, c in zip(*linear_sum_assignment(costs), strict=True) if costs[r, c] < _NEVER}
-        weak = detections.weak[numbers].tolist()
+        counts = detections.evidence[numbers].tolist()
         looks = list(zip(place, peak.tolist(), diameter.tolist(), noise.tolist(), strict=True))
         seen: dict[_Track, int] = {}
         events: dict[_Track, str] = {}
@@ -322,7 +333,7 @@ class Tracker:
             elif not dark:
                 track.misses += 1
             if row in pairs or not dark:
-                own = (time, weak[pairs[row]]) if row in pairs else None
+                own = (time, counts[pairs[row]]) if row in pairs else None
                 track.lately = [*track.lately, own][-self.persist[1] :]
         steps = [math.dist(place[seen[track]], at) for track, at in alone.items() if track in seen]
         self._steps += [float(np.median(steps))] if steps else []
@@ -333,12 +344,12 @@ class Tracker:
         for n in sorted(set(range(len(looks))) - set(pairs.values())):
             # A spot like the ghost of a track, even of a new one, begins no track.
             if not self._fit(*(one[n : n + 1] for one in (place, peak, diameter, noise)))[1].any():
-                self._tracks.append(_Track(*looks[n], time, self.speed, weak[n]))
+                self._tracks.append(_Track(*looks[n], time, self.speed, counts[n]))
                 seen[self._tracks[-1]] = n
         for track in self._tracks:
-            times = [one[0] for one in track.lately if one is not None and not one[1]]
-            if track.number is None and len(times) >= self.persist[0]:
+            if track.number is None and self._evidence(track) >= self.persist[0]:
                 # Of a jump that was guessed, what came before may have been another spot.
+                times = [one[0] for one in track.lately if one is not None and one[1] > 0]
                 track.since = min([one for one in times if one >= track.guessed], default=time)
                 track.number, self._next = self._next, self._next + 1
                 events[track] = "begun"
@@ -365,6 +376,18 @@ class Tracker:
             lately = tuple(one is not None and one[0] >= track.guessed for one in track.lately)
             points.append(TrackPoint(track.number, x, y, vx, vy, detection, events.get(track, ""), track.since, lately))
         return sorted(points, key=lambda point: point.track)
+
+    def _move_all(self, motion: Array) -> None:
+        """Move all that is remembered of the picture before by a matrix [2, 3]."""
+        turned, shift = motion[:, :2].T, motion[:, 2]
+        for track in self._tracks:
+            track.state = track.state @ turned
+            track.state[0] += shift
+            track.last = track.last @ turned + shift
+            if track.home is not None:
+                track.home = track.home @ turned
+                track.home[0] += shift
+        self._loose = self._loose @ turned + shift
 
     def _move_together(self, place: Array, peak: Array, diameter: Array, time: float) -> None:
         """Move all tracks by what they share since the frame before, at a time."""
@@ -475,9 +498,13 @@ class Tracker:
                 return other.number
         return None
 
+    def _evidence(self, track: _Track) -> float:
+        return sum(-self.doubt if one is None else one[1] for one in track.lately)
+
     def _lives(self, track: _Track, time: float) -> bool:
         if track.number is None:
-            return track.misses <= self.persist[1] - self.persist[0]
+            few = track.misses <= self.persist[1] - self.persist[0]
+            return few and (self.doubt == 0 or self._evidence(track) > 0)
         few = track.misses <= 2 or time - track.seen_at <= self.max_coast
         return track.misses == 0 or (track.hits >= self.confirm and few)
 
