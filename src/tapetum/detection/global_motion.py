@@ -23,6 +23,8 @@ _CORNERS, _WEAKEST, _BETWEEN = 200, 0.01, 8
 # Corners that must agree, within so many pixels of the small frame, and their least share. In drawn films of textured
 # rooms 0.35 to 0.97 agree; where a frame shows noise or shade alone, up to 0.2 do, by chance.
 _AGREED, _WITHIN, _SHARE = 12, 1.5, 0.25
+# Pairs of corners that are tried: at the least share one in sixteen has two that agree.
+_TRIES = 300
 # Of following a corner: the side of its window and how often the frame is halved.
 _WINDOW, _HALVED = (15, 15), 2
 
@@ -45,6 +47,8 @@ class MotionFinder:
 
     def __init__(self) -> None:
         self._before: tuple[tuple[int, ...], NDArray[np.uint8]] | None = None
+        # Whether a turn is sought where no shift fits: it takes several times as long, in vain where nothing is to see.
+        self._turns = True
 
     def __call__(self, image: NDArray[np.generic]) -> Array | None:
         """Return the motion since the frame before.
@@ -64,7 +68,8 @@ class MotionFinder:
         before, self._before = self._before, (image.shape, now)
         if before is None or before[0] != image.shape:
             return None
-        motion = _between(before[1], now)
+        motion = _between(before[1], now, self._turns)
+        self._turns = motion is not None
         if motion is None:
             return None
         # A pixel of the small frame covers several of the frame.
@@ -73,13 +78,13 @@ class MotionFinder:
         return np.column_stack([motion[:, :2] * over[:, None] / over, first])
 
 
-def _between(before: NDArray[np.uint8], now: NDArray[np.uint8]) -> Array | None:
-    """The motion between two small frames, [2, 3], in their pixels."""
+def _between(before: NDArray[np.uint8], now: NDArray[np.uint8], turns: bool) -> Array | None:
+    """The motion between two small frames, [2, 3], in their pixels; `turns` seeks one that may begin with a turn."""
     corners = cv2.goodFeaturesToTrack(before, _CORNERS, _WEAKEST, _BETWEEN)
     if corners is None or len(corners) < _AGREED:
         return None
     motion = _followed(before, now, corners, common_shift(before, now))
-    if motion is None and (start := common_turn(before, now)) is not None:
+    if motion is None and turns and (start := common_turn(before, now)) is not None:
         motion = _followed(before, now, corners, start)
     return motion
 
@@ -94,6 +99,8 @@ def _followed(before: NDArray[np.uint8], now: NDArray[np.uint8], corners: NDArra
     kept = (followed[:, 0] > 0) & ((expected >= 0) & (expected <= np.array(now.shape[::-1]) - 1)).all((1, 2))
     if kept.sum() < _AGREED:
         return None
-    motion, agreed = cv2.estimateAffinePartial2D(corners[kept], found[kept], ransacReprojThreshold=_WITHIN)
+    motion, agreed = cv2.estimateAffinePartial2D(
+        corners[kept], found[kept], ransacReprojThreshold=_WITHIN, maxIters=_TRIES
+    )
     enough = max(_AGREED, _SHARE * kept.sum())
     return None if motion is None or agreed.sum() < enough else np.asarray(motion, dtype=np.float64)
