@@ -12,6 +12,7 @@ import cv2
 import numpy as np
 import pyarrow as pa
 import pytest
+from pyarrow.csv import write_csv
 from pyarrow.parquet import write_table
 
 from tapetum.cli.app import main
@@ -124,11 +125,15 @@ def test_a_dim_camera_is_found_as_it_persists(tmp_path: Path) -> None:
     # Older tables say which spots are weak, or not even that: then all count.
     bare = detections.drop_columns(["evidence", *MOTION])
     counts = detections["evidence"].to_pylist()
-    weak = bare.append_column("weak", pa.array([one is not None and one < 1 for one in counts]))
+    weak = bare.append_column("weak", pa.array([None if one is None else one < 1 for one in counts]))
     seen_in = []
     for table in (weak, bare):
         write_table(table, files[2])
-        old = retrack(files[2], tracker=CameraDetector().tracker())
+        write_csv(table, files[2].with_suffix(".csv"))
+        old, other = (
+            retrack(one, tracker=CameraDetector().tracker()) for one in (files[2], files[2].with_suffix(".csv"))
+        )
+        assert [row["track"] for row in old.to_pylist()] == [row["track"] for row in other.to_pylist()]
         seen_in.append(sum(row["seen"] for row in old.to_pylist()))
     assert 0 < seen_in[0] <= seen_in[1]
 

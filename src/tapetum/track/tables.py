@@ -49,6 +49,8 @@ _ASYMMETRY = {"asymmetry": pa.float64()}
 # Of a detection: see `Detections`.
 _EVIDENCE = {"evidence": pa.float64()}
 _MOTION = dict.fromkeys(MOTION, pa.float64())
+# Of tables of detections of older versions, in place of the evidence.
+_FORMER = {"weak": pa.bool_()}
 _LATER = {**MOMENT, **SIZE, **_EVENT, **_ASYMMETRY, **_EVIDENCE, **_MOTION}
 _DEVICE = {"device": pa.string(), "device_probability": pa.float64()}
 # Of a live watch's rows: the camera's stay, as its events name it.
@@ -230,7 +232,7 @@ def read_table(path: str | os.PathLike[str], schema: pa.Schema) -> pa.Table:
     if not place.is_file():
         raise InputError("no such file", where=place, remedy="check the path")
     try:
-        known = {**_DEVICE, **_JUDGED, **_STAY, **{field.name: field.type for field in schema}}
+        known = {**_DEVICE, **_JUDGED, **_STAY, **_FORMER, **{field.name: field.type for field in schema}}
         table = FORMATS[suffix].read(place, known)
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(f"cannot be read as {suffix[1:]} ({error})", where=place, remedy="write it again") from error
