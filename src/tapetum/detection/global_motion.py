@@ -23,6 +23,8 @@ _CORNERS, _WEAKEST, _BETWEEN = 200, 0.01, 8
 # Corners that must agree, within so many pixels of the small frame, and their least share. In drawn films of textured
 # rooms 0.35 to 0.97 agree; where a frame shows noise or shade alone, up to 0.2 do, by chance.
 _AGREED, _WITHIN, _SHARE = 12, 1.5, 0.25
+# How much the scale may change from one frame to the next: a collapse onto one place would agree with anything there.
+_SCALES = 0.25
 # Pairs of corners that are tried: at the least share one in sixteen has two that agree.
 _TRIES = 300
 # Of following a corner: the side of its window and how often the frame is halved.
@@ -102,5 +104,7 @@ def _followed(before: NDArray[np.uint8], now: NDArray[np.uint8], corners: NDArra
     motion, agreed = cv2.estimateAffinePartial2D(
         corners[kept], found[kept], ransacReprojThreshold=_WITHIN, maxIters=_TRIES
     )
-    enough = max(_AGREED, _SHARE * kept.sum())
-    return None if motion is None or agreed.sum() < enough else np.asarray(motion, dtype=np.float64)
+    if motion is None or agreed.sum() < max(_AGREED, _SHARE * kept.sum()):
+        return None
+    scale = float(np.hypot(*motion[:, 0]))
+    return np.asarray(motion, dtype=np.float64) if abs(scale - 1) <= _SCALES else None

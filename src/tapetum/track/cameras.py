@@ -30,7 +30,7 @@ _FULL, _FULL_MOST, _NOTHING, _KEPT = 10.0, 0.5, 30.0, 3.0
 # nothing: what noise hides, other frames may show, but what is clear and looks like no camera will do so in each.
 _DIM, _CLEAR = 8.0, 16.0
 # A track gets its number once the evidence of its lit frames, of the latest so many, adds up to so much, less what each
-# frame without it takes off: three spots that count in full give it, or one more for each two frames without.
+# frame without it takes off: three spots that count in full give it, with one frame without; one more with three.
 _ENOUGH, _FRAMES, _DOUBT = 2.5, 12, 0.5
 
 
