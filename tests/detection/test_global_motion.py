@@ -98,6 +98,17 @@ def test_what_moves_by_itself_does_not_count() -> None:
     assert apart(found, between(*ways)) < 0.7
 
 
+@pytest.mark.parametrize("wide", [250, 350])
+def test_before_a_probe_that_stands_somebody_close_walks_by(wide: int) -> None:
+    picture, person, find = room(3), room(4)[:, :wide] * 0.8, MotionFinder()
+    found = []
+    for n, at in enumerate((180, 196, 212)):
+        scene = picture.copy()
+        scene[:, at : at + wide] = person
+        found.append(find(shot(scene, (0, 0), 0, 1, n, n == 1)[0]))
+    assert all(apart(one, np.eye(2, 3)) < 0.5 for one in found[1:])
+
+
 def test_where_nothing_can_be_followed_none_is_said() -> None:
     rng, find = np.random.default_rng(0), MotionFinder()
     dark = [rng.normal(20, 3, SIZE[::-1]).clip(0, 255).astype(np.uint8) for _ in range(4)]

@@ -3,7 +3,7 @@
 As in trackers that compensate the camera's motion (BoT-SORT: Aharon et al., arXiv:2206.14651): corners are followed
 from one frame to the next (Lucas and Kanade, in pyramids: Bouguet 2001), from the shift that phase correlation finds or
 else from what matched corners tell, and the turn, scale and shift on which most of them agree is the probe's (RANSAC).
-What moves by itself disagrees.
+What moves by itself disagrees; where as many as need agree show that the probe stands, it does.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ _CORNERS, _WEAKEST, _BETWEEN = 200, 0.01, 8
 # Corners that must agree, within so many pixels of the small frame, and their least share. In drawn films of textured
 # rooms 0.35 to 0.97 agree; where a frame shows noise or shade alone, up to 0.2 do, by chance.
 _AGREED, _WITHIN, _SHARE = 12, 1.5, 0.25
+# Pixels of the small frame by which a corner of a scene that stands seems to move at most.
+_STANDS = 0.5
 # How much the scale may change from one frame to the next: a collapse onto one place would agree with anything there.
 _SCALES = 0.25
 # Pairs of corners that are tried: at the least share one in sixteen has two that agree.
@@ -106,5 +108,11 @@ def _followed(before: NDArray[np.uint8], now: NDArray[np.uint8], corners: NDArra
     )
     if motion is None or agreed.sum() < max(_AGREED, _SHARE * kept.sum()):
         return None
+    # Before a probe that stands, most of what can be followed may be somebody who walks by.
+    at, gone = corners[kept][:, 0], found[kept][:, 0]
+    stands = np.linalg.norm(gone - at, axis=1) <= _STANDS
+    moved = np.linalg.norm(at @ motion[:, :2].T + motion[:, 2] - at, axis=1)
+    if stands.sum() >= max(_AGREED, _SHARE * kept.sum()) and np.median(moved) > _WITHIN:
+        return np.eye(2, 3)
     scale = float(np.hypot(*motion[:, 0]))
     return np.asarray(motion, dtype=np.float64) if abs(scale - 1) <= _SCALES else None
