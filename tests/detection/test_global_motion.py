@@ -98,6 +98,12 @@ def test_what_moves_by_itself_does_not_count() -> None:
     assert apart(found, between(*ways)) < 0.7
 
 
+def test_a_picture_that_grows_by_a_third_is_no_motion_of_a_hand() -> None:
+    picture, find = room(6), MotionFinder()
+    find(shot(picture, (0, 0), 0, 1, 0, False)[0])
+    assert find(shot(picture, (0, 0), 0, 1.35, 1, False)[0]) is None
+
+
 @pytest.mark.parametrize("wide", [250, 350])
 def test_before_a_probe_that_stands_somebody_close_walks_by(wide: int) -> None:
     picture, person, find = room(3), room(4)[:, :wide] * 0.8, MotionFinder()

@@ -16,6 +16,7 @@ from pyarrow.csv import write_csv
 from pyarrow.parquet import write_table
 
 from tapetum.cli.app import main
+from tapetum.detection import Found
 from tapetum.errors import InputError
 from tapetum.record.recording import RecordingWriter, StreamInfo
 from tapetum.record.source import Frame
@@ -277,3 +278,35 @@ def test_every_readable_frame_of_a_truncated_video_is_used_and_that_is_said(tmp_
     count = int(re.findall(r"(\d+) frames could be read", told)[0])
     assert 8 <= count < 30 and f"{count} rows are kept in {tmp_path / 't.unfinished.csv'}" in told
     assert read_tracks(tmp_path / "t.unfinished.csv")["frame"].to_pylist() == list(range(count))
+
+
+@pytest.mark.parametrize("asked", [0.001, 0.01, 0.1, 2.0])
+def test_a_spot_counts_the_less_the_likelier_chance_makes_one(asked: float) -> None:
+    full = max(asked, min(10 * asked, 0.5))
+
+    def counts(cost: float, snr: float) -> float:
+        one = np.full(1, 10.0)
+        found = Found(one, one, one / 20, np.full(1, cost), np.full(1, snr), one, one, one, one, one > 99)
+        return float(CameraDetector(false_alarms=asked)._evidence(found)[0])
+
+    assert counts(full, 5.0) == counts(0.0, 40.0) == 1
+    assert counts(full * math.sqrt(30), 5.0) == pytest.approx(0.5)
+    assert counts(full * math.sqrt(30), 12.0) == pytest.approx(0.25)
+    assert counts(full * 31, 5.0) == counts(full * 1.01, 16.0) == 0
+
+
+def test_the_tracker_of_rooms_adds_up_what_counts_little() -> None:
+    tracker, lengths = CameraDetector().tracker(), []
+    for n in range(8):
+        columns = dict.fromkeys(Detections.names(), np.full(1, 50.0)) | {"ghost": np.zeros(1), "evidence": [0.5]}
+        lengths.append(len(tracker.update(Detections.of(columns), n / 15)))
+    assert lengths == [0, 0, 0, 0, 1, 1, 1, 1]
+
+
+def test_dark_frames_tell_how_the_picture_moved_as_well() -> None:
+    frames, shifts = modulated(6, False)
+    detector = CameraDetector()
+    motions = [detector(one).motion for one in frames]
+    assert motions[0] is None
+    for n, motion in enumerate(motions[1:], 1):
+        assert motion is not None and np.abs(motion[:, 2] - (shifts[n] - shifts[n - 1])).max() < 0.6

@@ -342,3 +342,35 @@ def test_evidence_adds_up_and_absence_takes_it_off() -> None:
     assert begins([1.0, None, None, 1.0, 1.0, 1.0, 1.0], doubt=0.5) == 5
     # What lies before the latest twelve frames does not count.
     assert begins([0.2] * 40, doubt=0.5) is None and begins([0.21] * 40, doubt=0.5) == 11
+
+
+def test_detections_refuse_evidence_and_motion_that_make_no_sense() -> None:
+    for wrong in (-0.1, 1.5):
+        with pytest.raises(InputError, match=rf"Detections\.evidence: must be from 0 to 1, is {wrong:g}"):
+            replace(spots((50.0, 40.0)), evidence=np.array([wrong]))
+    for motion in (np.eye(2), np.full((2, 3), np.nan)):
+        with pytest.raises(InputError, match=r"Detections\.motion: must be a finite matrix"):
+            Detections.empty(motion)
+
+
+def test_all_that_is_remembered_of_a_picture_moves_with_it() -> None:
+    """The place last seen, where it would be had it not jumped, and spots that no track took yet."""
+    tracker = Tracker(ghost_ratio=0.0)
+    for n in range(10):
+        tracker.update(spots((300.0, 200.0), diameter=6.0), n / 30)
+    (track,) = tracker._tracks
+    track.home, track.homing = track.state.copy(), 4
+    tracker._loose = np.array([[100.0, 50.0]])
+    turned = np.array([[0.0, -1.0, 500.0], [1.0, 0.0, 20.0]])
+    tracker._move_all(turned)
+    assert track.home is not None
+    for place in (track.state[0], track.last, track.home[0]):
+        assert place == pytest.approx(turned @ (300, 200, 1), abs=1)
+    assert tracker._loose.tolist() == [[450.0, 120.0]]
+
+
+def test_a_track_ends_when_no_evidence_is_left() -> None:
+    tracker = Tracker(ghost_ratio=0.0, persist=(2.5, 12), doubt=0.5)
+    for n, seen in enumerate([True, False, False, True, True, True]):
+        points = tracker.update(spots((50.0, 40.0)) if seen else spots(), n / 15)
+    assert [one.since for one in points] == [3 / 15]

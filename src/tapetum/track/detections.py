@@ -81,6 +81,10 @@ class Detections:
             if kind is np.float64 and not np.isfinite(array).all():
                 raise InputError("holds a value that is not finite", where=f"Detections.{name}")
             object.__setattr__(self, name, array)
+        if wrong := [one for one in self.evidence.tolist() if not 0 <= one <= 1]:
+            raise InputError(f"must be from 0 to 1, is {wrong[0]:g}", where="Detections.evidence")
+        if self.motion is not None and (self.motion.shape != (2, 3) or not np.isfinite(self.motion).all()):
+            raise InputError("must be a finite matrix of 2 x 3", where="Detections.motion")
 
     @classmethod
     def empty(cls, motion: NDArray[np.float64] | None = None) -> Detections:
