@@ -370,7 +370,7 @@ def test_all_that_is_remembered_of_a_picture_moves_with_it() -> None:
 
 
 def test_a_track_ends_when_no_evidence_is_left() -> None:
-    tracker = Tracker(ghost_ratio=0.0, persist=(2.5, 12), doubt=0.5)
+    tracker, points = Tracker(ghost_ratio=0.0, persist=(2.5, 12), doubt=0.5), []
     for n, seen in enumerate([True, False, False, True, True, True]):
         points = tracker.update(spots((50.0, 40.0)) if seen else spots(), n / 15)
     assert [one.since for one in points] == [3 / 15]
