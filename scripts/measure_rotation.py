@@ -5,7 +5,8 @@
 For each rate of the target camera, which is how often the gaze is labelled, the Rotation set is filmed and the paper
 page's models are trained on it; what Fig. 10 says of them goes to docs/numbers/rotation-rates.json, or -o. Sets,
 checkpoints and models stay in the folder, so that the same command continues an interrupted run. The network takes the
-page's epochs in single precision unless --epochs or --precision say otherwise.
+page's epochs in single precision unless --epochs or --precision say otherwise, and carries residuals to frames that
+look alike with --interpolate.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ from tapetum.models.epochs import PRECISIONS, EpochReport
 from tapetum.progress import bar
 
 
-def shortened(epochs: int | None, precision: str) -> None:
-    """Give the page's ResNet-18 other epochs or another precision."""
+def changed(epochs: int | None, precision: str, interpolate: bool) -> None:
+    """Give the page's ResNet-18 other epochs or another precision, or let it interpolate residuals."""
     name = "rotation-resnet18"
     recipe = RECIPES[name]
 
     def make(size: str) -> NetworkEstimator:
         model = recipe.make(size)
         assert isinstance(model, NetworkEstimator)
-        own = {"precision": precision, **({} if epochs is None else {"epochs": epochs})}
+        own = {"precision": precision, "interpolate": interpolate, **({} if epochs is None else {"epochs": epochs})}
         return type(model)(**{**model.parameters(), **own})
 
     RECIPES[name] = replace(recipe, make=make)
@@ -66,14 +67,15 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2, help="that film")
     parser.add_argument("--epochs", type=int, help="of the network; the page's by default")
     parser.add_argument("--precision", choices=PRECISIONS, default="float32", help="of the network's products")
+    parser.add_argument("--interpolate", action="store_true", help="residuals, as `tapetum train --interpolate`")
     parser.add_argument("-o", "--out", type=Path, default=Path("docs/numbers/rotation-rates.json"))
     options = parser.parse_args()
     keep_big_blocks()
-    shortened(options.epochs, options.precision)
+    changed(options.epochs, options.precision, options.interpolate)
     options.work.mkdir(parents=True, exist_ok=True)
     rows = [measured(rate, options.size, options.work, options.processes) for rate in options.rates]
     with atomic_file(options.out) as part:
-        told = {name: getattr(options, name) for name in ("size", "epochs", "precision")}
+        told = {name: getattr(options, name) for name in ("size", "epochs", "precision", "interpolate")}
         part.write_text(json.dumps({**told, "seed": SET_SEED, "rows": rows}, indent=1) + "\n")
     for row in rows:
         centre = row["centre"]

@@ -7,6 +7,7 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator
+from multiprocessing import forkserver
 from multiprocessing.context import BaseContext
 from pathlib import Path
 
@@ -18,6 +19,9 @@ from tapetum.processes import context_of
 
 Validated = Callable[..., None]
 _KEPT = pytest.StashKey[list[dict[str, object]]]()
+_LOADED = tuple(
+    f"tapetum.{name}" for name in ("live.recorder", "live.log", "track.pipeline", "data.synth.work", "simulate.bounds")
+)
 _LONGEST = (
     "test_compare.py",
     "test_twin.py",
@@ -86,8 +90,18 @@ def pytest_configure(config: pytest.Config) -> None:
     config.stash[_KEPT] = []
     # As in every command: a tenth of the simulator's time otherwise.
     keep_big_blocks()
+    load_once()
     # No test cuts the power, so none can tell what the disk has; when files are flushed is tested all the same.
     os.fsync = lambda handle, /: None
+
+
+def load_once() -> None:
+    """Let what processes fork from load the libraries of all tests, whichever comes first.
+
+    It starts once and keeps the modules of the first; those of later tests would each load theirs, for seconds.
+    """
+    chosen = forkserver.set_forkserver_preload
+    forkserver.set_forkserver_preload = lambda modules_names: chosen(sorted({*modules_names, *_LOADED}))
 
 
 @pytest.fixture
@@ -115,8 +129,7 @@ def validated(request: pytest.FixtureRequest) -> Validated:
 @pytest.fixture(scope="session")
 def processes() -> BaseContext:
     """For processes that a test kills or limits: they fork from one that has loaded the libraries for all tests."""
-    modules = ("live.recorder", "live.log", "track.pipeline", "data.synth.work")
-    return context_of(*(f"tapetum.{name}" for name in modules))
+    return context_of(*_LOADED)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -1,0 +1,198 @@
+"""Measure how gaze and focus carry over to other copies of a camera, by the number of copies in training.
+
+    .venv/bin/python scripts/measure_copies.py rotation --work copies-work
+    .venv/bin/python scripts/measure_copies.py focusing --work copies-work
+
+Films copies of a set's camera at gazes drawn over the set's part of the field, each copy in all of the set's videos,
+and trains ResNet-18 on 1, 4 and 16 of them, with equal numbers of frames and of passes over frames. Each network is
+scored on other frames of the copies that it was trained on ("same"), and on copies with other seeds ("other"). What no
+retro-reflection shows of a copy, as where its point of symmetry lies, is an offset that all its frames have in common:
+the errors are given with each copy's own mean error taken off, too. Copies and models stay in the folder, so that the
+same command continues an interrupted run. The numbers go to docs/numbers/copies-SET.json, or -o.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from tapetum.bench import Scene, load_scene, with_values
+from tapetum.data import dataset_from_arrays
+from tapetum.data.synth.plan import FIELDS, SETS
+from tapetum.experiments.copies import copy_films, film_copies
+from tapetum.experiments.side_by_side import side_by_side
+from tapetum.files import atomic_file
+from tapetum.memory import keep_big_blocks
+from tapetum.models import ResNet18, load_model, save_model
+from tapetum.models.epochs import PRECISIONS
+from tapetum.progress import bar
+from tapetum.record import HandMotion
+
+# Seeds of the copies of the training sets, and of those that are only tested on.
+TRAIN, TEST = 4_300_000, 4_400_000
+DRAWS = 1000
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What is estimated of a set's copies: `side` of the films, `crop`, `size` and `batch` of the network."""
+
+    target: str
+    names: tuple[str, ...]
+    side: int
+    crop: int
+    size: int
+    batch: int
+
+
+KINDS = {
+    "rotation": Kind("gaze", ("gaze_x", "gaze_y"), side=160, crop=144, size=72, batch=32),
+    "focusing": Kind("focus", ("object_distance", "focal_length"), side=400, crop=400, size=80, batch=32),
+}
+
+
+@dataclass(frozen=True)
+class Films:
+    """How a set's copies are filmed: its videos' scenes and labels, and the hand."""
+
+    kind: str
+    videos: tuple[tuple[Scene, dict[str, Any]], ...]
+    hand: HandMotion
+    work: Path
+    processes: int
+
+    @classmethod
+    def of(cls, kind: str, work: Path, processes: int) -> Films:
+        """Of each label of the set once: its videos of the same camera differ in the gazes alone."""
+        recipe = SETS[kind]
+        scene = load_scene(kind, recipe.settings.get("paper", ()))
+        labels = {json.dumps(dict(own)): dict(own) for _, own in recipe.videos}
+        placed = tuple(
+            (with_values(scene, {FIELDS[key]: value for key, value in own.items()}) if own else scene, own)
+            for own in labels.values()
+        )
+        return cls(kind, placed, HandMotion(extent=recipe.extent, sway=0.01), work, processes)
+
+    def frames(self, seeds: Sequence[int], each: int) -> xr.Dataset:
+        """Return `each` frames of each copy, as many of every video; `recording` numbers the copies."""
+        side, own = KINDS[self.kind].side, each // len(self.videos)
+        jobs = [
+            film
+            for number, (scene, _) in enumerate(self.videos)
+            for film in copy_films(scene, seeds, own, self._folder(number), side=side, motion=self.hand)
+        ]
+        for _ in bar(side_by_side(jobs, self.processes), "filming copies", total=len(jobs)):
+            pass
+        parts = []
+        for number, (scene, labels) in enumerate(self.videos):
+            one = film_copies(scene, seeds, own, self._folder(number), side=side, motion=self.hand)
+            count = one.sizes["frame"]
+            columns = {name: one[name].values for name in ("gaze_x", "gaze_y")}
+            columns |= {name: np.full(count, value) for name, value in labels.items()}
+            parts.append((one["image"].values, columns, one["recording"].values))
+        images, recording = (np.concatenate([part[k] for part in parts]) for k in (0, 2))
+        columns = {name: np.concatenate([part[1][name] for part in parts]) for name in parts[0][1]}
+        # A network keeps the last tenth of each copy aside, which is to be of all its videos alike.
+        order = np.lexsort((np.random.default_rng(0).random(len(recording)), recording))
+        full = float(2 ** self.videos[0][0].probe.sensor.bits - 1)
+        return dataset_from_arrays(
+            images[order],
+            {name: values[order] for name, values in columns.items()},
+            full_scale=full,
+            recording=recording[order],
+        )
+
+    def _folder(self, video: int) -> Path:
+        return self.work / f"{self.kind}-{video}"
+
+
+def told(model: Any, frames: xr.Dataset, names: Sequence[str]) -> dict[str, Any]:
+    """MAE [K] and its 90 % interval where whole copies are drawn anew, and the same without each copy's mean error."""
+    truth = frames.tp.values(tuple(names))
+    found = model.predict(frames, anyway=True, unit="own", progress=bar)
+    error = found.value - truth
+    copies = np.asarray(frames["recording"].values)
+    rows = [np.flatnonzero(copies == one) for one in np.unique(copies)]
+    offset = np.array([error[own].mean(axis=0) for own in rows])
+    apart = np.concatenate([error[own] - mean for own, mean in zip(rows, offset, strict=True)])
+    rng = np.random.default_rng(0)
+    draws = [np.concatenate([rows[n] for n in rng.integers(0, len(rows), len(rows))]) for _ in range(DRAWS)]
+    spread = np.quantile([np.abs(error[one]).mean(axis=0) for one in draws], [0.05, 0.95], axis=0)
+    return {
+        "copies": len(rows),
+        "frames": len(error),
+        "mae": np.abs(error).mean(axis=0).tolist(),
+        "mae_interval": spread.tolist() if len(rows) > 1 else None,
+        "mae_without_offset": np.abs(apart).mean(axis=0).tolist(),
+        "coverage": ((found.lower <= truth) & (truth <= found.upper)).mean(axis=0).tolist(),
+        "answered": float(np.mean(found.applies)),
+        "guess": np.abs(truth - truth.mean(axis=0)).mean(axis=0).tolist(),
+    }
+
+
+def main() -> None:
+    """Film, train, score, write."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("set", choices=KINDS)
+    parser.add_argument("--work", type=Path, default=Path("copies-work"))
+    parser.add_argument("--copies", type=int, nargs="+", default=[1, 4, 16], help="copies in the training sets")
+    parser.add_argument("--frames", type=int, default=6400, help="frames of a training set, of all its copies together")
+    parser.add_argument("--passes", type=int, default=100_000, help="passes over frames of each training")
+    parser.add_argument("--tested", type=int, default=8, help="copies to test on")
+    parser.add_argument("--test-frames", type=int, default=72, help="frames of each copy that are tested on")
+    parser.add_argument("--precision", choices=PRECISIONS, default="float32", help="of the networks' products")
+    parser.add_argument("--processes", type=int, default=1, help="that film")
+    parser.add_argument("--films", action="store_true", help="only film")
+    parser.add_argument("-o", "--out", type=Path)
+    options = parser.parse_args()
+    keep_big_blocks()
+    kind, out = KINDS[options.set], options.out or Path(f"docs/numbers/copies-{options.set}.json")
+    films = Films.of(options.set, options.work, options.processes)
+    other = films.frames(range(TEST, TEST + options.tested), options.test_frames)
+    about = {"set": options.set, "seeds": [TRAIN, TEST], "frames": options.frames, "passes": options.passes}
+    rows: list[dict[str, Any]] = []
+    for count in options.copies:
+        each = options.frames // count
+        whole = films.frames(range(TRAIN, TRAIN + count), each + options.test_frames)
+        # The first frames of each copy, in an order that was drawn, are tested on.
+        copies, share = np.asarray(whole["recording"].values), options.test_frames / (each + options.test_frames)
+        tested = np.zeros(len(copies), bool)
+        for one in np.unique(copies):
+            own = np.flatnonzero(copies == one)
+            tested[own[: round(len(own) * share)]] = True
+        train, same = (whole.isel(frame=np.flatnonzero(mask)) for mask in (~tested, tested))
+        if options.films:
+            continue
+        path = options.work / f"model-{options.set}-{count}-{options.frames}-{options.passes}"
+        if not path.exists():
+            epochs = max(1, round(options.passes / train.sizes["frame"]))
+            model = ResNet18(
+                kind.target,
+                crop=kind.crop,
+                size=kind.size,
+                epochs=epochs,
+                batch=kind.batch,
+                precision=options.precision,
+            )
+            kept = path.with_suffix(".part")
+            save_model(model.fit(train, progress=bar, checkpoint=kept, resume=kept.exists(), on_epoch=print), path)
+        model = load_model(path)
+        rows.append({"copies": count, "training_frames": train.sizes["frame"]})
+        rows[-1] |= {"same": told(model, same, kind.names), "other": told(model, other, kind.names)}
+        print(json.dumps(rows[-1]), flush=True)
+        with atomic_file(out) as part:
+            part.write_text(json.dumps({**about, "rows": rows}, indent=1) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
