@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from guard_films import GuardFilm, Happening
-from measure_guard import Raised, score
+from measure_guard import PLACES, Raised, draw_script, guarded, score
 
 
 def test_a_camera_shows_while_it_is_here_and_not_else() -> None:
@@ -47,3 +47,9 @@ def test_an_alert_counts_once_within_a_second(alert: Raised, found: int, false: 
     assert (told.found, told.false) == (found, false)
     again = score([Happening("looks", 0, 5.0, 9.0)], [alert, alert])
     assert again.false == false + 1
+
+
+def test_a_guard_finds_what_is_drawn() -> None:
+    script = draw_script(5, count=8, seconds=150.0)
+    told = score(script.happenings, guarded(script, 5), PLACES)
+    assert (told.happenings, told.found, told.false) == (8, 8, 0)
