@@ -20,6 +20,7 @@ cameras; the geometric mean of real and drawn ones where both are known.
 
 from __future__ import annotations
 
+import argparse
 import json
 import sys
 from collections import Counter, defaultdict
@@ -422,17 +423,20 @@ def labelled(folder: Path, pair: bool) -> list[Case]:
 
 
 def main() -> None:
-    given = sys.argv[1:]
-    kind = given[1] if len(given) > 1 else ""
-    if len(given) != {"pair": 2, "frame": 3}.get(kind, -1):
-        sys.exit("usage: python scripts/make_detector.py FOLDER (pair | frame PHOTOGRAPHS)")
-    pair = kind == "pair"
-    cases, empty = labelled(Path(given[0]), pair), drawn_empty(pair)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("kind", choices=("pair", "frame"))
+    parser.add_argument("photographs", type=Path, nargs="?", help="a folder of them, which `frame` needs")
+    options = parser.parse_args()
+    kind, pair = options.kind, options.kind == "pair"
+    if pair != (options.photographs is None):
+        parser.error("`pair` takes no photographs, `frame` needs a folder of them")
+    cases, empty = labelled(options.folder, pair), drawn_empty(pair)
     without: list[Case] = []
     if pair:
         fitted = fitted_pair(cases, empty)
     else:
-        learned, without = of_photographs(Path(given[2]))
+        learned, without = of_photographs(options.photographs)
         fitted = fitted_frame(learned, cases, [*empty, *without])
     scores, clutter = fitted.scores, fitted.clutter
     alarms = alarms_of([*empty, *without], fitted.of_empty, fitted.empty_clutter)

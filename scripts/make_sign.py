@@ -8,7 +8,7 @@ docs/images/sign.png and docs/images/flash.png. Some minutes on two cores.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 
 from flash import fig_flash, flash, flash_table
@@ -32,9 +32,11 @@ SHOWN = ("nothing", "second beam", "array and microlenses", "sensor tilt")
 
 
 def main() -> None:
-    wanted = sys.argv[1:] or list(PARTS)
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=f"of {', '.join(PARTS)}; all by default")
+    wanted = parser.parse_args().parts or list(PARTS)
     if unknown := set(wanted) - set(PARTS):
-        sys.exit(f"error: {', '.join(sorted(unknown))}: no part of the page; choose of {', '.join(PARTS)}")
+        parser.error(f"{', '.join(sorted(unknown))}: no part of the page; choose of {', '.join(PARTS)}")
     (ROOT / "build").mkdir(exist_ok=True)
     for name, made in (("thin", thin_target), ("phone", phone_target)):
         if name in wanted:

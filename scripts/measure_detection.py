@@ -12,6 +12,7 @@ within 20 pixels of the registered difference of the same scene without cameras,
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from dataclasses import dataclass
@@ -127,7 +128,11 @@ def drawn(listed: list[Camera]) -> Figure:
 
 
 def main() -> None:
-    first, count = (int(one) for one in (sys.argv[1:] + ["71000", "20"][len(sys.argv) - 1 :])[:2])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", type=int, nargs="?", default=71000, help="seed of the first scene of each kind")
+    parser.add_argument("count", type=int, nargs="?", default=20, help="scenes of each kind")
+    options = parser.parse_args()
+    first, count = options.first, options.count
     seeds = range(first, first + count)
     listed = [one for kind in KINDS for seed in seeds for one in cameras(kind, seed)]
     print("| cameras | count | pair 0.01 | 0.1 | 1 | frame 0.01 | 0.1 | 1 |\n|---|---|---|---|---|---|---|---|")

@@ -8,7 +8,7 @@ is a photograph.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Callable
 
 import cv2
@@ -108,7 +108,11 @@ def frame(kind: str, seed: int) -> Array:
 
 
 def main() -> None:
-    first, count = (int(one) for one in (sys.argv[1:] + ["91000", "100"][len(sys.argv) - 1 :])[:2])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("first", type=int, nargs="?", default=91000, help="seed of the first frame of each kind")
+    parser.add_argument("count", type=int, nargs="?", default=100, help="frames of each kind")
+    options = parser.parse_args()
+    first, count = options.first, options.count
     print("| background | frames | frames with a spot | spots |\n|---|---|---|---|")
     total = [0, 0, 0]
     for kind in KINDS:

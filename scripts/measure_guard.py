@@ -169,7 +169,16 @@ def frames(script: Script, seed: int) -> Iterator[tuple[float, Detections, list[
 def _detections(spots: Sequence[tuple[float, float, float]]) -> Detections:
     x, y, peak = np.array(spots).reshape(-1, 3).T
     zero = np.zeros(len(x))
-    columns = {"x": x, "y": y, "peak_x": x, "peak_y": y, "peak": peak, "snr": peak / 8, "diameter": zero + 6.0, "evidence": zero + 1}
+    columns = {
+        "x": x,
+        "y": y,
+        "peak_x": x,
+        "peak_y": y,
+        "peak": peak,
+        "snr": peak / 8,
+        "diameter": zero + 6.0,
+        "evidence": zero + 1,
+    }
     return Detections.of({**dict.fromkeys(Detections.names(), zero), **columns})
 
 

@@ -9,8 +9,8 @@ removed. It prints the resident memory every twentieth of the way, and by how mu
 
 from __future__ import annotations
 
+import argparse
 import gc
-import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -59,9 +59,12 @@ def _add(light: Array, x: float, y: float, sigma: float) -> None:
 
 
 def main() -> None:
-    count, targets = (int(one) for one in (sys.argv[1:] + ["108000", "3"][len(sys.argv) - 1 :])[:2])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("frames", type=int, nargs="?", default=108000)
+    parser.add_argument("targets", type=int, nargs="?", default=3)
+    options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
-        summary = track_to_file(frames(count, targets), Path(folder) / "tracks.parquet")
+        summary = track_to_file(frames(options.frames, options.targets), Path(folder) / "tracks.parquet")
     print(f"{summary.frames} frames, {summary.tracks} tracks, {summary.rows} rows")
 
 

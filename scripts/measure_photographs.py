@@ -13,6 +13,7 @@ what shines back besides. A camera's height is given over the standard deviation
 
 from __future__ import annotations
 
+import argparse
 import math
 import sys
 from dataclasses import dataclass
@@ -96,12 +97,15 @@ def searched(image: np.ndarray, other: np.ndarray, rng: np.random.Generator) -> 
 
 
 def main() -> None:
-    film = "--film" in sys.argv
-    given = [one for one in sys.argv[1:] if one != "--film"]
-    if not 1 <= len(given) <= 2 or not Path(given[0]).is_dir():
-        sys.exit("usage: python scripts/measure_photographs.py FOLDER [SEED] [--film]")
-    paths = sorted(one for one in Path(given[0]).iterdir() if one.suffix.lower() in SUFFIXES)
-    seed = int(given[1]) if len(given) > 1 else 0
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("seed", type=int, nargs="?", default=0)
+    parser.add_argument("--film", action="store_true", help="the dark picture is the next frame")
+    options = parser.parse_args()
+    film, seed = options.film, options.seed
+    if not options.folder.is_dir():
+        parser.error(f"{options.folder}: no folder")
+    paths = sorted(one for one in options.folder.iterdir() if one.suffix.lower() in SUFFIXES)
     cameras: list[Camera] = []
     alarms: list[list[float]] = []
     refused = 0

@@ -22,7 +22,7 @@ added to the rules: of real frames it found more at 0.1 and fewer at 1, of drawn
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from pathlib import Path
 
@@ -187,12 +187,14 @@ def _joined(parts: list[Arrays]) -> Arrays:
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=int, nargs="?", default=SCENES)
+    parser.add_argument("folder", type=Path, nargs="?", default=Path("build") / "second-stage", help="keeps examples")
+    options = parser.parse_args()
     torch.set_num_threads(1)
     cv2.setNumThreads(1)
     torch.use_deterministic_algorithms(True)
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else SCENES
-    folder = Path(sys.argv[2]) if len(sys.argv) > 2 else Path("build") / "second-stage"
-    data = drawn(count, folder)
+    data = drawn(options.scenes, options.folder)
     print(f"{len(data[3])} candidates, {(data[3] == 1).sum()} of them cameras", flush=True)
     with atomic_file(OUT) as part:
         part.write_bytes(save(weights_of(*trained(data))))

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 import math
 import os
 import shutil
@@ -122,10 +123,15 @@ def shot(browser: Any, name: str, folder: Path) -> None:
 def main() -> None:
     """Take the pictures that are named, or all."""
     chromium = shutil.which("chromium") or shutil.which("google-chrome")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("shots", nargs="*", metavar="SHOT", help=f"of {', '.join(SHOTS)}; all by default")
+    options = parser.parse_args()
+    if unknown := set(options.shots) - set(SHOTS):
+        parser.error(f"{', '.join(sorted(unknown))}: no such picture; choose of {', '.join(SHOTS)}")
     arguments = ["--no-sandbox"] if os.geteuid() == 0 else []
     with sync_playwright() as play, tempfile.TemporaryDirectory() as folder:
         browser = play.chromium.launch(executable_path=chromium, args=arguments)
-        for name in sys.argv[1:] or SHOTS:
+        for name in options.shots or SHOTS:
             shot(browser, name, Path(folder))
 
 
